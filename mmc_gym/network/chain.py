@@ -1,0 +1,130 @@
+"""The planar kinematic chain: its nodes, the vectors between them, and the triangles they form.
+
+A chain of N segments has the nodes p_0 (base) … p_N (end effector), and one vector
+v_ij = p_j − p_i for every i < j: the segments L_i = v_{i−1,i}, the diagonals D, and the
+end effector R = v_0N.  Every three nodes i < k < j close a triangle, v_ij = v_ik + v_kj::
+
+            p_2 ──L_3── p_3
+           ╱   ╲       ╱
+         L_2    D_1   R          N = 3: v_01 v_12 v_23 | v_02 v_13 | v_03
+         ╱        ╲  ╱                  L_1  L_2  L_3  | D_1  D_2  | R
+       p_1 ──L_1── p_0
+
+Vectors are ordered by the number of segments they span: first the N segments, last R.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.floating]
+Pair = tuple[int, int]
+
+
+def vector_pairs(segment_count: int) -> list[Pair]:
+    """Node pairs (i, j) of the chain's N(N+1)/2 vectors, segments first, end effector last.
+
+    >>> vector_pairs(3)
+    [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3), (0, 3)]
+    """
+    return [
+        (start, start + span)
+        for span in range(1, segment_count + 1)
+        for start in range(segment_count + 1 - span)
+    ]
+
+
+def triangle_incidence(segment_count: int) -> NDArray[np.float64]:
+    """Incidence ∂₂ of vectors and triangles, shape (vectors, triangles), entries −1, 0, 1.
+
+    The column of the triangle i < k < j states v_ij − v_ik − v_kj = 0.  A vector is part of
+    m = N − 1 triangles, so every row has N − 1 entries that are not zero.
+    """
+    row = {pair: index for index, pair in enumerate(vector_pairs(segment_count))}
+    triangles = list(combinations(range(segment_count + 1), 3))
+    incidence = np.zeros((len(row), len(triangles)))
+    for column, (i, k, j) in enumerate(triangles):
+        incidence[row[i, j], column] = 1.0
+        incidence[row[i, k], column] = -1.0
+        incidence[row[k, j], column] = -1.0
+    return incidence
+
+
+def chain_vectors(segments: Floats) -> Floats:
+    """All vectors v_ij of the chain with the given segment vectors.
+
+    Args:
+        segments: segment vectors, shape (..., N, 2).
+
+    Returns:
+        Array of shape (..., N(N+1)/2, 2), in the order of `vector_pairs`.
+    """
+    starts, ends = np.array(vector_pairs(segments.shape[-2])).T
+    nodes = node_positions(segments)
+    return nodes[..., ends, :] - nodes[..., starts, :]
+
+
+def node_positions(segments: Floats) -> Floats:
+    """Positions of the nodes p_0 = 0 … p_N, shape (..., N + 1, 2), from segments (..., N, 2)."""
+    base = np.zeros_like(segments[..., :1, :])
+    return np.concatenate([base, np.cumsum(segments, axis=-2)], axis=-2)
+
+
+def segments_from_joint_angles(joint_angles: Floats, segment_lengths: ArrayLike) -> Floats:
+    """Segment vectors of a posture (forward kinematics; their sum is the end effector).
+
+    Args:
+        joint_angles: relative angles in radians, 0 = straight on, shape (..., N).
+        segment_lengths: N lengths.
+
+    Returns:
+        Segment vectors, shape (..., N, 2).
+
+    >>> segments_from_joint_angles(np.array([0.0, np.pi / 2]), (1.0, 2.0)).round(6)
+    array([[1., 0.],
+           [0., 2.]])
+    """
+    segment_angles = np.cumsum(joint_angles, axis=-1)
+    lengths = np.asarray(segment_lengths, dtype=segment_angles.dtype)
+    return np.stack([lengths * np.cos(segment_angles), lengths * np.sin(segment_angles)], axis=-1)
+
+
+def joint_angles_from_segments(segments: Floats) -> Floats:
+    """Relative joint angles in ]−π, π], shape (..., N), of segment vectors (..., N, 2)."""
+    segment_angles = np.arctan2(segments[..., 1], segments[..., 0])
+    return wrap_angle(np.diff(segment_angles, axis=-1, prepend=0.0))
+
+
+def wrap_angle(angle: Floats) -> Floats:
+    """The same angle in ]−π, π] (radians).
+
+    >>> wrap_angle(np.array([-np.pi, 0.0, 3 * np.pi])).round(6).tolist()
+    [3.141593, 0.0, 3.141593]
+    """
+    return np.pi - (np.pi - angle) % (2 * np.pi)
+
+
+def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
+    """Inner and outer radius of the disc or ring that the end effector can reach.
+
+    >>> reachable_radii((1.0, 1.0, 1.0)), reachable_radii((3.0, 1.0))
+    ((0.0, 3.0), (2.0, 4.0))
+    """
+    reach = float(sum(segment_lengths))
+    return max(0.0, 2 * max(segment_lengths) - reach), reach
+
+
+def check_segment_lengths(segment_lengths: Sequence[float]) -> tuple[float, ...]:
+    """The lengths as a tuple of floats.
+
+    Raises:
+        ValueError: if there are none, or one is not positive and finite.
+    """
+    lengths = tuple(float(length) for length in segment_lengths)
+    if not lengths or not all(0 < length < np.inf for length in lengths):
+        raise ValueError(f"segment_lengths must be positive and finite, got {lengths}")
+    return lengths

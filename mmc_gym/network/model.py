@@ -1,0 +1,396 @@
+"""The MMC network: a recurrent network whose attractors are the valid postures of the arm.
+
+Every vector v_ij of the chain is computed from each of its m = N − 1 triangles, and the
+computations are averaged with the present value (Eq. 2 of the paper; N = 3 gives it exactly):
+
+    ṽ_ij = 1/d Σ_{k≠i,j} (v_ik + v_kj) + (d − m)/d v_ij,     v_ba = −v_ab
+         ⇔  ṽ = (I − 1/d ∂₂∂₂ᵀ) v                            ∂₂ from `triangle_incidence`
+
+The segments among them are brought back to their length:
+
+    kinematic:  L ← normalize(L̃)
+    dynamic:    v ← rule(L̃ − L, v),   L̂ = L + v,   L ← normalize(L̂)          (Eqs. 3, 4)
+
+with two rules for the velocity, the paper's Eq. 3 and what its figures were made with,
+
+    "paper":      v = 1/d_v (L̃ − L) + decay (d_v − 1)/d_v v
+    "reference":  v = decay ((L̃ − L) + d_v v) / (d_v + 1)
+
+and two schedules: "synchronous" reads the newest values everywhere, as the equations are
+printed; "delayed" is what the published figures were made with: the triangle terms read the
+normalized segments of one iteration ago, and only the self term and the velocity read the new.
+
+All of this but the normalization is linear.  So the whole state is one array with a row per
+variable, and an iteration is one matrix product and one normalization.  A clamped variable is
+a row of the identity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym.network import chain
+from mmc_gym.network.chain import Floats, Pair
+from mmc_gym.network.normalization import EuclideanNormalizer, Normalizer
+
+Dynamics = Literal["kinematic", "paper", "reference"]
+Schedule = Literal["synchronous", "delayed"]
+_Rows: TypeAlias = "slice | tuple[int, ...]"
+
+# Arms iterated together: their rows, twice, fit the second-level cache of common processors.
+_BLOCK = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class MMCState:
+    """Values of all variables of a batch of networks.
+
+    `values` holds one row per variable with the batch on the last axes, shape (rows, 2, ...):
+    the chain's vectors, then the segments that await their normalization (schedule "delayed"
+    only), then the segment velocities (dynamic networks only).  The properties show them with
+    the batch first, without a copy.
+    """
+
+    values: Floats
+    segment_count: int
+
+    @property
+    def vectors(self) -> Floats:
+        """All vectors v_ij, shape (..., N(N+1)/2, 2), in the order of `chain.vector_pairs`."""
+        return self._rows(0, self.segment_count * (self.segment_count + 1) // 2)
+
+    @property
+    def segments(self) -> Floats:
+        """Segment vectors, normalized, shape (..., N, 2)."""
+        return self._rows(0, self.segment_count)
+
+    @property
+    def joint_angles(self) -> Floats:
+        """Relative joint angles of the segments in ]−π, π], shape (..., N)."""
+        return chain.joint_angles_from_segments(self.segments)
+
+    @property
+    def end_effector(self) -> Floats:
+        """Sum of the segments: where the hand of this posture is, shape (..., 2)."""
+        return np.moveaxis(self.values[: self.segment_count].sum(axis=0), 0, -1)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """Leading axes of all the other properties."""
+        return self.values.shape[2:]
+
+    def _rows(self, start: int, stop: int) -> Floats:
+        return np.moveaxis(self.values[start:stop], (0, 1), (-2, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class Clamps:
+    """Variables held at given values: rows of the state, and values of shape (rows, 2, ...).
+
+    Made by the network that they are used with.
+    """
+
+    rows: tuple[int, ...]
+    values: Floats
+
+
+NO_CLAMPS = Clamps((), np.empty((0, 2)))
+
+
+@dataclass(frozen=True)
+class MMCNetwork:
+    """Description of an MMC network for a planar arm of N ≥ 2 segments; it holds no state.
+
+    It converges for d > (N + 1)/2, without oscillation for d ≥ N + 1; the linear part then
+    needs a single iteration at d = N + 1.
+
+    Attributes:
+        segment_lengths: N positive lengths.
+        damping: d, the weight of the present value in the mean (paper: 10).
+        normalizer: Euclidean (classical network) or learned.
+        dynamics: "kinematic", or a rule for the velocity: "paper" or "reference".
+        velocity_damping: d_v (paper: 5).  Dynamic networks only.
+        velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
+        schedule: "synchronous" or "delayed".
+
+    Raises:
+        ValueError: for fewer than two segments, or a value outside its range.
+
+    >>> network = MMCNetwork()
+    >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    >>> state = network.run(state, network.inverse([-1.0, 1.5]), iterations=100)
+    >>> state.end_effector.round(2).tolist()
+    [-1.0, 1.5]
+    """
+
+    segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)
+    damping: float = 10.0
+    normalizer: Normalizer = field(default_factory=EuclideanNormalizer)
+    dynamics: Dynamics = "kinematic"
+    velocity_damping: float = 5.0
+    velocity_decay: float = 0.92
+    schedule: Schedule = "synchronous"
+
+    def __post_init__(self) -> None:
+        lengths = chain.check_segment_lengths(self.segment_lengths)
+        object.__setattr__(self, "segment_lengths", lengths)
+        if len(lengths) < 2:
+            raise ValueError(f"segment_lengths must hold two lengths or more, got {lengths}")
+        for name, low, high in (
+            ("damping", 0.0, np.inf),
+            ("velocity_damping", 1.0 if self.dynamics == "paper" else 0.0, np.inf),
+            ("velocity_decay", 0.0, 1.0),
+        ):
+            value = getattr(self, name)
+            inside = low <= value <= high if name != "damping" else low < value
+            if not inside or not np.isfinite(value):
+                raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {value!r}")
+        for name, accepted in (("dynamics", Dynamics), ("schedule", Schedule)):
+            if getattr(self, name) not in get_args(accepted):
+                raise ValueError(
+                    f"{name} must be one of {get_args(accepted)}, got {getattr(self, name)!r}"
+                )
+
+    @property
+    def segment_count(self) -> int:
+        """N."""
+        return len(self.segment_lengths)
+
+    # States
+
+    def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
+        """State of arms at rest in a posture; joint angles (..., N) in radians."""
+        angles = _as_floats("joint_angles", joint_angles, (self.segment_count,))
+        return self.state_from_segments(
+            chain.segments_from_joint_angles(angles, self.segment_lengths)
+        )
+
+    def state_from_segments(self, segments: ArrayLike) -> MMCState:
+        """State at rest with the given segment vectors (..., N, 2) and all others consistent.
+
+        The vectors are taken as they are: the network normalizes them in its first iteration.
+        float32 is kept, anything else becomes float64.
+
+        Raises:
+            ValueError: if the shape is another or a value is not finite.
+        """
+        segments = _as_floats("segments", segments, (self.segment_count, 2))
+        parts = [chain.chain_vectors(segments)]
+        if self.schedule == "delayed":
+            parts.append(segments)
+        if self.dynamics != "kinematic":
+            parts.append(np.zeros_like(segments))
+        rows = np.moveaxis(np.concatenate(parts, axis=-2), (-2, -1), (0, 1))
+        return MMCState(np.ascontiguousarray(rows), self.segment_count)
+
+    # Tasks
+
+    def inverse(self, target: ArrayLike) -> Clamps:
+        """Inverse task: the end effector held at `target` (..., 2)."""
+        return self.clamp({(0, self.segment_count): target})
+
+    def forward(self, segments: ArrayLike) -> Clamps:
+        """Forward task: every segment held at the given vector, `segments` (..., N, 2)."""
+        segments = _as_floats("segments", segments, (self.segment_count, 2))
+        return self.clamp({(i, i + 1): segments[..., i, :] for i in range(self.segment_count)})
+
+    def clamp(self, vectors: Mapping[Pair, ArrayLike]) -> Clamps:
+        """Any mixed task: the vectors v_ij of the given node pairs held at (..., 2).
+
+        A clamped segment is held as given; it should have its segment's length.
+
+        Raises:
+            ValueError: for a pair that is no vector of the chain, or a value that is not a
+                finite array of shape (..., 2).
+        """
+        pairs = chain.vector_pairs(self.segment_count)
+        held: dict[int, Floats] = {}
+        for pair, value in vectors.items():
+            if pair not in pairs:
+                raise ValueError(f"a clamp must be a node pair of {pairs}, got {pair!r}")
+            held[pairs.index(pair)] = _as_floats(f"clamp {pair}", value, (2,))
+        if not held:
+            return NO_CLAMPS
+        if self.schedule == "delayed":  # the pending value of a clamped segment is held as well
+            segments = [row for row in held if row < self.segment_count]
+            held |= {len(pairs) + row: held[row] for row in segments}
+        rows = tuple(sorted(held))
+        values = np.stack(np.broadcast_arrays(*(held[row] for row in rows)))
+        return Clamps(rows, np.ascontiguousarray(np.moveaxis(values, -1, 1)))
+
+    # Iterating
+
+    def step(self, state: MMCState, clamps: Clamps = NO_CLAMPS) -> MMCState:
+        """The state after one iteration."""
+        return self.run(state, clamps, iterations=1)
+
+    def run(self, state: MMCState, clamps: Clamps = NO_CLAMPS, iterations: int = 1) -> MMCState:
+        """The state after `iterations` iterations; `state` itself stays as it is.
+
+        Batch axes of state and clamps are broadcast against each other.
+        """
+        values = state.values
+        compiled = _compile(self, clamps.rows, values.dtype.char)
+        if values.shape[0] != compiled.operator.shape[0]:
+            raise ValueError(f"state must come from this network, got {values.shape[0]} rows")
+        clamped = clamps.values
+        if clamped.ndim > 2 and clamped.shape[2:] != values.shape[2:]:
+            batch = np.broadcast_shapes(values.shape[2:], clamped.shape[2:])
+            values = np.broadcast_to(_pad(values, len(batch)), (*values.shape[:2], *batch))
+            clamped = np.broadcast_to(_pad(clamped, len(batch)), (*clamped.shape[:2], *batch))
+        result = np.empty(values.shape, dtype=values.dtype)
+        rows, size = len(result), result[0, 0].size
+        source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
+        held = clamped.reshape(len(clamped), 2, -1)
+        for start in range(0, size, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            current = source[:, :, block].copy()
+            if clamps.rows:
+                current[compiled.clamped] = held if held.shape[2] == 1 else held[:, :, block]
+            out[:, :, block] = self._iterate(current, compiled, iterations)
+        return MMCState(result, self.segment_count)
+
+    def trajectory(
+        self, state: MMCState, clamps: Clamps, iterations: int
+    ) -> tuple[MMCState, Floats]:
+        """Run, and record the posture after every iteration.
+
+        Returns:
+            The last state, and the segments of all iterations, (iterations, ..., N, 2).
+        """
+        postures = []
+        for _ in range(iterations):
+            state = self.step(state, clamps)
+            postures.append(state.segments)
+        return state, np.stack(postures)
+
+    def _iterate(self, current: Floats, compiled: _Compiled, iterations: int) -> Floats:
+        """Iterate (rows, 2, batch); `current` is overwritten."""
+        following = np.empty_like(current)
+        flat = (len(current), -1)
+        delayed = self.schedule == "delayed"
+        for _ in range(iterations):
+            if delayed:
+                self._normalize(current, compiled)
+            compiled.operator.dot(current.reshape(flat), following.reshape(flat))
+            if not delayed:
+                self._normalize(following, compiled)
+            current, following = following, current
+        return current
+
+    def _normalize(self, values: Floats, compiled: _Compiled) -> None:
+        rows = compiled.normalized
+        if isinstance(rows, slice):
+            self.normalizer.normalize_rows(values[rows], compiled.lengths)
+        elif rows:
+            segments = values[list(rows)]
+            self.normalizer.normalize_rows(segments, compiled.lengths)
+            values[list(rows)] = segments
+
+
+@dataclass(frozen=True, eq=False)
+class _Compiled:
+    """What an iteration needs, for one network, set of clamped vectors, and dtype."""
+
+    operator: Floats  # (rows, rows), the linear part of an iteration
+    clamped: _Rows  # rows that hold clamp values
+    normalized: _Rows  # rows to normalize: the free segments
+    lengths: Floats  # their lengths, (n, 1)
+
+
+@lru_cache(maxsize=256)
+def _compile(network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> _Compiled:
+    count = network.segment_count
+    free = [row for row in range(count) if row not in clamped]
+    offset = count * (count + 1) // 2 if network.schedule == "delayed" else 0
+    return _Compiled(
+        operator=linear_operator(network, clamped).astype(dtype),
+        clamped=_as_slice(clamped),
+        normalized=_as_slice(tuple(offset + row for row in free)),
+        lengths=np.array(network.segment_lengths, dtype=dtype)[free, None],
+    )
+
+
+def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray[np.float64]:
+    """The linear part of an iteration, as a matrix over the rows of the state.
+
+    Args:
+        network: the network.
+        clamped: rows that are held (`Clamps.rows`).
+
+    Returns:
+        Matrix K of shape (rows, rows).  Synchronous: the state is normalize(K state).
+        Delayed: K normalize(state), where the pending segments are what is normalized.
+    """
+    count = network.segment_count
+    incidence = chain.triangle_incidence(count)
+    vectors = len(incidence)
+    mean = np.eye(vectors) - incidence @ incidence.T / network.damping
+
+    # Where the segments are read from and written to, and where their velocities stand.
+    delayed = network.schedule == "delayed"
+    dynamic = network.dynamics != "kinematic"
+    size = vectors + count * (delayed + dynamic)
+    identity = np.eye(size)
+    segment, vector = slice(0, count), slice(0, vectors)
+    new = slice(vectors, vectors + count) if delayed else segment
+    velocity = slice(size - count, size)
+
+    operator = np.zeros((size, size))
+    operator[vector, vector] = mean
+    proposed = operator[segment].copy()  # L̃
+    if delayed:
+        operator[segment] = identity[new]
+        self_term = np.diag(np.diag(mean)[segment])
+        proposed[:, segment] -= self_term
+        proposed[:, new] += self_term
+    if dynamic:
+        gain, memory = _velocity_rule(network)
+        operator[velocity] = gain * (proposed - identity[new]) + memory * identity[velocity]
+        operator[new] = identity[new] + operator[velocity]  # L̂ = L + v
+    else:
+        operator[new] = proposed
+    for row in clamped:
+        operator[row] = identity[row]
+        if row < count and dynamic:
+            operator[size - count + row] = 0.0
+    return operator
+
+
+def _velocity_rule(network: MMCNetwork) -> tuple[float, float]:
+    """Factors of (L̃ − L) and of the old velocity in the new velocity."""
+    d_v, decay = network.velocity_damping, network.velocity_decay
+    if network.dynamics == "paper":
+        return 1 / d_v, decay * (d_v - 1) / d_v
+    return decay / (d_v + 1), decay * d_v / (d_v + 1)
+
+
+def _as_slice(rows: tuple[int, ...]) -> _Rows:
+    """Neighbouring rows as a slice, which numpy indexes without a copy."""
+    if rows and rows == tuple(range(rows[0], rows[-1] + 1)):
+        return slice(rows[0], rows[-1] + 1)
+    return rows
+
+
+def _pad(values: Floats, batch_dimensions: int) -> Floats:
+    """Insert batch axes of size one in front of the present ones, (rows, 2, 1…, ...)."""
+    missing = batch_dimensions - (values.ndim - 2)
+    return values.reshape(*values.shape[:2], *(1,) * missing, *values.shape[2:])
+
+
+def _as_floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
+    """The value as a finite float array whose last axes are `trailing`."""
+    array = np.asarray(value)
+    if array.dtype != np.float32:
+        array = array.astype(np.float64)
+    if array.shape[array.ndim - len(trailing) :] != trailing or array.ndim < len(trailing):
+        raise ValueError(f"{name} must have shape (..., {', '.join(map(str, trailing))}), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {value!r}")
+    return array

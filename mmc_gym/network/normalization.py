@@ -1,0 +1,189 @@
+"""Normalization: what brings a segment vector back to its length after each iteration.
+
+Euclidean (the classical network):   L = ℓ · L̃ / |L̃|
+Learned (the paper, Sect. "Learning Non-Linearities"): a small MLP f with tanh in hidden and
+output units, trained to map any vector onto the unit circle without turning it,
+
+    L = ℓ · f(L̃ / ℓ),      f(x) = tanh(W_K … tanh(W_1 x + b_1) … + b_K).
+
+Inside the network the batch stands on the last axis (rows, 2, batch): one iteration is then
+one matrix product over contiguous memory.  `normalize_rows` works on that layout and in
+place; calling a normalizer works on the usual one, (..., 2).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import safetensors.numpy
+from numpy.typing import ArrayLike
+from safetensors import SafetensorError, safe_open
+
+from mmc_gym._files import write_atomically
+from mmc_gym.network.chain import Floats
+
+ShippedNormalizer = Literal["accurate", "paper"]
+
+
+class Normalizer(ABC):
+    """Brings vectors to given lengths, keeping (about) their direction."""
+
+    @abstractmethod
+    def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
+        """Normalize in place.
+
+        Args:
+            rows: vectors with the batch last, shape (n, 2, batch).
+            lengths: lengths to bring them to, shape (n, 1), of the same dtype.
+        """
+
+    def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
+        """Normalized copies of `vectors` (..., 2); `lengths` broadcasts against (...)."""
+        vectors = np.asarray(vectors)
+        vectors = vectors if vectors.dtype == np.float32 else vectors.astype(np.float64)
+        lengths = np.asarray(lengths, dtype=vectors.dtype)
+        shape = np.broadcast_shapes(vectors.shape[:-1], lengths.shape)
+        # Every vector has a length of its own here, so each is a row with a batch of one.
+        rows = np.broadcast_to(vectors, (*shape, 2)).reshape(-1, 2, 1).copy()
+        self.normalize_rows(rows, np.broadcast_to(lengths, shape).reshape(-1, 1))
+        return rows.reshape(*shape, 2)
+
+
+class EuclideanNormalizer(Normalizer):
+    """L = ℓ · L̃ / |L̃|, exact.  The zero vector becomes (ℓ, 0), as its angle atan2(0, 0) = 0 says."""
+
+    def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
+        # Far below the rounding error of any vector but zero itself, which it gives a direction.
+        rows[:, 0] += _NUDGE[rows.dtype.char]
+        squares = rows * rows
+        scale = squares[:, 0] + squares[:, 1]
+        np.sqrt(scale, out=scale)
+        np.divide(lengths, scale, out=scale)
+        np.multiply(rows, scale[:, None], out=rows)
+
+    def __repr__(self) -> str:
+        return "EuclideanNormalizer()"
+
+
+# The square of each is still a normal number of its dtype.
+_NUDGE = {"d": 1e-150, "f": np.float32(1e-18)}
+
+
+class LearnedNormalizer(Normalizer):
+    """L = ℓ · f(L̃ / ℓ) with the MLP f, every layer tanh(W x + b).
+
+    Attributes:
+        weights: one (outputs, inputs) array per layer, float64.
+        biases: one (outputs,) array per layer, float64.
+        card: how it was trained (strings), stored with the weights.
+    """
+
+    def __init__(
+        self,
+        weights: Sequence[ArrayLike],
+        biases: Sequence[ArrayLike],
+        card: dict[str, str] | None = None,
+    ) -> None:
+        """Make a normalizer from layer weights (outputs, inputs) and biases (outputs,).
+
+        Raises:
+            ValueError: if the layers do not lead from 2 inputs to 2 outputs.
+        """
+        self.weights = [np.array(weight, dtype=np.float64) for weight in weights]
+        self.biases = [np.array(bias, dtype=np.float64) for bias in biases]
+        self.card = dict(card or {})
+        shapes = [weight.shape for weight in self.weights]
+        widths = [2, *(len(bias) for bias in self.biases)]
+        wanted = list(zip(widths[1:], widths[:-1], strict=True))
+        if not shapes or shapes != wanted or widths[-1] != 2:
+            raise ValueError(
+                f"layers must lead from 2 inputs to 2 outputs, got weights of shapes {shapes} "
+                f"and biases of lengths {widths[1:]}"
+            )
+        self._layers: dict[str, list[tuple[Floats, Floats]]] = {}
+
+    @property
+    def hidden_units(self) -> tuple[int, ...]:
+        """Sizes of the hidden layers, such as (16, 16)."""
+        return tuple(len(bias) for bias in self.biases[:-1])
+
+    def activations(self, vectors: ArrayLike) -> list[Floats]:
+        """Output of every layer for unit-scaled input vectors (..., 2), each (..., units)."""
+        outputs = self._forward(np.asarray(vectors, dtype=np.float64).reshape(-1, 2).T)
+        shape = np.shape(vectors)[:-1]
+        return [output.T.reshape(*shape, -1) for output in outputs]
+
+    def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
+        count, _, batch = rows.shape
+        inputs = np.empty((2, count, batch), dtype=rows.dtype)
+        np.divide(rows.transpose(1, 0, 2), lengths, out=inputs)
+        output = self._forward(inputs.reshape(2, -1))[-1].reshape(2, count, batch)
+        np.multiply(output.transpose(1, 0, 2), lengths[:, None], out=rows)
+
+    def _forward(self, inputs: Floats) -> list[Floats]:
+        outputs = []
+        for weight, bias in self._layers_as(inputs.dtype):
+            inputs = weight @ inputs
+            inputs += bias
+            np.tanh(inputs, out=inputs)
+            outputs.append(inputs)
+        return outputs
+
+    def _layers_as(self, dtype: np.dtype[Any]) -> list[tuple[Floats, Floats]]:
+        if dtype.char not in self._layers:
+            self._layers[dtype.char] = [
+                (weight.astype(dtype), bias.astype(dtype)[:, None])
+                for weight, bias in zip(self.weights, self.biases, strict=True)
+            ]
+        return self._layers[dtype.char]
+
+    def save(self, path: Path | str) -> None:
+        """Write weights, biases and card as one safetensors file, atomically."""
+        tensors = {}
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            tensors[f"layers.{index}.weight"] = weight
+            tensors[f"layers.{index}.bias"] = bias
+        write_atomically(path, safetensors.numpy.save(tensors, metadata=self.card))
+
+    @classmethod
+    def load(cls, path: Path | str) -> LearnedNormalizer:
+        """Read a file that `save` wrote.
+
+        Raises:
+            FileNotFoundError: if there is none.
+            ValueError: if it is damaged or does not hold a normalizer.
+        """
+        try:
+            with safe_open(path, framework="numpy") as file:
+                tensors = {name: file.get_tensor(name) for name in file.keys()}
+                card = file.metadata() or {}
+            layers = range(len(tensors) // 2)
+            weights = [tensors[f"layers.{index}.weight"] for index in layers]
+            biases = [tensors[f"layers.{index}.bias"] for index in layers]
+            return cls(weights, biases, card)
+        except (SafetensorError, KeyError, ValueError) as error:
+            raise ValueError(f"{path} does not hold a normalizer: {error}") from error
+
+    @classmethod
+    def shipped(cls, name: ShippedNormalizer = "accurate") -> LearnedNormalizer:
+        """A trained 2-16-16-2 normalizer that ships with the package.
+
+        Args:
+            name: "accurate" (trained for angle accuracy) or "paper" (the paper's recipe).
+
+        Raises:
+            ValueError: for any other name.
+        """
+        folder = files("mmc_gym.network") / "weights"
+        path = Path(str(folder / f"{name}-16x16.safetensors"))
+        if not path.is_file():
+            raise ValueError(f"normalizer must be 'accurate' or 'paper', got {name!r}")
+        return cls.load(path)
+
+    def __repr__(self) -> str:
+        return f"LearnedNormalizer(hidden_units={self.hidden_units})"
