@@ -1,1 +1,75 @@
+# `make demo` and `make test` set up .venv by themselves; the second run finds it ready.
+
 PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+# A stamp is touched only after its step succeeded, so an interrupted step is done again.
+VENV_READY := $(VENV)/.stamp-venv
+PACKAGE_READY := $(VENV)/.stamp-package
+DEV_READY := $(VENV)/.stamp-dev
+
+# The constraints hold for isolated builds too: pip before 25.3 takes them from PIP_CONSTRAINT,
+# later ones from PIP_BUILD_CONSTRAINT.
+export PIP_CONSTRAINT := constraints.txt
+export PIP_BUILD_CONSTRAINT := constraints.txt
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_NO_INPUT := 1
+PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint type imports format clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+
+demo: $(PACKAGE_READY) ## install mmc-gym into .venv and compare the shipped policies
+	$(BIN)/mmc-gym compare $(ARGS)
+
+test: lint type imports ## install the dev extra into .venv, then lint, types, import rules, all tests
+	$(BIN)/python -m pytest -n auto --dist worksteal $(ARGS)
+
+lint: $(DEV_READY) ## ruff: rules and format
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+type: $(DEV_READY) ## mypy --strict on mmc_gym
+	$(BIN)/mypy
+
+imports: $(DEV_READY) ## the import rules between the packages
+	$(BIN)/lint-imports --no-logo
+
+format: $(DEV_READY) ## let ruff repair and format everything
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+clean: ## remove .venv, build outputs and caches
+	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	find mmc_gym tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV_READY):
+	@command -v "$(PYTHON)" >/dev/null 2>&1 || { \
+	  echo "mmc-gym needs Python 3.10 or newer, but '$(PYTHON)' was not found." \
+	       "Name one with: make PYTHON=/path/to/python3 ..." >&2; exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
+	  echo "mmc-gym needs Python 3.10 or newer, but '$(PYTHON)' is `"$(PYTHON)" --version 2>&1`." \
+	       "Name another with: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "'$(PYTHON)' cannot make virtual environments: its venv or ensurepip module is missing." \
+	       "On Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
+	@echo "Making $(VENV) with `"$(PYTHON)" --version 2>&1`"
+	@"$(PYTHON)" -m venv $(VENV) && $(BIN)/python -m pip --version >/dev/null 2>&1 \
+	  || "$(PYTHON)" -m venv --clear $(VENV)
+	@$(PIP_INSTALL) 'pip>=22'
+	@touch $@
+
+$(PACKAGE_READY): $(VENV_READY) pyproject.toml constraints.txt
+	@echo "Installing mmc-gym (PyTorch is large: the first time can take minutes)"
+	@$(PIP_INSTALL) -e .
+	@touch $@
+
+$(DEV_READY): $(PACKAGE_READY)
+	@echo "Installing what the tests need"
+	@$(PIP_INSTALL) -e '.[dev]'
+	@touch $@
