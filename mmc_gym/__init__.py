@@ -1,0 +1,12 @@
+"""mmc-gym: the Mean-of-Multiple-Computations body model and its reaching environment.
+
+Importing it registers the environments with Gymnasium.
+"""
+
+from importlib.metadata import version
+
+from mmc_gym import envs as _envs  # registers the environments
+
+__version__ = version("mmc-gym")
+__all__ = ["__version__"]
+del _envs
