@@ -1,0 +1,120 @@
+"""What an installed mmc-gym is: light to import, complete in its wheel and its source archive."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from importlib.metadata import requires, version
+from pathlib import Path, PurePosixPath
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# As `fnmatch` reads them: a star crosses folders.
+SHIPPED = {
+    "mmc_gym/py.typed",
+    "mmc_gym/network/weights/*.safetensors",
+    "mmc_gym/agents/hyperparams/*.yaml",
+    "mmc_gym/agents/pretrained/*.safetensors",
+}
+
+HEAVY = {"matplotlib", "pygame", "stable_baselines3", "torch"}
+
+
+def run_python(code: str) -> str:
+    """What a fresh interpreter prints."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def package_files() -> set[str]:
+    """Every file of the package in the source tree, as in an archive: `mmc_gym/cli.py`."""
+    files = (path for path in (ROOT / "mmc_gym").rglob("*") if path.is_file())
+    relative = (path.relative_to(ROOT) for path in files)
+    return {
+        path.as_posix()
+        for path in relative
+        if "__pycache__" not in path.parts and not path.name.startswith(".")
+    }
+
+
+def build(kind: str, folder: Path) -> Path:
+    """The wheel or sdist of the source tree, built by the installed hatchling."""
+    hook = f"import hatchling.build as b; print(b.build_{kind}({str(folder)!r}))"
+    return folder / run_python(hook).split()[-1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
+    """The paths in the wheel."""
+    with zipfile.ZipFile(build("wheel", tmp_path_factory.mktemp("wheel"))) as archive:
+        return set(archive.namelist())
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
+    """The paths in the source archive, below its one top folder."""
+    with tarfile.open(build("sdist", tmp_path_factory.mktemp("sdist"))) as archive:
+        return {name.partition("/")[2] for name in archive.getnames()}
+
+
+def test_import_loads_no_heavy_library():
+    loaded = run_python("import sys, mmc_gym; print(*{name.split('.')[0] for name in sys.modules})")
+    assert HEAVY.isdisjoint(loaded.split())
+
+
+@pytest.mark.parametrize("environment", ["MMCReach-v0", "MMCReachGoal-v0"])
+def test_import_registers_the_environments(environment):
+    run_python(f"import gymnasium, mmc_gym; gymnasium.spec({environment!r})")
+
+
+def test_gymnasium_finds_the_environment_by_module_and_name():
+    run_python("import gymnasium; gymnasium.make('mmc_gym:MMCReach-v0').close()")
+
+
+def test_the_version_is_the_distribution_s():
+    assert run_python("import mmc_gym; print(mmc_gym.__version__)").strip() == version("mmc-gym")
+
+
+@pytest.mark.parametrize("archive", ["wheel", "sdist"])
+def test_archive_holds_every_file_of_the_package(archive, request):
+    assert package_files() <= request.getfixturevalue(archive)
+
+
+@pytest.mark.parametrize("archive", ["wheel", "sdist"])
+@pytest.mark.parametrize("pattern", sorted(SHIPPED))
+def test_archive_ships_the_data(archive, pattern, request):
+    assert fnmatch.filter(request.getfixturevalue(archive), pattern)
+
+
+def test_wheel_holds_the_licence_and_nothing_beside_the_package(wheel):
+    tops = {PurePosixPath(name).parts[0] for name in wheel}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"mmc_gym"}
+    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in wheel)
+
+
+def test_sdist_holds_what_a_rebuild_and_its_tests_need(sdist):
+    needed = {"LICENSE", "README.md", "pyproject.toml", "constraints.txt", "Makefile"}
+    assert needed | {"tests/test_packaging.py"} <= sdist
+
+
+def test_every_requirement_is_pinned_exactly():
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pins = {}
+    for line in lines:
+        if line and not line.startswith("#"):
+            pin = Requirement(line)
+            pins[canonicalize_name(pin.name)] = str(pin.specifier)
+    assert all(re.fullmatch(r"==[\w.]+", version) for version in pins.values())
+    needed = {canonicalize_name(Requirement(line).name) for line in requires("mmc-gym") or []}
+    assert needed <= pins.keys()
