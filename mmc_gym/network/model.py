@@ -390,7 +390,9 @@ def _as_floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats
     if array.dtype != np.float32:
         array = array.astype(np.float64)
     if array.shape[array.ndim - len(trailing) :] != trailing or array.ndim < len(trailing):
-        raise ValueError(f"{name} must have shape (..., {', '.join(map(str, trailing))}), got {array.shape}")
+        raise ValueError(
+            f"{name} must have shape (..., {', '.join(map(str, trailing))}), got {array.shape}"
+        )
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {value!r}")
     return array
