@@ -147,7 +147,9 @@ class Arm:
         self._servos: list[pymunk.Constraint] = []
         self._build()
         lengths = self.parameters.segment_lengths
-        self._handles = [(body._body, length) for body, length in zip(self._segments, lengths)]
+        self._handles = [
+            (body._body, length) for body, length in zip(self._segments, lengths, strict=True)
+        ]
         self._servo_handles = [servo._constraint for servo in self._servos]
         self.reset([0.0] * len(self._segments))
 
@@ -247,28 +249,32 @@ class Arm:
     def _command_position(self, joint_targets: Sequence[float]) -> None:
         set_phase, limits = chipmunk.cpGearJointSetPhase, self.parameters.joint_limits
         if limits is None:
-            for servo, target, angle in zip(self._servo_handles, joint_targets, self.joint_angles):
+            for servo, target, angle in zip(
+                self._servo_handles, joint_targets, self.joint_angles, strict=True
+            ):
                 set_phase(servo, angle + remainder(target - angle, tau))
         else:
-            for servo, target, (low, high) in zip(self._servo_handles, joint_targets, limits):
+            for servo, target, (low, high) in zip(
+                self._servo_handles, joint_targets, limits, strict=True
+            ):
                 set_phase(servo, min(max(target, low), high))
 
     def _command_velocity(self, joint_velocities: Sequence[float]) -> None:
         set_rate, limit = chipmunk.cpSimpleMotorSetRate, self.parameters.speed_limit
-        for servo, velocity in zip(self._servo_handles, joint_velocities):
+        for servo, velocity in zip(self._servo_handles, joint_velocities, strict=True):
             set_rate(servo, -min(max(velocity, -limit), limit))  # pymunk's: of the parent
 
     def _command_torque(self, torques: Sequence[float]) -> None:
         set_rate, set_limit = chipmunk.cpSimpleMotorSetRate, chipmunk.cpConstraintSetMaxForce
         speed_limit, torque_limit = self.parameters.speed_limit, self.parameters.torque_limit
-        for servo, torque in zip(self._servo_handles, torques):
+        for servo, torque in zip(self._servo_handles, torques, strict=True):
             set_rate(servo, copysign(speed_limit, -torque))
             set_limit(servo, min(abs(torque), torque_limit))
 
     def pivot_gap(self) -> float:
         """Largest distance between the two ends that a pivot should hold together, lengths."""
         gap, end = 0.0, pymunk.Vec2d(0.0, 0.0)
-        for segment, length in zip(self._segments, self.parameters.segment_lengths):
+        for segment, length in zip(self._segments, self.parameters.segment_lengths, strict=True):
             gap = max(gap, segment.local_to_world((-length / 2, 0.0)).get_distance(end))
             end = segment.local_to_world((length / 2, 0.0))
         return gap

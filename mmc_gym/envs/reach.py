@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym.body import Arm, ArmParameters
 from mmc_gym.body.arm import Servo
 from mmc_gym.envs import tasks
+from mmc_gym.network.chain import reachable_radii
 
 if TYPE_CHECKING:
     from mmc_gym.envs.rendering import Renderer
@@ -95,7 +96,7 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
     * v0: initial version
     """
 
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
 
     def __init__(
         self,
@@ -188,7 +189,8 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         scale = self._action_scale
         if self.control == "joint_delta":
             command = [
-                angle + scale * value for angle, value in zip(self._arm.joint_angles, values)
+                angle + scale * value
+                for angle, value in zip(self._arm.joint_angles, values, strict=True)
             ]
         else:
             command = [scale * value for value in values]
@@ -199,7 +201,19 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         observation, reward, info = self._outcome()
         return observation, reward, False, False, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def set_target(self, target: ArrayLike) -> None:
+        """Move the target during an episode; the next step's observation and reward tell of it.
+
+        Args:
+            target: (x, y) in segment lengths.
+
+        Raises:
+            ValueError: if it is of wrong shape, not finite, or out of reach; the target stays
+                where it was.
+        """
+        self._target = self._check_target("target", target)
+
+    def render(self) -> NDArray[np.uint8] | None:
         """The picture (height, width, 3) for "rgb_array"; for "human", a window shows it."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: gym.make(..., render_mode='rgb_array')")
@@ -207,13 +221,13 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if self._renderer is None:
             from mmc_gym.envs.rendering import Renderer
 
-            self._renderer = Renderer(self.reach, self.render_mode, self.metadata["render_fps"])
-        return self._renderer.draw(
-            self._arm.segment_angles,
-            self.parameters.segment_lengths,
-            self._target,
-            self.success_distance,
-        )
+            self._renderer = Renderer(
+                self.parameters.segment_lengths,
+                self.success_distance,
+                self.render_mode,
+                self.metadata["render_fps"],
+            )
+        return self._renderer.draw(self._arm.segment_angles, self._target)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -294,15 +308,17 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
                         f"{p.joint_limits}, got {posture}"
                     )
         if options.get("target") is not None:
-            x, y = _finite("options['target']", options["target"], 2)
-            if not tasks.is_reachable((x, y), p.segment_lengths):
-                inner, outer = tasks.reachable_radii(p.segment_lengths)
-                raise ValueError(
-                    f"options['target'] must lie between {inner:g} and {outer:g} from the base, "
-                    f"got {(x, y)}"
-                )
-            target = (x, y)
+            target = self._check_target("options['target']", options["target"])
         return posture, target
+
+    def _check_target(self, name: str, target: ArrayLike) -> tuple[float, float]:
+        x, y = _finite(name, target, 2)
+        if not tasks.is_reachable((x, y), self.parameters.segment_lengths):
+            inner, outer = reachable_radii(self.parameters.segment_lengths)
+            raise ValueError(
+                f"{name} must lie between {inner:g} and {outer:g} from the base, got {(x, y)}"
+            )
+        return x, y
 
     def _draw_posture(self) -> list[float]:
         p = self.parameters

@@ -62,6 +62,19 @@ def is_reachable(target: Sequence[float], segment_lengths: Sequence[float]) -> b
     return inner - slack <= math.hypot(*target) <= outer + slack
 
 
+def nearest_reachable(
+    point: Sequence[float], segment_lengths: Sequence[float]
+) -> tuple[float, float]:
+    """The point nearest to `point` (x, y) that an arm with continuous joints can reach."""
+    x, y = point
+    distance = math.hypot(x, y)
+    inner, outer = reachable_radii(segment_lengths)
+    if distance == 0:  # all points of the inner circle are as near
+        return inner, 0.0
+    scale = min(max(distance, inner), outer) / distance
+    return x * scale, y * scale
+
+
 def dense_reward(distance: Distance) -> Distance:
     """Minus the distance from hand to target, in segment lengths."""
     return -distance
@@ -74,4 +87,5 @@ def sparse_reward(distance: Distance, success_distance: float) -> Distance:
 
 def control_cost(speeds: Sequence[float], weight: float) -> float:
     """Minus `weight` times the mean square of the joint speeds, as fractions of their limit."""
-    return -weight * sum(map(mul, speeds, speeds)) / len(speeds)
+    squares: float = sum(map(mul, speeds, speeds))
+    return -weight * squares / len(speeds)
