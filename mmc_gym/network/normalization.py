@@ -17,7 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import safetensors.numpy
@@ -58,6 +58,7 @@ class EuclideanNormalizer(Normalizer):
     """L = ℓ · L̃ / |L̃|, exact.  The zero vector becomes (ℓ, 0), as atan2(0, 0) = 0 says."""
 
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
+        """Normalize rows (n, 2, batch) in place."""
         # Far below the rounding error of any vector but zero itself, which it gives a direction.
         rows[:, 0] += _NUDGE[rows.dtype.char]
         squares = rows * rows
@@ -92,19 +93,24 @@ class LearnedNormalizer(Normalizer):
         """Make a normalizer from layer weights (outputs, inputs) and biases (outputs,).
 
         Raises:
-            ValueError: if the layers do not lead from 2 inputs to 2 outputs.
+            ValueError: if the layers do not lead from 2 inputs to 2 outputs, or a value is not
+                finite.
         """
         self.weights = [np.array(weight, dtype=np.float64) for weight in weights]
         self.biases = [np.array(bias, dtype=np.float64) for bias in biases]
         self.card = dict(card or {})
         shapes = [weight.shape for weight in self.weights]
-        widths = [2, *(len(bias) for bias in self.biases)]
+        bias_shapes = [bias.shape for bias in self.biases]
+        widths = [2, *(bias.size for bias in self.biases)]
         wanted = list(zip(widths[1:], widths[:-1], strict=True))
-        if not shapes or shapes != wanted or widths[-1] != 2:
+        one_axis = all(len(shape) == 1 for shape in bias_shapes)
+        if not shapes or shapes != wanted or widths[-1] != 2 or not one_axis:
             raise ValueError(
                 f"layers must lead from 2 inputs to 2 outputs, got weights of shapes {shapes} "
-                f"and biases of lengths {widths[1:]}"
+                f"and biases of shapes {bias_shapes}"
             )
+        if not all(np.isfinite(values).all() for values in (*self.weights, *self.biases)):
+            raise ValueError("weights and biases must be finite, got some that are not")
         self._layers: dict[str, list[tuple[Floats, Floats]]] = {}
 
     @property
@@ -119,6 +125,7 @@ class LearnedNormalizer(Normalizer):
         return [output.T.reshape(*shape, -1) for output in outputs]
 
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
+        """Normalize rows (n, 2, batch) in place."""
         count, _, batch = rows.shape
         inputs = np.empty((2, count, batch), dtype=rows.dtype)
         np.divide(rows.transpose(1, 0, 2), lengths, out=inputs)
@@ -162,7 +169,7 @@ class LearnedNormalizer(Normalizer):
             with safe_open(path, framework="numpy") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}
                 card = file.metadata() or {}
-            layers = range(len(tensors) // 2)
+            layers = range((len(tensors) + 1) // 2)
             weights = [tensors[f"layers.{index}.weight"] for index in layers]
             biases = [tensors[f"layers.{index}.bias"] for index in layers]
             return cls(weights, biases, card)
@@ -180,10 +187,9 @@ class LearnedNormalizer(Normalizer):
             ValueError: for any other name.
         """
         folder = files("mmc_gym.network") / "weights"
-        path = Path(str(folder / f"{name}-16x16.safetensors"))
-        if not path.is_file():
-            raise ValueError(f"normalizer must be 'accurate' or 'paper', got {name!r}")
-        return cls.load(path)
+        if name not in get_args(ShippedNormalizer):
+            raise ValueError(f"name must be one of {get_args(ShippedNormalizer)}, got {name!r}")
+        return cls.load(Path(str(folder / f"{name}-16x16.safetensors")))
 
     def __repr__(self) -> str:
         return f"LearnedNormalizer(hidden_units={self.hidden_units})"

@@ -4,17 +4,17 @@ Each MLP f sees vectors x = r u of random length r in direction u, and is to ans
 Sect. "Learning the Normalization Network").  There are two recipes:
 
 * `PAPER`: the paper's.  Adam on the mean squared error |f(x) − u|²/2.  For lengths near 1 it
-  ends at mean angle errors of .25 to .5 degrees, from which the MMC network inherits a floor.
+  ends at mean angle errors of .25 to .5 degrees.
 * `ACCURATE`: what the MMC network needs.  Without biases the MLP is odd, f(−x) = −f(x), so that
-  it keeps directions down to the shortest vectors; and after Adam, Levenberg-Marquardt refines
-  angle and length, the parts of f(x) − u across and along u, weighted for lengths near 1:
+  it keeps directions down to the shortest vectors; after Adam, `refinement` takes over.
 
-      E = Σ w(r)² [(u × f)² + c² (u · f − 1)²]
+Runs stand on a leading axis: parameters are (runs, P), values (runs, units, samples), samples
+(runs, 4, n), each a column of x and u.  The gradient is written out, because autograd's
+bookkeeping would cost more than layers of a few units:
 
-  An MLP this small has few enough parameters to solve for the best step exactly, which leads
-  two to three orders of magnitude further than gradient descent.
+    δ_K = ∂E/∂y_K (1 − y_K²),   δ_k = (W_{k+1}ᵀ δ_{k+1}) (1 − y_k²),   ∂E/∂W_k = δ_k y_{k−1}ᵀ
 
-What the package ships is trained, in less than a minute, by
+What the package ships is trained, in about a minute, by
 
     python -m mmc_gym.network.training
 """
@@ -25,9 +25,10 @@ import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import pi
+from itertools import pairwise
+from math import pi, sqrt
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
@@ -35,24 +36,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mmc_gym.network.normalization import LearnedNormalizer, angle_errors, mean_squared_error
-from mmc_gym.network.perceptrons import Perceptrons, adam, levenberg_marquardt
+from mmc_gym.network.refinement import Refinement, refine
 
-
-@dataclass(frozen=True)
-class Refinement:
-    """Levenberg-Marquardt iterations on the angle and length errors.
-
-    Attributes:
-        iterations: how many.
-        near: lengths within this of 1 weigh 1: they are what a body model at rest asks for.
-        far_weight: weight of all other lengths.
-        length_weight: c, weight of the length error relative to the angle error.
-    """
-
-    iterations: int = 300
-    near: float = 0.3
-    far_weight: float = 0.1
-    length_weight: float = 0.3
+Errors: TypeAlias = NDArray[np.float64]
+Progress: TypeAlias = Callable[[int, int], None]
+_Layers: TypeAlias = "list[tuple[Tensor, Tensor]]"
 
 
 @dataclass(frozen=True)
@@ -90,8 +78,7 @@ class Recipe:
         for name in ("samples", "epochs", "batch_size"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        held_out = round(self.validation_share * self.samples)
-        if not 0 < held_out < self.samples:
+        if not 0 < self.held_out < self.samples:
             raise ValueError(
                 "validation_share must leave samples to train and to validate on, "
                 f"got {self.validation_share} of {self.samples}"
@@ -100,6 +87,11 @@ class Recipe:
             raise ValueError(
                 f"length_ranges must be pairs 0 <= low < high, got {self.length_ranges}"
             )
+
+    @property
+    def held_out(self) -> int:
+        """Number of validation samples."""
+        return round(self.validation_share * self.samples)
 
 
 PAPER = Recipe()
@@ -137,7 +129,7 @@ def train_normalizers(
     runs: int = 1,
     seed: int = 0,
     device: str = "cpu",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[TrainedNormalizer]:
     """Train `runs` MLPs of one architecture together.
 
@@ -151,7 +143,7 @@ def train_normalizers(
         recipe: `ACCURATE`, `PAPER`, or another.
         runs: number of MLPs, each with its own samples, initial weights and order of samples.
         seed: not negative.
-        device: torch's name of the device to train on.
+        device: torch's name of the device for Adam; the refinement is numpy's.
         progress: called with (epochs and refinement iterations done, their total number).
 
     Returns:
@@ -165,96 +157,8 @@ def train_normalizers(
             raise ValueError(f"{name} must be {least} or more, got {value}")
     if not hidden_units or min(hidden_units) < 1:
         raise ValueError(f"hidden_units must be 1 or more each, got {tuple(hidden_units)}")
-    dtype = torch.float32 if recipe.precision == "float32" else torch.float64
-    iterations = recipe.refinement.iterations
-    tick = _counter(progress, recipe.epochs + runs * iterations)
-    generators = [_generator(seed, run) for run in range(runs)]
-
-    with _one_thread():
-        samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
-        samples = samples.to(device, dtype)
-        held_out = round(recipe.validation_share * recipe.samples)
-        validation, training = samples[..., :held_out], samples[..., held_out:]
-        widths = (2, *hidden_units, 2)
-        perceptrons = Perceptrons.initial(widths, generators, recipe.biases).to(device, dtype)
-        descent = adam(
-            perceptrons,
-            training,
-            validation,
-            generators,
-            recipe.epochs,
-            recipe.batch_size,
-            recipe.learning_rate,
-            tick,
-        )
-        histories = list(descent)
-        if iterations:
-            for run in range(runs):  # one by one: each has its own step size, and J is large
-                one = slice(run, run + 1)
-                projections = _projections(training[one], recipe.refinement)
-                refined = levenberg_marquardt(
-                    perceptrons.run(run),
-                    training[one],
-                    validation[one],
-                    projections,
-                    iterations,
-                    tick,
-                )
-                histories[run] = torch.cat([histories[run], refined])
-    final = perceptrons.to("cpu", torch.float64)
-    return [
-        _trained(final.run(run), history.double().cpu().numpy(), recipe, f"{seed}, run {run}")
-        for run, history in enumerate(histories)
-    ]
-
-
-def _trained(
-    perceptron: Perceptrons, history: NDArray[np.float64], recipe: Recipe, seed: str
-) -> TrainedNormalizer:
-    weights = [weight[0].numpy() for weight, _ in perceptron.layers]
-    biases = [bias[0, :, 0].numpy() for _, bias in perceptron.layers]
-    measured = LearnedNormalizer(weights, biases)
-    near = np.degrees(angle_errors(measured, np.linspace(0.9, 1.1, 21)))
-    everywhere = np.degrees(angle_errors(measured, np.geomspace(1e-6, 3.0, 500)))
-    card = {
-        "recipe": repr(recipe),
-        "seed": seed,
-        "epochs": str(recipe.epochs),
-        "refinement_iterations": str(recipe.refinement.iterations),
-        "validation_mse": f"{history[-1, 1]:.4g}",
-        "mse": f"{mean_squared_error(measured):.4g} (all lengths to 2)",
-        "mean_angle_error_deg": f"{near.mean():.4g} (lengths 0.9 to 1.1)",
-        "worst_angle_error_deg": f"{everywhere.max():.4g} (lengths 1e-6 to 3)",
-        "torch": str(torch.__version__),
-    }
-    normalizer = LearnedNormalizer(weights, biases, card)
-    return TrainedNormalizer(normalizer, history[:, 0].copy(), history[:, 1].copy())
-
-
-def _draw_samples(recipe: Recipe, generator: torch.Generator) -> Tensor:
-    """Inputs r u and answers u, shuffled, shape (4, samples), rows r u_x, r u_y, u_x, u_y."""
-    count = recipe.samples
-    angles = torch.arange(count, dtype=torch.float64) * (2 * pi / count)
-    ranges = torch.tensor(recipe.length_ranges, dtype=torch.float64)
-    low, high = ranges[torch.arange(count) % len(ranges)].T
-    lengths = high - (high - low) * torch.rand(count, dtype=torch.float64, generator=generator)
-    directions = torch.stack([angles.cos(), angles.sin()])
-    samples = torch.cat([lengths * directions, directions])
-    return samples[:, torch.randperm(count, generator=generator)]
-
-
-def _projections(samples: Tensor, refinement: Refinement) -> tuple[Tensor, Tensor]:
-    """What to multiply f(x) − u with for its weighted parts across and along u, (runs, 2, n)."""
-    direction = samples[:, 2:]
-    length = samples[:, :2].norm(dim=1, keepdim=True)
-    weight = torch.where((length - 1).abs() <= refinement.near, 1.0, refinement.far_weight)
-    weight = weight * (2 * length).clamp(max=1)  # no MLP does well where all directions meet
-    left = torch.cat([-direction[:, 1:], direction[:, :1]], dim=1)
-    return weight * left, weight * refinement.length_weight * direction
-
-
-def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[], None]:
-    """A function that counts its calls and reports them."""
+    widths = (2, *hidden_units, 2)
+    total = recipe.epochs + runs * recipe.refinement.iterations
     done = 0
 
     def tick() -> None:
@@ -263,7 +167,152 @@ def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callabl
         if progress:
             progress(done, total)
 
-    return tick
+    with _one_thread():
+        generators = [_generator(seed, run) for run in range(runs)]
+        samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
+        parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
+        parameters, history = _adam(parameters, widths, samples, generators, recipe, device, tick)
+    trained = []
+    for run in range(runs):
+        normalizer = _normalizer(parameters[run], widths)
+        normalizer, refined = _refined(normalizer, samples[run].numpy().T, recipe, tick)
+        training_mse, validation_mse = np.concatenate([history[run], refined]).T
+        card = {"seed": f"{seed}, run {run}", "validation_mse": f"{validation_mse[-1]:.4g}"}
+        card |= _card(normalizer, recipe)
+        normalizer = LearnedNormalizer(normalizer.weights, normalizer.biases, card)
+        trained.append(TrainedNormalizer(normalizer, training_mse, validation_mse))
+    return trained
+
+
+def _refined(
+    normalizer: LearnedNormalizer, samples: Errors, recipe: Recipe, tick: Callable[[], None]
+) -> tuple[LearnedNormalizer, Errors]:
+    """The normalizer after its refinement on samples (n, 4), and the history (iterations, 2)."""
+    validation, training = np.split(samples, [recipe.held_out])
+    history: list[list[float]] = []
+
+    def record(current: LearnedNormalizer) -> None:
+        errors = [(current(part[:, :2]) - part[:, 2:]) ** 2 for part in (training, validation)]
+        history.append([float(error.mean()) for error in errors])
+        tick()
+
+    normalizer = refine(normalizer, training[:, :2], recipe.refinement, record)
+    return normalizer, np.reshape(history, (-1, 2))
+
+
+def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
+    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)))
+    everywhere = np.degrees(angle_errors(normalizer, np.geomspace(1e-6, 3.0, 500)))
+    return {
+        "recipe": repr(recipe),
+        "epochs": str(recipe.epochs),
+        "refinement_iterations": str(recipe.refinement.iterations),
+        "mse": f"{mean_squared_error(normalizer):.4g} (all lengths to 2)",
+        "mean_angle_error_deg": f"{near.mean():.4g} (lengths 0.9 to 1.1)",
+        "worst_angle_error_deg": f"{everywhere.max():.4g} (lengths 1e-6 to 3)",
+        "torch": str(torch.__version__),
+    }
+
+
+def _draw_samples(recipe: Recipe, generator: torch.Generator) -> Tensor:
+    """Inputs r u and answers u, shuffled, shape (4, samples), rows r u_x, r u_y, u_x, u_y."""
+    count = recipe.samples
+    angles = torch.arange(count, dtype=torch.float64) * (2 * pi / count)
+    ranges = torch.tensor(recipe.length_ranges, dtype=torch.float64)
+    low, high = ranges[torch.arange(count) % len(ranges)].T
+    # rand is in [0, 1[: counted down from the top it leaves out the zero vector.
+    lengths = high - (high - low) * torch.rand(count, dtype=torch.float64, generator=generator)
+    directions = torch.stack([angles.cos(), angles.sin()])
+    samples = torch.cat([lengths * directions, directions])
+    return samples[:, torch.randperm(count, generator=generator)]
+
+
+def _initial_parameters(widths: Sequence[int], generator: torch.Generator) -> Tensor:
+    """Glorot's uniform weights and zero biases (Keras' defaults), shape (P,)."""
+    parts = []
+    for inputs, outputs in pairwise(widths):
+        limit = sqrt(6 / (inputs + outputs))
+        weights = torch.empty(outputs * inputs, dtype=torch.float64)
+        weights.uniform_(-limit, limit, generator=generator)
+        parts += [weights, weights.new_zeros(outputs)]
+    return torch.cat(parts)
+
+
+def _normalizer(parameters: Tensor, widths: Sequence[int]) -> LearnedNormalizer:
+    layers = _layers(parameters[None], widths)
+    weights = [weights[0].numpy() for weights, _ in layers]
+    return LearnedNormalizer(weights, [biases[0, :, 0].numpy() for _, biases in layers])
+
+
+def _layers(parameters: Tensor, widths: Sequence[int]) -> _Layers:
+    """Views of parameters (runs, P): per layer weights (runs, out, in), biases (runs, out, 1)."""
+    layers, start = [], 0
+    for inputs, outputs in pairwise(widths):
+        middle, end = start + outputs * inputs, start + outputs * (inputs + 1)
+        weights = parameters[:, start:middle].view(-1, outputs, inputs)
+        layers.append((weights, parameters[:, middle:end].unsqueeze(2)))
+        start = end
+    return layers
+
+
+def _forward(layers: _Layers, inputs: Tensor) -> list[Tensor]:
+    """Values of all layers, the inputs first, each (runs, units, samples)."""
+    values = [inputs]
+    for weights, biases in layers:
+        values.append(torch.baddbmm(biases, weights, values[-1]).tanh_())
+    return values
+
+
+def _gradient(layers: _Layers, values: list[Tensor], slope: Tensor) -> Tensor:
+    """∂E/∂parameters, (runs, P), from the slope ∂E/∂y_K, (runs, 2, samples)."""
+    parts: list[Tensor] = []
+    for index in reversed(range(len(layers))):
+        output = values[index + 1]
+        delta = torch.addcmul(slope, slope * output, output, value=-1)
+        parts = [(delta @ values[index].mT).flatten(1), delta.sum(2), *parts]
+        slope = layers[index][0].mT @ delta
+    return torch.cat(parts, dim=1)
+
+
+def _adam(
+    parameters: Tensor,
+    widths: Sequence[int],
+    samples: Tensor,
+    generators: Sequence[torch.Generator],
+    recipe: Recipe,
+    device: str,
+    tick: Callable[[], None],
+) -> tuple[Tensor, Errors]:
+    """Adam on the mean squared error; the fitted parameters, and the history (runs, epochs, 2)."""
+    dtype = torch.float32 if recipe.precision == "float32" else torch.float64
+    # The biases are what starts at zero.
+    trainable = (parameters != 0).to(device, dtype) if not recipe.biases else None
+    parameters, samples = parameters.to(device, dtype, copy=True), samples.to(device, dtype)
+    validation, training = samples[..., : recipe.held_out], samples[..., recipe.held_out :]
+    layers, count = _layers(parameters, widths), training.shape[2]
+    mean, variance = torch.zeros_like(parameters), torch.zeros_like(parameters)
+    history, update = [], 0
+    for _ in range(recipe.epochs):
+        orders = [torch.randperm(count, generator=generator) for generator in generators]
+        order = torch.stack(orders).to(device)[:, None].expand_as(training)
+        total = training.new_zeros(len(parameters))
+        for batch in torch.split(training.gather(2, order), recipe.batch_size, dim=2):
+            values = _forward(layers, batch[:, :2])
+            error = values[-1] - batch[:, 2:]
+            total += error.square().sum((1, 2))
+            gradient = _gradient(layers, values, error / batch.shape[2])
+            if trainable is not None:
+                gradient *= trainable
+            update += 1
+            mean.lerp_(gradient, 0.1)
+            variance.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
+            # Keras adds its 1e-7 before the bias correction, torch's Adam adds 1e-8 after it.
+            step = recipe.learning_rate * sqrt(1 - 0.999**update) / (1 - 0.9**update)
+            parameters.addcdiv_(mean, variance.sqrt().add_(1e-7), value=-step)
+        error = _forward(layers, validation[:, :2])[-1] - validation[:, 2:]
+        history.append(torch.stack([total / (2 * count), error.square().mean((1, 2))], dim=1))
+        tick()
+    return parameters.double().cpu(), torch.stack(history, dim=1).double().cpu().numpy()
 
 
 def _generator(seed: int, run: int) -> torch.Generator:
