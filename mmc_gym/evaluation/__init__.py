@@ -1,0 +1,1 @@
+"""Agents at work: rollouts, movement measures, statistics, tables and figures."""

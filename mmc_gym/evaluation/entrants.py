@@ -1,0 +1,98 @@
+"""Who takes part in a comparison: agents by name, by `module:function`, or as objects."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import gymnasium as gym
+
+from mmc_gym.agents import AGENTS, make_agent
+from mmc_gym.evaluation.rollout import Predictor
+
+Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
+AgentLike: TypeAlias = str | Predictor | Factory
+
+
+def entrants(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> dict[str, Factory]:
+    """Label and factory of each agent, in the order given.
+
+    An agent is the name of one of `mmc_gym.agents.AGENTS`; `"module:function"`, where the
+    function is called with the environment and returns an object with stable-baselines3's
+    `predict` (modules in the working directory are found); such a function; or such an object,
+    for instance a stable-baselines3 model.  A mapping gives the labels; otherwise strings stand
+    for themselves, and objects are called by their class.
+
+    Raises:
+        ValueError: if there is no agent, an unknown one, or two with the same label.
+    """
+    if isinstance(agents, str):
+        agents = [agents]
+    if isinstance(agents, Mapping):
+        labelled = list(agents.items())
+    else:
+        labelled = [(_label(agent), agent) for agent in agents]
+    if not labelled:
+        raise ValueError(f"agents must name at least one of {_known()}, got none")
+    labels = [label for label, _ in labelled]
+    repeated = sorted({label for label in labels if labels.count(label) > 1})
+    if repeated:
+        raise ValueError(f"agents must have different names, got {', '.join(repeated)} repeatedly")
+    return {label: _factory(agent) for label, agent in labelled}
+
+
+def training_steps(agent: object) -> int | None:
+    """Environment steps spent in training an agent; None if it does not tell.
+
+    `training_steps` of this package's agents, `num_timesteps` of stable-baselines3's models.
+    """
+    for name in ("training_steps", "num_timesteps"):
+        steps = getattr(agent, name, None)
+        if steps is not None:
+            return int(steps)
+    return None
+
+
+def _label(agent: AgentLike) -> str:
+    if isinstance(agent, str):
+        return agent
+    return cast(str, getattr(agent, "__name__", type(agent).__name__))
+
+
+def _factory(agent: AgentLike) -> Factory:
+    if not isinstance(agent, str):
+        if hasattr(agent, "predict") and not isinstance(agent, type):
+            predictor = cast(Predictor, agent)
+            return lambda env: predictor
+        if callable(agent):
+            return agent
+    elif agent in AGENTS:
+        return cast(Factory, partial(make_agent, agent))
+    elif ":" in agent:
+        return _imported(agent)
+    raise ValueError(
+        f"agents must be among {_known()}, or be given as 'module:function', got {agent!r}"
+    )
+
+
+def _imported(path: str) -> Factory:
+    module_name, _, function_name = path.partition(":")
+    # A console script, other than `python -m`, does not look into the working directory.
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    try:
+        function = getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"agent {path!r} cannot be imported: {error}") from error
+    if not callable(function):
+        raise ValueError(f"agent {path!r} must be a function of the environment, got {function!r}")
+    return cast(Factory, function)
+
+
+def _known() -> str:
+    return ", ".join(AGENTS)

@@ -1,0 +1,253 @@
+"""Movement measures: what one episode is reduced to, and how a table names it.
+
+Each measure is a pure function of one movement, with an entry in `MEASURES` that says how an
+episode is handed to it and how its values are shown.  A new measure is one of each.
+
+In all of them hand positions are (steps + 1, 2) in segment lengths, the first before the first
+action; T is the control step in seconds, ε the distance within which a target counts as reached.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.signal import find_peaks
+
+from mmc_gym.evaluation.rollout import Episode
+
+Floats: TypeAlias = NDArray[np.float64]
+Statistic = Literal["mean", "median"]
+Direction = Literal["high", "low", "neither"]
+
+# A smaller rise of the speed is no peak.  FIGURES count re-rises above 5 % of the peak velocity.
+PEAK_PROMINENCE = 0.05
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How a measure is taken from an episode, and how it is shown.
+
+    Attributes:
+        name: its column in the data.
+        label: its heading in tables.
+        unit: of its values; empty for a number.
+        best: whether high or low values are good.
+        statistic: what a table says about many episodes.
+        decimals: at most so many are shown.
+        of: the measure of an episode; NaN where it has none.
+    """
+
+    name: str
+    label: str
+    unit: str
+    best: Direction
+    statistic: Statistic
+    decimals: int
+    of: Callable[[Episode], float]
+
+    @property
+    def heading(self) -> str:
+        """Label and unit, as in "time to target [s]"."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+
+def success_at_end(distances: ArrayLike, tolerance: float) -> float:
+    """1 if the hand is within `tolerance` of the target when the episode ends, else 0.
+
+    Passing through the target is no success: the task is to stay there.
+
+    Args:
+        distances: from hand to target, segment lengths, (steps + 1,).
+        tolerance: ε, segment lengths; at ε exactly counts as within, as in the environment.
+
+    Example:
+        >>> success_at_end([1.0, 0.04, 0.3], 0.05), success_at_end([1.0, 0.05], 0.05)
+        (0.0, 1.0)
+    """
+    return float(np.asarray(distances)[-1] <= tolerance)
+
+
+def final_distance(distances: ArrayLike) -> float:
+    """Distance from hand to target when the episode ends, segment lengths."""
+    return float(np.asarray(distances)[-1])
+
+
+def time_to_target(distances: ArrayLike, tolerance: float, control_step: float) -> float:
+    """Seconds until the hand is within `tolerance` and stays there until the episode ends.
+
+    T · min{k : distance_j ≤ ε for every j ≥ k}; NaN if the episode ends outside.  Not the first
+    entry: a hand that rushes through the target would be the quickest, and one that circles
+    around it would have arrived.  It exists exactly where `success_at_end` is 1, so a median of
+    it speaks of the successful episodes alone.
+
+    Args:
+        distances: from hand to target, segment lengths, (steps + 1,).
+        tolerance: ε, segment lengths.
+        control_step: T, seconds.
+
+    Example:
+        >>> time_to_target([1.0, 0.0, 0.5, 0.04, 0.01], 0.05, 0.02)  # enters, leaves, settles
+        0.06
+    """
+    outside = np.flatnonzero(np.asarray(distances) > tolerance)
+    first_to_stay = int(outside[-1]) + 1 if outside.size else 0
+    return first_to_stay * control_step if first_to_stay < np.size(distances) else math.nan
+
+
+def path_ratio(hands: ArrayLike, target: ArrayLike, tolerance: float) -> float:
+    """Length of the hand's path over the straight line from start to target; 1 is straight.
+
+    Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, corrections and tremor at the
+    target included.  Below 1 only if the hand stops short.  NaN where the straight line is
+    shorter than ε: there is no movement to make, and the ratio would blow up.
+
+    Args:
+        hands: positions, segment lengths, (steps + 1, 2).
+        target: segment lengths, (2,).
+        tolerance: ε, segment lengths.
+    """
+    hands = np.asarray(hands, dtype=np.float64)
+    straight = float(np.linalg.norm(np.asarray(target) - hands[0]))
+    if straight < tolerance:
+        return math.nan
+    return float(np.linalg.norm(np.diff(hands, axis=0), axis=-1).sum()) / straight
+
+
+def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
+    """Speed of the hand in each control step, |p_{k+1} − p_k| / T, segment lengths/s, (steps,).
+
+    The mean over a step as the crow flies, and so the speed at the middle of the step, up to
+    terms in T².
+    """
+    displacements = np.diff(np.asarray(hands, dtype=np.float64), axis=0)
+    speeds: Floats = np.linalg.norm(displacements, axis=-1) / control_step
+    return speeds
+
+
+def peak_speed(speeds: ArrayLike) -> float:
+    """Largest speed of the hand, segment lengths/s; 0 for an episode without steps."""
+    return float(np.max(np.asarray(speeds), initial=0.0))
+
+
+def velocity_peaks(speeds: ArrayLike) -> float:
+    """Number of peaks in a speed profile (steps,) that stand out by 5 % of the highest.
+
+    Standing out is prominence: how far the speed falls on both sides before it gets higher.  So
+    a second peak is a re-rise by 5 % of the peak speed, as in the published figures.  At both
+    ends the profile is taken to come from rest and go to rest, so a movement that is fastest in
+    its first step has a peak there.  A single smooth submovement has 1, a hand at rest 0.
+
+    Source:
+        Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
+        8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
+
+    Example:
+        >>> velocity_peaks([1.0, 0.5, 0.1]), velocity_peaks([0.1, 1.0, 0.2, 0.3, 0.1])
+        (1.0, 2.0)
+    """
+    highest = peak_speed(speeds)
+    if highest == 0.0:
+        return 0.0
+    profile = np.pad(np.asarray(speeds, dtype=np.float64), 1)
+    peaks, _ = find_peaks(profile, prominence=PEAK_PROMINENCE * highest)
+    return float(len(peaks))
+
+
+def episode_return(rewards: ArrayLike) -> float:
+    """Sum of the rewards (steps,) of an episode, undiscounted."""
+    return float(np.sum(np.asarray(rewards)))
+
+
+def action_time(action_times: ArrayLike) -> float:
+    """Median time that one `predict` took, for times (steps,), in their unit.
+
+    The median, because now and then the operating system takes the processor away.  NaN for an
+    episode without steps.
+    """
+    times = np.asarray(action_times)
+    return float(np.median(times)) if times.size else math.nan
+
+
+def _speed(episode: Episode) -> Floats:
+    return hand_speed(episode.hands, episode.control_step)
+
+
+MEASURES: tuple[Measure, ...] = (
+    Measure(
+        "success",
+        "success at the end",
+        "fraction",
+        "high",
+        "mean",
+        3,
+        lambda e: success_at_end(e.distances, e.tolerance),
+    ),
+    Measure(
+        "final_distance",
+        "final distance",
+        "lengths",
+        "low",
+        "median",
+        3,
+        lambda e: final_distance(e.distances),
+    ),
+    Measure(
+        "time_to_target",
+        "time to target",
+        "s",
+        "low",
+        "median",
+        2,
+        lambda e: time_to_target(e.distances, e.tolerance, e.control_step),
+    ),
+    Measure(
+        "path_ratio",
+        "path / direct line",
+        "",
+        "low",
+        "median",
+        2,
+        lambda e: path_ratio(e.hands, e.target, e.tolerance),
+    ),
+    Measure(
+        "peak_speed",
+        "peak speed",
+        "lengths/s",
+        "neither",
+        "median",
+        2,
+        lambda e: peak_speed(_speed(e)),
+    ),
+    Measure(
+        "velocity_peaks",
+        "velocity peaks",
+        "",
+        "low",
+        "median",
+        1,
+        lambda e: velocity_peaks(_speed(e)),
+    ),
+    Measure(
+        "episode_return",
+        "sum of rewards",
+        "",
+        "high",
+        "median",
+        0,
+        lambda e: episode_return(e.rewards),
+    ),
+    Measure(
+        "action_time",
+        "time per action",
+        "µs",
+        "low",
+        "median",
+        1,
+        lambda e: action_time(e.action_times * 1e6),
+    ),
+)

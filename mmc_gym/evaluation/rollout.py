@@ -1,0 +1,176 @@
+"""Rollouts: an agent plays episodes, and each is recorded as arrays over its steps.
+
+Episodes may differ in length, so they are a tuple of `Episode`, and nothing is padded.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+REQUIRED_INFO = ("distance", "end_effector", "target")
+MAX_STEPS = 100_000
+
+
+class Predictor(Protocol):
+    """Whatever acts: has the `predict` of stable-baselines3, for a single observation."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """The action for `observation`, and the state to hand back at the next step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What an agent did in one episode of n steps.
+
+    Attributes:
+        seed: that the environment was reset with.
+        hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
+        distances: from hand to target, segment lengths, (n + 1,).
+        target: its position at the start, segment lengths, (2,).
+        rewards: of each step, (n,).
+        action_times: that `predict` took in each step, seconds, (n,).
+        control_step: duration of a step, seconds.
+        tolerance: distance within which the environment counts the target as reached.
+    """
+
+    seed: int
+    hands: NDArray[np.float64]
+    distances: NDArray[np.float64]
+    target: NDArray[np.float64]
+    rewards: NDArray[np.float64]
+    action_times: NDArray[np.float64]
+    control_step: float
+    tolerance: float
+
+
+def episode_seeds(seed: int, episodes: int) -> list[int]:
+    """One seed per episode: the first `episodes` words of `numpy.random.SeedSequence(seed)`.
+
+    They depend on nothing else, so all agents get the same ones, and more episodes add to the
+    former.  (With seed, seed + 1, …, evaluations under neighbouring seeds would share nearly all
+    their episodes.)
+
+    Raises:
+        ValueError: if `episodes` is less than 1 or `seed` is negative.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed}")
+    return [int(word) for word in np.random.SeedSequence(seed).generate_state(episodes)]
+
+
+def check_environment(env: gym.Env[Any, Any]) -> None:
+    """Raise a `ValueError` unless `env`, wrapped or not, tells what the measures need."""
+    _, info = env.reset(seed=0)
+    unwrapped = env.unwrapped
+    missing = [f"info[{key!r}]" for key in REQUIRED_INFO if key not in info]
+    if not hasattr(getattr(unwrapped, "parameters", None), "control_step"):
+        missing.append("env.unwrapped.parameters.control_step")
+    missing += [
+        f"env.unwrapped.{name}"
+        for name in ("success_distance", "reach")
+        if not hasattr(unwrapped, name)
+    ]
+    if missing:
+        name = env.spec.id if env.spec else str(env)
+        raise ValueError(
+            f"env must be a reaching environment such as 'MMCReach-v0', got {name!r}, "
+            f"which lacks {', '.join(missing)}"
+        )
+
+
+def run_episodes(
+    agent: Predictor,
+    env: gym.Env[Any, Any],
+    seeds: Sequence[int],
+    on_episode: Callable[[Episode], None] | None = None,
+) -> tuple[Episode, ...]:
+    """Let `agent` play one episode per seed, without exploration.
+
+    Each episode begins with `env.reset(seed=...)`, and with `env.action_space` seeded from the
+    same number, so that an episode depends on its own seed only, also for agents that sample
+    from that space.  PyTorch, if loaded, computes on one thread.
+
+    Args:
+        agent: whose actions are taken; it sees single observations.
+        env: a single reaching environment, wrapped or not, that ends its episodes.
+        seeds: one per episode, see `episode_seeds`.
+        on_episode: is handed each episode when it is over, to show progress.
+
+    Raises:
+        ValueError: if the environment does not tell what the measures need.
+        RuntimeError: if an episode does not end.
+    """
+    check_environment(env)
+    episodes = []
+    with _one_torch_thread():
+        for seed in seeds:
+            episodes.append(_run_episode(agent, env, seed))
+            if on_episode is not None:
+                on_episode(episodes[-1])
+    return tuple(episodes)
+
+
+def _run_episode(agent: Predictor, env: gym.Env[Any, Any], seed: int) -> Episode:
+    # Not `seed` itself: the space would draw the very numbers that the environment draws for its
+    # starting state, and the first random action would be the posture the arm is in.
+    env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
+    observation, info = env.reset(seed=seed)
+    target = np.array(info["target"], dtype=np.float64)
+    hands, distances = [info["end_effector"]], [info["distance"]]
+    rewards: list[float] = []
+    times: list[int] = []
+    state, episode_start, over = None, np.ones(1, dtype=bool), False
+    while not over:
+        if len(rewards) == MAX_STEPS:
+            raise RuntimeError(f"the episode did not end within {MAX_STEPS} steps: no time limit?")
+        begin = time.perf_counter_ns()
+        action, state = agent.predict(observation, state, episode_start, deterministic=True)
+        times.append(time.perf_counter_ns() - begin)
+        observation, reward, terminated, truncated, info = env.step(action)
+        hands.append(info["end_effector"])
+        distances.append(info["distance"])
+        rewards.append(float(reward))
+        episode_start, over = np.zeros(1, dtype=bool), terminated or truncated
+    unwrapped: Any = env.unwrapped
+    return Episode(
+        seed=seed,
+        hands=np.array(hands, dtype=np.float64),
+        distances=np.array(distances, dtype=np.float64),
+        target=target,
+        rewards=np.array(rewards, dtype=np.float64),
+        action_times=np.array(times, dtype=np.float64) * 1e-9,
+        control_step=float(unwrapped.parameters.control_step),
+        tolerance=float(unwrapped.success_distance),
+    )
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    """Small networks run slower on many threads, and times would depend on the machine's cores."""
+    torch: Any = sys.modules.get("torch")  # who has not loaded it does not use it
+    if torch is None:
+        yield
+        return
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
