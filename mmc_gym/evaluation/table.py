@@ -92,6 +92,8 @@ def cell(row: Mapping[Any, Any], decimals: int) -> str:
     estimate, low, high = row["estimate"], row["low"], row["high"]
     decimals = _decimals(estimate, decimals)
     lines = ["-" if math.isnan(estimate) else f"{estimate:.{decimals}f}"]
+    if 0 < estimate < 0.5 * 10**-decimals:
+        lines = [f"<{10**-decimals:.{decimals}f}"]  # small, but not nothing
     if not math.isnan(low):
         lines.append(f"[{low:.{decimals}f}, {high:.{decimals}f}]")
     if row["missing"]:
