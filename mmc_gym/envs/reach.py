@@ -295,7 +295,8 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
     ) -> tuple[list[float] | None, tuple[float, float] | None]:
         unknown = set(options) - {"joint_angles", "target"}
         if unknown:
-            raise ValueError(f"options must be 'joint_angles' or 'target', got {sorted(unknown)}")
+            names = sorted(map(str, unknown))
+            raise ValueError(f"options must be 'joint_angles' or 'target', got {names}")
         p, posture, target = self.parameters, None, None
         if options.get("joint_angles") is not None:
             count = len(p.segment_lengths)
@@ -412,7 +413,11 @@ def _require_at_least_zero(name: str, value: float) -> None:
 
 
 def _finite(name: str, value: ArrayLike, count: int) -> list[float]:
-    array = np.asarray(value, dtype=np.float64)
+    message = f"{name} must be {count} finite numbers, got {value!r}"
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:  # not numbers, or of uneven lengths
+        raise ValueError(message) from error
     if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"{name} must be {count} finite numbers, got {value!r}")
+        raise ValueError(message)
     return cast("list[float]", array.tolist())

@@ -1,5 +1,6 @@
 """Facts about the simulated arm."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import get_args
@@ -137,8 +138,8 @@ class PublicArm(Arm):
         speeds = [0.0, *(body.angular_velocity for body in self._segments)]
         lengths = self.parameters.segment_lengths
         self.segment_angles = angles[1:]
-        self.joint_angles = [b - a for a, b in zip(angles, angles[1:], strict=False)]
-        self.joint_velocities = [b - a for a, b in zip(speeds, speeds[1:], strict=False)]
+        self.joint_angles = [b - a for a, b in itertools.pairwise(angles)]
+        self.joint_velocities = [b - a for a, b in itertools.pairwise(speeds)]
         x = y = 0.0
         for angle, length in zip(angles[1:], lengths, strict=True):
             x, y = x + length * math.cos(angle), y + length * math.sin(angle)
@@ -491,7 +492,7 @@ def test_impossible_arms_are_refused(arguments: dict[str, object], message: str)
 
 
 def test_an_unknown_servo_is_refused() -> None:
-    with pytest.raises(ValueError, match="servo must be one of .*'position'.* got 'hydraulic'"):
+    with pytest.raises(ValueError, match=r"servo must be one of .*'position'.* got 'hydraulic'"):
         Arm(servo="hydraulic")  # type: ignore[arg-type]
 
 

@@ -1,0 +1,160 @@
+"""What holds for every environment that mmc_gym registers, under every control mode."""
+
+import pickle
+from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
+from typing import Any, get_args
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
+
+import mmc_gym  # noqa: F401  (registers the environments)
+from mmc_gym.envs.reach import Control
+
+IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]
+CONTROLS = get_args(Control)
+same = partial(data_equivalence, exact=True)
+Transition = tuple[Any, ...]
+
+pytestmark = [
+    pytest.mark.parametrize("env_id", IDS),
+    pytest.mark.parametrize("control", CONTROLS),
+]
+
+
+@pytest.fixture
+def env(env_id: str, control: str) -> Iterator[gym.Env]:
+    env = gym.make(env_id, control=control)
+    env.action_space.seed(0)
+    yield env
+    env.close()
+
+
+def harsh_actions(env: gym.Env, steps: int, seed: int = 0) -> np.ndarray:
+    """Random actions, among them many at the borders of the space, each held for a while."""
+    random = np.random.default_rng(seed)
+    assert isinstance(env.action_space, gym.spaces.Box)
+    actions = random.uniform(-1.5, 1.5, (steps, *env.action_space.shape)).clip(-1, 1)
+    holds = random.random(steps) < 0.3
+    last = np.maximum.accumulate(np.where(holds, np.arange(steps), 0))
+    return actions[last].astype(np.float32)
+
+
+def rollout(env: gym.Env, actions: np.ndarray, seed: int = 7) -> list[Transition]:
+    """All that reset and steps return, with a reset at every truncation."""
+    record: list[Transition] = [env.reset(seed=seed)]
+    for action in actions:
+        record.append(env.step(action))
+        if record[-1][2] or record[-1][3]:
+            record.append(env.reset())
+    return record
+
+
+def flat(observation: Any) -> np.ndarray:
+    if isinstance(observation, dict):
+        return np.concatenate([observation[key] for key in sorted(observation)])
+    return np.asarray(observation)
+
+
+def test_there_are_environments(env_id: str, control: str) -> None:
+    assert {"MMCReach-v0", "MMCReachGoal-v0"} <= set(IDS)
+
+
+def test_gymnasium_approves(env: gym.Env) -> None:
+    check_env(env.unwrapped)  # pytest makes its warnings errors
+
+
+def test_stable_baselines3_approves(env: gym.Env, capsys: pytest.CaptureFixture[str]) -> None:
+    check_env_for_sb3(env.unwrapped, warn=True, skip_render_check=False)
+    is_goal_env = isinstance(env.observation_space, gym.spaces.Dict)
+    assert ("GoalEnv" in capsys.readouterr().out) == is_goal_env
+
+
+def test_same_seed_and_actions_give_the_same_episodes(env: gym.Env, control: str) -> None:
+    assert env.spec is not None
+    other = gym.make(env.spec.id, control=control)
+    actions = harsh_actions(env, 250)
+    first = rollout(env, actions)
+    assert same(first, rollout(other, actions))
+    assert same(first, rollout(env, actions))  # after episodes of its own, too
+    assert not same(first, rollout(other, actions, seed=8))
+
+
+def test_a_pickled_environment_plays_the_same(env: gym.Env) -> None:
+    actions = harsh_actions(env, 120)
+    rollout(env, actions, seed=3)
+    copy = pickle.loads(pickle.dumps(env))
+    assert same(rollout(env, actions), rollout(copy, actions))
+
+
+def test_observations_stay_inside_their_space(env: gym.Env) -> None:
+    seen = []
+    for transition in rollout(env, harsh_actions(env, 500)):
+        observation = transition[0]
+        assert env.observation_space.contains(observation)
+        assert np.isfinite(flat(observation)).all()
+        seen.append(flat(observation))
+    assert (np.ptp(seen, axis=0) > 0.1).all()  # every element tells something
+
+
+def test_observations_share_no_memory(env: gym.Env) -> None:
+    record = rollout(env, harsh_actions(env, 5))
+    for earlier, later in pairwise(record):
+        for key in ("end_effector", "target"):
+            assert not np.shares_memory(earlier[-1][key], later[-1][key])
+        if isinstance(later[0], dict):
+            for key in later[0]:
+                assert not np.shares_memory(earlier[0][key], later[0][key])
+                assert not np.shares_memory(later[0][key], later[-1]["target"])
+                assert not np.shares_memory(later[0][key], later[-1]["end_effector"])
+        else:
+            assert not np.shares_memory(earlier[0], later[0])
+
+
+def test_rewards_are_finite_floats(env: gym.Env) -> None:
+    for _, reward, *_ in (step for step in rollout(env, harsh_actions(env, 100)) if len(step) == 5):
+        assert isinstance(reward, float)
+        assert np.isfinite(reward)
+
+
+def test_an_episode_ends_by_the_time_limit_alone(env: gym.Env) -> None:
+    env.reset(seed=0)
+    ends = [env.step(env.action_space.sample())[2:4] for _ in range(100)]
+    assert ends == [(False, False)] * 99 + [(False, True)]
+
+
+def test_initial_states_differ(env: gym.Env) -> None:
+    starts = np.array([flat(env.reset()[0]) for _ in range(5)])
+    is_speed = np.ptp(starts, axis=0) == 0
+    assert is_speed.sum() == 3  # at rest; all else is drawn anew
+    assert (starts[:, is_speed] == 0).all()
+
+
+def test_a_vector_of_them_plays_like_single_ones(env: gym.Env, control: str) -> None:
+    assert env.spec is not None
+    count = 3
+    vector = gym.make_vec(env.spec.id, count, vectorization_mode="sync", control=control)
+    single = [gym.make(env.spec.id, control=control) for _ in range(count)]
+    observations, _ = vector.reset(seed=20)
+    alone = [one.reset(seed=20 + index)[0] for index, one in enumerate(single)]
+    actions = np.stack([harsh_actions(env, 100, seed) for seed in range(count)], axis=1)
+    for action in actions:
+        assert same(observations, stack(alone))
+        observations, rewards, _, truncated, infos = vector.step(action)
+        steps = [one.step(act) for one, act in zip(single, action, strict=True)]
+        alone = [step[0] for step in steps]
+        assert rewards.tolist() == [step[1] for step in steps]
+        assert infos["distance"].tolist() == [step[4]["distance"] for step in steps]
+    assert truncated.all()
+    assert same(observations, stack(alone))
+    vector.close()
+
+
+def stack(observations: list[Any]) -> Any:
+    if isinstance(observations[0], dict):
+        return {key: np.stack([one[key] for one in observations]) for key in observations[0]}
+    return np.stack(observations)
