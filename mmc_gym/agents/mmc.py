@@ -1,0 +1,53 @@
+"""The MMC network as a policy: target → internal model → joint targets.
+
+At the start of an episode the network is set to the observed posture.  From then on it runs by
+itself, a few iterations per control step with its end effector clamped to the target, and the
+servos follow the joint angles of its segments.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.network import MMCNetwork, MMCState
+from mmc_gym.network.chain import Floats
+
+
+class MMCAgent(JointTargetAgent[MMCState]):
+    """An MMC network that drives the arm; its state is the network's."""
+
+    def __init__(
+        self, interface: ReachInterface, network: MMCNetwork, iterations_per_step: int = 1
+    ) -> None:
+        """Make the agent.
+
+        Args:
+            interface: of the environment.
+            network: the internal model; of the environment's segment lengths.
+            iterations_per_step: iterations of the network in a control step.
+
+        Raises:
+            ValueError: if `iterations_per_step` is less than one, or under torque control.
+        """
+        if iterations_per_step < 1:
+            raise ValueError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
+        super().__init__(interface)
+        self.network = network
+        self.iterations_per_step = iterations_per_step
+
+    def start(self, sensed: Sensed) -> MMCState:
+        """Networks at rest in the sensed postures."""
+        return self.network.state_from_joint_angles(sensed.joint_angles)
+
+    def restart(self, state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
+        """The networks' states, new where an episode started."""
+        values = np.where(started, fresh.values, state.values)
+        return MMCState(values, state.segment_count)
+
+    def advance(self, state: MMCState, sensed: Sensed) -> tuple[Floats, MMCState]:
+        """Joint angles of the networks after the iterations of one control step."""
+        clamps = self.network.inverse(sensed.target)
+        state = self.network.run(state, clamps, self.iterations_per_step)
+        return state.joint_angles, state
