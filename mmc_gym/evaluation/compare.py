@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mmc_gym._files import write_atomically
 from mmc_gym.evaluation.entrants import AgentLike, entrants, training_steps
-from mmc_gym.evaluation.metrics import MEASURES
+from mmc_gym.evaluation.measures import MEASURES
 from mmc_gym.evaluation.rollout import (
     Episode,
     Predictor,

@@ -1,59 +1,23 @@
-"""Movement measures: what one episode is reduced to, and how a table names it.
+"""Movement measures: pure functions of one movement, with their definitions.
 
-Each measure is a pure function of one movement, with an entry in `MEASURES` that says how an
-episode is handed to it and how its values are shown.  A new measure is one of each.
-
-In all of them hand positions are (steps + 1, 2) in segment lengths, the first before the first
-action; T is the control step in seconds, ε the distance within which a target counts as reached.
+`measures.MEASURES` says how data and tables name them.  In all of them hand positions are
+(steps + 1, 2) in segment lengths, the first before the first action; T is the control step in
+seconds, ε the distance within which a target counts as reached.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import find_peaks
 
-from mmc_gym.evaluation.rollout import Episode
-
 Floats: TypeAlias = NDArray[np.float64]
-Statistic = Literal["mean", "median"]
-Direction = Literal["high", "low", "neither"]
 
-# A smaller rise of the speed is no peak.  FIGURES count re-rises above 5 % of the peak velocity.
+# A smaller rise is no peak: the paper's figures count re-rises above 5 % of the peak velocity.
 PEAK_PROMINENCE = 0.05
-
-
-@dataclass(frozen=True)
-class Measure:
-    """How a measure is taken from an episode, and how it is shown.
-
-    Attributes:
-        name: its column in the data.
-        label: its heading in tables.
-        unit: of its values; empty for a number.
-        best: whether high or low values are good.
-        statistic: what a table says about many episodes.
-        decimals: at most so many are shown.
-        of: the measure of an episode; NaN where it has none.
-    """
-
-    name: str
-    label: str
-    unit: str
-    best: Direction
-    statistic: Statistic
-    decimals: int
-    of: Callable[[Episode], float]
-
-    @property
-    def heading(self) -> str:
-        """Label and unit, as in "time to target [s]"."""
-        return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
 def success_at_end(distances: ArrayLike, tolerance: float) -> float:
@@ -171,83 +135,3 @@ def action_time(action_times: ArrayLike) -> float:
     """
     times = np.asarray(action_times)
     return float(np.median(times)) if times.size else math.nan
-
-
-def _speed(episode: Episode) -> Floats:
-    return hand_speed(episode.hands, episode.control_step)
-
-
-MEASURES: tuple[Measure, ...] = (
-    Measure(
-        "success",
-        "success at the end",
-        "fraction",
-        "high",
-        "mean",
-        3,
-        lambda e: success_at_end(e.distances, e.tolerance),
-    ),
-    Measure(
-        "final_distance",
-        "final distance",
-        "lengths",
-        "low",
-        "median",
-        3,
-        lambda e: final_distance(e.distances),
-    ),
-    Measure(
-        "time_to_target",
-        "time to target",
-        "s",
-        "low",
-        "median",
-        2,
-        lambda e: time_to_target(e.distances, e.tolerance, e.control_step),
-    ),
-    Measure(
-        "path_ratio",
-        "path / direct line",
-        "",
-        "low",
-        "median",
-        2,
-        lambda e: path_ratio(e.hands, e.target, e.tolerance),
-    ),
-    Measure(
-        "peak_speed",
-        "peak speed",
-        "lengths/s",
-        "neither",
-        "median",
-        2,
-        lambda e: peak_speed(_speed(e)),
-    ),
-    Measure(
-        "velocity_peaks",
-        "velocity peaks",
-        "",
-        "low",
-        "median",
-        1,
-        lambda e: velocity_peaks(_speed(e)),
-    ),
-    Measure(
-        "episode_return",
-        "sum of rewards",
-        "",
-        "high",
-        "median",
-        0,
-        lambda e: episode_return(e.rewards),
-    ),
-    Measure(
-        "action_time",
-        "time per action",
-        "µs",
-        "low",
-        "median",
-        1,
-        lambda e: action_time(e.action_times * 1e6),
-    ),
-)

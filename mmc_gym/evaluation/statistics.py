@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.stats import bootstrap
 
-from mmc_gym.evaluation.metrics import Measure, Statistic
+from mmc_gym.evaluation.measures import Measure, Statistic
 
 CONFIDENCE = 0.95
 RESAMPLES = 9_999

@@ -16,7 +16,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from mmc_gym.evaluation.metrics import Measure
+from mmc_gym.evaluation.measures import Measure
 
 WIDTH = 120  # columns, where there is no terminal to ask
 _GAP = 2

@@ -13,7 +13,7 @@ from rich.console import Console
 from mmc_gym.agents import AGENTS
 from mmc_gym.evaluation.compare import compare
 from mmc_gym.evaluation.entrants import entrants, training_steps
-from mmc_gym.evaluation.metrics import MEASURES
+from mmc_gym.evaluation.measures import MEASURES
 from mmc_gym.evaluation.table import cell
 
 FILES = {

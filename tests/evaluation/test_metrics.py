@@ -124,9 +124,3 @@ def test_there_is_a_time_to_target_exactly_where_there_is_success():
 def test_the_return_is_the_sum_and_the_action_time_the_median():
     assert metrics.episode_return([-1.0, -0.5, 0.25]) == -1.25
     assert metrics.action_time([1.0, 1.2, 900.0]) == 1.2
-
-
-def test_measures_have_names_of_their_own():
-    names = [measure.name for measure in metrics.MEASURES]
-    assert len(set(names)) == len(names)
-    assert not set(names) & {"agent", "episode", "seed"}

@@ -83,7 +83,7 @@ def test_an_episode_depends_on_its_own_seed_only(env):
 def test_a_sampled_first_action_is_not_the_starting_posture(env):
     # Seeded alike, the action space draws the numbers that the environment draws.
     (episode,) = run_episodes(Sampler(env), env, [3])
-    assert np.linalg.norm(episode.hands[1] - episode.hands[0]) > 0
+    assert np.linalg.norm(episode.hands[1] - episode.hands[0]) > 1e-3
 
 
 def test_the_state_goes_round_within_an_episode_and_starts_anew_with_the_next(env):

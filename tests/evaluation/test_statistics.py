@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from mmc_gym.evaluation import statistics
-from mmc_gym.evaluation.metrics import MEASURES
+from mmc_gym.evaluation.measures import MEASURES
 from mmc_gym.evaluation.statistics import bootstrap_interval, summarize
 
 
