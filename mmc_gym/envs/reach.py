@@ -48,7 +48,7 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
     | control | an action a asks for |
     | --- | --- |
     | `joint_position` (default) | the joint angle π·a, the short way round |
-    | `joint_delta` | the present joint angle + (2π/12)·a: 1 asks for full speed |
+    | `joint_delta` | the present joint angle + (2π/12)·a: held, it turns at 0.85 · 2π·a rad/s |
     | `joint_velocity` | the joint velocity 2π·a, rad/s |
     | `joint_torque` | the torque 400·a, until the joint turns at 2π rad/s |
 
@@ -140,7 +140,8 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._action_shape = (count,)
         self.observation_space = self._make_observation_space(count)
         self._arm = Arm(p, _SERVO[control])
-        # What an action of 1 means.  A target so far ahead asks the servo for its full speed.
+        # What an action of 1 means.  A target so far ahead asks the servo for its full speed; the
+        # joint's mean speed is less, for it has come nearer when the control step ends.
         self._action_scale = {
             "joint_position": math.pi,
             "joint_delta": self.max_joint_delta,

@@ -1,0 +1,468 @@
+"""Facts about MMCReach-v0 and MMCReachGoal-v0."""
+
+import copy
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any, get_args
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from scipy import stats
+
+from mmc_gym.envs.reach import Control, MMCReachEnv, MMCReachGoalEnv
+from mmc_gym.network.chain import segments_from_joint_angles
+
+same = partial(data_equivalence, exact=True)
+LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "joint limits": {"joint_limits": LIMITS},
+    "gravity": {"gravity": (0.0, -9.81)},
+    "all": {
+        "segment_lengths": (1.5, 1.0, 0.4),
+        "segment_masses": (2.0, 0.5, 0.1),
+        "joint_limits": LIMITS,
+        "gravity": (3.0, -9.81),
+    },
+}
+
+every_control = pytest.mark.parametrize("control", get_args(Control))
+every_condition = pytest.mark.parametrize("body", CONDITIONS.values(), ids=CONDITIONS.keys())
+
+
+def future(env: MMCReachEnv, seed: int = 0, steps: int = 40) -> list[Any]:
+    """What some rough steps return, and what the next episodes start from."""
+    random = np.random.default_rng(seed)
+    action = np.zeros(env.action_space.shape or (), np.float32)
+    record: list[Any] = []
+    for _ in range(steps):
+        if random.random() < 0.4:
+            action = random.uniform(-1, 1, action.shape).astype(np.float32)
+        record.append(env.step(action))
+    return [*record, env.reset(), env.step(action), env.np_random.random()]
+
+
+# --- Reset
+
+
+@every_control
+@every_condition
+def test_a_reset_environment_has_the_future_of_a_new_one(
+    control: Control, body: dict[str, Any]
+) -> None:
+    used = MMCReachEnv(control=control, **body)
+    used.reset(seed=1)
+    for episode in range(4):
+        future(used, seed=episode)
+        new = MMCReachEnv(control=control, **body)
+        assert same(used.reset(seed=50 + episode), new.reset(seed=50 + episode))
+        assert same(future(used, seed=9), future(new, seed=9))
+
+
+def test_a_copied_environment_is_a_new_one_with_the_same_arguments() -> None:
+    env = MMCReachEnv(control="joint_torque", segment_lengths=(2.0, 1.0), reward_type="sparse")
+    env.reset(seed=3)
+    future(env)
+    twin = copy.deepcopy(env)
+    assert (twin.control, twin.reward_type, twin.reach) == ("joint_torque", "sparse", 3.0)
+    assert same(env.reset(seed=4), twin.reset(seed=4))
+    assert same(future(env), future(twin))
+
+
+def test_options_set_posture_and_target() -> None:
+    env = MMCReachEnv()
+    options = {"joint_angles": [0.5, -1.0, 2.0], "target": (-0.4, 1.5)}
+    observation, info = env.reset(seed=0, options=options)
+    hand = segments_from_joint_angles(np.array([0.5, -1.0, 2.0]), (1.0,) * 3).sum(axis=0)
+    np.testing.assert_allclose(info["end_effector"], hand, atol=1e-12)
+    assert info["target"].tolist() == [-0.4, 1.5]
+    np.testing.assert_allclose(np.arctan2(observation[3:6], observation[:3]), [0.5, -1, 2], 1e-6)
+    np.testing.assert_array_equal(observation[6:9], 0)
+
+
+def test_the_base_and_the_border_can_be_targets() -> None:
+    env = MMCReachEnv()
+    for target in ((0.0, 0.0), (3.0, 0.0), (3 * math.cos(1.0), 3 * math.sin(1.0))):
+        assert env.reset(options={"target": target})[1]["target"].tolist() == list(target)
+        assert env.observation_space.contains(env.step(np.zeros(3, np.float32))[0])
+
+
+def test_an_option_for_one_does_not_change_the_draw_of_the_other() -> None:
+    env = MMCReachEnv()
+    _, drawn = env.reset(seed=5)
+    _, next_drawn = env.reset()
+    posture, target = [0.1, 0.2, 0.3], [1.0, 1.0]
+    _, info = env.reset(seed=5, options={"joint_angles": posture})
+    assert info["target"].tolist() == drawn["target"].tolist()
+    assert same(env.reset()[1], next_drawn)
+    _, info = env.reset(seed=5, options={"target": target, "joint_angles": None})
+    assert info["end_effector"].tolist() == drawn["end_effector"].tolist()
+    assert same(env.reset()[1], next_drawn)
+
+
+def test_joint_angles_may_be_given_with_whole_turns_added() -> None:
+    env = MMCReachEnv(joint_limits=LIMITS)
+    _, info = env.reset(options={"joint_angles": [1.0 + math.tau, -math.tau, 1.0]})
+    hand = segments_from_joint_angles(np.array([1.0, 0.0, 1.0]), (1.0,) * 3).sum(axis=0)
+    np.testing.assert_allclose(info["end_effector"], hand, atol=1e-12)
+
+
+@pytest.mark.parametrize("limits", [None, LIMITS])
+def test_postures_are_drawn_uniformly(limits: Any) -> None:
+    env = MMCReachEnv(joint_limits=limits)
+    env.reset(seed=0)
+    observations = np.array([env.reset()[0] for _ in range(2000)])
+    angles = np.arctan2(observations[:, 3:6], observations[:, :3])
+    for joint, (low, high) in zip(angles.T, limits or ((-math.pi, math.pi),) * 3, strict=True):
+        assert stats.kstest(joint, stats.uniform(low, high - low).cdf).pvalue > 0.01
+
+
+# --- What observation, reward and info mean
+
+
+@pytest.mark.parametrize(
+    "lengths", [(1.0,), (2.0, 0.7), (1.0, 1.0, 1.0), (1.0, 0.8, 0.6, 0.4, 0.2)]
+)
+@every_control
+def test_observation_and_info_tell_the_state(lengths: tuple[float, ...], control: Control) -> None:
+    env = MMCReachEnv(segment_lengths=lengths, control=control)
+    count, reach = len(lengths), sum(lengths)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    for _ in range(60):
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert observation.shape == (3 * count + 4,)
+        assert (terminated, truncated) == (False, False)
+        assert set(info) == {
+            "distance", "is_success", "end_effector", "target", "reward_distance", "reward_control",
+        }  # fmt: skip
+        angles = np.arctan2(observation[count : 2 * count], observation[:count])
+        hand = segments_from_joint_angles(angles.astype(float), lengths).sum(axis=-2)
+        np.testing.assert_allclose(info["end_effector"], hand, atol=1e-5)
+        target = info["target"]
+        np.testing.assert_allclose(observation[-4:-2] * reach, target, atol=1e-6)
+        np.testing.assert_allclose(observation[-2:] * 2 * reach, target - hand, atol=1e-5)
+        assert info["distance"] == pytest.approx(math.dist(info["end_effector"], target))
+        assert info["is_success"] == (info["distance"] <= 0.05)
+        speeds = observation[2 * count : 3 * count]
+        assert info["reward_distance"] == -info["distance"]
+        assert info["reward_control"] == pytest.approx(-0.1 * np.mean(speeds**2), abs=1e-6)
+        assert reward == info["reward_distance"] + info["reward_control"]
+
+
+def test_observed_speeds_are_those_of_the_angles() -> None:
+    env = MMCReachEnv(control="joint_velocity")
+    env.reset(seed=0)
+    for _ in range(20):
+        observation, *_ = env.step(np.array([0.1, -0.2, 0.3], np.float32))
+    later, *_ = env.step(np.array([0.1, -0.2, 0.3], np.float32))
+    turned = np.arctan2(later[3:6], later[:3]) - np.arctan2(observation[3:6], observation[:3])
+    speeds = np.remainder(turned + math.pi, math.tau) - math.pi
+    np.testing.assert_allclose(speeds / 0.02 / math.tau, later[6:9], atol=0.01)
+
+
+def test_the_sparse_reward_is_zero_at_the_target_and_minus_one_elsewhere() -> None:
+    env = MMCReachEnv(reward_type="sparse", success_distance=0.2)
+    hold = np.array([0.1, 0.1, 0.1], np.float32)
+    posture = (math.pi * hold.astype(float)).tolist()
+    hand = segments_from_joint_angles(np.array(posture), (1.0,) * 3).sum(axis=0)
+    for offset, reward in ((0.199, 0.0), (0.201, -1.0)):
+        target = hand * (1 - offset / np.linalg.norm(hand))
+        env.reset(options={"joint_angles": posture, "target": target})
+        _, received, terminated, _, info = env.step(hold)
+        assert received == reward
+        assert info["is_success"] == (reward == 0.0)
+        assert info["reward_distance"] == pytest.approx(-offset, abs=1e-6)
+        assert not terminated
+
+
+def test_standing_at_the_target_is_success_and_never_the_end() -> None:
+    env = MMCReachEnv()
+    action = np.array([0.1, 0.2, 0.3], np.float32)
+    posture = math.pi * action.astype(float)
+    target = segments_from_joint_angles(posture, (1.0,) * 3).sum(axis=0)
+    env.reset(seed=0, options={"target": target})
+    ends = [env.step(action) for _ in range(300)]
+    assert not any(terminated or truncated for _, _, terminated, truncated, _ in ends)
+    assert all(info["is_success"] for *_, info in ends[100:])
+    assert ends[-1][1] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_the_control_weight_scales_the_control_cost() -> None:
+    costs = []
+    for weight in (0.0, 0.1, 1.0):
+        env = MMCReachEnv(control_weight=weight)
+        env.reset(seed=0)
+        costs.append(env.step(np.ones(3, np.float32))[4]["reward_control"])
+    assert costs[0] == 0
+    assert costs[2] == pytest.approx(10 * costs[1])
+    assert costs[2] < 0
+
+
+# --- What actions mean
+
+
+def joint_angles(observation: np.ndarray) -> np.ndarray:
+    return np.arctan2(observation[3:6], observation[:3])
+
+
+def test_joint_position_sends_the_joints_to_pi_times_the_action() -> None:
+    env = MMCReachEnv()
+    env.reset(seed=0)
+    action = np.array([0.25, -0.5, 0.75], np.float32)
+    for _ in range(100):
+        observation, *_ = env.step(action)
+    np.testing.assert_allclose(joint_angles(observation), math.pi * action, atol=1e-4)
+
+
+@pytest.mark.parametrize(("control", "fraction"), [("joint_delta", 0.85), ("joint_velocity", 1.0)])
+@pytest.mark.parametrize("action", [1.0, -1.0, 0.5, 0.0])
+def test_a_held_action_turns_the_joint_at_the_documented_speed(
+    control: Control, fraction: float, action: float
+) -> None:
+    env = MMCReachEnv(control=control, segment_lengths=(1.0,))
+    env.reset(seed=0)
+    angles = []
+    for _ in range(40):
+        observation, *_ = env.step(np.array([action], np.float32))
+        angles.append(math.atan2(observation[1], observation[0]))
+    speed = math.remainder(angles[-1] - angles[-2], math.tau) / 0.02
+    assert speed / math.tau == pytest.approx(fraction * action, abs=0.005)
+
+
+def test_joint_delta_puts_the_joint_target_ahead_of_the_joint() -> None:
+    env = MMCReachEnv(control="joint_delta")
+    assert env.max_joint_delta == pytest.approx(math.tau / 12)
+    slow = MMCReachEnv(control="joint_delta", speed_limit=3.0, servo_gain=6.0)
+    assert slow.max_joint_delta == pytest.approx(0.5)
+
+
+def test_joint_torque_gives_the_documented_torque() -> None:
+    env = MMCReachEnv(control="joint_torque", segment_lengths=(1.0,))
+    env.reset(options={"joint_angles": [0.0]})
+    observation, *_ = env.step(np.array([0.01], np.float32))
+    assert observation[2] * math.tau == pytest.approx(4.0 * 3 * 0.02, rel=1e-3)
+
+
+def test_the_servo_reaches_across_plus_minus_pi() -> None:
+    env = MMCReachEnv(segment_lengths=(1.0,))
+    env.reset(options={"joint_angles": [3.0]})
+    angles = []
+    for _ in range(40):
+        observation, *_ = env.step(np.array([-3.0 / math.pi], np.float32))
+        angles.append(abs(math.atan2(observation[1], observation[0])))
+    assert min(angles) > 2.99  # never through zero
+
+
+# --- Moving the target
+
+
+@pytest.mark.parametrize("cls", [MMCReachEnv, MMCReachGoalEnv])
+def test_a_moved_target_is_seen_and_rewarded_at_the_next_step(cls: type[MMCReachEnv]) -> None:
+    env = cls()
+    env.reset(seed=0)
+    env.set_target(np.array([1.0, -2.0]))
+    observation, reward, _, _, info = env.step(np.zeros(3, np.float32))
+    assert info["target"].tolist() == [1.0, -2.0]
+    assert info["distance"] == pytest.approx(math.dist(info["end_effector"], (1.0, -2.0)))
+    if isinstance(observation, dict):
+        assert observation["desired_goal"].tolist() == [1.0, -2.0]
+    else:
+        np.testing.assert_allclose(observation[9:11] * 3, [1.0, -2.0], rtol=1e-6)
+        assert reward == info["reward_distance"] + info["reward_control"]
+
+
+def test_a_moved_target_changes_nothing_but_the_target() -> None:
+    moved, other = MMCReachEnv(), MMCReachEnv()
+    for env in (moved, other):
+        env.reset(seed=0)
+    moved.set_target((0.5, 0.5))
+    action = np.array([0.1, -0.9, 0.4], np.float32)
+    for _ in range(20):
+        first, second = moved.step(action), other.step(action)
+        np.testing.assert_array_equal(first[0][:9], second[0][:9])
+    assert same(moved.reset(), other.reset())
+
+
+# --- What is refused, and leaves no trace
+
+BAD_ACTIONS: dict[str, Any] = {
+    "NaN": [0.0, math.nan, 0.0],
+    "inf": [0.0, 0.0, math.inf],
+    "beyond": np.array([0.0, 1.0001, 0.0], np.float32),
+    "below": [-1.0001, 0.0, 0.0],
+    "short": [0.0, 0.0],
+    "long": [0.0] * 4,
+    "scalar": 0.0,
+    "batch": np.zeros((1, 3)),
+}
+BAD_OPTIONS: dict[str, tuple[Any, str]] = {
+    "unknown": ({"goal": (0, 0)}, r"options must be .*'joint_angles' or 'target'.*\['goal'\]"),
+    "target NaN": ({"target": (math.nan, 0)}, r"options\['target'\] must be 2 finite numbers"),
+    "target shape": ({"target": (1, 1, 1)}, r"options\['target'\] must be 2 finite .*\(1, 1, 1\)"),
+    "target words": ({"target": "there"}, r"options\['target'\] must be 2 finite .*'there'"),
+    "target uneven": ({"target": ((1,), (1, 2))}, r"options\['target'\] must be 2 finite"),
+    "target far": ({"target": (3.0, 0.1)}, r"options\['target'\] .*between 0 and 3.*\(3.0, 0.1\)"),
+    "angles inf": ({"joint_angles": (0, 0, math.inf)}, r"options\['joint_angles'\] must be 3 fin"),
+    "angles shape": ({"joint_angles": (0, 0)}, r"options\['joint_angles'\] must be 3 finite"),
+    "one is bad": ({"joint_angles": (0, 0, 0), "target": (9, 9)}, r"options\['target'\]"),
+}
+
+
+def assert_leaves_no_trace(attempt: Callable[[MMCReachEnv], Any], message: str) -> None:
+    """The attempt fails with the message; all that follows is as if it had not been made."""
+    tried, untried = MMCReachEnv(), MMCReachEnv()
+    for env in (tried, untried):
+        env.reset(seed=0)
+        future(env, seed=1)
+        env.step(np.array([0.5, -0.5, 0.9], np.float32))  # in full swing
+    with pytest.raises(ValueError, match=message):
+        attempt(tried)
+    assert same(future(tried, seed=2), future(untried, seed=2))
+    assert tried.np_random.bit_generator.state == untried.np_random.bit_generator.state
+
+
+@pytest.mark.parametrize("action", BAD_ACTIONS.values(), ids=BAD_ACTIONS.keys())
+def test_bad_actions_are_refused_and_leave_no_trace(action: Any) -> None:
+    shape = np.shape(action)
+    message = "within -1 and 1, got" if shape == (3,) else r"action must have shape \(3,\), got"
+    assert_leaves_no_trace(lambda env: env.step(action), message)
+
+
+@pytest.mark.parametrize(("options", "message"), BAD_OPTIONS.values(), ids=BAD_OPTIONS.keys())
+def test_bad_options_are_refused_and_leave_no_trace(options: Any, message: str) -> None:
+    assert_leaves_no_trace(lambda env: env.reset(seed=7, options=options), message)
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ((3.1, 0.0), r"target must lie between 0 and 3 from the base, got \(3.1, 0.0\)"),
+        ((math.nan, 0.0), "target must be 2 finite numbers"),
+        ((0.0, 0.0, 0.0), "target must be 2 finite numbers"),
+        ("far away", "target must be 2 finite numbers, got 'far away'"),
+    ],
+)
+def test_bad_targets_are_refused_and_leave_no_trace(target: Any, message: str) -> None:
+    assert_leaves_no_trace(lambda env: env.set_target(target), message)
+
+
+def test_a_posture_outside_the_joint_limits_is_refused() -> None:
+    env = MMCReachEnv(joint_limits=LIMITS)
+    with pytest.raises(ValueError, match=r"options\['joint_angles'\] must lie within the joint l"):
+        env.reset(options={"joint_angles": [0.0, 0.0, 0.0]})
+
+
+def test_the_hole_in_the_middle_is_out_of_reach() -> None:
+    env = MMCReachEnv(segment_lengths=(2.0, 0.5))
+    with pytest.raises(ValueError, match=r"between 1\.5 and 2\.5 from the base"):
+        env.reset(options={"target": (1.0, 0.0)})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"control": "telepathy"}, "control must be one of .*'joint_position'.*got 'telepathy'"),
+        ({"reward_type": "golden"}, r"reward_type must be one of \('dense', 'sparse'\), got 'go"),
+        ({"render_mode": "ansi"}, "render_mode must be one of .*'rgb_array'.*got 'ansi'"),
+        ({"control_weight": -1.0}, "control_weight must be finite and not negative, got -1.0"),
+        ({"success_distance": math.nan}, "success_distance must be finite and not negative"),
+        ({"segment_lengths": (1.0, -1.0)}, "segment_lengths must be positive"),
+    ],
+)
+def test_impossible_environments_are_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        MMCReachEnv(**arguments)
+
+
+def test_misspelt_arguments_are_refused() -> None:
+    with pytest.raises(TypeError, match="segment_length"):
+        gym.make("MMCReach-v0", segment_length=(1.0,))
+
+
+def test_the_goal_environment_has_no_control_cost() -> None:
+    assert MMCReachGoalEnv(control_weight=0.0).control_weight == 0.0
+    with pytest.raises(ValueError, match="control_weight must be 0"):
+        MMCReachGoalEnv(control_weight=0.1)
+
+
+# --- The goal environment
+
+
+@pytest.mark.parametrize("reward_type", ["sparse", "dense"])
+def test_compute_reward_is_the_reward_of_the_step(reward_type: Any) -> None:
+    env = MMCReachGoalEnv(reward_type=reward_type, success_distance=1.0)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    achieved, desired, rewards = [], [], []
+    for step in range(200):
+        if step % 50 == 0:
+            env.reset()
+        observation, reward, _, _, info = env.step(env.action_space.sample())
+        achieved.append(observation["achieved_goal"])
+        desired.append(observation["desired_goal"])
+        rewards.append(reward)
+        assert env.compute_reward(achieved[-1], desired[-1], info) == reward
+        assert achieved[-1].tolist() == info["end_effector"].tolist()
+        assert desired[-1].tolist() == info["target"].tolist()
+    batch = env.compute_reward(np.array(achieved), np.array(desired), [{}] * 200)
+    assert batch.shape == (200,)
+    assert batch.tolist() == rewards
+    grid = env.compute_reward(np.reshape(achieved, (4, 50, 2)), np.array(desired[0]), {})
+    assert grid.shape == (4, 50)
+    assert len(set(rewards)) > 1
+
+
+def test_no_transition_of_the_goal_environment_ends_an_episode() -> None:
+    env = MMCReachGoalEnv()
+    goals = np.zeros((5, 2))
+    assert env.compute_terminated(goals, goals, {}).tolist() == [False] * 5
+    assert env.compute_truncated(goals, goals, {}).tolist() == [False] * 5
+    assert not env.compute_terminated(goals[0], goals[0], {})
+
+
+def test_both_environments_live_the_same_life() -> None:
+    plain, goal = MMCReachEnv(), MMCReachGoalEnv()
+    plain.reset(seed=0)
+    goal.reset(seed=0)
+    plain.action_space.seed(0)
+    for _ in range(50):
+        action = plain.action_space.sample()
+        observation, _, _, _, info = plain.step(action)
+        other, _, _, _, other_info = goal.step(action)
+        np.testing.assert_array_equal(observation[:9], other["observation"])
+        assert info["distance"] == other_info["distance"]
+
+
+def test_hindsight_experience_replay_learns_from_it() -> None:
+    from stable_baselines3 import SAC, HerReplayBuffer
+
+    env = gym.make("MMCReachGoal-v0", max_episode_steps=50)
+    model = SAC(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        learning_starts=100,
+        train_freq=(8, "step"),
+        policy_kwargs={"net_arch": [16]},
+        device="cpu",
+        seed=0,
+    )
+    model.learn(300)
+    assert isinstance(model.replay_buffer, HerReplayBuffer)
+    batch = model.replay_buffer.sample(256)
+    achieved = batch.next_observations["achieved_goal"].numpy()
+    desired = batch.next_observations["desired_goal"].numpy()
+    near = np.linalg.norm(achieved - desired, axis=-1) <= 0.05
+    np.testing.assert_array_equal(batch.rewards.numpy().ravel(), near - 1.0)
+    assert near.any()  # targets were relabelled
+    assert not batch.dones.any()
+
+
+def test_frames_come_at_the_control_rate() -> None:
+    assert MMCReachEnv().metadata["render_fps"] == 50
+    assert MMCReachEnv(substeps=2).metadata["render_fps"] == 100
+    assert MMCReachEnv.metadata["render_fps"] == 50

@@ -1,0 +1,134 @@
+"""Facts about targets and rewards."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from mmc_gym.envs import tasks
+from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.network.chain import reachable_radii
+
+LENGTHS = st.lists(st.floats(0.1, 3.0), min_size=1, max_size=8)
+
+
+@pytest.mark.parametrize(
+    "lengths", [(1.0, 1.0, 1.0), (2.0, 0.5), (3.0, 1.0, 0.5), (0.3, 0.2, 0.2, 0.1)]
+)
+def test_targets_are_uniform_over_the_area_that_the_hand_reaches(
+    lengths: tuple[float, ...],
+) -> None:
+    random = np.random.default_rng(0)
+    x, y = np.array([tasks.sample_target(lengths, random) for _ in range(20_000)]).T
+    inner, outer = reachable_radii(lengths)
+    area = (x**2 + y**2 - inner**2) / (outer**2 - inner**2)
+    assert stats.kstest(area, "uniform").pvalue > 0.01
+    angle = (np.arctan2(y, x) + math.pi) / math.tau
+    assert stats.kstest(angle, "uniform").pvalue > 0.01
+    # … and jointly: 10 rings of equal area by 12 sectors.
+    counts, _, _ = np.histogram2d(area, angle, bins=(10, 12), range=((0, 1), (0, 1)))
+    assert counts.sum() == 20_000
+    assert stats.chisquare(counts.ravel()).pvalue > 0.01
+
+
+def test_a_single_segment_has_its_circle_for_targets() -> None:
+    random = np.random.default_rng(0)
+    targets = np.array([tasks.sample_target((1.5,), random) for _ in range(1000)])
+    np.testing.assert_allclose(np.linalg.norm(targets, axis=-1), 1.5)
+
+
+@given(lengths=LENGTHS, seed=st.integers(0, 2**32 - 1))
+def test_every_target_is_reachable(lengths: list[float], seed: int) -> None:
+    assert tasks.is_reachable(tasks.sample_target(lengths, np.random.default_rng(seed)), lengths)
+
+
+@given(lengths=LENGTHS, x=st.floats(-50, 50), y=st.floats(-50, 50))
+def test_the_nearest_reachable_point_is_reachable_and_nearest(
+    lengths: list[float], x: float, y: float
+) -> None:
+    nearest = tasks.nearest_reachable((x, y), lengths)
+    assert tasks.is_reachable(nearest, lengths)
+    inner, outer = reachable_radii(lengths)
+    distance = math.hypot(x, y)
+    expected = max(0.0, inner - distance, distance - outer)
+    assert math.dist(nearest, (x, y)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_reachable_point_is_its_own_nearest() -> None:
+    assert tasks.nearest_reachable((0.3, -2.0), (1.0, 1.0, 1.0)) == (0.3, -2.0)
+    assert tasks.nearest_reachable((0.0, 0.0), (1.0, 1.0, 1.0)) == (0.0, 0.0)
+    assert tasks.nearest_reachable((6.0, 0.0), (1.0, 1.0, 1.0)) == (3.0, 0.0)
+    assert tasks.nearest_reachable((0.0, 0.0), (2.0, 0.5)) == (1.5, 0.0)
+
+
+# --- Joint limits
+
+TWO_LENGTHS = (1.2, 1.0)
+TWO_LIMITS = ((-0.5, 1.5), (0.2, 2.0))
+
+
+def within_limits(points: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
+    """Whether a two-segment arm under `TWO_LIMITS` reaches each point, by the cosine rule."""
+    (first, second), (x, y) = TWO_LENGTHS, np.moveaxis(points, -1, 0)
+    cosine = (x**2 + y**2 - first**2 - second**2) / (2 * first * second)
+    reachable = np.zeros(cosine.shape, dtype=bool)
+    for side in (1, -1):
+        elbow = side * np.arccos(np.clip(cosine, -1, 1))
+        shoulder = np.arctan2(y, x) - np.arctan2(
+            second * np.sin(elbow), first + second * np.cos(elbow)
+        )
+        shoulder = np.remainder(shoulder + math.pi, math.tau) - math.pi
+        good = np.abs(cosine) <= 1 + tolerance
+        for angle, (low, high) in zip((shoulder, elbow), TWO_LIMITS, strict=True):
+            good &= (low - tolerance <= angle) & (angle <= high + tolerance)
+        reachable |= good
+    return reachable
+
+
+@pytest.fixture(scope="module")
+def limited_targets() -> np.ndarray:
+    env = MMCReachEnv(segment_lengths=TWO_LENGTHS, joint_limits=TWO_LIMITS)
+    env.reset(seed=0)
+    return np.array([env.reset()[1]["target"] for _ in range(10_000)])
+
+
+def test_an_arm_with_joint_limits_can_reach_all_its_targets(limited_targets: np.ndarray) -> None:
+    assert within_limits(limited_targets, tolerance=1e-7).all()
+
+
+def test_joint_limits_leave_targets_uniform_over_what_remains(limited_targets: np.ndarray) -> None:
+    """Up to the size of a cell: the shares of coarse squares are those of their areas."""
+    bins = 6
+    extent = sum(TWO_LENGTHS)
+    axis = np.linspace(-extent, extent, 1201)
+    axis = (axis[1:] + axis[:-1]) / 2
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
+    inside = within_limits(grid).reshape(bins, 1200 // bins, bins, 1200 // bins)
+    area = inside.sum(axis=(1, 3)) / inside.sum()
+    edges = np.linspace(-extent, extent, bins + 1)
+    counts, _, _ = np.histogram2d(*limited_targets.T, bins=(edges, edges))
+    share = counts / counts.sum()
+    assert np.abs(share - area).sum() / 2 < 0.05
+
+
+def test_cells_of_reachable_hands_hold_all_hands() -> None:
+    cells = tasks.reachable_hands(TWO_LENGTHS, TWO_LIMITS)
+    assert sum(map(len, cells)) == 100_000
+    widths = [np.ptp(cell, axis=0).max() for cell in cells]
+    assert max(widths) <= sum(TWO_LENGTHS) / 30 + 1e-12
+
+
+# --- Rewards
+
+
+def test_rewards_are_what_they_are_called() -> None:
+    distances = np.array([0.0, 0.05, 0.0501, 2.0])
+    assert tasks.dense_reward(distances).tolist() == (-distances).tolist()
+    assert tasks.sparse_reward(distances, 0.05).tolist() == [0.0, 0.0, -1.0, -1.0]
+    assert tasks.sparse_reward(0.05, 0.05) == 0.0
+    assert tasks.sparse_reward(0.06, 0.05) == -1.0
+    assert tasks.control_cost([1.0, -1.0, 0.0], 0.3) == pytest.approx(-0.2)
+    assert tasks.control_cost([0.0], 0.3) == 0.0
