@@ -157,10 +157,11 @@ def compare(
     summary = summarize(table, MEASURES, seed)
     comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
     console = console or make_console()
+    written = comparison.write(out) if out is not None else []  # safe before anything is printed
     print_table(console, summary, MEASURES, steps, comparison.note)
-    if out is not None:
-        for path in comparison.write(out):
-            console.print(f"wrote {path}", highlight=False, markup=False, soft_wrap=True)
+    for path in written:
+        name = str(path).encode(console.encoding, "replace").decode(console.encoding)
+        console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
     return comparison
 
 

@@ -71,7 +71,11 @@ def print_table(
         table.add_column("best", no_wrap=True)
         for agent in agents:
             table.add_column(
-                Text(agent), justify="right", overflow="fold", width=widths[agent], vertical="top"
+                _text(agent, plain),
+                justify="right",
+                overflow="fold",
+                width=widths[agent],
+                vertical="top",
             )
         for row, heading in enumerate(headings):
             cells = [heading, best[row], *(columns[agent][row] for agent in agents)]

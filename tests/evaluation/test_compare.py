@@ -127,6 +127,13 @@ def test_a_terminal_gets_all_signs_if_its_encoding_has_them(frozen):
     assert "[us]" in printed(poor)
 
 
+def test_a_name_or_folder_that_the_encoding_lacks_costs_nobody_the_results(tmp_path, frozen):
+    target, out = console(encoding="ascii"), tmp_path / "Ergebnisse für Ξ"
+    compare({"Ξ": frozen}, episodes=2, out=out, console=target)
+    assert {path.name for path in out.iterdir()} == FILES
+    assert "Ergebnisse f?r ?" in printed(target)
+
+
 def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
     narrow = console(width=64)
     agents = {f"agent {number}": frozen for number in range(4)}
