@@ -41,7 +41,7 @@ from mmc_gym.network.normalization import EuclideanNormalizer, Normalizer
 
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]
-_Rows: TypeAlias = "slice | tuple[int, ...]"
+_Rows: TypeAlias = "slice | NDArray[np.intp]"
 
 # Arms iterated together: their rows, twice, fit the second-level cache of common processors.
 _BLOCK = 4096
@@ -234,11 +234,17 @@ class MMCNetwork:
         """The state after `iterations` iterations; `state` itself stays as it is.
 
         Batch axes of state and clamps are broadcast against each other.
+
+        Raises:
+            ValueError: if state or clamps come from another kind of network, or `iterations` is
+                negative.
         """
         values = state.values
         compiled = _compile(self, clamps.rows, values.dtype.char)
-        if values.shape[0] != compiled.operator.shape[0]:
-            raise ValueError(f"state must come from this network, got {values.shape[0]} rows")
+        if len(values) != len(compiled.operator) or state.segment_count != self.segment_count:
+            raise ValueError(f"state must come from this network, got {len(values)} rows")
+        if iterations < 0:
+            raise ValueError(f"iterations must be 0 or more, got {iterations}")
         clamped = clamps.values
         if clamped.ndim > 2 and clamped.shape[2:] != values.shape[2:]:
             batch = np.broadcast_shapes(values.shape[2:], clamped.shape[2:])
@@ -247,7 +253,7 @@ class MMCNetwork:
         result = np.empty(values.shape, dtype=values.dtype)
         rows, size = len(result), result[0, 0].size
         source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
-        held = clamped.reshape(len(clamped), 2, -1)
+        held = clamped.reshape(len(clamped), 2, clamped[0, 0].size if clamps.rows else 1)
         for start in range(0, size, _BLOCK):
             block = slice(start, start + _BLOCK)
             current = source[:, :, block].copy()
@@ -264,11 +270,12 @@ class MMCNetwork:
         Returns:
             The last state, and the segments of all iterations, (iterations, ..., N, 2).
         """
-        postures = []
-        for _ in range(iterations):
+        state = self.run(state, clamps, iterations=0)  # broadcasts state and clamps
+        postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
+        for iteration in range(iterations):
             state = self.step(state, clamps)
-            postures.append(state.segments)
-        return state, np.stack(postures)
+            postures[iteration] = state.segments
+        return state, postures
 
     def _iterate(self, current: Floats, compiled: _Compiled, iterations: int) -> Floats:
         """Iterate (rows, 2, batch); `current` is overwritten."""
@@ -288,10 +295,10 @@ class MMCNetwork:
         rows = compiled.normalized
         if isinstance(rows, slice):
             self.normalizer.normalize_rows(values[rows], compiled.lengths)
-        elif rows:
-            segments = values[list(rows)]
+        elif rows.size:
+            segments = values[rows]
             self.normalizer.normalize_rows(segments, compiled.lengths)
-            values[list(rows)] = segments
+            values[rows] = segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,6 +344,8 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
     delayed = network.schedule == "delayed"
     dynamic = network.dynamics != "kinematic"
     size = vectors + count * (delayed + dynamic)
+    if clamped and clamped[-1] >= size:
+        raise ValueError(f"clamps must come from this network, got row {clamped[-1]} of {size}")
     identity = np.eye(size)
     segment, vector = slice(0, count), slice(0, vectors)
     new = slice(vectors, vectors + count) if delayed else segment
@@ -375,7 +384,7 @@ def _as_slice(rows: tuple[int, ...]) -> _Rows:
     """Neighbouring rows as a slice, which numpy indexes without a copy."""
     if rows and rows == tuple(range(rows[0], rows[-1] + 1)):
         return slice(rows[0], rows[-1] + 1)
-    return rows
+    return np.array(rows, dtype=np.intp)
 
 
 def _pad(values: Floats, batch_dimensions: int) -> Floats:

@@ -219,15 +219,18 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
     return errors
 
 
-def mean_squared_error(normalizer: Normalizer, lengths: ArrayLike | None = None) -> float:
+def mean_squared_error(
+    normalizer: Normalizer, lengths: ArrayLike | None = None, directions: int = 3600
+) -> float:
     """Mean of |output − direction|²/2, the paper's loss, free of the luck of a test set.
 
     Args:
         normalizer: what to measure.
         lengths: lengths of the vectors it is given, shape (n,); by default, 1,000 spread evenly
             over the ]0, 2] of the paper.
+        directions: number of directions, spread evenly over the circle.
     """
     lengths = np.arange(0.001, 2.0, 0.002) if lengths is None else np.asarray(lengths)
-    angles = np.arange(3600) * (2 * np.pi / 3600)
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return float(np.mean((normalizer(lengths[:, None, None] * directions) - directions) ** 2))
+    angles = np.arange(directions) * (2 * np.pi / directions)
+    wanted = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return float(np.mean((normalizer(lengths[:, None, None] * wanted) - wanted) ** 2))

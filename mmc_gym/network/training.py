@@ -201,13 +201,14 @@ def _refined(
 
 
 def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
-    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)))
-    everywhere = np.degrees(angle_errors(normalizer, np.geomspace(1e-6, 3.0, 500)))
+    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21), directions=720))
+    everywhere = np.degrees(angle_errors(normalizer, np.geomspace(1e-6, 3.0, 200), directions=720))
+    mse = mean_squared_error(normalizer, directions=360)
     return {
         "recipe": repr(recipe),
         "epochs": str(recipe.epochs),
         "refinement_iterations": str(recipe.refinement.iterations),
-        "mse": f"{mean_squared_error(normalizer):.4g} (all lengths to 2)",
+        "mse": f"{mse:.4g} (all lengths to 2)",
         "mean_angle_error_deg": f"{near.mean():.4g} (lengths 0.9 to 1.1)",
         "worst_angle_error_deg": f"{everywhere.max():.4g} (lengths 1e-6 to 3)",
         "torch": str(torch.__version__),

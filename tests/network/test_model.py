@@ -1,0 +1,404 @@
+"""The MMC network: its algebra, its rules, and what it does whatever the batch."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from mmc_gym.network import LearnedNormalizer, MMCNetwork, chain, model
+from mmc_gym.network.model import NO_CLAMPS, linear_operator
+
+DYNAMICS = ("kinematic", "paper", "reference")
+SCHEDULES = ("synchronous", "delayed")
+KINDS = list(product(DYNAMICS, SCHEDULES))
+counts = st.integers(2, 8)
+
+
+def network_of(count, **settings):
+    return MMCNetwork(segment_lengths=(1.0,) * count, **settings)
+
+
+def random_segments(shape, seed=0):
+    angles = np.random.default_rng(seed).uniform(-np.pi, np.pi, shape)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def written_out(network, segments, clamped, iterations):
+    """The equations of the paper as loops over nodes; returns the segments of each iteration.
+
+    `clamped` maps node pairs to vectors.  Independent of the package but for the normalizer.
+    """
+    count, d = len(network.segment_lengths), network.damping
+    nodes = [sum(segments[:i], np.zeros(2)) for i in range(count + 1)]
+    vectors = {(i, j): nodes[j] - nodes[i] for i in range(count) for j in range(i + 1, count + 1)}
+    velocity = {pair: np.zeros(2) for pair in vectors}
+    pending = {(i, i + 1): vectors[i, i + 1] for i in range(count)}
+    delayed = network.schedule == "delayed"
+    vectors.update(clamped)
+    d_v, decay = network.velocity_damping, network.velocity_decay
+    history = []
+
+    def normalized(pair, vector):
+        return network.normalizer(vector, network.segment_lengths[pair[0]])
+
+    for _ in range(iterations):
+        newest = dict(vectors)
+        if delayed:
+            newest.update({pair: normalized(pair, v) for pair, v in pending.items()})
+            newest.update(clamped)
+
+        def read(a, b, values=vectors):
+            return values[a, b] if a < b else -values[b, a]
+
+        following = {}
+        for i, j in vectors:
+            others = [k for k in range(count + 1) if k not in (i, j)]
+            mean = sum(read(i, k) + read(k, j) for k in others) / d
+            mean = mean + (d - len(others)) / d * newest[i, j]
+            if j == i + 1 and network.dynamics != "kinematic":
+                change = mean - newest[i, j]
+                if network.dynamics == "paper":
+                    v = change / d_v + decay * (d_v - 1) / d_v * velocity[i, j]
+                else:
+                    v = decay * (change + d_v * velocity[i, j]) / (d_v + 1)
+                velocity[i, j] = v
+                mean = newest[i, j] + v
+            following[i, j] = mean
+        for pair in pending:
+            if delayed:
+                pending[pair], following[pair] = following[pair], newest[pair]
+            else:
+                following[pair] = normalized(pair, following[pair])
+        following.update(clamped)
+        vectors = following
+        history.append(np.array([vectors[i, i + 1] for i in range(count)]))
+    return np.array(history)
+
+
+# The linear core
+
+
+@given(count=counts, damping=st.floats(1, 50))
+def test_the_linear_core_is_the_mean_of_multiple_computations(count, damping):
+    core = linear_operator(network_of(count, damping=damping))
+    incidence = chain.triangle_incidence(count)
+    identity = np.eye(len(core))
+    np.testing.assert_allclose(core, identity - incidence @ incidence.T / damping, atol=1e-15)
+
+    pairs = chain.vector_pairs(count)
+    written = np.zeros_like(core)
+    for row, (i, j) in enumerate(pairs):
+        written[row, row] = (damping - (count - 1)) / damping
+        for k in set(range(count + 1)) - {i, j}:
+            for a, b in ((i, k), (k, j)):
+                written[row, pairs.index((min(a, b), max(a, b)))] += (1 if a < b else -1) / damping
+    np.testing.assert_allclose(core, written, atol=1e-14)
+
+
+def test_three_segments_give_the_equation_of_the_paper():
+    l1, l2, l3, d1, d2, r = np.random.default_rng(0).normal(size=6)
+    core = linear_operator(network_of(3, damping=10))
+    expected = (d1 - l2) / 10 + (r - d2) / 10 + 8 / 10 * l1
+    assert core[0] @ [l1, l2, l3, d1, d2, r] == pytest.approx(expected)
+
+
+@given(count=counts, data=st.data())
+def test_the_linear_core_converges_in_one_step_at_damping_n_plus_one(count, data):
+    core = linear_operator(network_of(count, damping=count + 1))
+    vectors = data.draw(arrays(float, len(core), elements=st.floats(-10, 10)))
+    once = core @ vectors
+    np.testing.assert_allclose(chain.triangle_incidence(count).T @ once, 0, atol=1e-12)
+    np.testing.assert_allclose(core @ once, once, atol=1e-12)
+
+
+@given(count=counts, excess=st.floats(0, 30))
+def test_the_linear_core_does_not_oscillate_at_large_damping(count, excess):
+    core = linear_operator(network_of(count, damping=count + 1 + excess))
+    assert np.linalg.eigvalsh(core).min() >= -1e-12
+
+
+@given(count=counts, fraction=st.floats(0.01, 0.99))
+def test_the_linear_core_converges_just_above_half_of_n_plus_one(count, fraction):
+    def fastest(damping):
+        return np.abs(np.linalg.eigvalsh(linear_operator(network_of(count, damping=damping)))).max()
+
+    half = (count + 1) / 2
+    assert fastest(half * (1 + fraction)) == pytest.approx(1)
+    assert fastest(half * (1 - fraction)) > 1.001
+
+
+@pytest.mark.parametrize("count", range(2, 9))
+def test_with_the_end_effector_clamped_the_slowest_mode_has_eigenvalue_two(count):
+    network = network_of(count)
+    target = len(chain.vector_pairs(count)) - 1
+    free = linear_operator(network, [target])[:target, :target]
+    eigenvalues = np.sort(network.damping * (1 - np.linalg.eigvals(free).real))
+    np.testing.assert_allclose(eigenvalues[: count - 1], 0, atol=1e-11)  # the consistent postures
+    np.testing.assert_allclose(eigenvalues[count - 1], 2.0, atol=1e-11)
+
+
+@given(damping=st.floats(5, 40), seed=st.integers(0, 99))
+@hypothesis_settings(max_examples=25)
+def test_three_clamped_segments_bring_the_end_effector_at_a_known_rate(damping, seed):
+    network = network_of(3, damping=damping)
+    begin, end = random_segments((2, 3), seed)
+    state = network.run(network.state_from_segments(begin), network.forward(end), 10 * int(damping))
+    errors = []
+    for _ in range(2):
+        errors.append(np.linalg.norm(state.vectors[-1] - end.sum(axis=0)))
+        state = network.step(state, network.forward(end))
+    if errors[0] > 1e-9:
+        assert errors[1] / errors[0] == pytest.approx((damping - 2 + 2**0.5) / damping, rel=1e-4)
+
+
+# The rules, against loops
+
+
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize("learned", [False, True], ids=["euclidean", "learned"])
+def test_the_network_computes_the_equations_as_written(dynamics, schedule, count, learned):
+    settings = {"normalizer": LearnedNormalizer.shipped("paper")} if learned else {}
+    network = MMCNetwork(
+        segment_lengths=tuple(np.linspace(0.6, 1.4, count)),
+        damping=count + 4,
+        dynamics=dynamics,
+        schedule=schedule,
+        velocity_damping=4,
+        velocity_decay=0.9,
+        **settings,
+    )
+    segments = random_segments(count) * np.array(network.segment_lengths)[:, None]
+    for clamps in (
+        {},
+        {(0, count): np.array([0.4, 0.9])},
+        {(i, i + 1): v for i, v in enumerate(random_segments(count, 1))},
+        {(1, 2): np.array([0.0, 0.8]), (0, count): np.array([0.4, 0.9])},
+    ):
+        state = network.state_from_segments(segments)
+        _, history = network.trajectory(state, network.clamp(clamps), 12)
+        expected = written_out(network, segments, clamps, 12)
+        np.testing.assert_allclose(history, expected, atol=1e-12)
+
+
+# Tasks
+
+
+@pytest.mark.parametrize(("dynamics", "schedule"), KINDS)
+@pytest.mark.parametrize("learned", [False, True], ids=["euclidean", "learned"])
+@pytest.mark.parametrize("task", ["inverse", "forward", "mixed"])
+def test_every_task_ends_in_a_consistent_posture(dynamics, schedule, learned, task):
+    settings = {"normalizer": LearnedNormalizer.shipped()} if learned else {}
+    network = MMCNetwork(
+        segment_lengths=(1.0, 0.7, 1.3, 0.9), dynamics=dynamics, schedule=schedule, **settings
+    )
+    lengths = np.array(network.segment_lengths)
+    goal = chain.segments_from_joint_angles(np.array([0.2, 0.5, 0.4, 0.6]), lengths)
+    clamps = {
+        "inverse": network.inverse(goal.sum(axis=0)),
+        "forward": network.forward(goal),
+        "mixed": network.clamp({(0, 4): goal.sum(axis=0), (1, 2): goal[1]}),
+    }[task]
+    state = network.run(network.state_from_joint_angles([0.5, 0.3, 0.2, 0.3]), clamps, 1500)
+    allowed = 5e-3 if learned else 1e-4
+    np.testing.assert_allclose(np.linalg.norm(state.segments, axis=-1), lengths, rtol=allowed)
+    np.testing.assert_allclose(state.vectors, chain.chain_vectors(state.segments), atol=allowed)
+    np.testing.assert_allclose(state.end_effector, goal.sum(axis=0), atol=allowed)
+    if task == "forward":
+        np.testing.assert_array_equal(state.segments, goal)
+
+
+def test_a_target_out_of_reach_is_pointed_at():
+    network = MMCNetwork()
+    state = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    state = network.run(state, network.inverse([-3.0, 4.0]), 300)
+    np.testing.assert_allclose(state.end_effector, [-1.8, 2.4], atol=1e-3)
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_lengths_may_differ_by_orders_of_magnitude(schedule):
+    network = MMCNetwork(segment_lengths=(100.0, 1.0, 0.01), schedule=schedule)
+    clamps = network.inverse([0.0, 100.5])
+    state = network.run(network.state_from_joint_angles([0.3, 0.6, 0.6]), clamps, 20_000)
+    lengths = np.linalg.norm(state.segments, axis=-1)
+    np.testing.assert_allclose(lengths, network.segment_lengths, rtol=1e-12)
+    np.testing.assert_allclose(state.end_effector, [0.0, 100.5], atol=1e-3)
+
+
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_a_posture_that_satisfies_the_task_stays(dynamics, schedule):
+    network = MMCNetwork(dynamics=dynamics, schedule=schedule)
+    state = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    later = network.run(state, network.inverse(state.end_effector), 50)
+    np.testing.assert_allclose(later.values, state.values, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["accurate", "paper"])
+def test_zero_vectors_leave_everything_finite(name):
+    for normalizer in ({}, {"normalizer": LearnedNormalizer.shipped(name)}):
+        network = MMCNetwork(**normalizer)
+        state = network.run(network.state_from_segments(np.zeros((3, 2))), iterations=5)
+        assert np.isfinite(state.values).all()
+        state = network.run(state, network.inverse([0.0, 0.0]), 50)
+        assert np.isfinite(state.values).all()
+
+
+# Batches
+
+
+@pytest.mark.parametrize(("dynamics", "schedule"), KINDS)
+@pytest.mark.parametrize("learned", [False, True], ids=["euclidean", "learned"])
+def test_arms_in_a_batch_move_as_they_would_alone(dynamics, schedule, learned):
+    settings = {"normalizer": LearnedNormalizer.shipped("paper")} if learned else {}
+    network = MMCNetwork(dynamics=dynamics, schedule=schedule, **settings)
+    segments = random_segments((5, 3))
+    targets = np.random.default_rng(1).uniform(-1.5, 1.5, (5, 2))
+    together = network.run(network.state_from_segments(segments), network.inverse(targets), 60)
+    for index in range(5):
+        alone = network.state_from_segments(segments[index])
+        alone = network.run(alone, network.inverse(targets[index]), 60)
+        # The order of sums depends on the batch, so they agree up to rounding.
+        np.testing.assert_allclose(together.segments[index], alone.segments, atol=1e-11)
+
+
+def test_batches_have_any_axes_and_broadcast():
+    network = MMCNetwork(schedule="delayed", dynamics="paper")
+    segments = random_segments((4, 1, 3))
+    targets = np.random.default_rng(1).uniform(-2, 2, (2, 1, 5, 2))
+    state = network.run(network.state_from_segments(segments), network.inverse(targets), 20)
+    assert state.batch_shape == (2, 4, 5)
+    assert state.vectors.shape == (2, 4, 5, 6, 2)
+    assert state.segments.shape == (2, 4, 5, 3, 2)
+    assert state.joint_angles.shape == (2, 4, 5, 3)
+    assert state.end_effector.shape == (2, 4, 5, 2)
+    for index in np.ndindex(2, 4, 5):
+        alone = network.state_from_segments(segments[index[1], 0])
+        alone = network.run(alone, network.inverse(targets[index[0], 0, index[2]]), 20)
+        np.testing.assert_allclose(state.segments[index], alone.segments, atol=1e-12)
+
+
+@pytest.mark.parametrize("shared_target", [False, True])
+def test_batches_larger_than_a_block_are_no_different(shared_target):
+    network = MMCNetwork()
+    size = 2 * model._BLOCK + 3
+    segments = random_segments((size, 3))
+    targets = np.random.default_rng(1).uniform(-2, 2, (2,) if shared_target else (size, 2))
+    clamps = network.inverse(targets)
+    state = network.run(network.state_from_segments(segments), clamps, 5)
+    tail = slice(size - 7, size)
+    clamps = network.inverse(targets if shared_target else targets[tail])
+    alone = network.run(network.state_from_segments(segments[tail]), clamps, 5)
+    np.testing.assert_allclose(state.segments[tail], alone.segments, atol=1e-13)
+
+
+def test_an_empty_batch_stays_empty():
+    network = MMCNetwork()
+    state = network.state_from_segments(np.empty((0, 3, 2)))
+    assert network.run(state, network.inverse([1.0, 1.0]), 3).segments.shape == (0, 3, 2)
+
+
+@pytest.mark.parametrize("learned", [False, True], ids=["euclidean", "learned"])
+def test_single_precision_is_kept_and_close(learned):
+    settings = {"normalizer": LearnedNormalizer.shipped()} if learned else {}
+    network = MMCNetwork(schedule="delayed", **settings)
+    segments = random_segments((6, 3))
+    targets = np.random.default_rng(1).uniform(-1, 1, (6, 2))
+    single = network.state_from_segments(segments.astype(np.float32))
+    single = network.run(single, network.inverse(targets), 30)
+    double = network.run(network.state_from_segments(segments), network.inverse(targets), 30)
+    assert single.values.dtype == single.segments.dtype == np.float32
+    np.testing.assert_allclose(single.segments, double.segments, atol=1e-4)
+
+
+def test_nothing_that_is_passed_in_changes():
+    network = MMCNetwork(schedule="delayed", dynamics="reference")
+    segments = random_segments((4, 3))
+    targets = np.ones((4, 2))
+    state, clamps = network.state_from_segments(segments), network.inverse(targets)
+    copies = [array.copy() for array in (segments, targets, state.values, clamps.values)]
+    network.run(state, clamps, 3)
+    network.trajectory(state, clamps, 3)
+    for array, copy in zip((segments, targets, state.values, clamps.values), copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_steps_one_by_one_are_a_run_and_a_trajectory():
+    network = MMCNetwork(schedule="delayed", dynamics="paper")
+    begin = network.state_from_segments(random_segments((4, 3)))
+    clamps = network.inverse([1.0, 1.5])
+    state, postures = begin, []
+    for _ in range(7):
+        state = network.step(state, clamps)
+        postures.append(state.segments)
+    np.testing.assert_array_equal(network.run(begin, clamps, 7).values, state.values)
+    last, trajectory = network.trajectory(begin, clamps, 7)
+    np.testing.assert_array_equal(last.values, state.values)
+    np.testing.assert_array_equal(trajectory, postures)
+
+
+def test_no_iterations_change_no_posture():
+    network = MMCNetwork()
+    state = network.state_from_segments(random_segments((4, 3)))
+    np.testing.assert_array_equal(network.run(state, iterations=0).values, state.values)
+    last, postures = network.trajectory(state, NO_CLAMPS, 0)
+    np.testing.assert_array_equal(last.values, state.values)
+    assert postures.shape == (0, 4, 3, 2)
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"segment_lengths": (1.0,)}, r"segment_lengths must hold two lengths or more, got \(1.0,"),
+        ({"segment_lengths": (1.0, -0.5)}, r"segment_lengths must be positive.*got \(1.0, -0.5\)"),
+        ({"damping": 0}, "damping must .*0.* got 0"),
+        ({"damping": np.nan}, "damping must .* got nan"),
+        ({"damping": np.inf}, "damping must .* got inf"),
+        ({"velocity_decay": 1.1}, "velocity_decay must lie between 0 and 1, got 1.1"),
+        ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping must .*1.* got 0.5"),
+        ({"dynamics": "newton"}, r"dynamics must be one of \('kinematic', .*got 'newton'"),
+        ({"schedule": "late"}, r"schedule must be one of \('synchronous', .*got 'late'"),
+    ],
+)
+def test_a_network_that_cannot_be_says_why(settings, message):
+    with pytest.raises(ValueError, match=message):
+        MMCNetwork(**settings)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda n: n.inverse([1.0, 2.0, 3.0]), r"shape \(\.\.\., 2\), got \(3,\)"),
+        (lambda n: n.inverse(1.0), r"shape \(\.\.\., 2\), got \(\)"),
+        (lambda n: n.inverse([np.nan, 1.0]), "must be finite, got"),
+        (lambda n: n.forward(np.zeros((2, 2))), r"segments must have shape \(\.\.\., 3, 2\)"),
+        (lambda n: n.clamp({(3, 0): [1, 1]}), r"node pair of \[\(0, 1\).*got \(3, 0\)"),
+        (lambda n: n.state_from_joint_angles([0.1, 0.2]), r"joint_angles must have shape"),
+        (lambda n: n.state_from_segments(np.full((3, 2), np.inf)), "segments must be finite"),
+        (
+            lambda n: n.run(MMCNetwork((1.0,) * 4).state_from_joint_angles([0.0] * 4)),
+            "state must come from this network",
+        ),
+        (
+            lambda n: n.run(n.state_from_joint_angles([0.0] * 3), iterations=-1),
+            "iterations must be 0 or more, got -1",
+        ),
+        (
+            lambda n: n.run(
+                n.state_from_joint_angles([0.0] * 3), MMCNetwork((1.0,) * 4).inverse([1, 1])
+            ),
+            "clamps must come from this network",
+        ),
+    ],
+)
+def test_a_call_that_cannot_be_says_why(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(MMCNetwork())

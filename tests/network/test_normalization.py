@@ -1,0 +1,204 @@
+"""Normalizers bring vectors to their lengths without turning them, and survive being saved."""
+
+import pickle
+
+import numpy as np
+import pytest
+import safetensors.numpy
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
+from mmc_gym.network.normalization import angle_errors, mean_squared_error
+
+lengths = st.floats(1e-6, 1e6)
+
+
+def small_normalizer(card=None):
+    random = np.random.default_rng(0)
+    shapes = [(3, 2), (4, 3), (2, 4)]
+    weights = [random.normal(size=shape) for shape in shapes]
+    return LearnedNormalizer(weights, [random.normal(size=shape[0]) for shape in shapes], card)
+
+
+@given(angle=st.floats(-np.pi, np.pi), before=lengths, after=lengths)
+def test_the_euclidean_normalizer_keeps_direction_and_gives_length(angle, before, after):
+    direction = np.array([np.cos(angle), np.sin(angle)])
+    result = EuclideanNormalizer()(before * direction, after)
+    np.testing.assert_allclose(result, after * direction, rtol=1e-12, atol=1e-12 * after)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_zero_vector_becomes_the_x_axis(dtype):
+    result = EuclideanNormalizer()(np.zeros((2, 2), dtype=dtype), [1.0, 3.0])
+    np.testing.assert_array_equal(result, [[1.0, 0.0], [3.0, 0.0]])
+    assert result.dtype == dtype
+
+
+def test_lengths_broadcast_and_inputs_stay():
+    vectors = np.array([[0.6, 0.8], [0.0, 1.5]])
+    for normalizer in (EuclideanNormalizer(), LearnedNormalizer.shipped()):
+        result = normalizer(vectors, [[1.0], [2.0], [0.5]])
+        assert result.shape == (3, 2, 2)
+        np.testing.assert_allclose(
+            np.linalg.norm(result, axis=-1), [[1, 1], [2, 2], [0.5, 0.5]], rtol=0.05
+        )
+    np.testing.assert_array_equal(vectors, [[0.6, 0.8], [0.0, 1.5]])
+
+
+def test_a_learned_normalizer_is_its_layers_one_after_the_other():
+    normalizer = small_normalizer()
+    vectors = np.random.default_rng(1).normal(size=(5, 6, 2))
+    values = vectors / 0.7
+    activations = normalizer.activations(values)
+    for weight, bias, activation in zip(
+        normalizer.weights, normalizer.biases, activations, strict=True
+    ):
+        values = np.tanh(values @ weight.T + bias)
+        np.testing.assert_allclose(activation, values, atol=1e-14)
+    np.testing.assert_allclose(normalizer(vectors, 0.7), 0.7 * values, atol=1e-14)
+    assert normalizer.hidden_units == (3, 4)
+
+
+@given(length=st.floats(0.05, 3), scale=st.floats(1e-3, 1e3))
+def test_a_learned_normalizer_works_the_same_at_every_scale(length, scale):
+    normalizer = LearnedNormalizer.shipped("paper")
+    vector = np.array([0.6 * length, 0.8 * length])
+    np.testing.assert_allclose(
+        normalizer(scale * vector, scale), scale * normalizer(vector), rtol=1e-9
+    )
+
+
+# What ships
+
+
+def test_the_accurate_normalizer_turns_no_vector_much():
+    normalizer = LearnedNormalizer.shipped("accurate")
+    assert normalizer.hidden_units == (16, 16)
+    assert np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)).mean()) < 0.001
+    assert np.degrees(angle_errors(normalizer, np.linspace(0.5, 1.5, 21)).max()) < 0.06
+    assert np.degrees(angle_errors(normalizer, np.geomspace(1e-9, 3.0, 200)).max()) < 4.2
+    assert mean_squared_error(normalizer) < 0.00053  # that of the published one
+
+
+def test_the_accurate_normalizer_gives_the_length():
+    normalizer = LearnedNormalizer.shipped("accurate")
+    angles = np.linspace(0, 2 * np.pi, 1000)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    for low, high, allowed in ((0.7, 1.3, 6e-4), (0.1, 3.0, 0.01), (0.03, 0.1, 0.02)):
+        lengths = np.linspace(low, high, 30)[:, None, None]
+        result = np.linalg.norm(normalizer(lengths * directions), axis=-1)
+        assert np.abs(result - 1).max() < allowed
+
+
+def test_the_accurate_normalizer_is_odd():
+    normalizer = LearnedNormalizer.shipped("accurate")
+    vectors = np.random.default_rng(0).normal(size=(100, 2))
+    np.testing.assert_allclose(normalizer(-vectors), -normalizer(vectors), atol=1e-15)
+
+
+def test_the_paper_normalizer_is_as_good_as_the_paper_s():
+    normalizer = LearnedNormalizer.shipped("paper")
+    assert normalizer.hidden_units == (16, 16)
+    assert mean_squared_error(normalizer) < 0.00053
+    assert np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)).mean()) < 0.5
+    assert np.degrees(angle_errors(normalizer, np.linspace(0.1, 3.0, 21)).max()) < 5
+
+
+@pytest.mark.parametrize("name", ["accurate", "paper"])
+def test_the_card_says_how_a_normalizer_was_trained_and_how_good_it_is(name):
+    normalizer = LearnedNormalizer.shipped(name)
+    assert f"name='{name}'" in normalizer.card["recipe"]
+    assert normalizer.card["seed"] == "0, run 0"
+    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)).mean())
+    stated = float(normalizer.card["mean_angle_error_deg"].split()[0])
+    assert stated == pytest.approx(near, rel=1e-3)
+
+
+def test_no_other_normalizer_ships():
+    with pytest.raises(ValueError, match=r"one of \('accurate', 'paper'\), got 'best'"):
+        LearnedNormalizer.shipped("best")
+
+
+# Measures
+
+
+def test_the_measures_find_a_known_error():
+    turn, shrink = 0.1, 0.8
+
+    class Turned(EuclideanNormalizer):
+        def normalize_rows(self, rows, lengths):
+            super().normalize_rows(rows, lengths)
+            x, y = rows[:, 0].copy(), rows[:, 1].copy()
+            rows[:, 0] = shrink * (np.cos(turn) * x - np.sin(turn) * y)
+            rows[:, 1] = shrink * (np.sin(turn) * x + np.cos(turn) * y)
+
+    errors = angle_errors(Turned(), [0.5, 1.0, 2.0], directions=12)
+    np.testing.assert_allclose(errors, np.full((3, 12), turn), atol=1e-14)
+    expected = (1 + shrink**2 - 2 * shrink * np.cos(turn)) / 2
+    assert mean_squared_error(Turned()) == pytest.approx(expected)
+
+
+# Files
+
+
+def test_a_saved_normalizer_is_read_back_as_it_was(tmp_path):
+    saved = small_normalizer({"recipe": "paper", "seed": "0"})
+    saved.save(tmp_path / "new folder" / "normalizer.safetensors")
+    loaded = LearnedNormalizer.load(tmp_path / "new folder" / "normalizer.safetensors")
+    assert loaded.card == saved.card
+    for name in ("weights", "biases"):
+        for before, after in zip(getattr(saved, name), getattr(loaded, name), strict=True):
+            np.testing.assert_array_equal(before, after)
+
+
+@pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), small_normalizer()])
+def test_a_normalizer_can_be_pickled(normalizer):
+    vectors = np.random.default_rng(0).normal(size=(4, 2))
+    copy = pickle.loads(pickle.dumps(normalizer))
+    np.testing.assert_array_equal(copy(vectors), normalizer(vectors))
+
+
+def test_a_missing_file_is_said_to_be_missing(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.safetensors"):
+        LearnedNormalizer.load(tmp_path / "nowhere.safetensors")
+
+
+def damaged_files():
+    whole = safetensors.numpy.save({"layers.0.weight": np.eye(2), "layers.0.bias": np.zeros(2)})
+    yield "empty", b""
+    yield "no safetensors", b"weights"
+    yield "cut off", whole[:-8]
+    for name, tensors in {
+        "another model": {"something": np.eye(2)},
+        "no tensors": {},
+        "bias missing": {"layers.0.weight": np.eye(2)},
+        "layer missing": {"layers.1.weight": np.eye(2), "layers.1.bias": np.zeros(2)},
+        "one tensor too many": {
+            "layers.0.weight": np.eye(2),
+            "layers.0.bias": np.zeros(2),
+            "scale": np.ones(2),
+        },
+        "three outputs": {"layers.0.weight": np.ones((3, 2)), "layers.0.bias": np.zeros(3)},
+        "bias of another size": {"layers.0.weight": np.eye(2), "layers.0.bias": np.zeros(3)},
+        "bias without axis": {"layers.0.weight": np.eye(2), "layers.0.bias": np.zeros(())},
+        "not finite": {"layers.0.weight": np.full((2, 2), np.nan), "layers.0.bias": np.zeros(2)},
+    }.items():
+        yield name, safetensors.numpy.save(tensors)
+
+
+@pytest.mark.parametrize("content", [pytest.param(c, id=name) for name, c in damaged_files()])
+def test_a_file_without_a_normalizer_is_refused_by_name(tmp_path, content):
+    path = tmp_path / "broken.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"broken\.safetensors does not hold a normalizer"):
+        LearnedNormalizer.load(path)
+
+
+@pytest.mark.parametrize(
+    ("weights", "biases"),
+    [([], []), ([np.eye(2)], []), ([np.ones((2, 3))], [np.zeros(2)]), ([np.eye(2)], [np.eye(2)])],
+)
+def test_layers_lead_from_two_inputs_to_two_outputs(weights, biases):
+    with pytest.raises(ValueError, match="layers must lead from 2 inputs to 2 outputs, got"):
+        LearnedNormalizer(weights, biases)

@@ -1,0 +1,161 @@
+"""Trained normalizers: the same for the same seed, better than before, and as the recipe says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mmc_gym.network import training
+from mmc_gym.network.normalization import LearnedNormalizer, angle_errors
+from mmc_gym.network.refinement import Refinement, refine
+from mmc_gym.network.training import ACCURATE, PAPER, Recipe, train_normalizers
+
+SHORT = replace(PAPER, samples=400, epochs=8)
+SHORT_ACCURATE = replace(ACCURATE, samples=400, epochs=8, refinement=Refinement(iterations=12))
+
+
+def assert_same_weights(one, other):
+    for name in ("weights", "biases"):
+        for a, b in zip(getattr(one, name), getattr(other, name), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("recipe", [SHORT, SHORT_ACCURATE], ids=["paper", "accurate"])
+def test_a_seed_gives_the_same_normalizers_and_another_seed_others(recipe):
+    one, again, other = (train_normalizers((5,), recipe, runs=2, seed=s) for s in (3, 3, 4))
+    for a, b in zip(one, again, strict=True):
+        assert_same_weights(a.normalizer, b.normalizer)
+        np.testing.assert_array_equal(a.validation_mse, b.validation_mse)
+        np.testing.assert_array_equal(a.training_mse, b.training_mse)
+    weights = [run.normalizer.weights[0].ravel()[0] for run in (*one, *other)]
+    assert len(set(weights)) == 4
+
+
+def test_a_run_is_the_same_in_any_company():
+    alone = train_normalizers((6, 4), SHORT, runs=1, seed=1)
+    company = train_normalizers((6, 4), SHORT, runs=3, seed=1)
+    for a, b in zip(alone[0].normalizer.weights, company[0].normalizer.weights, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-4)  # sums may be ordered differently
+    np.testing.assert_allclose(alone[0].validation_mse, company[0].validation_mse, rtol=1e-3)
+
+
+def test_training_leaves_torch_s_random_numbers_and_threads_alone():
+    state, threads = torch.get_rng_state(), torch.get_num_threads()
+    train_normalizers((3,), SHORT)
+    assert torch.equal(torch.get_rng_state(), state)
+    assert torch.get_num_threads() == threads
+
+
+@pytest.mark.parametrize("recipe", [SHORT, SHORT_ACCURATE], ids=["paper", "accurate"])
+def test_training_lowers_the_error_and_records_it(recipe):
+    progress = []
+    trained = train_normalizers(
+        (8,), recipe, runs=2, progress=lambda done, total: progress.append((done, total))
+    )
+    length = recipe.epochs + recipe.refinement.iterations
+    for run in trained:
+        assert run.training_mse.shape == run.validation_mse.shape == (length,)
+        assert run.training_mse[-1] < run.training_mse[0] / 2
+        assert run.validation_mse[-1] < run.validation_mse[0] / 2
+        assert float(run.normalizer.card["validation_mse"]) == pytest.approx(
+            run.validation_mse[-1], rel=1e-3
+        )
+    total = recipe.epochs + 2 * recipe.refinement.iterations
+    assert progress == [(done, total) for done in range(1, total + 1)]
+
+
+def test_the_recorded_error_is_that_of_the_normalizer():
+    trained = train_normalizers((4,), SHORT, seed=5)[0]
+    generator = training._generator(5, 0)
+    samples = training._draw_samples(SHORT, generator).numpy().T[: SHORT.held_out]
+    error = trained.normalizer(samples[:, :2]) - samples[:, 2:]
+    assert trained.validation_mse[-1] == pytest.approx((error**2).mean(), rel=1e-5)
+
+
+def test_samples_are_spread_over_the_circle_and_the_lengths():
+    samples = training._draw_samples(PAPER, training._generator(0, 0)).numpy()
+    lengths = np.linalg.norm(samples[:2], axis=0)
+    np.testing.assert_allclose(samples[:2], lengths * samples[2:], atol=1e-15)
+    degrees = np.sort(np.degrees(np.arctan2(samples[3], samples[2])) % 360)
+    np.testing.assert_allclose(np.diff(degrees), 0.1, atol=1e-9)
+    assert 0 < lengths.min() < 0.01
+    assert 1.99 < lengths.max() <= 2
+    assert lengths.mean() == pytest.approx(1, abs=0.05)
+
+
+def test_the_gradient_and_a_step_are_those_of_autograd():
+    generator = training._generator(0, 0)
+    widths = (2, 5, 3, 2)
+    parameters = torch.stack([training._initial_parameters(widths, generator) for _ in range(3)])
+    inputs = torch.randn(3, 2, 7, generator=generator, dtype=torch.float64)
+    wanted = inputs / inputs.norm(dim=1, keepdim=True)
+    layers = training._layers(parameters, widths)
+    values = training._forward(layers, inputs)
+    written = training._gradient(layers, values, values[-1] - wanted)
+
+    parameters.requires_grad_()
+    output = inputs
+    for weights, biases in training._layers(parameters, widths):
+        output = torch.tanh(weights @ output + biases)
+    ((output - wanted) ** 2).sum().div(2).backward()
+    torch.testing.assert_close(written, parameters.grad, rtol=1e-12, atol=1e-12)
+
+
+def test_without_biases_a_normalizer_is_odd_before_and_after_its_refinement():
+    normalizer = train_normalizers((6, 6), SHORT_ACCURATE)[0].normalizer
+    assert not any(bias.any() for bias in normalizer.biases)
+    assert all(bias.any() for bias in train_normalizers((6,), SHORT)[0].normalizer.biases)
+
+
+def test_refining_reduces_the_angle_error_of_any_normalizer():
+    rough = train_normalizers((8, 8), replace(SHORT, epochs=40))[0].normalizer
+    angles = np.arange(500) * 2.4
+    vectors = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vectors *= np.linspace(0.6, 1.4, 500)[:, None]
+    before = [weight.copy() for weight in rough.weights]
+    fine = refine(rough, vectors, Refinement(iterations=40))
+    errors = [angle_errors(n, np.linspace(0.8, 1.2, 9)).mean() for n in (rough, fine)]
+    assert errors[1] < errors[0] / 20
+    for weight, copy in zip(rough.weights, before, strict=True):
+        np.testing.assert_array_equal(weight, copy)
+
+
+def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
+    recipes = {"accurate": SHORT_ACCURATE, "paper": SHORT}
+    monkeypatch.setattr(training, "RECIPES", recipes)
+    training.main(["--folder", str(tmp_path)])
+    printed = capsys.readouterr().out
+    for name, recipe in recipes.items():
+        written = LearnedNormalizer.load(tmp_path / f"{name}-16x16.safetensors")
+        assert_same_weights(written, train_normalizers(recipe=recipe)[0].normalizer)
+        assert written.card["recipe"] == repr(recipe)
+        assert f"{name}-16x16.safetensors" in printed
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"runs": 0}, "runs must be 1 or more, got 0"),
+        ({"seed": -1}, "seed must be 0 or more, got -1"),
+        ({"hidden_units": (4, 0)}, r"hidden_units must be 1 or more each, got \(4, 0\)"),
+        ({"hidden_units": ()}, r"hidden_units must be 1 or more each, got \(\)"),
+    ],
+)
+def test_a_training_that_cannot_be_says_why(settings, message):
+    with pytest.raises(ValueError, match=message):
+        train_normalizers(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"epochs": 0}, "epochs must be 1 or more, got 0"),
+        ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
+        ({"validation_share": 1.0}, "validation_share must leave samples .* got 1.0 of 3600"),
+        ({"length_ranges": ((1.0, 1.0),)}, r"length_ranges must be pairs .* got \(\(1.0, 1.0\),\)"),
+    ],
+)
+def test_a_recipe_that_cannot_be_says_why(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Recipe(**settings)
