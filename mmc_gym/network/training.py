@@ -201,7 +201,7 @@ def _refined(
 
 
 def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
-    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21), directions=720))
+    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)))
     everywhere = np.degrees(angle_errors(normalizer, np.geomspace(1e-6, 3.0, 200), directions=720))
     mse = mean_squared_error(normalizer, directions=360)
     return {

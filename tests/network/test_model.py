@@ -213,6 +213,18 @@ def test_every_task_ends_in_a_consistent_posture(dynamics, schedule, learned, ta
         np.testing.assert_array_equal(state.segments, goal)
 
 
+@pytest.mark.parametrize("shape", [(2,), (5, 2), (3, 5, 2)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_an_inverse_task_is_a_clamp_of_the_end_effector(shape, dtype):
+    targets = np.random.default_rng(0).normal(size=shape).astype(dtype)
+    for count in (2, 4):
+        inverse = network_of(count).inverse(targets)
+        clamp = network_of(count).clamp({(0, count): targets})
+        assert inverse.rows == clamp.rows
+        np.testing.assert_array_equal(inverse.values, clamp.values)
+        assert not np.shares_memory(inverse.values, targets)
+
+
 def test_a_target_out_of_reach_is_pointed_at():
     network = MMCNetwork()
     state = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -376,9 +388,9 @@ def test_a_network_that_cannot_be_says_why(settings, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda n: n.inverse([1.0, 2.0, 3.0]), r"shape \(\.\.\., 2\), got \(3,\)"),
+        (lambda n: n.inverse([1.0, 2.0, 3.0]), r"target must have shape \(\.\.\., 2\), got \(3,\)"),
         (lambda n: n.inverse(1.0), r"shape \(\.\.\., 2\), got \(\)"),
-        (lambda n: n.inverse([np.nan, 1.0]), "must be finite, got"),
+        (lambda n: n.inverse([np.nan, 1.0]), "target must be finite, got"),
         (lambda n: n.forward(np.zeros((2, 2))), r"segments must have shape \(\.\.\., 3, 2\)"),
         (lambda n: n.clamp({(3, 0): [1, 1]}), r"node pair of \[\(0, 1\).*got \(3, 0\)"),
         (lambda n: n.state_from_joint_angles([0.1, 0.2]), r"joint_angles must have shape"),
