@@ -14,9 +14,9 @@ bookkeeping would cost more than layers of a few units:
 
     δ_K = ∂E/∂y_K (1 − y_K²),   δ_k = (W_{k+1}ᵀ δ_{k+1}) (1 − y_k²),   ∂E/∂W_k = δ_k y_{k−1}ᵀ
 
-What the package ships is trained, in about a minute, by
+What the package ships was trained, in about a minute, by
 
-    python -m mmc_gym.network.training
+    OMP_NUM_THREADS=1 python -m mmc_gym.network.training
 """
 
 from __future__ import annotations
@@ -135,7 +135,8 @@ def train_normalizers(
 
     Run r depends on `seed` and r only, whatever the number of runs, up to rounding; its samples
     are the same for every architecture.  On one machine the same arguments give the same
-    weights, bit for bit.  Random numbers come from own generators.  Torch computes on one thread
+    weights, bit for bit; a refinement's last digits depend on the number of threads that numpy's
+    BLAS uses as well.  Random numbers come from own generators.  Torch computes on one thread
     meanwhile, which is fastest for layers this small.
 
     Args:
