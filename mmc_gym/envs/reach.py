@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from math import cos, sin
-from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -190,8 +190,7 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         scale = self._action_scale
         if self.control == "joint_delta":
             command = [
-                angle + scale * value
-                for angle, value in zip(self._arm.joint_angles, values, strict=True)
+                angle + scale * value for angle, value in zip(self._arm.joint_angles, values)
             ]
         else:
             command = [scale * value for value in values]
@@ -285,7 +284,7 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         array = np.asarray(action)
         if array.shape != self._action_shape:
             raise ValueError(f"action must have shape {self._action_shape}, got {array.shape}")
-        values = cast("list[float]", array.tolist())
+        values: list[float] = array.tolist()
         for value in values:
             if not -1.0 <= value <= 1.0:  # false for NaN too
                 raise ValueError(f"action must lie within -1 and 1, got {values}")
@@ -421,4 +420,5 @@ def _finite(name: str, value: ArrayLike, count: int) -> list[float]:
         raise ValueError(message) from error
     if array.shape != (count,) or not np.isfinite(array).all():
         raise ValueError(message)
-    return cast("list[float]", array.tolist())
+    values: list[float] = array.tolist()
+    return values

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from operator import mul
 from typing import TypeVar
 
@@ -32,8 +33,9 @@ def sample_target(
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
+@lru_cache(maxsize=8)  # a vector of environments asks once for each
 def reachable_hands(
-    segment_lengths: Sequence[float], joint_limits: Sequence[tuple[float, float]]
+    segment_lengths: tuple[float, ...], joint_limits: tuple[tuple[float, float], ...]
 ) -> list[NDArray[np.float64]]:
     """Hand positions that an arm with joint limits reaches, grouped by cells of a square grid.
 

@@ -497,11 +497,12 @@ def test_an_unknown_servo_is_refused() -> None:
 
 
 @every_servo
-def test_commands_of_the_wrong_length_are_refused(servo: Servo) -> None:
-    arm = Arm(servo=servo)
-    for command in ([0.0, 0.0], [0.0] * 4):
-        with pytest.raises(ValueError):
-            arm.command(command)
+def test_commands_of_the_wrong_length_are_refused_and_leave_no_trace(servo: Servo) -> None:
+    tried, untried = Arm(servo=servo), Arm(servo=servo)
+    for command in ([0.5, 0.5], [0.5] * 4):
+        with pytest.raises(ValueError, match=r"command must be 3 (joint |torques).*, got \[0\.5"):
+            tried.command(command)
+    assert play(tried, servo, seed=0) == play(untried, servo, seed=0)
 
 
 def test_lengths_are_floats_whatever_they_were_given_as() -> None:
