@@ -238,6 +238,35 @@ def test_a_position_servo_turns_the_short_way_round(start: float, target: float)
     assert min(np.diff(angles) * math.copysign(1, way)) >= -1e-12
 
 
+@pytest.mark.parametrize(
+    ("lengths", "masses"),
+    [((1.0,) * count, None) for count in range(1, 8)]
+    + [
+        ((0.3, 1.0, 2.0), None),
+        ((2.0, 1.0, 0.3), None),
+        ((1.0, 1.0, 1.0), (1.0, 1.0, 3.0)),
+        ((1.0, 1.0, 1.0), (1.0, 1.0, 10.0)),
+        ((1.0, 1.0, 1.0), (0.1, 0.1, 3.0)),
+        ((0.2, 0.2, 0.2), (0.01, 0.01, 0.01)),
+    ],
+)
+def test_arms_come_to_rest_at_their_joint_targets(
+    lengths: tuple[float, ...], masses: tuple[float, ...] | None
+) -> None:
+    """Whatever they carry: with too few sweeps of the solver a heavy hand buzzes for ever."""
+    arm = Arm(ArmParameters(segment_lengths=lengths, segment_masses=masses))
+    random = np.random.default_rng(0)
+    for _ in range(3):
+        arm.reset(random.uniform(-math.pi, math.pi, len(lengths)).tolist())
+        target = random.uniform(-math.pi, math.pi, len(lengths)).tolist()
+        for _ in range(200):
+            arm.command(target)
+            arm.step()
+        errors = [math.remainder(a - b, math.tau) for a, b in zip(arm.joint_angles, target)]
+        assert max(map(abs, errors)) < 1e-3
+        assert max(map(abs, arm.joint_velocities)) < 0.01
+
+
 @every_servo
 def test_no_servo_gives_more_than_the_torque_limit(servo: Servo) -> None:
     parameters = ArmParameters(torque_limit=50.0)
