@@ -1,0 +1,136 @@
+"""Nanoseconds per arm and iteration of the MMC network, beside a plain copy of its state.
+
+Run it with `python benchmarks/network_speed.py`.  A copy of the state, `ndarray.copy()`, reads
+and writes each byte once, as any iteration must that keeps its input.  `run` iterates blocks of
+arms that stay in the cache; `step` is a single iteration, whose result is a new state.  The
+contestants take turns, and ratios are medians over the rounds of each round's own ratio.
+
+Below it, microseconds per action of the `mmc` agent beside the shipped PPO policy's.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gymnasium as gym
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from mmc_gym import make_agent
+from mmc_gym.network import MMCNetwork
+
+BATCHES = (1, 420, 10_000, 1_000_000)
+ITERATIONS = 20  # of `run`, per call
+NETWORKS = {
+    "kinematic": MMCNetwork(),
+    "dynamic": MMCNetwork(dynamics="paper"),
+}
+
+
+@dataclass
+class Arguments:
+    """Time the network and the agents.
+
+    Attributes:
+        rounds: rounds, in each of which every contestant has one turn.
+        seconds: least duration of a turn.
+    """
+
+    rounds: int = 9
+    seconds: float = 0.02
+
+
+def interleaved(
+    contestants: dict[str, Callable[[], object]], arguments: Arguments
+) -> dict[str, np.ndarray]:
+    """Seconds per call of each contestant, one value per round."""
+    calls = {}
+    for name, call in contestants.items():
+        call()
+        start = time.perf_counter()
+        call()
+        calls[name] = max(1, round(arguments.seconds / (time.perf_counter() - start)))
+    times: dict[str, list[float]] = {name: [] for name in contestants}
+    for _ in range(arguments.rounds):
+        for name, call in contestants.items():
+            start = time.perf_counter()
+            for _ in range(calls[name]):
+                call()
+            times[name].append((time.perf_counter() - start) / calls[name])
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def network_table(arguments: Arguments) -> Table:
+    """Time per arm and iteration for every batch size, precision and network."""
+    table = Table(title=f"MMC network, 3 segments: ns per arm and iteration, run of {ITERATIONS}")
+    for heading in ("network", "precision"):
+        table.add_column(heading)
+    for heading in ("batch", "copy", "run", "run / copy", "step", "step / copy"):
+        table.add_column(heading, justify="right")
+    random = np.random.default_rng(0)
+    for name, network in NETWORKS.items():
+        for dtype in (np.float64, np.float32):
+            for batch in BATCHES:
+                posture = random.uniform(-np.pi, np.pi, (batch, 3)).astype(dtype)
+                target = random.uniform(-1.5, 1.5, (batch, 2)).astype(dtype)
+                state, clamps = network.state_from_joint_angles(posture), network.inverse(target)
+                times = interleaved(
+                    {
+                        "copy": state.values.copy,
+                        "run": lambda n=network, s=state, c=clamps: n.run(s, c, ITERATIONS),
+                        "step": lambda n=network, s=state, c=clamps: n.step(s, c),
+                    },
+                    arguments,
+                )
+                times["run"] /= ITERATIONS
+                cells = {key: np.median(value) / batch * 1e9 for key, value in times.items()}
+                ratio = {key: np.median(value / times["copy"]) for key, value in times.items()}
+                table.add_row(
+                    name,
+                    np.dtype(dtype).name,
+                    f"{batch:,}",
+                    f"{cells['copy']:,.1f}",
+                    f"{cells['run']:,.1f}",
+                    f"{ratio['run']:.1f}",
+                    f"{cells['step']:,.1f}",
+                    f"{ratio['step']:.1f}",
+                )
+    return table
+
+
+def agent_table(arguments: Arguments) -> Table:
+    """Time of one `predict` for a single observation, torch on one thread."""
+    import torch
+
+    torch.set_num_threads(1)
+    env = gym.make("MMCReach-v0")
+    observation, _ = env.reset(seed=0)
+    contestants = {}
+    for name in ("ppo", "mmc", "mmc-classical", "mmc-neural", "ik-dls"):
+        agent = make_agent(name, env)
+        _, state = agent.predict(observation)
+        contestants[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
+    times = interleaved(contestants, arguments)
+    table = Table(title="predict for one observation")
+    table.add_column("agent")
+    for heading in ("µs per action", "ratio to ppo"):
+        table.add_column(heading, justify="right")
+    for name, seconds in times.items():
+        ratio = np.median(seconds / times["ppo"])
+        table.add_row(name, f"{np.median(seconds) * 1e6:.1f}", f"{ratio:.2f}")
+    return table
+
+
+def main(arguments: Arguments) -> None:
+    """Print both tables."""
+    console = Console(width=100)
+    console.print(network_table(arguments))
+    console.print(agent_table(arguments))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
