@@ -96,7 +96,9 @@ def segments_from_joint_angles(joint_angles: Floats, segment_lengths: ArrayLike)
 def joint_angles_from_segments(segments: Floats) -> Floats:
     """Relative joint angles in ]−π, π], shape (..., N), of segment vectors (..., N, 2)."""
     segment_angles = np.arctan2(segments[..., 1], segments[..., 0])
-    return wrap_angle(np.diff(segment_angles, axis=-1, prepend=0.0))
+    joint_angles = segment_angles.copy()
+    joint_angles[..., 1:] -= segment_angles[..., :-1]
+    return wrap_angle(joint_angles)
 
 
 def wrap_angle(angle: Floats) -> Floats:

@@ -27,21 +27,20 @@ a row of the identity.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Floats, Pair
+from mmc_gym.network.linear import CompiledIteration, compile_iteration
 from mmc_gym.network.normalization import EuclideanNormalizer, Normalizer
 
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]
-_Rows: TypeAlias = "slice | NDArray[np.intp]"
 
 # Arms iterated together: their rows, twice, fit the second-level cache of common processors.
 _BLOCK = 4096
@@ -244,7 +243,7 @@ class MMCNetwork:
                 negative.
         """
         values = state.values
-        compiled = _compile(self, clamps.rows, values.dtype.char)
+        compiled = compile_iteration(self, clamps.rows, values.dtype.char)
         if len(values) != len(compiled.operator) or state.segment_count != self.segment_count:
             raise ValueError(f"state must come from this network, got {len(values)} rows")
         if iterations < 0:
@@ -281,7 +280,7 @@ class MMCNetwork:
             postures[iteration] = state.segments
         return state, postures
 
-    def _iterate(self, current: Floats, compiled: _Compiled, iterations: int) -> Floats:
+    def _iterate(self, current: Floats, compiled: CompiledIteration, iterations: int) -> Floats:
         """Iterate (rows, 2, batch); `current` is overwritten."""
         following = np.empty_like(current)
         flat = (len(current), -1)
@@ -295,7 +294,7 @@ class MMCNetwork:
             current, following = following, current
         return current
 
-    def _normalize(self, values: Floats, compiled: _Compiled) -> None:
+    def _normalize(self, values: Floats, compiled: CompiledIteration) -> None:
         rows = compiled.normalized
         if isinstance(rows, slice):
             self.normalizer.normalize_rows(values[rows], compiled.lengths)
@@ -303,92 +302,6 @@ class MMCNetwork:
             segments = values[rows]
             self.normalizer.normalize_rows(segments, compiled.lengths)
             values[rows] = segments
-
-
-@dataclass(frozen=True, eq=False)
-class _Compiled:
-    """What an iteration needs, for one network, set of clamped vectors, and dtype."""
-
-    operator: Floats  # (rows, rows), the linear part of an iteration
-    clamped: _Rows  # rows that hold clamp values
-    normalized: _Rows  # rows to normalize: the free segments
-    lengths: Floats  # their lengths, (n, 1)
-
-
-@lru_cache(maxsize=256)
-def _compile(network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> _Compiled:
-    count = network.segment_count
-    free = [row for row in range(count) if row not in clamped]
-    offset = count * (count + 1) // 2 if network.schedule == "delayed" else 0
-    return _Compiled(
-        operator=linear_operator(network, clamped).astype(dtype),
-        clamped=_as_slice(clamped),
-        normalized=_as_slice(tuple(offset + row for row in free)),
-        lengths=np.array(network.segment_lengths, dtype=dtype)[free, None],
-    )
-
-
-def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray[np.float64]:
-    """The linear part of an iteration, as a matrix over the rows of the state.
-
-    Args:
-        network: the network.
-        clamped: rows that are held (`Clamps.rows`).
-
-    Returns:
-        Matrix K of shape (rows, rows).  Synchronous: the state is normalize(K state).
-        Delayed: K normalize(state), where the pending segments are what is normalized.
-    """
-    count = network.segment_count
-    incidence = chain.triangle_incidence(count)
-    vectors = len(incidence)
-    mean = np.eye(vectors) - incidence @ incidence.T / network.damping
-
-    # Where the segments are read from and written to, and where their velocities stand.
-    delayed = network.schedule == "delayed"
-    dynamic = network.dynamics != "kinematic"
-    size = vectors + count * (delayed + dynamic)
-    if clamped and clamped[-1] >= size:
-        raise ValueError(f"clamps must come from this network, got row {clamped[-1]} of {size}")
-    identity = np.eye(size)
-    segment, vector = slice(0, count), slice(0, vectors)
-    new = slice(vectors, vectors + count) if delayed else segment
-    velocity = slice(size - count, size)
-
-    operator = np.zeros((size, size))
-    operator[vector, vector] = mean
-    proposed = operator[segment].copy()  # L̃
-    if delayed:
-        operator[segment] = identity[new]
-        self_term = np.diag(np.diag(mean)[segment])
-        proposed[:, segment] -= self_term
-        proposed[:, new] += self_term
-    if dynamic:
-        gain, memory = _velocity_rule(network)
-        operator[velocity] = gain * (proposed - identity[new]) + memory * identity[velocity]
-        operator[new] = identity[new] + operator[velocity]  # L̂ = L + v
-    else:
-        operator[new] = proposed
-    for row in clamped:
-        operator[row] = identity[row]
-        if row < count and dynamic:
-            operator[size - count + row] = 0.0
-    return operator
-
-
-def _velocity_rule(network: MMCNetwork) -> tuple[float, float]:
-    """Factors of (L̃ − L) and of the old velocity in the new velocity."""
-    d_v, decay = network.velocity_damping, network.velocity_decay
-    if network.dynamics == "paper":
-        return 1 / d_v, decay * (d_v - 1) / d_v
-    return decay / (d_v + 1), decay * d_v / (d_v + 1)
-
-
-def _as_slice(rows: tuple[int, ...]) -> _Rows:
-    """Neighbouring rows as a slice, which numpy indexes without a copy."""
-    if rows and rows == tuple(range(rows[0], rows[-1] + 1)):
-        return slice(rows[0], rows[-1] + 1)
-    return np.array(rows, dtype=np.intp)
 
 
 def _pad(values: Floats, batch_dimensions: int) -> Floats:
