@@ -22,9 +22,9 @@ from mmc_gym.evaluation.metrics import hand_speed
 from mmc_gym.evaluation.rollout import Episode
 
 EXAMPLES = 4  # paths shown per agent
-_LINES = ("-", "--", "-.", (0, (1, 1)))  # so that episodes differ without colour too
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c")  # Okabe and Ito: safe for colour blindness
-_STYLE: Any = {
+LINES = ("-", "--", "-.", (0, (1, 1)))  # so that episodes differ without colour too
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c")  # Okabe and Ito: safe for colour blindness
+STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 9,
     "legend.fontsize": 7,
@@ -44,7 +44,7 @@ def paths_and_profiles(episodes: Mapping[str, Sequence[Episode]], reach: float) 
     """
     columns = len(episodes)
     width = max(2.3 * columns, 5.0)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(width, 5.2), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(
@@ -68,7 +68,7 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     written = []
     for suffix, metadata in ((".png", {}), (".svg", {"Date": None})):
         buffer = io.BytesIO()
-        with rc_context(_STYLE):
+        with rc_context(STYLE):
             figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=metadata)
         written.append(write_atomically(stem.with_suffix(suffix), buffer.getvalue()))
     return written
@@ -86,8 +86,8 @@ def _caption(count: int) -> str:
 def _draw_paths(axes: Axes, episodes: Sequence[Episode], reach: float) -> None:
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
     for number, episode in enumerate(episodes):
-        colour, target = _COLOURS[number], tuple(episode.target)
-        axes.plot(*episode.hands.T, color=colour, linestyle=_LINES[number], linewidth=1.1)
+        colour, target = COLOURS[number], tuple(episode.target)
+        axes.plot(*episode.hands.T, color=colour, linestyle=LINES[number], linewidth=1.1)
         axes.plot(*target, "+", color="black", markersize=8, markeredgewidth=0.6)
         axes.add_patch(Circle(target, episode.tolerance, fill=False, linewidth=0.8))
         axes.plot(*episode.hands[0], "o", color=colour, markersize=5, markerfacecolor="white")

@@ -1,0 +1,14 @@
+"""The catalogue: every experiment that `mmc-gym reproduce` knows, in the order it runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from mmc_gym.paper.experiment import Experiment
+
+# One line for each module's experiments.
+_EXPERIMENTS: tuple[Experiment, ...] = ()
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({e.name: e for e in _EXPERIMENTS})
+"""Experiments by name."""
