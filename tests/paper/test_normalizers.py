@@ -1,0 +1,123 @@
+"""The paper's networks are trained once, kept, and the same for the same seed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmc_gym.network import training
+from mmc_gym.paper import normalizers
+from mmc_gym.paper.experiment import Settings
+from mmc_gym.paper.normalizers import ARCHITECTURES, RUNS, trained_architectures
+
+FEW = ((2,), (3, 2))
+
+
+@pytest.fixture(autouse=True)
+def short_recipe(monkeypatch):
+    monkeypatch.setattr(normalizers, "QUICK_RECIPE", replace(training.PAPER, samples=400, epochs=6))
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """The architectures that were trained rather than read."""
+    trained = []
+
+    def train(hidden_units, *arguments, **options):
+        trained.append(hidden_units)
+        return training.train_normalizers(hidden_units, *arguments, **options)
+
+    monkeypatch.setattr(normalizers, "train_normalizers", train)
+    return trained
+
+
+def train_few(folder=None, seed=0, progress=lambda done, total: None):
+    return trained_architectures(Settings(quick=True, seed=seed, folder=folder), progress, FEW)
+
+
+def assert_same(one, other):
+    assert one.keys() == other.keys()
+    for a, b in zip(one.values(), other.values(), strict=True):
+        np.testing.assert_array_equal(a.training_mse, b.training_mse)
+        np.testing.assert_array_equal(a.validation_mse, b.validation_mse)
+        for m, n in zip(a.normalizers, b.normalizers, strict=True):
+            np.testing.assert_array_equal(m.weights[0], n.weights[0])
+            np.testing.assert_array_equal(m.biases[-1], n.biases[-1])
+
+
+def test_the_paper_has_twelve_architectures_of_five_runs():
+    assert len(ARCHITECTURES) == 12
+    assert RUNS == 5
+    assert training.PAPER.epochs == 400
+
+
+def test_trained_networks_are_measured():
+    few = train_few()
+    assert tuple(few) == FEW
+    for units, architecture in few.items():
+        assert architecture.hidden_units == units
+        assert architecture.training_mse.shape == architecture.validation_mse.shape == (2, 6)
+        for normalizer, grid_mse in zip(
+            architecture.normalizers, architecture.grid_mse, strict=True
+        ):
+            assert normalizer.hidden_units == units
+            mse = normalizers.mean_squared_error(normalizer, directions=180)
+            assert grid_mse == pytest.approx(mse)
+
+
+def test_a_seed_gives_the_same_networks_and_another_seed_others():
+    one, again, other = train_few(), train_few(), train_few(seed=1)
+    assert_same(one, again)
+    assert not np.allclose(one[2,].training_mse, other[2,].training_mse)
+
+
+def test_interrupted_work_goes_on_where_it_was(tmp_path, calls, monkeypatch):
+    def interrupt(done, total):
+        if done > 6:  # in the second architecture
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_few(tmp_path, progress=interrupt)
+    assert calls == [(3, 2), (2,)]  # the larger first
+    calls.clear()
+
+    reports = []
+    resumed = train_few(tmp_path, progress=lambda *report: reports.append(report))
+    assert calls == [(2,)]
+    assert reports == [(done, 12) for done in range(6, 13)]
+    assert_same(resumed, train_few())
+
+    calls.clear()
+    assert_same(train_few(tmp_path), resumed)
+    assert calls == []
+
+
+def test_what_is_kept_is_for_its_seed_and_recipe_only(tmp_path, calls, monkeypatch):
+    train_few(tmp_path)
+    calls.clear()
+    train_few(tmp_path, seed=1)
+    assert len(calls) == 2
+    recipe = replace(normalizers.QUICK_RECIPE, epochs=2)
+    monkeypatch.setattr(normalizers, "QUICK_RECIPE", recipe)
+    assert train_few(tmp_path)[2,].training_mse.shape == (2, 2)
+
+
+def test_a_damaged_file_is_made_anew(tmp_path, calls):
+    whole = train_few(tmp_path)
+    (damaged,) = (tmp_path / "networks").glob("2-*.npz")
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    calls.clear()
+    assert_same(train_few(tmp_path), whole)
+    assert calls == [(2,)]
+
+
+@pytest.mark.slow
+def test_processes_give_what_one_process_gives(tmp_path, monkeypatch):
+    # Spawned processes know nothing of the recipe's replacement but what they are sent.
+    reports = []
+    settings = Settings(quick=True, folder=tmp_path, jobs=2)
+    parallel = trained_architectures(settings, lambda *report: reports.append(report), FEW)
+    assert_same(parallel, train_few())
+    assert_same(parallel, train_few(tmp_path))
+    assert reports[0] == (0, 12)
+    assert reports[-1] == (12, 12)
