@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import find_peaks
 
+from mmc_gym.network.time_base import minimum_jerk
+
 Floats: TypeAlias = NDArray[np.float64]
 
 # A smaller rise is no peak: the paper's figures count re-rises above 5 % of the peak velocity.
@@ -120,6 +122,82 @@ def velocity_peaks(speeds: ArrayLike) -> float:
     profile = np.pad(np.asarray(speeds, dtype=np.float64), 1)
     peaks, _ = find_peaks(profile, prominence=PEAK_PROMINENCE * highest)
     return float(len(peaks))
+
+
+def second_rise(speeds: ArrayLike) -> float:
+    """How far the speed rises again after its peak, as a share of the peak.
+
+    max_{k>j≥p} (s_k − s_j) / s_p, p the step of the peak s_p.  Above 0.05 the published figures
+    speak of a second velocity peak; unlike `velocity_peaks`, which is about both sides of the
+    peak, this is about the return after it.  0 for a hand at rest.
+
+    Example:
+        >>> second_rise([0.2, 0.1, 1.0, 0.3, 0.5]), second_rise([0.2, 0.1, 1.0, 0.5, 0.3])
+        (0.2, 0.0)
+    """
+    profile = np.asarray(speeds, dtype=np.float64)
+    highest = peak_speed(profile)
+    if highest == 0.0:
+        return 0.0
+    after = profile[profile.argmax() :]
+    return float((after - np.minimum.accumulate(after)).max()) / highest
+
+
+def peak_to_mean(speeds: ArrayLike) -> float:
+    """Highest over mean speed: 1 at constant speed, 15/8 for minimum jerk, NaN at rest.
+
+    Source:
+        As a measure of a profile's shape: Nelson (1983), Biol. Cybern. 46, 135–147.
+    """
+    highest = peak_speed(speeds)
+    return highest / float(np.mean(speeds)) if highest > 0.0 else math.nan
+
+
+def time_to_peak(speeds: ArrayLike) -> float:
+    """Middle of the fastest step, as a share of the movement's duration; NaN at rest.
+
+    (p + ½)/n for the step p = 0 … n − 1.  ½ for every symmetric profile of an odd number of
+    steps; an even number has two middle steps, of which it is the faster or the first.
+
+    Example:
+        >>> time_to_peak([0.1, 1.0, 0.5, 0.2]), time_to_peak([0.5, 1.0, 0.5])
+        (0.375, 0.5)
+    """
+    profile = np.asarray(speeds)
+    if peak_speed(profile) == 0.0:
+        return math.nan
+    return (int(profile.argmax()) + 0.5) / profile.size
+
+
+def minimum_jerk_correlation(speeds: ArrayLike) -> float:
+    """Pearson's correlation of a speed profile with minimum jerk of the same duration.
+
+    With the distances ξ(k/n) − ξ((k − 1)/n) that a minimum-jerk movement covers in each of n
+    steps.  1 for minimum jerk of any size, −1 at the least; NaN at constant speed.
+
+    Source:
+        Flash and Hogan (1985), J. Neurosci. 5(7), 1688–1703,
+        https://doi.org/10.1523/JNEUROSCI.05-07-01688.1985.
+    """
+    profile = np.asarray(speeds, dtype=np.float64)
+    if profile.size < 3 or np.ptp(profile) == 0.0:
+        return math.nan
+    covered = np.diff(minimum_jerk(np.arange(profile.size + 1) / profile.size))
+    return float(np.corrcoef(profile, covered)[0, 1])
+
+
+def overshoot(distances: ArrayLike) -> float:
+    """How far the hand moves away from the target again: max_{k>j} (d_k − d_j), 0 at the least.
+
+    The published figures call more than 0.01 of the way from start to target an overshoot.  In
+    the unit of the distances.
+
+    Example:
+        >>> overshoot([1.0, 0.5, 0.0]), overshoot([1.0, 0.25, 0.5, 0.0])
+        (0.0, 0.25)
+    """
+    profile = np.asarray(distances, dtype=np.float64)
+    return float((profile - np.minimum.accumulate(profile)).max())
 
 
 def episode_return(rewards: ArrayLike) -> float:

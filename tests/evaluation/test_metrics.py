@@ -124,3 +124,62 @@ def test_there_is_a_time_to_target_exactly_where_there_is_success():
 def test_the_return_is_the_sum_and_the_action_time_the_median():
     assert metrics.episode_return([-1.0, -0.5, 0.25]) == -1.25
     assert metrics.action_time([1.0, 1.2, 900.0]) == 1.2
+
+
+def test_minimum_jerk_is_the_measures_own_reference():
+    speeds = metrics.hand_speed(minimum_jerk(501), STEP)
+    assert metrics.peak_to_mean(speeds) == pytest.approx(15 / 8, rel=1e-4)
+    assert metrics.time_to_peak(speeds) == 0.5
+    assert metrics.minimum_jerk_correlation(speeds) == pytest.approx(1)
+    assert metrics.second_rise(speeds) == 0
+
+
+def test_an_exponential_approach_is_not_bell_shaped():
+    speeds = 0.9 ** np.arange(40)
+    assert metrics.peak_to_mean(speeds) == pytest.approx(0.1 * 40 / (1 - 0.9**40))
+    assert metrics.time_to_peak(speeds) == 0.5 / 40
+    assert metrics.minimum_jerk_correlation(speeds) < 0
+    assert metrics.second_rise(speeds) == 0
+
+
+def test_a_raised_cosine_correlates_with_minimum_jerk_as_the_integrals_say():
+    # In both, time runs from 0 to 1; 30 t² (1 − t)² and 1 − cos 2πt have the means 1 and 1, the
+    # variances 3/7 and 1/2, and the covariance 45/π⁴.
+    time = (np.arange(2000) + 0.5) / 2000
+    expected = 45 / math.pi**4 / math.sqrt(3 / 14)
+    speeds = 1 - np.cos(2 * math.pi * time)
+    assert metrics.minimum_jerk_correlation(speeds) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_shape_of_a_profile_ignores_the_scale_of_speed():
+    profile = np.random.default_rng(2).uniform(size=50)
+    for measure in (
+        metrics.peak_to_mean,
+        metrics.time_to_peak,
+        metrics.minimum_jerk_correlation,
+        metrics.second_rise,
+    ):
+        assert measure(profile) == pytest.approx(measure(37 * profile))
+
+
+def test_a_constant_speed_has_a_mean_and_no_bell():
+    assert metrics.peak_to_mean(np.full(7, 0.3)) == pytest.approx(1)
+    assert math.isnan(metrics.minimum_jerk_correlation(np.full(7, 0.3)))
+
+
+def test_a_hand_at_rest_has_no_shape():
+    assert math.isnan(metrics.peak_to_mean(np.zeros(9)))
+    assert math.isnan(metrics.time_to_peak(np.zeros(9)))
+    assert math.isnan(metrics.minimum_jerk_correlation(np.zeros(9)))
+    assert metrics.second_rise(np.zeros(9)) == 0
+
+
+def test_only_a_rise_after_the_peak_is_a_second_one():
+    assert metrics.second_rise([0.5, 0.2, 1.0, 0.4, 0.3]) == 0
+    assert metrics.second_rise([0.5, 2.0, 0.4, 0.6, 0.1, 0.5]) == pytest.approx(0.2)
+
+
+def test_an_overshoot_is_measured_from_the_nearest_point_so_far():
+    angles = np.linspace(0, 2 * math.pi, 1001)
+    assert metrics.overshoot(1 + np.cos(angles)) == pytest.approx(2)
+    assert metrics.overshoot(np.exp(-angles)) == 0

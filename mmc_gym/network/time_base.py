@@ -1,0 +1,207 @@
+"""Bell-shaped movements: a time base sets the gain of every iteration of the kinematic network.
+
+With the end effector R held at the target, an iteration of the network with damping d is
+
+    v ← v − g ∂₂∂₂ᵀ v,     L ← normalize(L)          g = 1/d, the rows that are held left out
+
+and the distance of the hand decays exponentially: fastest at once, then ever slower.  Here g
+varies in time, so that the hand follows a time base ξ, the minimum-jerk course of a movement
+that takes T iterations (Flash and Hogan 1985),
+
+    ξ(τ) = 10 τ³ − 15 τ⁴ + 6 τ⁵,     τ = k/T
+
+A terminal attractor ẋ = Γ (R − x) with Γ = ξ̇/(1 − ξ) reaches R at ξ = 1 whatever the start, and
+its speed is bell-shaped (Zak 1988; Morasso, Sanguineti and Spada 1997; Tsuji et al. 2002).  In
+iterations it is a rule for the step of the hand x = ΣL:
+
+    |x_k − x_{k−1}| = σ_k |R − x_{k−1}|,     σ_k = (ξ_k − ξ_{k−1}) / (1 − ξ_{k−1})
+
+The linear part of the network moves the hand by the slow mode, of eigenvalue 2: it takes the
+share 2g of the distance, which gives g = σ/2, or d = 2/σ.  Normalization makes the hand slower
+than that, by a factor that depends on the posture.  So g = σ/2 is only the first guess, and a
+few secant steps correct it until the hand's step is the one that is wanted; they need the
+normalization alone, since what g multiplies stays the same.  g is at most 2/(2 + (N + 1)), which
+damps the slow modes, of eigenvalue 2, and the fast ones, N + 1, equally well; postures from
+which this is too little, as those with the arm folded or stretched out, arrive late.  The
+network's own damping plays no part.
+
+The rule is about the length of the step rather than what is left of the distance, because a
+path that sets out sideways would need large steps to come nearer, and have a second peak.
+
+Literature: T. Flash, N. Hogan (1985), J. Neurosci. 5, 1688–1703.  M. Zak (1988), Terminal
+attractors for addressable memory in neural networks, Phys. Lett. A 133, 18–22.  P. Morasso,
+V. Sanguineti, G. Spada (1997), A computational theory of targeting movements based on force
+fields and topology representing networks, Neurocomputing 15, 411–434.  T. Tsuji et al. (2002),
+Bio-mimetic trajectory generation of robots via artificial potential field with time base
+generator, IEEE Trans. Syst. Man Cybern. C 32, 426–439.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym.network.chain import Floats, triangle_incidence
+from mmc_gym.network.model import MMCNetwork, MMCState
+
+CORRECTIONS = 4
+"""Secant steps by which the gain of an iteration is corrected."""
+
+
+def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
+    """The time base ξ: share of a minimum-jerk movement covered at a phase of its duration.
+
+    Args:
+        phase: time over duration; before 0 the movement has not begun, after 1 it is over.
+
+    >>> minimum_jerk([-1.0, 0.0, 0.25, 0.5, 1.0, 2.0]).round(4).tolist()
+    [0.0, 0.0, 0.1035, 0.5, 1.0, 1.0]
+    """
+    phase = np.clip(np.asarray(phase, dtype=np.float64), 0.0, 1.0)
+    covered: NDArray[np.float64] = phase**3 * (10 - 15 * phase + 6 * phase**2)
+    return covered
+
+
+def share(iteration: ArrayLike, duration: float) -> NDArray[np.float64]:
+    """σ: the share of the remaining distance that the hand is to go in an iteration.
+
+    Args:
+        iteration: its number k, from 1.  From `duration` on the share is 1: what the hand has
+            not covered by then, it covers as fast as the network can.
+        duration: T, of the movement, in iterations.
+
+    Raises:
+        ValueError: if the duration is not positive.
+
+    >>> share([1, 2, 3, 4, 5], duration=4).round(4).tolist()
+    [0.1035, 0.4423, 0.793, 1.0, 1.0]
+    """
+    if not 0 < duration < np.inf:
+        raise ValueError(f"duration must be positive and finite, got {duration}")
+    number = np.asarray(iteration, dtype=np.float64)
+    remaining = 1 - minimum_jerk((number - 1) / duration)
+    covered = minimum_jerk(number / duration) - minimum_jerk((number - 1) / duration)
+    return np.divide(covered, remaining, out=np.ones_like(remaining), where=remaining > 0)
+
+
+def timed_step(
+    network: MMCNetwork, state: MMCState, target: ArrayLike, share: ArrayLike
+) -> MMCState:
+    """The state after one iteration that takes the hand a share of its way to the target.
+
+    Args:
+        network: kinematic and synchronous.
+        state: its state; stays as it is.
+        target: of the end effector, (..., 2).
+        share: σ, between 0 and 1, for all arms or each, (...).
+
+    Raises:
+        ValueError: for another kind of network, or a share outside its range.
+    """
+    _check(network)
+    state = network.run(state, network.inverse(target), iterations=0)  # broadcasts, sets R
+    count, batch = network.segment_count, state.batch_shape
+    values = state.values.reshape(len(state.values), 2, -1)
+    shares = np.broadcast_to(np.asarray(share, dtype=values.dtype), batch).reshape(-1)
+    if not ((shares >= 0) & (shares <= 1)).all():
+        raise ValueError(f"share must lie between 0 and 1, got {share!r}")
+    change = -np.tensordot(_coupling(count).astype(values.dtype), values, 1)  # −∂₂∂₂ᵀ v
+    lengths = np.array(network.segment_lengths, dtype=values.dtype)[:, None]
+    hand = values[:count].sum(axis=0)
+    wanted = shares * np.hypot(*(values[-1] - hand))
+
+    def segments_with(gain: Floats) -> Floats:
+        segments: Floats = values[:count] + gain * change[:count]
+        network.normalizer.normalize_rows(segments, lengths)
+        return segments
+
+    def hand_step(gain: Floats) -> Floats:
+        step: Floats = np.hypot(*(segments_with(gain).sum(axis=0) - hand))
+        return step
+
+    largest = 2 / (count + 3)
+    gain = _solve(hand_step, wanted, np.minimum(shares / 2, largest), largest)
+    following = values + gain * change
+    following[:count] = segments_with(gain)
+    return MMCState(following.reshape(state.values.shape), count)
+
+
+def timed_trajectory(
+    network: MMCNetwork,
+    state: MMCState,
+    target: ArrayLike,
+    duration: float,
+    iterations: int | None = None,
+) -> tuple[MMCState, Floats]:
+    """Move to a target in `duration` iterations, and record the posture after every iteration.
+
+    Args:
+        network: kinematic and synchronous.
+        state: where the movement starts.
+        target: of the end effector, (..., 2).
+        duration: T, in iterations.
+        iterations: recorded iterations, by default `duration` of them.
+
+    Returns:
+        The last state, and the segments of all iterations, (iterations, ..., N, 2).
+
+    >>> network = MMCNetwork()
+    >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    >>> end, postures = timed_trajectory(network, start, [-1.0, 1.5], duration=50)
+    >>> speed = np.linalg.norm(np.diff(postures.sum(axis=-2), axis=0), axis=-1)
+    >>> end.end_effector.round(2).tolist(), int(speed.argmax())
+    ([-0.98, 1.5], 24)
+    """
+    _check(network)
+    iterations = round(duration) if iterations is None else iterations
+    state = network.run(state, network.inverse(target), iterations=0)
+    postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
+    for number, part in enumerate(share(np.arange(1, iterations + 1), duration)):
+        state = timed_step(network, state, target, part)
+        postures[number] = state.segments
+    return state, postures
+
+
+def _solve(
+    function: Callable[[Floats], Floats], wanted: Floats, first: Floats, largest: float
+) -> Floats:
+    """Where in [0, largest] an increasing function is as wanted; its value at 0 is taken as 0.
+
+    The proportional step until the answer is bracketed, secants of the bracket thereafter.
+    """
+    tiny = np.finfo(wanted.dtype).tiny
+    low, low_value = np.zeros_like(wanted), np.zeros_like(wanted)
+    high, high_value = np.full_like(wanted, largest), np.full_like(wanted, np.inf)
+    guess = first
+    for _ in range(CORRECTIONS):
+        value = function(guess)
+        below = value < wanted
+        bracketed = np.isfinite(high_value) | ~below
+        low, low_value = np.where(below, guess, low), np.where(below, value, low_value)
+        high, high_value = np.where(below, high, guess), np.where(below, high_value, value)
+        rise = np.where(bracketed, high_value - low_value, 1.0)
+        secant = low + (wanted - low_value) * (high - low) / np.maximum(rise, tiny)
+        proportional = guess * np.minimum(wanted / np.maximum(value, tiny), 1e6)
+        guess = np.clip(np.where(bracketed, secant, proportional), low, high)
+    return guess
+
+
+@lru_cache(maxsize=16)
+def _coupling(segment_count: int) -> NDArray[np.float64]:
+    """∂₂∂₂ᵀ with the row of R, which is held, set to zero."""
+    incidence = triangle_incidence(segment_count)
+    coupling = incidence @ incidence.T
+    coupling[-1] = 0.0
+    coupling.setflags(write=False)
+    return coupling
+
+
+def _check(network: MMCNetwork) -> None:
+    if network.dynamics != "kinematic" or network.schedule != "synchronous":
+        raise ValueError(
+            "network must be kinematic and synchronous to follow a time base, "
+            f"got dynamics={network.dynamics!r}, schedule={network.schedule!r}"
+        )

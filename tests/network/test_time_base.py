@@ -1,0 +1,143 @@
+"""A time base makes every movement of the network bell-shaped."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network.time_base import minimum_jerk, share, timed_step, timed_trajectory
+
+NORMALIZERS = [EuclideanNormalizer(), LearnedNormalizer.shipped("accurate")]
+POSTURE = [0.3, 0.6, 0.6]
+
+
+def start(network, batch=None):
+    angles = np.resize([0.3, 0.6, 0.6, 0.4], network.segment_count)
+    return network.state_from_joint_angles(angles if batch is None else np.tile(angles, (batch, 1)))
+
+
+def hand_steps(state, postures):
+    hands = np.concatenate([state.end_effector[None], postures.sum(axis=-2)])
+    return np.linalg.norm(np.diff(hands, axis=0), axis=-1)
+
+
+def test_minimum_jerk_starts_and_ends_at_rest():
+    phase = np.linspace(0, 1, 100_001)
+    speed = np.gradient(minimum_jerk(phase), phase)
+    acceleration = np.gradient(speed, phase)
+    assert minimum_jerk([0, 1]).tolist() == [0, 1]
+    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-8)
+    np.testing.assert_allclose(acceleration[[0, -1]], 0, atol=1e-3)
+    assert speed.max() == pytest.approx(15 / 8)
+    np.testing.assert_allclose(minimum_jerk(phase), 1 - minimum_jerk(1 - phase), atol=1e-12)
+
+
+@given(duration=st.floats(1, 500))
+def test_taking_each_share_of_what_remains_follows_the_time_base(duration):
+    iterations = np.arange(1, int(np.ceil(duration)) + 1)
+    remaining = np.cumprod(1 - share(iterations, duration))
+    np.testing.assert_allclose(1 - remaining, minimum_jerk(iterations / duration), atol=1e-9)
+
+
+def test_after_the_movement_all_that_remains_is_taken():
+    assert share([10, 11, 1000], duration=10).tolist() == [1, 1, 1]
+
+
+@pytest.mark.parametrize("normalizer", NORMALIZERS, ids=repr)
+@pytest.mark.parametrize("part", [1e-4, 0.01, 0.1, 0.3])
+def test_the_hand_takes_the_share_of_its_distance(normalizer, part):
+    network = MMCNetwork(normalizer=normalizer)
+    before = network.run(start(network), iterations=5)
+    target = np.array([-1.0, 1.5])
+    after = timed_step(network, before, target, part)
+    step = np.linalg.norm(after.end_effector - before.end_effector)
+    distance = np.linalg.norm(target - before.end_effector)
+    assert step == pytest.approx(part * distance, rel=1e-3)
+
+
+def test_no_share_is_no_movement_and_the_gain_is_bounded():
+    network = MMCNetwork()
+    state = start(network)
+    rest = timed_step(network, state, [-1.0, 1.5], 0.0)
+    np.testing.assert_allclose(rest.segments, state.segments, atol=1e-15)
+    # With all of the share the damping is (N + 3)/2, the least there is.
+    fastest = timed_step(network, state, [-1.0, 1.5], 1.0)
+    damped = MMCNetwork(damping=3.0)
+    expected = damped.step(state, damped.inverse([-1.0, 1.5]))
+    np.testing.assert_allclose(fastest.values, expected.values, atol=1e-14)
+
+
+@pytest.mark.parametrize("segments", [2, 3, 4, 6])
+def test_a_movement_is_bell_shaped_for_any_number_of_segments(segments):
+    network = MMCNetwork(segment_lengths=(1.0,) * segments)
+    state, target = start(network), np.array([-0.8, 0.5])
+    _, postures = timed_trajectory(network, state, target, duration=60)
+    covered = np.diff(minimum_jerk(np.arange(61) / 60))
+    steps = hand_steps(state, postures)
+    assert np.corrcoef(steps, covered)[0, 1] > 0.92
+    assert 0.4 < (steps.argmax() + 0.5) / 60 < 0.6
+
+
+def test_the_network_s_own_damping_plays_no_part():
+    state = start(MMCNetwork())
+    postures = [
+        timed_trajectory(MMCNetwork(damping=damping), state, [1.0, 2.0], 30)[1]
+        for damping in (4.0, 10.0)
+    ]
+    np.testing.assert_array_equal(*postures)
+
+
+def test_a_longer_duration_is_the_same_movement_slower():
+    network = MMCNetwork()
+    state = start(network)
+    quick = timed_trajectory(network, state, [-1.0, 1.5], 100)[1][9::10]
+    slow = timed_trajectory(network, state, [-1.0, 1.5], 200)[1][19::20]
+    np.testing.assert_allclose(slow.sum(axis=-2), quick.sum(axis=-2), atol=0.03)
+
+
+def test_arms_of_a_batch_move_as_each_alone():
+    network = MMCNetwork()
+    targets = np.array([[-1.0, 1.5], [0.5, -0.5], [2.0, 1.0]])
+    shares = np.array([0.1, 0.0, 0.7])
+    together = timed_step(network, start(network, 3), targets, shares)
+    for index in range(3):
+        alone = timed_step(network, start(network), targets[index], shares[index])
+        np.testing.assert_allclose(together.segments[index], alone.segments, atol=1e-12)
+    state, postures = timed_trajectory(network, start(network), targets, 20, iterations=25)
+    assert postures.shape == (25, 3, 3, 2) and state.batch_shape == (3,)
+    np.testing.assert_array_equal(postures[-1], state.segments)
+
+
+def test_the_state_it_is_given_stays_and_float32_is_kept():
+    network = MMCNetwork()
+    angles = np.array(POSTURE, dtype=np.float32)
+    state = network.state_from_joint_angles(angles)
+    values = state.values.copy()
+    after = timed_step(network, state, np.array([-1, 1.5], np.float32), 0.2)
+    np.testing.assert_array_equal(state.values, values)
+    assert after.values.dtype == np.float32
+    exact = timed_step(network, network.state_from_joint_angles(POSTURE), [-1, 1.5], 0.2)
+    np.testing.assert_allclose(after.values, exact.values, atol=1e-5)
+
+
+def test_an_arm_at_its_target_stays():
+    network = MMCNetwork()
+    state = network.run(start(network), iterations=5)
+    after = timed_step(network, state, state.end_effector, 1.0)
+    np.testing.assert_allclose(after.end_effector, state.end_effector, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [{"dynamics": "paper"}, {"schedule": "delayed"}])
+def test_other_networks_are_refused(kind):
+    network = MMCNetwork(**kind)
+    with pytest.raises(ValueError, match="network must be kinematic and synchronous"):
+        timed_trajectory(network, start(network), [1.0, 1.0], 10)
+
+
+def test_what_is_out_of_range_is_refused():
+    network = MMCNetwork()
+    with pytest.raises(ValueError, match="duration must be positive"):
+        share(1, 0)
+    with pytest.raises(ValueError, match="share must lie between 0 and 1"):
+        timed_step(network, start(network), [1.0, 1.0], 1.5)
