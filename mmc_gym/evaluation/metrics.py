@@ -150,7 +150,7 @@ def peak_to_mean(speeds: ArrayLike) -> float:
         As a measure of a profile's shape: Nelson (1983), Biol. Cybern. 46, 135–147.
     """
     highest = peak_speed(speeds)
-    return highest / float(np.mean(speeds)) if highest > 0.0 else math.nan
+    return highest / float(np.mean(np.asarray(speeds))) if highest > 0.0 else math.nan
 
 
 def time_to_peak(speeds: ArrayLike) -> float:

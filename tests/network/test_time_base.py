@@ -68,14 +68,14 @@ def test_no_share_is_no_movement_and_the_gain_is_bounded():
     np.testing.assert_allclose(fastest.values, expected.values, atol=1e-14)
 
 
-@pytest.mark.parametrize("segments", [2, 3, 4, 6])
-def test_a_movement_is_bell_shaped_for_any_number_of_segments(segments):
+@pytest.mark.parametrize("segments", [3, 4, 6])
+def test_a_movement_is_bell_shaped_for_longer_arms_too(segments):
     network = MMCNetwork(segment_lengths=(1.0,) * segments)
     state, target = start(network), np.array([-0.8, 0.5])
     _, postures = timed_trajectory(network, state, target, duration=60)
     covered = np.diff(minimum_jerk(np.arange(61) / 60))
     steps = hand_steps(state, postures)
-    assert np.corrcoef(steps, covered)[0, 1] > 0.92
+    assert np.corrcoef(steps, covered)[0, 1] > 0.97
     assert 0.4 < (steps.argmax() + 0.5) / 60 < 0.6
 
 
