@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from mmc_gym.paper import normalization, population
 from mmc_gym.paper.experiment import Experiment
 
-# One line for each module's experiments.
-_EXPERIMENTS: tuple[Experiment, ...] = ()
+_EXPERIMENTS: tuple[Experiment, ...] = (
+    normalization.EXPERIMENT,
+    population.EXPERIMENT,
+)
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({e.name: e for e in _EXPERIMENTS})
 """Experiments by name."""

@@ -1,0 +1,165 @@
+"""The hidden units of the normalization networks as a population code of direction.
+
+A hidden unit of a trained network answers the unit vector in direction φ with (paper, Sect.
+"Learning the Normalization Network", the figure of the hidden units)
+
+    h(φ) = tanh(w · (cos φ, sin φ) + b)                       in the first hidden layer,
+
+a bump around its preferred direction.  Here, for every unit and any layer,
+
+    preferred direction   arg Σ_φ h(φ) e^{iφ}; in the first layer that is arg(w_x + i w_y)
+    tuning width          the part of the circle where h(φ) > (max h + min h)/2, in degrees
+    coverage              how many units are in their tuning width, by direction, and the
+                          largest angle between neighbouring preferred directions
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mmc_gym.network.chain import Floats
+from mmc_gym.network.normalization import LearnedNormalizer
+from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
+from mmc_gym.paper.normalizers import Units, architecture_name, trained_architectures
+from mmc_gym.paper.population_figures import Layer, draw_curves, draw_landscape, draw_tuning
+
+ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
+DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
+"""Directions φ that the units are shown, radians, (720,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """What the units of a layer are tuned to, ordered by preferred direction.
+
+    Attributes:
+        activations: h(φ) at `DIRECTIONS`, (directions, units).
+        preferred: preferred directions, radians in [0, 2π[, (units,).
+        width: tuning widths, degrees, (units,).
+        active: number of units within their tuning width, by direction, (directions,).
+        largest_gap: largest angle between neighbouring preferred directions, degrees.
+    """
+
+    activations: Floats
+    preferred: Floats
+    width: Floats
+    active: NDArray[np.int_]
+    largest_gap: float
+
+
+def tuning(activations: Floats) -> Tuning:
+    """Tuning of units with these activations at `DIRECTIONS`, (directions, units).
+
+    >>> cosines = np.cos(DIRECTIONS[:, None] - np.radians([10.0, 100.0, 280.0]))
+    >>> found = tuning(cosines)
+    >>> np.degrees(found.preferred).round(6).tolist(), found.width.round().tolist()
+    ([10.0, 100.0, 280.0], [180.0, 180.0, 180.0])
+    >>> round(found.largest_gap, 6), int(found.active.min()), int(found.active.max())
+    (180.0, 1, 2)
+    """
+    moment = np.exp(1j * DIRECTIONS) @ activations
+    preferred = np.angle(moment) % (2 * np.pi)
+    order = np.argsort(preferred)
+    activations, preferred = activations[:, order], preferred[order]
+    half = (activations.max(axis=0) + activations.min(axis=0)) / 2
+    inside = activations > half
+    gaps = np.diff(preferred, append=preferred[0] + 2 * np.pi)
+    return Tuning(
+        activations=activations,
+        preferred=preferred,
+        width=360 * inside.mean(axis=0),
+        active=inside.sum(axis=1),
+        largest_gap=float(np.degrees(gaps.max())),
+    )
+
+
+def layer_tunings(normalizer: LearnedNormalizer) -> list[Tuning]:
+    """Tuning of every hidden layer of a network."""
+    vectors = np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)], axis=-1)
+    return [tuning(outputs) for outputs in normalizer.activations(vectors)[:-1]]
+
+
+def run(settings: Settings, progress: Progress) -> Result:
+    """Measure and draw the hidden units of the networks with 4, 8, and [8, 8] hidden units."""
+    trained = trained_architectures(settings, progress, ARCHITECTURES)
+    shown: list[Layer] = []
+    rows: list[Row] = []
+    table: list[dict[str, object]] = []
+    for units, architecture in trained.items():
+        runs = [layer_tunings(normalizer) for normalizer in architecture.normalizers]
+        for layer, of_runs in enumerate(zip(*runs, strict=True), start=1):
+            name = architecture_name(units)
+            if len(units) > 1:
+                name += f", layer {layer}"
+            rows += _rows(name, of_runs)
+            first = of_runs[0]
+            shown.append(Layer(name, DIRECTIONS, first.activations, first.preferred, first.width))
+            for number, found in enumerate(of_runs):
+                table += [
+                    {
+                        "units": name,
+                        "run": number,
+                        "unit": unit + 1,
+                        "preferred_direction_deg": preferred,
+                        "tuning_width_deg": width,
+                    }
+                    for unit, (preferred, width) in enumerate(
+                        zip(np.degrees(found.preferred), found.width, strict=True)
+                    )
+                ]
+    return Result(
+        rows=tuple(rows),
+        figures={
+            "hidden_units": draw_curves(shown),
+            "hidden_units_3d": draw_landscape([shown[1], shown[-1]]),
+            "tuning": draw_tuning(shown),
+        },
+        captions={
+            "hidden_units": "Activation of the hidden units over the angle of a unit input "
+            "vector, numbered by preferred direction (first run of each architecture).",
+            "hidden_units_3d": "The same, one curve per unit.",
+            "tuning": "Preferred direction (dot) and tuning width (arc) of each unit.",
+        },
+        data={
+            "hidden_units": {"directions": DIRECTIONS}
+            | {layer.name: layer.activations for layer in shown},
+            "tuning": pd.DataFrame(table),
+        },
+        points={7: "hidden units drawn of [4], [8] and [8, 8], all trained without weight decay"},
+    )
+
+
+def _rows(name: str, runs: tuple[Tuning, ...]) -> list[Row]:
+    widths = np.concatenate([found.width for found in runs])
+    gaps = np.array([found.largest_gap for found in runs])
+    active = np.concatenate([found.active for found in runs])
+    return [
+        Row(
+            f"{name}: tuning width, mean (smallest to largest)",
+            paper="“a certain range of the orientation”",
+            ours=f"{widths.mean():.0f} ({widths.min():.0f} to {widths.max():.0f})",
+            unit="°",
+            note=f"all units of {len(runs)} runs",
+        ),
+        Row(
+            f"{name}: largest gap between preferred directions",
+            ours=f"{gaps.mean():.0f} ± {gaps.std():.0f}",
+            unit="°",
+            note=f"evenly spread units would have {360 / len(runs[0].width):.0f}°",
+        ),
+        Row(
+            f"{name}: units within their tuning width, mean (fewest to most)",
+            paper="“more overlap” with more units",
+            ours=f"{active.mean():.1f} ({active.min()} to {active.max()})",
+            note=f"of {len(runs[0].width)}, over all directions",
+        ),
+    ]
+
+
+EXPERIMENT = Experiment(
+    "population", "hidden units of the normalization networks as a population code", run
+)
