@@ -1,4 +1,4 @@
-"""The command line: `mmc-gym compare | train | play`."""
+"""The command line: `mmc-gym compare | reproduce | train | play`."""
 
 from __future__ import annotations
 
@@ -33,6 +33,28 @@ class Compare:
         from mmc_gym.evaluation.compare import compare
 
         compare(self.agents, self.env, self.episodes, self.seed, self.out)
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Run the paper's experiments; write figures, data, and a table beside what was published."""
+
+    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Names of experiments (default: all)."""
+    out: Path = Path("runs/reproduce")
+    """Folder for figures, data and table; trained networks found in it are not trained again."""
+    quick: bool = False
+    """Run a small part of each experiment, to see that everything works."""
+    seed: int = 0
+    """Seed of everything random."""
+    jobs: int | None = None
+    """Number of processes (default: one per core)."""
+
+    def run(self) -> None:
+        """Reproduce."""
+        from mmc_gym.paper.reproduce import reproduce
+
+        reproduce(self.experiments, self.out, self.quick, self.seed, self.jobs)
 
 
 @dataclass(frozen=True)
@@ -80,13 +102,13 @@ class Train:
             task = bar.add_task(f"{self.algorithm}, seed {self.seed}")
 
             def report(progress: Progress) -> None:
-                scores = progress.evaluation
-                bar.update(task, total=progress.total_steps, completed=progress.steps)
-                bar.console.print(
-                    f"{progress.steps:>9,} steps  success {scores['success']:6.1%}  "
-                    f"final distance {scores['final_distance']:.3f}  "
-                    f"{scores['seconds']:6.0f} s"
-                )
+                bar.update(task, completed=progress.steps)
+                if scores := progress.evaluation:
+                    bar.console.print(
+                        f"{progress.steps:>10,} steps  success {scores['success']:6.1%}  "
+                        f"final distance {scores['final_distance']:.3f}  "
+                        f"{scores['seconds']:6.0f} s"
+                    )
 
             training = Training(hyperparameters, self.env, self.seed, folder, report)
             bar.update(task, total=training.total_steps)
@@ -118,6 +140,7 @@ class Play:
 
 Command = (
     Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Play, tyro.conf.subcommand("play")]
 )
@@ -125,7 +148,7 @@ Command = (
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; a mistake of the user's ends with one line on stderr and status 2."""
-    command: Compare | Train | Play = tyro.cli(Command, prog="mmc-gym", args=arguments)
+    command: Compare | Reproduce | Train | Play = tyro.cli(Command, prog="mmc-gym", args=arguments)
     try:
         command.run()
     except (ValueError, FileExistsError, FileNotFoundError) as error:

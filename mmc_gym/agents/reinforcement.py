@@ -75,13 +75,15 @@ def make_policy(card: PolicyCard) -> ActorCriticPolicy:
     if card.activation not in ACTIVATIONS:
         raise ValueError(f"activation must be one of {list(ACTIVATIONS)}, got {card.activation!r}")
     size = card.segment_count
-    return ActorCriticPolicy(
-        spaces.Box(-1.0, 1.0, (3 * size + 4,), np.float32),
-        spaces.Box(-1.0, 1.0, (size,), np.float32),
-        lambda _: 0.0,
-        net_arch=list(card.hidden_units),
-        activation_fn=ACTIVATIONS[card.activation],
-    )
+    with torch.random.fork_rng():  # its first weights are drawn, and overwritten by a loaded one's
+        return ActorCriticPolicy(
+            spaces.Box(-1.0, 1.0, (3 * size + 4,), np.float32),
+            spaces.Box(-1.0, 1.0, (size,), np.float32),
+            lambda _: 0.0,
+            net_arch=list(card.hidden_units),
+            activation_fn=ACTIVATIONS[card.activation],
+            use_sde=bool(card.hyperparameters.get("use_sde", False)),
+        )
 
 
 def save_policy(policy: ActorCriticPolicy, card: PolicyCard, folder: Path) -> None:

@@ -30,22 +30,34 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.reinforcement import ACTIVATIONS, PolicyCard, save_policy
 
 CHECKPOINT = "checkpoint.safetensors"
+# Entries of the YAML file that are not arguments of stable-baselines3's PPO by that name.
+_NOT_PPO = {
+    "n_timesteps",
+    "policy",
+    "n_envs",
+    "learning_rate",
+    "policy_kwargs",
+    "env_kwargs",
+    "normalize_reward",
+    "rollouts_per_leg",
+}
 EVALUATION_SEED = 1_000_000  # far from the seeds that a comparison starts from
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a training is: steps, and the last row of its learning curve."""
+    """How far a training is; with a new row of its learning curve, after an evaluation."""
 
     steps: int
     total_steps: int
-    evaluation: dict[str, float]
+    evaluation: dict[str, float] | None = None
 
 
 @dataclass
@@ -57,7 +69,7 @@ class Training:
         env_id: the environment.
         seed: of everything random.
         folder: where the checkpoint and the trained policy are written.
-        report: called after every evaluation.
+        report: called after every rollout and every evaluation.
     """
 
     hyperparameters: dict[str, Any]
@@ -114,6 +126,7 @@ class Training:
             "updates": model._n_updates,
             "seconds": self._seconds(),
             "curve": self.curve,
+            "reward_statistics": _reward_statistics(model),
         }
         content = safetensors.torch.save(tensors, metadata={"training": json.dumps(head)})
         write_atomically(self.folder / CHECKPOINT, content)
@@ -132,26 +145,16 @@ class Training:
 
     def _make_model(self) -> PPO:
         h = self.hyperparameters
-        env = make_vec_env(
+        env: VecEnv = make_vec_env(
             self.env_id, h["n_envs"], seed=self.seed, env_kwargs=dict(h.get("env_kwargs", {}))
         )
+        if h.get("normalize_reward", False):
+            env = VecNormalize(env, norm_obs=False, gamma=h["gamma"])
         policy = dict(h["policy_kwargs"])
         policy["activation_fn"] = ACTIVATIONS[policy["activation_fn"]]
-        return PPO(
-            h["policy"],
-            env,
-            learning_rate=_schedule(h["learning_rate"]),
-            n_steps=h["n_steps"],
-            batch_size=h["batch_size"],
-            n_epochs=h["n_epochs"],
-            gamma=h["gamma"],
-            gae_lambda=h["gae_lambda"],
-            clip_range=h["clip_range"],
-            ent_coef=h["ent_coef"],
-            policy_kwargs=policy,
-            seed=self.seed,
-            device="cpu",
-        )
+        options = {name: value for name, value in h.items() if name not in _NOT_PPO}
+        options["learning_rate"] = _schedule(h["learning_rate"])
+        return PPO(h["policy"], env, policy_kwargs=policy, seed=self.seed, device="cpu", **options)
 
     def _identity(self) -> dict[str, Any]:
         """What must be equal for a checkpoint to belong to this training."""
@@ -187,6 +190,9 @@ class Training:
         model.policy.optimizer.load_state_dict(optimizer)
         model.num_timesteps = head["steps"]
         model._n_updates = head["updates"]
+        if isinstance(model.env, VecNormalize):
+            statistics = model.env.ret_rms
+            statistics.mean, statistics.var, statistics.count = head["reward_statistics"]
         self.curve = head["curve"]
         self._seconds_before = head["seconds"]
 
@@ -232,6 +238,10 @@ class _Legs(BaseCallback):
                 training.save(model)
             training.begin_leg(model)
             self._started_at = steps
+
+    def _on_rollout_end(self) -> None:
+        training = self._training
+        training.report(Progress(self.num_timesteps, training.total_steps))
 
     def _on_step(self) -> bool:
         return True
@@ -284,6 +294,14 @@ def library_versions() -> dict[str, str]:
 def weights_digest(path: Path) -> str:
     """SHA-256 of a file: two trainings with equal digests ended with the same policy."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _reward_statistics(model: PPO) -> list[float] | None:
+    """Mean, variance and count that the rewards are scaled by, if they are."""
+    if not isinstance(model.env, VecNormalize):
+        return None
+    statistics = model.env.ret_rms
+    return [float(statistics.mean), float(statistics.var), float(statistics.count)]
 
 
 def _schedule(value: float | str) -> float | Callable[[float], float]:
