@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from mmc_gym.paper import normalization, population
+from mmc_gym.paper import dynamic, example, kinematic, normalization, population
 from mmc_gym.paper.experiment import Experiment
 
 _EXPERIMENTS: tuple[Experiment, ...] = (
     normalization.EXPERIMENT,
     population.EXPERIMENT,
+    kinematic.EXPERIMENT,
+    dynamic.EXPERIMENT,
+    example.EXPERIMENT,
 )
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({e.name: e for e in _EXPERIMENTS})

@@ -1,0 +1,76 @@
+"""Published figures of the movements, measured again from the data published with the paper.
+
+Distances and velocities are normalized; the schedule is "delayed" unless one is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mmc_gym.network.model import Dynamics, Schedule
+
+KINEMATIC_DISTANCES: dict[str, str] = {
+    "[2]": "0.2715 ± 0.2685",
+    "[4]": "0.4098 ± 0.3014",
+    "[8]": "0.3634 ± 0.2791",
+    "[16]": "0.0940 ± 0.1159",
+    "[32]": "0.1070 ± 0.0889",
+    "[64]": "0.0953 ± 0.1083",
+    "[128]": "0.1165 ± 0.1197",
+    "[2, 2]": "0.6151 ± 0.4262",
+    "[4, 4]": "0.2663 ± 0.3137",
+    "[8, 8]": "0.0696 ± 0.0735",
+    "[16, 16]": "0.0458 ± 0.0658",
+    "[32, 32]": "0.0806 ± 0.0901",
+    "Euclidean": "0.0226 ± 0.0320",
+}
+"""Distance after 100 iterations in the published data: one trained network of each kind."""
+
+KINEMATIC_FAR: dict[str, int] = {
+    **{"[2]": 279, "[4]": 395, "[8]": 392, "[16]": 135, "[32]": 157, "[64]": 122, "[128]": 172},
+    **{"[2, 2]": 393, "[4, 4]": 302, "[8, 8]": 79, "[16, 16]": 30, "[32, 32]": 89, "Euclidean": 7},
+}
+"""Of those movements, the number that end above 0.1."""
+
+KINEMATIC_COURSE: dict[int, float] = {10: 0.42478, 20: 0.22386, 40: 0.09712, 100: 0.02264}
+"""Mean distance with the Euclidean normalization, by iteration."""
+
+
+@dataclass(frozen=True)
+class PublishedDynamics:
+    """What the published data give for one rule and decay (schedule "delayed")."""
+
+    distances: Mapping[int, float]
+    deviation: float
+    peak: str
+    overshoots: int
+    second_peaks: int
+
+
+DYNAMIC_PUBLISHED: dict[tuple[Dynamics, float], PublishedDynamics] = {
+    ("reference", 0.92): PublishedDynamics(
+        {10: 0.611, 20: 0.280, 40: 0.1412}, 0.1180, "0.0599 at 9", 34, 137
+    ),
+    ("reference", 1.0): PublishedDynamics(
+        {10: 0.523, 20: 0.224, 40: 0.0899}, 0.0830, "0.0820 at 9", 155, 247
+    ),
+    ("paper", 0.92): PublishedDynamics(
+        {10: 0.544, 20: 0.247, 40: 0.1253}, 0.1113, "0.0686 at 8", 37, 111
+    ),
+    ("paper", 1.0): PublishedDynamics(
+        {10: 0.483, 20: 0.214, 40: 0.0921}, 0.0880, "0.0846 at 8", 122, 215
+    ),
+}
+CLASSICAL_PUBLISHED = PublishedDynamics(
+    {10: 0.405, 20: 0.213, 40: 0.0930}, 0.0856, "0.1082 at 2", 0, 16
+)
+DYNAMIC_EUCLIDEAN: dict[tuple[Dynamics, float, Schedule], dict[int, float]] = {
+    ("reference", 0.92, "delayed"): {10: 0.59338, 20: 0.26474, 40: 0.12478},
+    ("reference", 1.0, "delayed"): {10: 0.51373, 20: 0.22146, 40: 0.07740},
+    ("paper", 0.92, "delayed"): {10: 0.52885, 20: 0.23581, 40: 0.10964},
+    ("paper", 1.0, "delayed"): {10: 0.47481, 20: 0.20799, 40: 0.07741},
+    ("paper", 0.92, "synchronous"): {10: 0.48200, 20: 0.22089, 40: 0.09736},
+    ("reference", 0.92, "synchronous"): {10: 0.54623, 20: 0.24937, 40: 0.11499},
+}
+"""Mean distances with the Euclidean normalization: no learned weights, so they must agree."""
