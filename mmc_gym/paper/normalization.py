@@ -179,11 +179,11 @@ def _rows(trained: Mapping[Units, TrainedArchitecture], quick: str) -> list[Row]
         )
         angles.append(
             Row(
-                f"{name}: mean angle error at lengths 0.9 to 1.1",
+                f"{name}: mean angle error",
                 data=f"{published.angle_error:.2f}",
                 ours=mean_and_deviation(architecture.angle_error, 2),
                 unit="°",
-                note=quick or "published: one network",
+                note=quick or "lengths 0.9 to 1.1; its data: one network",
             )
         )
     return validation + training + angles

@@ -183,7 +183,7 @@ def _train_in_processes(
     # Spawned, because torch's threads do not survive a fork.
     context = get_context("spawn")
     counter = context.Value("q", 0)
-    with ProcessPoolExecutor(jobs, context, _share_counter, (counter,)) as pool:
+    with ProcessPoolExecutor(min(jobs, len(tasks)), context, _share_counter, (counter,)) as pool:
         futures = [pool.submit(_train_and_count, task, folder) for task in tasks]
         try:
             while wait(futures, _POLL_SECONDS, FIRST_EXCEPTION).not_done:

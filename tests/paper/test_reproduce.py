@@ -1,0 +1,182 @@
+"""The command `reproduce`: what it writes is whole, and its table has all that was published."""
+
+import json
+from html.parser import HTMLParser
+
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from mmc_gym.cli import main
+from mmc_gym.paper import normalizers, reproduce
+from mmc_gym.paper.catalogue import EXPERIMENTS
+from mmc_gym.paper.experiment import Experiment, Result, Row
+from mmc_gym.paper.points import POINTS
+from mmc_gym.paper.report import print_report
+
+
+def make_figure():
+    figure = Figure(figsize=(2, 1))
+    figure.subplots().plot([0, 1], [1, 0])
+    return figure
+
+
+def run_first(settings, progress):
+    progress(1, 2)
+    return Result(
+        rows=(Row("distance", 0.025, "2.0 ± 0.1", 7.123456, "m", "a|b <i>"), Row("nothing")),
+        figures={"bell": make_figure()},
+        captions={"bell": "A bell."},
+        points={1: "at iteration 30"},
+    )
+
+
+def run_second(settings, progress):
+    return Result(rows=(Row("seed", ours=settings.seed),), points={1: "not at all", 7: "as named"})
+
+
+@pytest.fixture
+def two_experiments(monkeypatch):
+    experiments = {
+        "first": Experiment("first", "one figure", run_first),
+        "second": Experiment("second", "no figure", run_second),
+    }
+    monkeypatch.setattr(reproduce, "EXPERIMENTS", experiments)
+    return experiments
+
+
+class Tables(HTMLParser):
+    """Text of all cells, and sources of all images, of an HTML page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.cells, self.images, self.links, self._open = [], [], [], False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self._open = tag == "td"
+        self.images += [dict(attrs)["src"]] if tag == "img" else []
+        self.links += [tag] if tag in ("link", "script", "a") else []
+        self.cells += [""] if self._open else []
+
+    def handle_endtag(self, tag):
+        self._open = self._open and tag != "td"
+
+    def handle_data(self, data):
+        if self._open:
+            self.cells[-1] += data
+
+
+def test_everything_is_written_and_nothing_half(two_experiments, tmp_path):
+    reproduce.reproduce(folder=tmp_path)
+    written = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
+    assert written == {
+        *("table.md", "table.html", "first/bell.png", "first/bell.svg"),
+        *("first/result.json", "second/result.json"),
+    }
+
+
+def test_the_table_has_every_number_unit_and_note(two_experiments, tmp_path, capsys):
+    reproduce.reproduce(folder=tmp_path)
+    printed = capsys.readouterr().out
+    markdown = (tmp_path / "table.md").read_text("utf-8")
+    page = Tables((tmp_path / "table.html").read_text("utf-8"))
+    assert "| distance [m] | 0.025 | 2.0 ± 0.1 | 7.123 | a\\|b <i> |" in markdown
+    assert "| nothing | – | – | – |  |" in markdown
+    assert page.cells[:5] == ["distance [m]", "0.025", "2.0 ± 0.1", "7.123", "a|b <i>"]
+    for text in ("distance [m]", "7.123", "seed"):
+        assert text in printed
+
+
+def test_the_html_needs_no_other_file_and_the_markdown_links_within_its_folder(
+    two_experiments, tmp_path
+):
+    reproduce.reproduce(folder=tmp_path)
+    page = Tables((tmp_path / "table.html").read_text("utf-8"))
+    assert len(page.images) == 1
+    assert page.images[0].startswith("data:image/png;base64,")
+    assert page.links == []
+    assert "![A bell.](first/bell.png)" in (tmp_path / "table.md").read_text("utf-8")
+
+
+def test_all_seven_points_stand_in_the_table_with_what_was_measured(two_experiments, tmp_path):
+    reproduce.reproduce(folder=tmp_path)
+    cells = Tables((tmp_path / "table.html").read_text("utf-8")).cells[-5 * len(POINTS) :]
+    rows = [cells[start : start + 5] for start in range(0, len(cells), 5)]
+    assert [row[0] for row in rows] == ["1", "2", "3", "4", "5", "6", "7"]
+    for row, point in zip(rows, POINTS.values(), strict=True):
+        assert row[1:4] == [point.subject, point.paper, point.data]
+    assert rows[0][4] == "at iteration 30; not at all"
+    assert rows[1][4] == "not measured in this run"
+    assert rows[6][4] == "as named"
+
+
+def test_experiments_run_one_by_one_add_to_the_table(two_experiments, tmp_path):
+    assert [s.name for s in reproduce.reproduce(["second"], tmp_path)] == ["second"]
+    assert [s.name for s in reproduce.reproduce(["first"], tmp_path)] == ["first", "second"]
+    # What was made with another seed is of another table.
+    assert [s.name for s in reproduce.reproduce(["second"], tmp_path, seed=1)] == ["second"]
+
+
+def test_an_interrupted_experiment_is_not_in_the_table(two_experiments, tmp_path):
+    reproduce.reproduce(folder=tmp_path)
+
+    def interrupt(settings, progress):
+        raise KeyboardInterrupt
+
+    two_experiments["first"] = Experiment("first", "one figure", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce.reproduce(["first"], tmp_path)
+    assert [s.name for s in reproduce.reproduce(["second"], tmp_path)] == ["second"]
+
+
+def test_the_report_is_printed_where_the_encoding_is_poor(two_experiments, tmp_path):
+    sections = reproduce.reproduce(folder=tmp_path)
+    path = tmp_path / "ascii.txt"
+    with open(path, "w", encoding="ascii") as file:
+        print_report(Console(file=file, width=120), sections, quick=True)
+    assert "2.0 +- 0.1" in path.read_text("ascii")
+
+
+def test_a_quick_run_says_so(two_experiments, tmp_path, capsys):
+    reproduce.reproduce(folder=tmp_path, quick=True)
+    for text in (capsys.readouterr().out, (tmp_path / "table.md").read_text("utf-8")):
+        assert "quick run" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["normalisation"], "experiment must be one of normalization, population"),
+        (["normalization", "kinetic"], "got 'kinetic'"),
+        (["--seed", "-1"], "seed must be 0 or more, got -1"),
+        (["--jobs", "0"], "jobs must be 1 or more, got 0"),
+    ],
+)
+def test_mistakes_end_with_one_line_before_anything_is_written(
+    arguments, message, tmp_path, capsys
+):
+    with pytest.raises(SystemExit) as stop:
+        main(["reproduce", *arguments, "--out", str(tmp_path / "out")])
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_command_runs_named_experiments_end_to_end(tmp_path, capsys, monkeypatch):
+    recipe = normalizers.replace(normalizers.QUICK_RECIPE, samples=400, epochs=3)
+    monkeypatch.setattr(normalizers, "QUICK_RECIPE", recipe)
+    arguments = ["population", "normalization", "--quick", "--seed", "3", "--jobs", "1"]
+    main(["reproduce", *arguments, "--out", str(tmp_path)])
+    assert "[16]: validation MSE" in capsys.readouterr().out
+    for name in ("normalization", "population"):
+        content = json.loads((tmp_path / name / "result.json").read_text("utf-8"))
+        assert content["settings"] == {"quick": True, "seed": 3}
+        assert content["rows"]
+        for stem in content["captions"]:
+            assert (tmp_path / name / f"{stem}.png").stat().st_size > 5000
+            assert (tmp_path / name / f"{stem}.svg").exists()
+    networks = sorted(path.name for path in (tmp_path / "networks").iterdir())
+    assert len(networks) == len(normalizers.QUICK_ARCHITECTURES)
+    assert EXPERIMENTS["population"].description in (tmp_path / "table.md").read_text("utf-8")
