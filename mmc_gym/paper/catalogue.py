@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from mmc_gym.paper import dynamic, example, kinematic, normalization, population
+from mmc_gym.paper import accurate, dynamic, example, kinematic, normalization, population
 from mmc_gym.paper.experiment import Experiment
 
 _EXPERIMENTS: tuple[Experiment, ...] = (
     normalization.EXPERIMENT,
     population.EXPERIMENT,
+    accurate.EXPERIMENT,
     kinematic.EXPERIMENT,
     dynamic.EXPERIMENT,
     example.EXPERIMENT,
