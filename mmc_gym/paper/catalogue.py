@@ -15,6 +15,7 @@ _EXPERIMENTS: tuple[Experiment, ...] = (
     kinematic.EXPERIMENT,
     dynamic.EXPERIMENT,
     example.EXPERIMENT,
+    bell_shaped.EXPERIMENT,
 )
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({e.name: e for e in _EXPERIMENTS})

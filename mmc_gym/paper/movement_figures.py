@@ -16,8 +16,6 @@ from mmc_gym.paper.movements import Recording
 DISTANCE = "distance [of start to target]"
 VELOCITY = "velocity [of start to target / iteration]"
 
-_MARKERS = "osD^"
-
 
 def draw_courses(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
     """Mean and standard deviation over the iterations, a panel side by side for each quantity.
@@ -26,14 +24,13 @@ def draw_courses(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
         panels: label of the vertical axis, and what is drawn: name, (movements, iterations).
     """
     with rc_context(STYLE):
-        figure = Figure(figsize=(3.7 * len(panels) + 0.5, 3.1), layout="constrained")
-        for axes, (label, courses) in zip(
-            figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
-        ):
+        figure = Figure(figsize=(3.7 * len(panels) + 0.5, 3.6), layout="constrained")
+        row = figure.subplots(1, len(panels), squeeze=False)[0]
+        for axes, (label, courses) in zip(row, panels.items(), strict=True):
             for number, (name, course) in enumerate(courses.items()):
                 _draw_course(axes, name, course, number)
             axes.set(xlabel="iteration", ylabel=label, ylim=(0, None))
-            axes.legend(frameon=False, title="mean, ± standard deviation")
+        _add_legend(figure, row[0], title="mean (thick) ± standard deviation (thin)")
     return figure
 
 
@@ -49,18 +46,14 @@ def _draw_course(axes: Axes, name: str, course: Floats, number: int) -> None:
     axes.set_xlim(0, iterations[-1])
 
 
-def draw_profiles(
-    panels: Mapping[str, Mapping[str, Floats]], label: str = VELOCITY, markers: bool = False
-) -> Figure:
-    """Single curves over the iterations, a panel side by side for each title.
+def draw_profiles(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
+    """Velocities of single movements over the iterations, a panel side by side for each title.
 
     Args:
         panels: title, and what is drawn: name, (iterations,).
-        label: of the vertical axis.
-        markers: whether each curve has its own mark too, where line styles run out.
     """
     with rc_context(STYLE):
-        figure = Figure(figsize=(3.1 * len(panels) + 0.6, 2.9), layout="constrained")
+        figure = Figure(figsize=(3.1 * len(panels) + 0.6, 3.2), layout="constrained")
         row = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
         for axes, (title, profiles) in zip(row, panels.items(), strict=True):
             for number, (name, profile) in enumerate(profiles.items()):
@@ -69,14 +62,36 @@ def draw_profiles(
                     profile,
                     color=COLOURS[number % len(COLOURS)],
                     linestyle=LINES[number % len(LINES)],
-                    marker=_MARKERS[number % len(_MARKERS)] if markers else None,
-                    markersize=3.5,
-                    markevery=(number, 5),
+                    linewidth=1.5,
                     label=name,
                 )
-            axes.set(title=title, xlabel="iteration", xlim=(0, None), ylim=(0, None))
-        row[0].set_ylabel(label)
-        row[-1].legend(frameon=False)
+            axes.set(title=title, xlabel="iteration", xlim=(0, None))
+        row[0].set_ylabel(VELOCITY)
+        row[0].set_ylim(bottom=0)
+        _add_legend(figure, row[0])
+    return figure
+
+
+def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
+    """Cumulative distributions: the share of the movements with at most a value.
+
+    Args:
+        samples: name, and a value per movement, (movements,).
+        label: of the horizontal axis.
+    """
+    with rc_context(STYLE):
+        figure = Figure(figsize=(4.2, 3.3), layout="constrained")
+        axes = figure.subplots()
+        for number, (name, values) in enumerate(samples.items()):
+            axes.ecdf(
+                values,
+                color=COLOURS[number % len(COLOURS)],
+                linestyle=LINES[number % len(LINES)],
+                linewidth=1.5,
+                label=name,
+            )
+        axes.set(xlabel=label, ylabel="share of movements", ylim=(0, 1))
+        _add_legend(figure, axes)
     return figure
 
 
@@ -172,4 +187,13 @@ def _draw_movement(axes: Axes, movement: Recording, every: int) -> None:
         markeredgewidth=2,
         label="target",
         zorder=4,
+    )
+
+
+def _add_legend(figure: Figure, axes: Axes, title: str | None = None) -> None:
+    """What is drawn in all panels, above them."""
+    handles, labels = axes.get_legend_handles_labels()
+    columns = 1 if figure.get_figwidth() < 5 else 2 if len(labels) > 3 else 3
+    figure.legend(
+        handles, labels, title=title, frameon=False, ncols=columns, loc="outside upper center"
     )
