@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from mmc_gym.paper import accurate, dynamic, example, kinematic, normalization, population
+from mmc_gym.paper import (
+    accurate,
+    bell_shaped,
+    dynamic,
+    example,
+    kinematic,
+    normalization,
+    population,
+)
 from mmc_gym.paper.experiment import Experiment
 
 _EXPERIMENTS: tuple[Experiment, ...] = (
