@@ -10,6 +10,7 @@ from mmc_gym.paper import (
     bell_shaped,
     dynamic,
     example,
+    forward_and_mixed,
     kinematic,
     normalization,
     population,
@@ -24,6 +25,7 @@ _EXPERIMENTS: tuple[Experiment, ...] = (
     dynamic.EXPERIMENT,
     example.EXPERIMENT,
     bell_shaped.EXPERIMENT,
+    forward_and_mixed.EXPERIMENT,
 )
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({e.name: e for e in _EXPERIMENTS})

@@ -16,6 +16,8 @@ from mmc_gym.paper.movements import Recording
 DISTANCE = "distance [of start to target]"
 VELOCITY = "velocity [of start to target / iteration]"
 
+_MARKERS = "osD^v"
+
 
 def draw_courses(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
     """Mean and standard deviation over the iterations, a panel side by side for each quantity.
@@ -92,6 +94,38 @@ def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
             )
         axes.set(xlabel=label, ylabel="share of movements", ylim=(0, 1))
         _add_legend(figure, axes)
+    return figure
+
+
+def draw_errors(panels: Mapping[str, Mapping[str, Floats]], factor: float) -> Figure:
+    """Errors over the iterations on a logarithmic axis, a panel side by side for each title.
+
+    Args:
+        panels: title, and what is drawn: name, (iterations,), in segment lengths.
+        factor: per iteration, drawn as a slope to compare with.
+    """
+    with rc_context(STYLE):
+        figure = Figure(figsize=(2.7 * len(panels) + 0.6, 3.4), layout="constrained")
+        row = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+        for axes, (title, errors) in zip(row, panels.items(), strict=True):
+            for number, (name, error) in enumerate(errors.items()):
+                iterations = np.arange(1, len(error) + 1)
+                axes.plot(
+                    iterations,
+                    error,
+                    color=(*COLOURS, "black")[number],
+                    linestyle=LINES[number % len(LINES)],
+                    marker=_MARKERS[number],
+                    markevery=(10 * number, len(error) // 6),
+                    markersize=3,
+                    label=name,
+                )
+            axes.plot(
+                iterations, factor**iterations, color="0.6", linewidth=0.8, label=f"{factor:.4f}ᵏ"
+            )
+            axes.set(title=title, xlabel="iteration k", yscale="log", ylim=(1e-4, 5))
+        row[0].set_ylabel("error [segment lengths]")
+        _add_legend(figure, row[0])
     return figure
 
 
