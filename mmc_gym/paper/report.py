@@ -32,6 +32,7 @@ LEGEND = (
 QUICK = "This is a quick run: a small part of each experiment, to see that everything works."
 _COLUMNS = ("quantity", "paper", "its data", "ours", "note")
 _POINT_COLUMNS = ("", "subject", "paper", "its data", "ours")
+_SHARES = {"": 1, "subject": 8, "quantity": 12, "paper": 8, "its data": 8, "ours": 8, "note": 10}
 _PLAIN = str.maketrans(
     {"±": "+-", "×": "x", "°": " deg", "–": "-", "−": "-", "“": '"', "”": '"', "≤": "<="}
 )
@@ -144,6 +145,7 @@ def _terminal_table(
 ) -> Padding:
     table = Table(
         box=None,
+        expand=True,
         padding=(0, 2, 0, 0),
         pad_edge=False,
         header_style="bold",
@@ -151,7 +153,8 @@ def _terminal_table(
         title_justify="left",
     )
     for column in columns:
-        table.add_column(column, overflow="fold", vertical="top")
+        # A share of the width each: else long notes would leave the quantities a word a line.
+        table.add_column(column, overflow="fold", vertical="top", ratio=_SHARES[column])
     for row in rows:
         table.add_row(*(_text(cell, plain) for cell in row))
     return Padding(table, (1, 0))
