@@ -156,9 +156,13 @@ def _label(movement: int) -> str:
     return f"{first} → {second}"
 
 
+def _labels(chosen: NDArray[np.bool_]) -> list[str]:
+    return [_label(int(movement)) for movement in np.flatnonzero(chosen)]
+
+
 def _frame(found: Mapping[tuple[str, int], Mapping[str, Floats]]) -> pd.DataFrame:
     """A row per mover, number of iterations, and movement."""
-    labels = [_label(movement) for movement in range(len(PAIRS))]
+    labels = _labels(np.ones(len(PAIRS), dtype=bool))
     return pd.concat(
         [
             pd.DataFrame({"name": name, "iterations": iterations, "movement": labels, **columns})
@@ -218,6 +222,15 @@ def _rows(name: str, found: Mapping[tuple[str, int], Mapping[str, Floats]]) -> l
             "",
         ),
     ]
+    if name == TIME_BASE:
+        quantities.append(
+            (
+                "which have more velocity peaks (radius and angle)",
+                "",
+                ["; ".join(_labels(one["velocity_peaks"] > 1)) for one in both],
+                "the arm folds or turns over, at the largest gain, and then rushes",
+            )
+        )
     first, second = ITERATIONS
     return [
         Row(f"{name}: {quantity}", ours=f"{first}: {a}; {second}: {b}", unit=unit, note=note)

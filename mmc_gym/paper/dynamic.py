@@ -98,7 +98,7 @@ def run(settings: Settings, progress: Progress) -> Result:
             2: f"{over_runs(_of(table, DYNAMIC, HIDDEN)['overshoots'], '.0f')} of 420 ({HIDDEN}, "
             f"{len(hidden)} networks); {_of(table, DYNAMIC, EUCLIDEAN)['overshoots'].iloc[0]:.0f} "
             f"with Euclidean normalization",
-            5: "between targets at radius 1 and 2: "
+            5: "between targets at radius 1 and 2, over all 40 iterations: "
             + "; ".join(
                 f"{name} {_shape(network, parts)}"
                 for name, network, parts in (
