@@ -40,6 +40,7 @@ QUICK_RECIPE = replace(PAPER, epochs=40)
 
 _NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest asks for
 _POLL_SECONDS = 0.2
+_FEW_EPOCHS = 500  # take no longer than to start a process, and torch in it
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,8 @@ def trained_architectures(
     total = sum(task.recipe.epochs for task in tasks)
     before = total - sum(task.recipe.epochs for task in missing)
     progress(before, total)
-    train = _train_in_processes if settings.jobs > 1 and len(missing) > 1 else _train_in_turn
+    parallel = settings.jobs > 1 and len(missing) > 1 and total - before > _FEW_EPOCHS
+    train = _train_in_processes if parallel else _train_in_turn
     trained = train(missing, folder, settings.jobs, lambda done: progress(before + done, total))
     results.update(zip(missing, trained, strict=True))
     return {task.hidden_units: _unpacked(task, results[task]) for task in tasks}

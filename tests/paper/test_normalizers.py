@@ -113,6 +113,7 @@ def test_a_damaged_file_is_made_anew(tmp_path, calls):
 
 @pytest.mark.slow
 def test_processes_give_what_one_process_gives(tmp_path, monkeypatch):
+    monkeypatch.setattr(normalizers, "_FEW_EPOCHS", 0)
     # Spawned processes know nothing of the recipe's replacement but what they are sent.
     reports = []
     settings = Settings(quick=True, folder=tmp_path, jobs=2)
