@@ -36,7 +36,7 @@ RUNS = 5
 
 QUICK_ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (16,), (8, 8), (16, 16))
 QUICK_RUNS = 2
-QUICK_RECIPE = replace(PAPER, epochs=40)
+QUICK_RECIPE = replace(PAPER, epochs=20)
 
 _NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest asks for
 _POLL_SECONDS = 0.2
