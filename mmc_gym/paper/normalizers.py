@@ -3,6 +3,9 @@
 The runs of an architecture are trained together, as one batch of tensors, and architectures in
 as many processes as asked for.  Every finished architecture is a file of its own, named by all
 that its content depends on, so that work which was interrupted goes on where it was.
+
+Together, the runs of all twelve take 76 seconds of one core; one network at a time, the sixty
+take 349 (`python benchmarks/normalization_training.py`).
 """
 
 from __future__ import annotations

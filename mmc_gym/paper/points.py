@@ -61,8 +61,8 @@ POINTS: dict[int, Point] = {
         "The velocity equation, and what an iteration reads",
         "v = 1/d_v (L̃ − L) + decay (d_v − 1)/d_v v (Eq. 3), every variable from the values of "
         "the iteration before (Eq. 2)",
-        "made with v = decay ((L̃ − L) + d_v v)/(d_v + 1); the triangles read the segments one "
-        "iteration later than the self term does",
+        "made with v = decay ((L̃ − L) + d_v v)/(d_v + 1); the triangles read the segments of one "
+        "iteration before those that the self term reads",
     ),
     7: Point(
         "Which networks the figures show",
