@@ -73,7 +73,10 @@ def architecture_name(hidden_units: Sequence[int]) -> str:
 
 
 def trained_architectures(
-    settings: Settings, progress: Progress, architectures: Sequence[Units] | None = None
+    settings: Settings,
+    progress: Progress,
+    architectures: Sequence[Units] | None = None,
+    weight_decay: float = PAPER.weight_decay,
 ) -> dict[Units, TrainedArchitecture]:
     """Networks trained by the paper's recipe, from the settings' folder where they are there.
 
@@ -81,6 +84,7 @@ def trained_architectures(
         settings: a quick run trains fewer architectures and runs, for fewer epochs.
         progress: called with (epochs done, their total number).
         architectures: hidden layer sizes; by default the paper's twelve, or a quick run's five.
+        weight_decay: of the training; the paper's twelve have none.
 
     Returns:
         All runs of each architecture, in the order asked for.
@@ -88,6 +92,7 @@ def trained_architectures(
     if architectures is None:
         architectures = QUICK_ARCHITECTURES if settings.quick else ARCHITECTURES
     recipe, runs = (QUICK_RECIPE, QUICK_RUNS) if settings.quick else (PAPER, RUNS)
+    recipe = replace(recipe, weight_decay=weight_decay)
     tasks = [_Task(tuple(units), recipe, runs, settings.seed) for units in architectures]
     folder = settings.folder / "networks" if settings.folder else None
     results = {task: _read(task, folder) for task in tasks}

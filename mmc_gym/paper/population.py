@@ -11,10 +11,15 @@ a bump around its preferred direction.  Here, for every unit and any layer,
     tuning width          the part of the circle where h(φ) > (max h + min h)/2, in degrees
     coverage              how many units are in their tuning width, by direction, and the
                           largest angle between neighbouring preferred directions
+
+The published figure in three dimensions is of a network trained with a weight decay of 0.0005,
+which the sixty networks of the paper's other figures do not have.  Here [8, 8] is shown without
+and with it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,11 +28,29 @@ from numpy.typing import NDArray
 
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalization import LearnedNormalizer
-from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
-from mmc_gym.paper.normalizers import Units, architecture_name, trained_architectures
+from mmc_gym.paper.experiment import (
+    Experiment,
+    Progress,
+    Result,
+    Row,
+    Settings,
+    mean_and_deviation,
+)
+from mmc_gym.paper.normalizers import (
+    TrainedArchitecture,
+    Units,
+    architecture_name,
+    trained_architectures,
+)
 from mmc_gym.paper.population_figures import Layer, draw_curves, draw_landscape, draw_tuning
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
+WEIGHT_DECAY = 0.0005
+"""Of the further networks [8, 8]; an L2 penalty on the weights, see `Recipe`."""
+
+_PLAIN = "[8, 8]"
+_DECAYED = "[8, 8], weight decay"
+
 DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
 """Directions φ that the units are shown, radians, (720,)."""
 
@@ -85,55 +108,86 @@ def layer_tunings(normalizer: LearnedNormalizer) -> list[Tuning]:
 
 def run(settings: Settings, progress: Progress) -> Result:
     """Measure and draw the hidden units of the networks with 4, 8, and [8, 8] hidden units."""
-    trained = trained_architectures(settings, progress, ARCHITECTURES)
-    shown: list[Layer] = []
-    rows: list[Row] = []
-    table: list[dict[str, object]] = []
-    for units, architecture in trained.items():
+    trained = _trained(settings, progress)
+    layers: dict[str, tuple[Tuning, ...]] = {}
+    for name, architecture in trained.items():
         runs = [layer_tunings(normalizer) for normalizer in architecture.normalizers]
-        for layer, of_runs in enumerate(zip(*runs, strict=True), start=1):
-            name = architecture_name(units)
-            if len(units) > 1:
-                name += f", layer {layer}"
-            rows += _rows(name, of_runs)
-            first = of_runs[0]
-            shown.append(Layer(name, DIRECTIONS, first.activations, first.preferred, first.width))
-            for number, found in enumerate(of_runs):
-                table += [
-                    {
-                        "units": name,
-                        "run": number,
-                        "unit": unit + 1,
-                        "preferred_direction_deg": preferred,
-                        "tuning_width_deg": width,
-                    }
-                    for unit, (preferred, width) in enumerate(
-                        zip(np.degrees(found.preferred), found.width, strict=True)
-                    )
-                ]
+        for number, of_runs in enumerate(zip(*runs, strict=True), start=1):
+            suffix = f", layer {number}" if len(architecture.hidden_units) > 1 else ""
+            layers[name + suffix] = of_runs
+    shown = [
+        Layer(name, DIRECTIONS, first.activations, first.preferred, first.width)
+        for name, (first, *_) in layers.items()
+    ]
+    in_three_dimensions = (architecture_name((8,)), f"{_PLAIN}, layer 2", f"{_DECAYED}, layer 2")
     return Result(
-        rows=tuple(rows),
+        rows=(
+            *(row for name, of_runs in layers.items() for row in _rows(name, of_runs)),
+            *(_error_row(name, trained[name]) for name in (_PLAIN, _DECAYED)),
+        ),
         figures={
             "hidden_units": draw_curves(shown),
-            "hidden_units_3d": draw_landscape([shown[1], shown[-1]]),
+            "hidden_units_3d": draw_landscape(
+                [layer for layer in shown if layer.name in in_three_dimensions]
+            ),
             "tuning": draw_tuning(shown),
         },
         captions={
             "hidden_units": "Activation of the hidden units over the angle of a unit input "
-            "vector, numbered by preferred direction (first run of each architecture).",
+            "vector, numbered by preferred direction (first run of each network).",
             "hidden_units_3d": "The same, one curve per unit.",
             "tuning": "Preferred direction (dot) and tuning width (arc) of each unit.",
         },
         data={
             "hidden_units": {"directions": DIRECTIONS}
             | {layer.name: layer.activations for layer in shown},
-            "tuning": pd.DataFrame(table),
+            "tuning": _frame(layers),
         },
-        points={7: "hidden units drawn of [4], [8] and [8, 8], all trained without weight decay"},
+        points={
+            7: "hidden units drawn of [4], [8] and [8, 8] without weight decay, and of [8, 8] with "
+            f"weight decay {WEIGHT_DECAY:g}"
+        },
     )
 
 
-def _rows(name: str, runs: tuple[Tuning, ...]) -> list[Row]:
+def _trained(settings: Settings, progress: Progress) -> dict[str, TrainedArchitecture]:
+    """All runs of every network, by the name that it is shown with."""
+    plain = trained_architectures(settings, progress, ARCHITECTURES)
+    decayed = trained_architectures(settings, progress, ((8, 8),), WEIGHT_DECAY)
+    return {
+        **{architecture_name(units): architecture for units, architecture in plain.items()},
+        _DECAYED: decayed[8, 8],
+    }
+
+
+def _frame(layers: Mapping[str, Sequence[Tuning]]) -> pd.DataFrame:
+    """A row per layer, run and unit."""
+    return pd.concat(
+        [
+            pd.DataFrame(
+                {
+                    "units": name,
+                    "run": run,
+                    "unit": np.arange(len(found.width)) + 1,
+                    "preferred_direction_deg": np.degrees(found.preferred),
+                    "tuning_width_deg": found.width,
+                }
+            )
+            for name, of_runs in layers.items()
+            for run, found in enumerate(of_runs)
+        ]
+    )
+
+
+def _error_row(name: str, trained: TrainedArchitecture) -> Row:
+    return Row(
+        f"{name}: MSE over all directions and lengths in ]0, 2]",
+        ours=mean_and_deviation(trained.grid_mse, 5),
+        note=f"{len(trained.grid_mse)} runs; without the penalty",
+    )
+
+
+def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
     widths = np.concatenate([found.width for found in runs])
     gaps = np.array([found.largest_gap for found in runs])
     active = np.concatenate([found.active for found in runs])

@@ -17,6 +17,7 @@ from mmc_gym.evaluation.figures import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats
 
 _ANGLES = (0, 90, 180, 270, 360)
+_COLUMNS = 3  # of panels: the page is no wider
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +39,25 @@ class Layer:
     width: Floats
 
 
+def _grid(layers: Sequence[Layer]) -> tuple[int, int]:
+    """Columns and rows of panels that hold the layers."""
+    columns = min(len(layers), _COLUMNS)
+    return columns, -(-len(layers) // columns)
+
+
 def draw_curves(layers: Sequence[Layer]) -> Figure:
     """Activations over the input angle, a panel per layer, each unit numbered where it peaks."""
     with rc_context(STYLE):
-        figure = Figure(figsize=(2.4 * len(layers) + 0.4, 2.8), layout="constrained")
-        panels = figure.subplots(1, len(layers), sharey=True, squeeze=False)[0]
-        for axes, layer in zip(panels, layers, strict=True):
+        columns, rows = _grid(layers)
+        figure = Figure(figsize=(2.4 * columns + 0.4, 2.5 * rows + 0.3), layout="constrained")
+        for number, layer in enumerate(layers, start=1):
+            axes = figure.add_subplot(rows, columns, number)
             axes.set_title(layer.name)
             _draw_layer(axes, layer)
-            axes.set(xlabel="input angle [°]", xlim=(0, 360), xticks=_ANGLES, ylim=(-1.05, 1.15))
+            axes.set(xlim=(0, 360), xticks=_ANGLES, ylim=(-1.05, 1.15))
             axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
-        panels[0].set_ylabel("activation of hidden unit (tanh)")
+        figure.supxlabel("input angle [°]")
+        figure.supylabel("activation of hidden unit (tanh)")
     return figure
 
 
@@ -99,9 +108,10 @@ def draw_landscape(layers: Sequence[Layer]) -> Figure:
 def draw_tuning(layers: Sequence[Layer]) -> Figure:
     """Preferred direction and tuning width of every unit, on circles of their own."""
     with rc_context(STYLE):
-        figure = Figure(figsize=(2.4 * len(layers), 2.9), layout="constrained")
+        columns, rows = _grid(layers)
+        figure = Figure(figsize=(2.4 * columns, 2.9 * rows), layout="constrained")
         for number, layer in enumerate(layers, start=1):
-            axes = cast(PolarAxes, figure.add_subplot(1, len(layers), number, projection="polar"))
+            axes = cast(PolarAxes, figure.add_subplot(rows, columns, number, projection="polar"))
             axes.set_title(layer.name, pad=14)
             inside = layer.activations > (
                 (layer.activations.max(axis=0) + layer.activations.min(axis=0)) / 2

@@ -102,6 +102,30 @@ def test_the_gradient_and_a_step_are_those_of_autograd():
     torch.testing.assert_close(written, parameters.grad, rtol=1e-12, atol=1e-12)
 
 
+def test_the_gradient_of_the_weight_decay_is_that_of_autograd():
+    generator = training._generator(0, 0)
+    widths = (2, 5, 3, 2)
+    parameters = torch.stack([training._initial_parameters(widths, generator) for _ in range(3)])
+    parameters += 0.1  # biases start at zero, where a penalty would not show
+    written = training._penalty_gradient(training._layers(parameters, widths), 0.0005)
+
+    parameters.requires_grad_()
+    weights = [weights for weights, _ in training._layers(parameters, widths)]
+    (0.0005 * sum((weight**2).sum() for weight in weights)).backward()
+    torch.testing.assert_close(written, parameters.grad, rtol=1e-12, atol=1e-12)
+
+
+def test_weight_decay_keeps_weights_small_and_none_changes_nothing():
+    plain, none, decayed, strongly = (
+        train_normalizers((8,), replace(SHORT, epochs=40, weight_decay=value))[0].normalizer
+        for value in (PAPER.weight_decay, 0.0, 0.001, 0.1)
+    )
+    assert PAPER.weight_decay == 0
+    assert_same_weights(plain, none)
+    sizes = [sum((w**2).sum() for w in n.weights) for n in (plain, decayed, strongly)]
+    assert sizes[0] > sizes[1] > 4 * sizes[2]
+
+
 def test_without_biases_a_normalizer_is_odd_before_and_after_its_refinement():
     normalizer = train_normalizers((6, 6), SHORT_ACCURATE)[0].normalizer
     assert not any(bias.any() for bias in normalizer.biases)
@@ -151,6 +175,7 @@ def test_a_training_that_cannot_be_says_why(settings, message):
     ("settings", "message"),
     [
         ({"epochs": 0}, "epochs must be 1 or more, got 0"),
+        ({"weight_decay": -0.1}, "weight_decay must be finite and not negative, got -0.1"),
         ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
         ({"validation_share": 1.0}, "validation_share must leave samples .* got 1.0 of 3600"),
         ({"length_ranges": ((1.0, 1.0),)}, r"length_ranges must be pairs .* got \(\(1.0, 1.0\),\)"),

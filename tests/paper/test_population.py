@@ -43,8 +43,11 @@ def test_the_experiment_measures_and_draws_every_layer(tmp_path, monkeypatch):
     recipe = normalizers.replace(normalizers.QUICK_RECIPE, samples=400, epochs=3)
     monkeypatch.setattr(normalizers, "QUICK_RECIPE", recipe)
     result = run(Settings(quick=True, folder=tmp_path), lambda done, total: None)
-    layers = ["[4]", "[8]", "[8, 8], layer 1", "[8, 8], layer 2"]
-    assert [row.quantity for row in result.rows[::3]] == [
+    layers = [
+        *("[4]", "[8]", "[8, 8], layer 1", "[8, 8], layer 2"),
+        *("[8, 8], weight decay, layer 1", "[8, 8], weight decay, layer 2"),
+    ]
+    assert [row.quantity for row in result.rows[:-2:3]] == [
         f"{layer}: tuning width, mean (smallest to largest)" for layer in layers
     ]
     assert set(result.figures) == {"hidden_units", "hidden_units_3d", "tuning"}
@@ -52,5 +55,10 @@ def test_the_experiment_measures_and_draws_every_layer(tmp_path, monkeypatch):
     assert set(result.data["hidden_units"]) == {"directions", *layers}
     # Two runs each; units numbered from 1.
     table = result.data["tuning"]
-    assert len(table) == 2 * (4 + 8 + 8 + 8)
-    assert table.groupby("units")["unit"].max().to_dict() == dict(zip(layers, (4, 8, 8, 8)))
+    assert len(table) == 2 * (4 + 5 * 8)
+    sizes = dict(zip(layers, (4, *5 * [8]), strict=True))
+    assert table.groupby("units")["unit"].max().to_dict() == sizes
+    # The networks with weight decay are networks of their own.
+    plain, decayed = (result.data["hidden_units"][name] for name in (layers[3], layers[5]))
+    assert not np.allclose(plain, decayed)
+    assert len(list((tmp_path / "networks").glob("8x8-*.npz"))) == 2

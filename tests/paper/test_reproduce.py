@@ -178,5 +178,6 @@ def test_the_command_runs_named_experiments_end_to_end(tmp_path, capsys, monkeyp
             assert (tmp_path / name / f"{stem}.png").stat().st_size > 5000
             assert (tmp_path / name / f"{stem}.svg").exists()
     networks = sorted(path.name for path in (tmp_path / "networks").iterdir())
-    assert len(networks) == len(normalizers.QUICK_ARCHITECTURES)
+    # One more than the architectures: the population's [8, 8] with weight decay.
+    assert len(networks) == len(normalizers.QUICK_ARCHITECTURES) + 1
     assert EXPERIMENTS["population"].description in (tmp_path / "table.md").read_text("utf-8")
