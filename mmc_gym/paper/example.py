@@ -9,13 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import find_peaks
+
 from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalization import EuclideanNormalizer, Normalizer
 from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
 from mmc_gym.paper.movement_figures import draw_postures, draw_profiles
 from mmc_gym.paper.movements import Recording, record_example
 from mmc_gym.paper.normalizers import trained_architectures
-from mmc_gym.paper.summaries import over_runs
+from mmc_gym.paper.summaries import SECOND_PEAK, over_runs
 
 CLASSICAL = "kinematic (Euclidean)"
 NETWORKS: Mapping[str, MMCNetwork] = {
@@ -52,7 +56,10 @@ def run(settings: Settings, progress: Progress) -> Result:
         "dynamic [16, 16], decay 1": first[undecayed].velocity,
     }
     return Result(
-        rows=tuple(_row(name, recordings) for name, recordings in movements.items()),
+        rows=(
+            *(_row(name, recordings) for name, recordings in movements.items()),
+            _second_peak_row(undecayed, movements[undecayed]),
+        ),
         figures={
             "example_postures": draw_postures(
                 {
@@ -97,6 +104,35 @@ def _row(name: str, recordings: Sequence[Recording]) -> Row:
         ours=over_runs([float(recording.distance[-1]) for recording in recordings], ".5f"),
         unit="of start to target",
         note=several,
+    )
+
+
+def second_peak(velocity: ArrayLike) -> tuple[float, int] | None:
+    """Height and iteration, from 1, of the highest peak after the highest; None without one.
+
+    A peak stands out by more than 5 % of the highest velocity (`SECOND_PEAK`).
+
+    >>> second_peak([0.1, 1.0, 0.2, 0.3, 0.1]), second_peak([0.1, 1.0, 0.2])
+    ((0.3, 4), None)
+    """
+    velocity = np.asarray(velocity, dtype=np.float64)
+    first = int(velocity.argmax())
+    after = velocity[first:]
+    peaks, _ = find_peaks(after, prominence=SECOND_PEAK * velocity[first])
+    if not peaks.size:
+        return None
+    second = int(peaks[after[peaks].argmax()])
+    return float(after[second]), first + second + 1
+
+
+def _second_peak_row(name: str, recordings: Sequence[Recording]) -> Row:
+    found = [second_peak(recording.velocity) for recording in recordings]
+    return Row(
+        f"{name}: second velocity peak, at iteration",
+        data="0.0139 at 28",
+        ours=", ".join(f"{peak[0]:.4f} at {peak[1]}" if peak else "none" for peak in found),
+        unit="of start to target / iteration",
+        note="each network" if len(found) > 1 else "",
     )
 
 

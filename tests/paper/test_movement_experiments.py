@@ -65,6 +65,17 @@ def test_the_classical_rows_agree_with_the_data(results):
     assert ours(results["example"], "kinematic (Euclidean)") == "0.00977"
 
 
+def test_the_example_s_second_peak_is_given_for_each_network(results):
+    (found,) = (row for row in results["example"].rows if "second velocity peak" in row.quantity)
+    assert found.quantity.startswith("dynamic [16, 16], rule “reference”, decay 1")
+    assert found.data == "0.0139 at 28"
+    assert len(found.ours.split(", ")) == len(RUNS)
+    for peak in found.ours.split(", "):
+        height, iteration = peak.split(" at ")
+        assert float(height) == pytest.approx(0.0139, rel=0.5)
+        assert abs(int(iteration) - 28) <= 3
+
+
 def test_runs_of_a_normalizer_are_given_with_their_range(results):
     assert " to " in ours(results["kinematic"], "[16, 16]: distance")
     table = results["kinematic"].data["kinematic_networks"]
