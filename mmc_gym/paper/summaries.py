@@ -29,6 +29,9 @@ OVERSHOOT = 0.01
 SECOND_PEAK = 0.05
 """A second velocity peak is a rise, after the peak, by more than this share of it."""
 
+MOVING = 0.05
+"""From this share of its peak velocity on the hand counts as moving (`bulk`)."""
+
 FAR = 0.1
 """Movements that end at a larger distance are counted."""
 
@@ -78,6 +81,30 @@ def shapes(recording: Recording) -> dict[str, NDArray[np.float64]]:
         "overshoot": each(metrics.overshoot, recording.distance),
         "final": np.asarray(recording.distance[:, -1], dtype=np.float64),
     }
+
+
+def bulk(velocity: ArrayLike) -> NDArray[np.float64]:
+    """The part of a profile from the first to the last velocity of 5 % of the highest or more.
+
+    >>> bulk([0.01, 0.2, 1.0, 0.02, 0.1, 0.04]).tolist()
+    [0.2, 1.0, 0.02, 0.1]
+    """
+    profile = np.asarray(velocity, dtype=np.float64)
+    fast = np.flatnonzero(profile >= MOVING * profile.max())
+    return profile[fast[0] : fast[-1] + 1]
+
+
+def bulk_shape(velocity: Floats) -> tuple[float, float]:
+    """Shape of the bulk of profiles, (profiles, iterations), as medians over them.
+
+    Returns:
+        Peak over mean velocity, and the share of the iterations that are over before the fastest.
+    """
+    parts = [bulk(profile) for profile in velocity]
+    return (
+        float(np.median([part.max() / part.mean() for part in parts])),
+        float(np.median([part.argmax() / part.size for part in parts])),
+    )
 
 
 def each(measure: Callable[[Floats], float], profiles: Floats) -> NDArray[np.float64]:

@@ -65,6 +65,13 @@ def test_the_classical_rows_agree_with_the_data(results):
     assert ours(results["example"], "kinematic (Euclidean)") == "0.00977"
 
 
+def test_the_shape_of_single_movements_is_that_of_the_data(results):
+    # 3.4 and 0 for the classical network, 2.6 and 0.15 for the dynamic one.
+    point = results["dynamic"].points[5]
+    assert "classical 3.37, 0.00 (" in point
+    assert "dynamic (Euclidean) 2.61, 0.15 (" in point
+
+
 def test_the_example_s_second_peak_is_given_for_each_network(results):
     (found,) = (row for row in results["example"].rows if "second velocity peak" in row.quantity)
     assert found.quantity.startswith("dynamic [16, 16], rule “reference”, decay 1")
