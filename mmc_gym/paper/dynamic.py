@@ -142,9 +142,9 @@ def _shapes_of_movements(exact: Sequence[Normalizer], hidden: Sequence[Normalize
     return (
         "peak over mean, time to peak (and, over all of 40 iterations, the same): "
         f"{found}. Medians between targets at radius 1 and 2 from the first to the last of "
-        f"{SHAPE_ITERATIONS} iterations with {100 * MOVING:g} % of the peak velocity or more. The data "
-        "came without a definition; this one was found by trial to give their numbers, with the "
-        "Euclidean normalization. See the experiment bell-shaped"
+        f"{SHAPE_ITERATIONS} iterations with {100 * MOVING:g} % of the peak velocity or more. The "
+        "data came without a definition; this one was found by trial to give their numbers, with "
+        "the Euclidean normalization. See the experiment bell-shaped"
     )
 
 
