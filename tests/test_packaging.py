@@ -21,7 +21,8 @@ ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = {
     "mmc_gym/py.typed",
     "mmc_gym/network/weights/*.safetensors",
-    "mmc_gym/agents/hyperparams/*.yaml",
+    "mmc_gym/agents/hyperparams/*.yml",
+    "mmc_gym/agents/pretrained/*.json",
     "mmc_gym/agents/pretrained/*.safetensors",
 }
 

@@ -1,0 +1,199 @@
+"""Every agent, in every environment that it can act in."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+
+from mmc_gym import make_agent
+from mmc_gym.agents import AGENTS
+from mmc_gym.agents.base import ReachInterface
+from mmc_gym.agents.inverse_kinematics import DampedLeastSquaresAgent, damped_least_squares_step
+from mmc_gym.agents.mmc import MMCAgent
+from mmc_gym.network import MMCNetwork
+from mmc_gym.network.chain import segments_from_joint_angles
+
+JOINT_TARGET_AGENTS = ("mmc", "mmc-classical", "mmc-neural", "ik-dls")
+
+
+def success_rate(name: str, episodes: int, env_id: str = "MMCReach-v0", **options: object) -> float:
+    env = gym.make(env_id, **options)
+    agent = make_agent(name, env)
+    successes = 0
+    for episode in range(episodes):
+        observation, info = env.reset(seed=episode)
+        state, truncated = None, False
+        while not truncated:
+            action, state = agent.predict(observation, state, deterministic=True)
+            observation, _, _, truncated, info = env.step(action)
+        successes += info["is_success"]
+    return successes / episodes
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_actions_lie_in_the_action_space_single_and_batched(name):
+    env = gym.make("MMCReach-v0")
+    observations = np.stack([env.reset(seed=seed)[0] for seed in range(5)])
+    agent = make_agent(name, env)
+    action, _ = agent.predict(observations[0])
+    assert env.action_space.contains(action)
+    actions, _ = agent.predict(observations)
+    assert actions.shape == (5, 3)
+    assert all(env.action_space.contains(action) for action in actions)
+
+
+@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+def test_a_batch_acts_as_its_members_do_alone(name):
+    env = gym.make("MMCReach-v0")
+    agent = make_agent(name, env)
+    observations = np.stack([env.reset(seed=seed)[0] for seed in range(4)])
+    alone = [None] * 4
+    together = None
+    for _ in range(5):
+        actions, together = agent.predict(observations, together)
+        for index, observation in enumerate(observations):
+            action, alone[index] = agent.predict(observation, alone[index])
+            np.testing.assert_allclose(actions[index], action, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+def test_episode_start_makes_only_that_part_of_the_state_anew(name):
+    env = gym.make("MMCReach-v0")
+    agent = make_agent(name, env)
+    observations = np.stack([env.reset(seed=seed)[0] for seed in range(2)])
+    first, state = agent.predict(observations)
+    second, _ = agent.predict(observations, state)
+    restarted, _ = agent.predict(observations, state, episode_start=[True, False])
+    np.testing.assert_array_equal(restarted[0], first[0])
+    np.testing.assert_array_equal(restarted[1], second[1])
+    assert not np.array_equal(first[0], second[0])
+
+
+@pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
+@pytest.mark.parametrize("name", ["mmc", "ik-dls"])
+def test_reaches_under_every_control_mode_that_has_joint_targets(name, control):
+    assert success_rate(name, 20, control=control) == 1.0
+
+
+@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+def test_torque_control_is_refused_for_want_of_a_servo(name):
+    env = gym.make("MMCReach-v0", control="joint_torque")
+    with pytest.raises(ValueError, match=r"control must be .* got 'joint_torque'"):
+        make_agent(name, env)
+
+
+@pytest.mark.parametrize("lengths", [(1.0, 1.0), (2.0, 1.0, 0.5, 0.25), (0.5,) * 7])
+@pytest.mark.parametrize("name", ["mmc", "mmc-neural", "ik-dls"])
+def test_reaches_with_arms_of_other_segments(name, lengths):
+    assert success_rate(name, 10, segment_lengths=lengths, success_distance=0.1) >= 0.9
+
+
+def test_acts_in_the_goal_environment():
+    assert success_rate("mmc", 10, "MMCReachGoal-v0") == 1.0
+
+
+@pytest.mark.slow
+def test_mmc_reaches_99_percent_of_random_targets():
+    assert success_rate("mmc", 500) >= 0.99
+
+
+@pytest.mark.slow
+def test_inverse_kinematics_reaches_99_percent_of_random_targets():
+    assert success_rate("ik-dls", 500) >= 0.99
+
+
+def test_ppo_reaches_most_random_targets():
+    assert success_rate("ppo", 100) >= 0.9
+
+
+def test_stable_baselines3_evaluates_them():
+    env = make_vec_env("MMCReach-v0", n_envs=4, seed=0)
+    agent = make_agent("mmc", gym.make("MMCReach-v0"))
+    mean_reward, _ = evaluate_policy(agent, env, n_eval_episodes=8, warn=False)
+    random_reward, _ = evaluate_policy(
+        make_agent("random", gym.make("MMCReach-v0")), env, n_eval_episodes=8, warn=False
+    )
+    assert mean_reward > random_reward / 3
+
+
+def test_the_random_agent_repeats_itself_in_a_new_process_only_by_its_seed():
+    env = gym.make("MMCReach-v0")
+    observation, _ = env.reset(seed=0)
+    first, second = (make_agent("random", env) for _ in range(2))
+    drawn = [first.predict(observation)[0] for _ in range(3)]
+    again = [second.predict(observation)[0] for _ in range(3)]
+    np.testing.assert_array_equal(drawn, again)
+    assert not np.array_equal(drawn[0], drawn[1])
+
+
+def test_an_unknown_agent_is_an_error_that_lists_the_known():
+    with pytest.raises(ValueError, match=r"agent must be one of mmc, .*, got 'mcc'"):
+        make_agent("mcc", gym.make("MMCReach-v0"))
+
+
+def test_another_environment_is_an_error():
+    with pytest.raises(ValueError, match="env must be a reaching environment"):
+        make_agent("mmc", gym.make("Pendulum-v1"))
+
+
+def test_a_wrong_observation_is_an_error():
+    agent = make_agent("mmc", gym.make("MMCReach-v0"))
+    with pytest.raises(ValueError, match=r"must have shape \(\.\.\., 13\), got \(12,\)"):
+        agent.predict(np.zeros(12, dtype=np.float32))
+
+
+def test_impossible_settings_are_errors():
+    interface = ReachInterface.of(gym.make("MMCReach-v0"))
+    with pytest.raises(ValueError, match="iterations_per_step must be at least 1, got 0"):
+        MMCAgent(interface, MMCNetwork(), iterations_per_step=0)
+    with pytest.raises(ValueError, match="damping must be positive and finite, got 0"):
+        DampedLeastSquaresAgent(interface, damping=0)
+
+
+def servo_demand(network: MMCNetwork) -> tuple[float, float]:
+    """Largest joint-target speed and servo torque over the paper's example movement."""
+    env = gym.make("MMCReach-v0")
+    agent = MMCAgent(ReachInterface.of(env), network)
+    start = np.array([[0.99, 0.15], [0.707, 0.7071], [0.15, 0.99]])
+    posture = network.state_from_segments(start).joint_angles
+    options = {"joint_angles": posture, "target": (-1.8, 1.8)}
+    observation, _ = env.reset(seed=0, options=options)
+    arm, state, target = env.unwrapped._arm, None, posture
+    fastest = strongest = 0.0
+    for _ in range(100):
+        action, state = agent.predict(observation, state)
+        fastest = max(fastest, np.abs(np.pi * action - target).max() / 0.02)
+        target = np.pi * action
+        observation, *_ = env.step(action)
+        # The impulse of the last physics step, of 0.005 s.
+        strongest = max(strongest, *(servo.impulse / 0.005 for servo in arm._servos))
+    return fastest, strongest
+
+
+def test_the_classical_networks_first_peak_saturates_the_servo_and_the_dynamic_ones_does_not():
+    speed_limit, torque_limit = 2 * np.pi, 400.0
+    classical_speed, classical_torque = servo_demand(MMCNetwork())
+    dynamic_speed, dynamic_torque = servo_demand(MMCNetwork(dynamics="paper"))
+    assert classical_speed > 2.5 * speed_limit
+    assert classical_torque > 0.999 * torque_limit
+    assert dynamic_speed < 1.1 * speed_limit
+    assert dynamic_torque < 0.5 * torque_limit
+
+
+def test_damped_least_squares_solves_the_normal_equations():
+    random = np.random.default_rng(0)
+    lengths, damping = (1.0, 0.7, 1.3), 0.2
+    posture, target = random.uniform(-3, 3, 3), random.uniform(-2, 2, 2)
+
+    def hand(angles: np.ndarray) -> np.ndarray:
+        return segments_from_joint_angles(angles, lengths).sum(axis=-2)
+
+    small = 1e-6 * np.eye(3)
+    jacobian = (hand(posture + small) - hand(posture - small)).T / 2e-6
+    error = target - hand(posture)
+    expected = jacobian.T @ np.linalg.solve(
+        jacobian @ jacobian.T + damping**2 * np.eye(2), error * 0.1 / np.linalg.norm(error)
+    )
+    change = damped_least_squares_step(posture, target, lengths, damping, max_step=0.1)
+    np.testing.assert_allclose(change, expected, atol=1e-8)
