@@ -41,6 +41,8 @@ body { font: 15px/1.45 system-ui, sans-serif; max-width: 72rem; margin: 2rem aut
 table { border-collapse: collapse; margin: 1rem 0 } img { max-width: 100% }
 th, td { border-bottom: 1px solid #ccc; padding: .25rem .6rem; text-align: left;
          vertical-align: top; font-variant-numeric: tabular-nums }
+th:nth-child(3), th:nth-child(4) { min-width: 9.5rem }
+.table { overflow-x: auto } .table table { min-width: 42rem }
 figure { margin: 1.5rem 0 } figcaption { color: #555 }
 """
 
@@ -95,8 +97,10 @@ def to_html(sections: Sequence[Section], quick: bool, folder: Path) -> str:
     parts.append(_html_table(_POINT_COLUMNS, _points(sections)))
     body = "\n".join(parts)
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(TITLE)}'
-        f"</title><style>{_STYLESHEET}</style></head>\n<body>\n{body}\n</body></html>\n"
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(TITLE)}</title><style>{_STYLESHEET}</style></head>\n"
+        f"<body>\n{body}\n</body></html>\n"
     )
 
 
@@ -137,7 +141,10 @@ def _html_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     body = "\n".join(
         f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows
     )
-    return f"<table><thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table>"
+    return (
+        f'<div class="table"><table><thead><tr>{head}</tr></thead>\n'
+        f"<tbody>\n{body}\n</tbody></table></div>"
+    )
 
 
 def _terminal_table(
