@@ -14,7 +14,8 @@ a bump around its preferred direction.  Here, for every unit and any layer,
 
 The published figure in three dimensions is of a network trained with a weight decay of 0.0005,
 which the sixty networks of the paper's other figures do not have.  Here [8, 8] is shown without
-and with it.
+and with it.  Weight decay silences units: their activation hardly depends on the direction, they
+are tuned to nothing, and are counted and left out.
 """
 
 from __future__ import annotations
@@ -48,6 +49,9 @@ ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
 WEIGHT_DECAY = 0.0005
 """Of the further networks [8, 8]; an L2 penalty on the weights, see `Recipe`."""
 
+SILENT = 0.01
+"""A unit whose activation ranges over less than this is silent."""
+
 _PLAIN = "[8, 8]"
 _DECAYED = "[8, 8], weight decay"
 
@@ -57,7 +61,7 @@ DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """What the units of a layer are tuned to, ordered by preferred direction.
+    """What the units of a layer that are not silent are tuned to, by preferred direction.
 
     Attributes:
         activations: h(φ) at `DIRECTIONS`, (directions, units).
@@ -65,6 +69,7 @@ class Tuning:
         width: tuning widths, degrees, (units,).
         active: number of units within their tuning width, by direction, (directions,).
         largest_gap: largest angle between neighbouring preferred directions, degrees.
+        silent: number of units that are left out, because they are silent.
     """
 
     activations: Floats
@@ -72,6 +77,12 @@ class Tuning:
     width: Floats
     active: NDArray[np.int_]
     largest_gap: float
+    silent: int
+
+    @property
+    def size(self) -> int:
+        """Number of units in the layer."""
+        return len(self.width) + self.silent
 
 
 def tuning(activations: Floats) -> Tuning:
@@ -84,6 +95,8 @@ def tuning(activations: Floats) -> Tuning:
     >>> round(found.largest_gap, 6), int(found.active.min()), int(found.active.max())
     (180.0, 1, 2)
     """
+    units = activations.shape[1]
+    activations = activations[:, np.ptp(activations, axis=0) >= SILENT]
     moment = np.exp(1j * DIRECTIONS) @ activations
     preferred = np.angle(moment) % (2 * np.pi)
     order = np.argsort(preferred)
@@ -97,6 +110,7 @@ def tuning(activations: Floats) -> Tuning:
         width=360 * inside.mean(axis=0),
         active=inside.sum(axis=1),
         largest_gap=float(np.degrees(gaps.max())),
+        silent=units - len(preferred),
     )
 
 
@@ -134,7 +148,8 @@ def run(settings: Settings, progress: Progress) -> Result:
         },
         captions={
             "hidden_units": "Activation of the hidden units over the angle of a unit input "
-            "vector, numbered by preferred direction (first run of each network).",
+            "vector, numbered by preferred direction (first run of each network); "
+            "silent units are left out.",
             "hidden_units_3d": "The same, one curve per unit.",
             "tuning": "Preferred direction (dot) and tuning width (arc) of each unit.",
         },
@@ -187,6 +202,13 @@ def _error_row(name: str, trained: TrainedArchitecture) -> Row:
     )
 
 
+def _silence(runs: Sequence[Tuning]) -> str:
+    silent = sum(found.silent for found in runs)
+    if not silent:
+        return ""
+    return f"; {silent} of {sum(found.size for found in runs)} units are silent and left out"
+
+
 def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
     widths = np.concatenate([found.width for found in runs])
     gaps = np.array([found.largest_gap for found in runs])
@@ -197,19 +219,19 @@ def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
             paper="“a certain range of the orientation”",
             ours=f"{widths.mean():.0f} ({widths.min():.0f} to {widths.max():.0f})",
             unit="°",
-            note=f"all units of {len(runs)} runs",
+            note=f"{len(runs)} runs{_silence(runs)}",
         ),
         Row(
             f"{name}: largest gap between preferred directions",
             ours=f"{gaps.mean():.0f} ± {gaps.std():.0f}",
             unit="°",
-            note=f"evenly spread units would have {360 / len(runs[0].width):.0f}°",
+            note=f"evenly spread units would have {360 / runs[0].size:.0f}°",
         ),
         Row(
             f"{name}: units within their tuning width, mean (fewest to most)",
             paper="“more overlap” with more units",
             ours=f"{active.mean():.1f} ({active.min()} to {active.max()})",
-            note=f"of {len(runs[0].width)}, over all directions",
+            note=f"of {runs[0].size}, over all directions",
         ),
     ]
 

@@ -38,6 +38,13 @@ def test_the_order_of_units_does_not_matter():
     np.testing.assert_array_equal(one.activations, other.activations)
 
 
+def test_silent_units_are_counted_and_left_out():
+    activations = np.cos(DIRECTIONS[:, None] - np.array([3.0, 1.0, 5.0])) * [1.0, 1e-6, 0.5]
+    found = tuning(activations)
+    np.testing.assert_allclose(found.preferred, [3, 5])
+    assert (found.silent, found.size, found.active.max()) == (1, 3, 2)
+
+
 @pytest.mark.slow
 def test_the_experiment_measures_and_draws_every_layer(tmp_path, monkeypatch):
     recipe = normalizers.replace(normalizers.QUICK_RECIPE, samples=400, epochs=3)
