@@ -127,6 +127,7 @@ def _draw_one_surface(axes: Any, histories: Mapping[str, Floats], limits: Floats
     )
     for place, height in enumerate(heights):
         axes.plot(epochs[place], np.full(len(height), place), height, "k", linewidth=0.5)
+    axes.locator_params("x", nbins=4)
     axes.set(xlabel="epoch", zlabel="log$_{10}$ validation MSE", zlim=limits)
     axes.set_yticks(np.arange(len(heights)), list(histories), ha="left", va="center")
     axes.set_ylabel("units of the hidden layers", labelpad=12)
