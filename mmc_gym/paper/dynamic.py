@@ -140,11 +140,11 @@ def _shapes_of_movements(exact: Sequence[Normalizer], hidden: Sequence[Normalize
     )
     found = "; ".join(f"{name} {_shape(network, parts)}" for name, network, parts in movers)
     return (
-        "peak over mean, time to peak (and, over all of 40 iterations, the same): "
+        "peak over mean, time to peak (and as in bell-shaped, over all of 40 iterations): "
         f"{found}. Medians between targets at radius 1 and 2 from the first to the last of "
         f"{SHAPE_ITERATIONS} iterations with {100 * MOVING:g} % of the peak velocity or more. The "
         "data came without a definition; this one was found by trial to give their numbers, with "
-        "the Euclidean normalization. See the experiment bell-shaped"
+        "the Euclidean normalization"
     )
 
 

@@ -42,6 +42,7 @@ table { border-collapse: collapse; margin: 1rem 0 } img { max-width: 100% }
 th, td { border-bottom: 1px solid #ccc; padding: .25rem .6rem; text-align: left;
          vertical-align: top; font-variant-numeric: tabular-nums }
 th:nth-child(3), th:nth-child(4) { min-width: 9.5rem }
+@media (min-width: 60rem) { th:first-child:not(:empty) { min-width: 18rem } }
 .table { overflow-x: auto } .table table { min-width: 42rem }
 figure { margin: 1.5rem 0 } figcaption { color: #555 }
 """
