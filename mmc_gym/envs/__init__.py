@@ -9,6 +9,6 @@ gym.register(
 )
 gym.register(
     id="MMCReachGoal-v0",
-    entry_point="mmc_gym.envs.reach:MMCReachGoalEnv",
+    entry_point="mmc_gym.envs.reach_goal:MMCReachGoalEnv",
     max_episode_steps=100,
 )

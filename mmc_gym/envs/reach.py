@@ -1,4 +1,4 @@
-"""`MMCReach-v0` and `MMCReachGoal-v0`: a planar arm reaches for a target and stays there."""
+"""`MMCReach-v0`: a planar arm reaches for a target and stays there."""
 
 from __future__ import annotations
 
@@ -332,74 +332,6 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
             x, y = cell[self.np_random.integers(len(cell))]
             return float(x), float(y)
         return tasks.sample_target(self.parameters.segment_lengths, self.np_random)
-
-
-class MMCReachGoalEnv(MMCReachEnv):
-    """`MMCReachEnv` as a goal environment, for hindsight experience replay.
-
-    As `MMCReach-v0`, but for:
-
-    ## Observation Space
-    `Dict`: `observation`, `Box(-1, 1, (9,), float32)` (cos and sin of the joint angles, joint
-    velocities / 2π rad/s), `achieved_goal` (hand) and `desired_goal` (target), both
-    `Box(-reach, reach, (2,), float64)` in segment lengths.
-
-    ## Rewards
-    Sparse by default.  There is no control cost: the reward is `compute_reward` of the two
-    goals alone, so that replayed transitions can be relabelled.
-
-    ## Version History
-    * v0: initial version
-    """
-
-    def __init__(self, *, reward_type: RewardType = "sparse", **kwargs: Any) -> None:
-        """Make the environment; the arguments are those of `MMCReachEnv`, less `control_weight`.
-
-        Raises:
-            ValueError: if an argument is outside what it accepts.
-        """
-        if "control_weight" in kwargs and kwargs.pop("control_weight") != 0.0:
-            raise ValueError("control_weight must be 0: the reward is a function of the goals")
-        super().__init__(reward_type=reward_type, control_weight=0.0, **kwargs)
-
-    def compute_reward(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """Reward for hands (..., 2) and targets (..., 2), shape (...); `info` is not used."""
-        del info
-        offset = np.asarray(desired_goal, np.float64) - np.asarray(achieved_goal, np.float64)
-        x, y = offset[..., 0], offset[..., 1]
-        distance = np.sqrt(x * x + y * y)
-        if self.reward_type == "sparse":
-            return tasks.sparse_reward(distance, self.success_distance)
-        return tasks.dense_reward(distance)
-
-    def compute_terminated(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """False for every transition, shape (...): the hand must stay at the target."""
-        del desired_goal, info
-        return np.zeros(np.shape(achieved_goal)[:-1], dtype=bool)[()]
-
-    def compute_truncated(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """False for every transition, shape (...): the time limit alone truncates."""
-        return self.compute_terminated(achieved_goal, desired_goal, info)
-
-    def _make_observation_space(self, count: int) -> spaces.Space[Any]:
-        # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
-        border = self.reach * (1 + tasks.REACH_TOLERANCE)
-        goal = spaces.Box(-border, border, (2,), np.float64)
-        posture = spaces.Box(-1.0, 1.0, (3 * count,), np.float32)
-        return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
-
-    def _observation(self, posture: list[float], info: Info) -> Any:
-        return {
-            "observation": np.array(posture, dtype=np.float32),
-            "achieved_goal": info["end_effector"].copy(),
-            "desired_goal": info["target"].copy(),
-        }
 
 
 def _require_one_of(name: str, value: object, accepted: Sequence[object]) -> None:

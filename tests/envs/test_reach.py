@@ -12,7 +12,8 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
-from mmc_gym.envs.reach import Control, MMCReachEnv, MMCReachGoalEnv
+from mmc_gym.envs.reach import Control, MMCReachEnv
+from mmc_gym.envs.reach_goal import MMCReachGoalEnv
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)
