@@ -115,7 +115,7 @@ def test_unknown_algorithms_and_environments_are_errors():
 
 @pytest.mark.slow
 def test_a_short_training_with_the_shipped_hyperparameters_learns(tmp_path):
-    hyperparameters = {**read_hyperparameters("ppo", ENV_ID), "n_timesteps": 150_000}
-    hyperparameters["rollouts_per_leg"] = 5
+    hyperparameters = {**read_hyperparameters("ppo", ENV_ID), "n_timesteps": 280_000}
+    hyperparameters["rollouts_per_leg"] = 10
     curve = Training(hyperparameters, ENV_ID, 0, tmp_path).run().learning_curve
     assert curve[-1]["final_distance"] < 0.5 * curve[0]["final_distance"]
