@@ -8,12 +8,10 @@ killed therefore goes on from its last leg to the very policy that it would have
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from importlib.resources import files
@@ -23,7 +21,6 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 import safetensors.torch
-import torch
 import yaml
 from safetensors import SafetensorError
 from stable_baselines3 import PPO
@@ -35,6 +32,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.reinforcement import ACTIVATIONS, PolicyCard, save_policy
+from mmc_gym.network.training import one_thread
 
 CHECKPOINT = "checkpoint.safetensors"
 # Entries of the YAML file that are not arguments of stable-baselines3's PPO by that name.
@@ -98,7 +96,7 @@ class Training:
             raise FileExistsError(
                 f"{checkpoint} exists already: resume it, or choose another folder"
             )
-        with _one_thread():
+        with one_thread():
             model = self._make_model()
             if checkpoint.exists():
                 self._load(model, checkpoint)
@@ -291,11 +289,6 @@ def library_versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
 
-def weights_digest(path: Path) -> str:
-    """SHA-256 of a file: two trainings with equal digests ended with the same policy."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def _reward_statistics(model: PPO) -> list[float] | None:
     """Mean, variance and count that the rewards are scaled by, if they are."""
     if not isinstance(model.env, VecNormalize):
@@ -310,14 +303,3 @@ def _schedule(value: float | str) -> float | Callable[[float], float]:
         start = float(value.removeprefix("lin_"))
         return lambda progress_remaining: start * progress_remaining
     return float(value)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Small networks train faster on one thread, and to the same bits at every run."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
