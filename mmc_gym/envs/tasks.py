@@ -71,10 +71,11 @@ def nearest_reachable(
     x, y = point
     distance = math.hypot(x, y)
     inner, outer = reachable_radii(segment_lengths)
-    if distance == 0:  # all points of the inner circle are as near
-        return inner, 0.0
-    scale = min(max(distance, inner), outer) / distance
-    return x * scale, y * scale
+    if inner <= distance <= outer:
+        return x, y
+    radius = inner if distance < inner else outer
+    angle = math.atan2(y, x)  # defined at the base too, and no division by a tiny distance
+    return radius * math.cos(angle), radius * math.sin(angle)
 
 
 def dense_reward(distance: Distance) -> Distance:
