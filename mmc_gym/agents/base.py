@@ -44,14 +44,12 @@ class ReachInterface:
         control: the environment's control mode.
         speed_limit: largest joint speed, rad/s.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
-        joint_limits: lowest and highest angle of each joint, or None.
     """
 
     segment_lengths: tuple[float, ...]
     control: str
     speed_limit: float
     servo_gain: float
-    joint_limits: tuple[tuple[float, float], ...] | None = None
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any]) -> ReachInterface:
@@ -64,9 +62,12 @@ class ReachInterface:
         control = getattr(env.unwrapped, "control", None)
         if body is None or control is None:
             raise ValueError(f"env must be a reaching environment of mmc_gym, got {env}")
-        return cls(
-            body.segment_lengths, control, body.speed_limit, body.servo_gain, body.joint_limits
-        )
+        return cls(body.segment_lengths, control, body.speed_limit, body.servo_gain)
+
+    @property
+    def max_joint_delta(self) -> float:
+        """What an action of 1 means under `joint_delta`, radians."""
+        return self.speed_limit / self.servo_gain
 
     def sense(self, observation: Observation) -> Sensed:
         """Decode an observation of MMCReach-v0 (13 values at N = 3) or MMCReachGoal-v0 (a dict).
@@ -101,7 +102,7 @@ class ReachInterface:
             action = wrap_angle(joint_targets) / math.pi
         elif self.control in ("joint_delta", "joint_velocity"):
             ahead = wrap_angle(joint_targets - sensed.joint_angles)
-            action = ahead * (self.servo_gain / self.speed_limit)
+            action = ahead / self.max_joint_delta
         else:
             raise ValueError(
                 "control must be 'joint_position', 'joint_delta' or 'joint_velocity' for an agent "

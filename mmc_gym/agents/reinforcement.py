@@ -171,6 +171,6 @@ class PolicyAgent(Agent[None]):
         action, _ = self._policy.predict(observation, None, None, deterministic)  # type: ignore[arg-type]
         if self._convert:
             sensed = self._interface.sense(observation)
-            delta = self._interface.speed_limit / self._interface.servo_gain
-            action = self._interface.act(sensed.joint_angles + delta * action, sensed)
+            ahead = self._interface.max_joint_delta * action
+            action = self._interface.act(sensed.joint_angles + ahead, sensed)
         return action, None

@@ -226,16 +226,15 @@ class _Legs(BaseCallback):
     def __init__(self, training: Training) -> None:
         super().__init__()
         self._training = training
-        self._started_at: int | None = None
+        self._first = True
 
     def _on_rollout_start(self) -> None:
         model, training = cast(PPO, self.model), self._training
-        steps = model.num_timesteps
-        if steps % training.steps_per_leg == 0:
-            if self._started_at is not None:
+        if model.num_timesteps % training.steps_per_leg == 0:
+            if not self._first:  # where a training starts or goes on, nothing is new to save
                 training.save(model)
             training.begin_leg(model)
-            self._started_at = steps
+            self._first = False
 
     def _on_rollout_end(self) -> None:
         training = self._training
