@@ -1,5 +1,6 @@
-"""The simulated arm: pymunk bodies, joints and servos.  Knows no Gymnasium and no network."""
+"""The simulated arm: bodies, joints and servos.  Knows no Gymnasium and no network."""
 
-from mmc_gym.body.arm import Arm, ArmParameters, Servo
+from mmc_gym.body.arm import Arm
+from mmc_gym.body.parameters import ArmParameters, Servo
 
 __all__ = ["Arm", "ArmParameters", "Servo"]

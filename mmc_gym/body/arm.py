@@ -23,93 +23,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import copysign, cos, remainder, sin, tau
-from typing import Literal, get_args
+from typing import get_args
 
 import pymunk
 from pymunk._chipmunk_cffi import lib as chipmunk
 
-Servo = Literal["position", "velocity", "torque"]
+from mmc_gym.body.parameters import ArmParameters, Servo, require
 
 _MOST_SOLVER_ITERATIONS = 500  # a step of three segments then takes 0.1 ms instead of 0.01
-
-
-@dataclass(frozen=True)
-class ArmParameters:
-    """Physical parameters of an arm, in segment lengths, segment masses, radians and seconds.
-
-    With the default limits the whole stretched arm turns by 90° in 0.36 s (to within 0.05 rad,
-    without passing the target), and folded, by its first joint alone, in 0.38 s.
-
-    Attributes:
-        segment_lengths: N positive lengths.
-        segment_masses: N positive masses of the uniform rods, or None for 1 each.
-        speed_limit: largest joint speed that a servo asks for, rad/s.
-        torque_limit: largest torque of a servo, mass · length² / s².
-        servo_gain: speed that a position servo asks for per angle to its target, 1/s.
-        joint_limits: lowest and highest angle of each joint, or None for continuous joints.
-        gravity: acceleration (x, y), length / s².
-        substep: duration of a physics step, s.
-        substeps: physics steps in a control step.
-
-    Raises:
-        ValueError: if a value is outside what is stated here.
-    """
-
-    segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)
-    segment_masses: tuple[float, ...] | None = None
-    speed_limit: float = 2 * math.pi
-    torque_limit: float = 400.0
-    servo_gain: float = 12.0
-    joint_limits: tuple[tuple[float, float], ...] | None = None
-    gravity: tuple[float, float] = (0.0, 0.0)
-    substep: float = 0.005
-    substeps: int = 4
-
-    def __post_init__(self) -> None:
-        lengths = tuple(float(length) for length in self.segment_lengths)
-        object.__setattr__(self, "segment_lengths", lengths)
-        _require(bool(lengths), "segment_lengths", lengths, "at least one length")
-        if self.segment_masses is not None:
-            masses = tuple(float(mass) for mass in self.segment_masses)
-            object.__setattr__(self, "segment_masses", masses)
-            expected = f"{len(lengths)} masses, one per segment"
-            _require(len(masses) == len(lengths), "segment_masses", masses, expected)
-        for name, values in (
-            ("segment_lengths", lengths),
-            ("segment_masses", self.masses),
-            ("speed_limit", (self.speed_limit,)),
-            ("torque_limit", (self.torque_limit,)),
-            ("servo_gain", (self.servo_gain,)),
-            ("substep", (self.substep,)),
-        ):
-            fine = all(0 < value < math.inf for value in values)
-            _require(fine, name, values, "positive and finite")
-        whole = isinstance(self.substeps, int) and self.substeps >= 1
-        _require(whole, "substeps", self.substeps, "a whole number of at least 1")
-        gravity = tuple(float(value) for value in self.gravity)
-        object.__setattr__(self, "gravity", gravity)
-        fine = len(gravity) == 2 and all(map(math.isfinite, gravity))
-        _require(fine, "gravity", gravity, "two finite values (x, y)")
-        if self.joint_limits is not None:
-            limits = tuple((float(low), float(high)) for low, high in self.joint_limits)
-            object.__setattr__(self, "joint_limits", limits)
-            fine = len(limits) == len(lengths) and all(
-                -math.pi <= low < high <= math.pi for low, high in limits
-            )
-            expected = f"{len(lengths)} pairs low < high within -pi and pi"
-            _require(fine, "joint_limits", limits, expected)
-
-    @property
-    def masses(self) -> tuple[float, ...]:
-        """`segment_masses` with its default filled in."""
-        return self.segment_masses or (1.0,) * len(self.segment_lengths)
-
-    @property
-    def control_step(self) -> float:
-        """Duration of a control step, s."""
-        return self.substep * self.substeps
 
 
 class Arm:
@@ -139,7 +61,7 @@ class Arm:
         Raises:
             ValueError: for an unknown kind of servo.
         """
-        _require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
+        require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
         self.parameters = parameters or ArmParameters()
         self._servo = servo
         self.command = getattr(self, f"_command_{servo}")
@@ -305,11 +227,6 @@ def _solver_iterations(parameters: ArmParameters) -> int:
             start += length
         ratio = max(ratio, inertia / (masses[joint] * lengths[joint] ** 2 / 3))
     return min(max(10, round(10 / 27 * ratio)), _MOST_SOLVER_ITERATIONS)
-
-
-def _require(fine: bool, name: str, value: object, accepted: str) -> None:
-    if not fine:
-        raise ValueError(f"{name} must be {accepted}, got {value!r}")
 
 
 def _wrong_count(name: str, count: int, values: Sequence[float]) -> ValueError:

@@ -13,8 +13,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body import Arm, ArmParameters
-from mmc_gym.body.arm import Servo
+from mmc_gym.body import Arm, ArmParameters, Servo
 from mmc_gym.envs import tasks
 from mmc_gym.network.chain import reachable_radii
 
