@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import deque
 from math import cos, sin
-from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, get_args
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
@@ -13,23 +13,18 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body import Arm, ArmParameters, Servo
-from mmc_gym.envs import tasks
-from mmc_gym.network.chain import reachable_radii
+from mmc_gym.body import ArmParameters
+from mmc_gym.body.engines import make_arm
+from mmc_gym.envs.perturbations import Readings
+from mmc_gym.envs.rewards import control_cost, dense_reward, sparse_reward
+from mmc_gym.envs.senses import disturb, encode
+from mmc_gym.envs.setup import ReachSetup, finite, require_one_of
+from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
     from mmc_gym.envs.rendering import Renderer
 
-Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
-RewardType = Literal["dense", "sparse"]
 Info = dict[str, Any]
-
-_SERVO: dict[Control, Servo] = {
-    "joint_position": "position",
-    "joint_delta": "position",
-    "joint_velocity": "velocity",
-    "joint_torque": "torque",
-}
 
 
 class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
@@ -84,7 +79,9 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     ## Arguments
     `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `success_distance`
-    (0.05), `render_mode` ("human", "rgb_array"), and any field of
+    (0.05), `render_mode` ("human", "rgb_array"), `task` (a name in `mmc_gym.envs.tasks.TASKS` or
+    a `Task`), `perturbations` (names in `mmc_gym.envs.perturbations.PERTURBATIONS` or
+    `Perturbation`s), `engine` ("pymunk", "analytic"), and any field of
     `mmc_gym.body.ArmParameters` by name: `segment_lengths`, `segment_masses`, `speed_limit`,
     `torque_limit`, `servo_gain`, `joint_limits`, `gravity`, `substep`, `substeps`.  The arm has
     as many joints as `segment_lengths`, and action and observation grow with it.
@@ -97,65 +94,33 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
 
-    def __init__(
-        self,
-        *,
-        control: Control = "joint_position",
-        reward_type: RewardType = "dense",
-        control_weight: float = 0.1,
-        success_distance: float = 0.05,
-        render_mode: str | None = None,
-        **arm_parameters: Any,
-    ) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         """Make the environment; the arguments are listed in the class docstring.
 
         Raises:
             ValueError: if an argument is outside what it accepts.
+            TypeError: if one is unknown.
         """
-        EzPickle.__init__(
-            self,
-            control=control,
-            reward_type=reward_type,
-            control_weight=control_weight,
-            success_distance=success_distance,
-            render_mode=render_mode,
-            **arm_parameters,
-        )
-        _require_one_of("control", control, get_args(Control))
-        _require_one_of("reward_type", reward_type, get_args(RewardType))
-        _require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        _require_at_least_zero("control_weight", control_weight)
-        _require_at_least_zero("success_distance", success_distance)
-        self.parameters = p = ArmParameters(**arm_parameters)
-        self.metadata = {**type(self).metadata, "render_fps": round(1 / p.control_step)}
-        self.control: Control = control
-        self.reward_type: RewardType = reward_type
-        self.control_weight = float(control_weight)
-        self.success_distance = float(success_distance)
+        EzPickle.__init__(self, render_mode=render_mode, **arguments)
+        require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        self.setup = setup = ReachSetup(**arguments)
+        self.parameters: ArmParameters = setup.told
+        self.control = setup.control
+        self.reward_type = setup.reward_type
+        self.control_weight = setup.control_weight
+        self.success_distance = setup.success_distance
+        self.reach = setup.reach
+        self.max_joint_delta = setup.max_joint_delta
         self.render_mode = render_mode
-        self.reach = sum(p.segment_lengths)
-        count = len(p.segment_lengths)
-        self.action_space = spaces.Box(-1.0, 1.0, (count,), np.float32)
-        self._action_shape = (count,)
-        self.observation_space = self._make_observation_space(count)
-        self._arm = Arm(p, _SERVO[control])
-        # What an action of 1 means.  A target so far ahead asks the servo for its full speed; the
-        # joint's mean speed is less, for it has come nearer when the control step ends.
-        self._action_scale = {
-            "joint_position": math.pi,
-            "joint_delta": self.max_joint_delta,
-            "joint_velocity": p.speed_limit,
-            "joint_torque": p.torque_limit,
-        }[control]
-        limits = p.joint_limits
-        self._hands = limits and tasks.reachable_hands(p.segment_lengths, limits)
+        self.metadata = {**type(self).metadata, "render_fps": round(1 / setup.told.control_step)}
+        self.action_space = setup.action_space
+        self.observation_space = self._make_observation_space(setup.joint_count)
+        self._arm = make_arm(setup.engine, setup.body, setup.servo)
+        self._has_events = setup.path_length > 1 or bool(setup.lock_step)
+        self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
         self._renderer: Renderer | None = None
-        self._place([0.0] * count, (self.reach, 0.0))
-
-    @property
-    def max_joint_delta(self) -> float:
-        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
-        return self.parameters.speed_limit / self.parameters.servo_gain
+        self._ghost: list[float] | None = None
+        self._place([0.0] * setup.joint_count, [(self.reach, 0.0)])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -166,15 +131,14 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
             ValueError: for an unknown option, or one of wrong shape, not finite, outside the
                 joint limits, or out of reach; the environment stays as it was.
         """
-        posture, target = self._check_options(options or {})
+        checked = self.setup.check_options(options)
         super().reset(seed=seed)
-        # Always drawn, so that an option given for the one does not change the other.
-        drawn_posture, drawn_target = self._draw_posture(), self._draw_target()
-        self._place(posture or drawn_posture, target or drawn_target)
+        self._place(*self.setup.draw_trial(self.np_random, checked))
         if self.render_mode == "human":
             self.render()
         observation, _, info = self._outcome()
-        return observation, info
+        self._late.extend([observation] * self.setup.delay)
+        return self._delayed(observation), info
 
     def step(
         self, action: NDArray[np.float32]
@@ -186,7 +150,7 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
                 within −1 and 1; the environment stays as it was.
         """
         values = self._check_action(action)
-        scale = self._action_scale
+        scale = self.setup.action_scale
         if self.control == "joint_delta":
             command = [
                 angle + scale * value for angle, value in zip(self._arm.joint_angles, values)
@@ -195,22 +159,42 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
             command = [scale * value for value in values]
         self._arm.command(command)
         self._arm.step()
+        if self._has_events:
+            self._advance_events()
         if self.render_mode == "human":
             self.render()
         observation, reward, info = self._outcome()
+        if self.setup.delay:
+            observation = self._delayed(observation)
         return observation, reward, False, False, info
 
     def set_target(self, target: ArrayLike) -> None:
         """Move the target during an episode; the next step's observation and reward tell of it.
 
         Args:
-            target: (x, y) in segment lengths.
+            target: (x, y) in segment lengths.  It stays there, whatever the task.
 
         Raises:
             ValueError: if it is of wrong shape, not finite, or out of reach; the target stays
                 where it was.
         """
-        self._target = self._check_target("target", target)
+        self._targets = [self.setup.check_target("target", target)]
+        self._target = self._targets[0]
+
+    def show_posture(self, joint_angles: ArrayLike | None) -> None:
+        """Draw a second, ghostly arm into the pictures to come, such as an internal model's.
+
+        Args:
+            joint_angles: N relative angles in radians, or None for no ghost.
+
+        Raises:
+            ValueError: if they are of wrong shape or not finite.
+        """
+        self._ghost = (
+            None
+            if joint_angles is None
+            else finite("joint_angles", joint_angles, self.setup.joint_count)
+        )
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture (height, width, 3) for "rgb_array"; for "human", a window shows it."""
@@ -220,13 +204,8 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if self._renderer is None:
             from mmc_gym.envs.rendering import Renderer
 
-            self._renderer = Renderer(
-                self.parameters.segment_lengths,
-                self.success_distance,
-                self.render_mode,
-                self.metadata["render_fps"],
-            )
-        return self._renderer.draw(self._arm.segment_angles, self._target)
+            self._renderer = Renderer(self.setup, self.render_mode, self.metadata["render_fps"])
+        return self._renderer.draw(self._arm.segment_angles, self._target, self._ghost)
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -239,117 +218,98 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _outcome(self) -> tuple[Any, float, Info]:
         """Observation, reward and info of the present state."""
-        arm, target, limit = self._arm, self._target, self.parameters.speed_limit
-        hand = arm.end_effector
+        arm, setup, target = self._arm, self.setup, self._target
+        hand = self._seen_hand()
+        limit = setup.told.speed_limit
         speeds = [
             -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
             for velocity in arm.joint_velocities
         ]
-        offset_x, offset_y = target[0] - hand[0], target[1] - hand[1]
-        # The operations of `compute_reward`, so that relabelling gives the same bits.
-        distance = math.sqrt(offset_x * offset_x + offset_y * offset_y)
-        reward_distance = tasks.dense_reward(distance)
-        reward_control = tasks.control_cost(speeds, self.control_weight)
+        distance = _distance(hand, target)
+        reward_distance = dense_reward(distance)
+        reward_control = control_cost(speeds, setup.joint_count, self.control_weight)
         if self.reward_type == "sparse":
-            reward = tasks.sparse_reward(distance, self.success_distance)
+            reward = sparse_reward(distance, self.success_distance)
         else:
             reward = reward_distance + reward_control
         info = {
             "distance": distance,
-            "is_success": distance <= self.success_distance,
-            "end_effector": np.array(hand),
+            "is_success": distance <= self.success_distance and self._is_last_target,
+            "end_effector": np.array(arm.end_effector),
             "target": np.array(target),
             "reward_distance": reward_distance,
             "reward_control": reward_control,
         }
+        if setup.rotation is not None:
+            info["cursor"] = np.array(hand)
+        if setup.noises:
+            readings = Readings(
+                np.array([arm.joint_angles]),
+                np.array([arm.joint_velocities]),
+                np.array([hand]),
+                np.array([target]),
+            )
+            return encode(setup, disturb(setup, readings, [self.np_random]))[0], reward, info
         posture = [*map(cos, arm.joint_angles), *map(sin, arm.joint_angles), *speeds]
-        return self._observation(posture, info), reward, info
+        return self._observation(posture, hand, target), reward, info
 
-    def _observation(self, posture: list[float], info: Info) -> Any:
-        """Observation from cos, sin and speed of the joints; `info` tells hand and target."""
-        del info
-        (x, y), (hand_x, hand_y), reach = self._target, self._arm.end_effector, self.reach
+    def _seen_hand(self) -> Point:
+        """Where the hand is, or the cursor that stands for it."""
+        rotation, hand = self.setup.rotation, self._arm.end_effector
+        return hand if rotation is None else rotation.cursor(*hand)
+
+    def _observation(self, posture: list[float], hand: Point, target: Point) -> Any:
+        """Observation from cos, sin and speed of the joints, the seen hand and the target."""
+        (x, y), (hand_x, hand_y), reach = target, hand, self.reach
         diameter = 2 * reach
-        posture += (x / reach, y / reach, (x - hand_x) / diameter, (y - hand_y) / diameter)
-        return np.array(posture, dtype=np.float32)
+        values = [*posture, x / reach, y / reach, (x - hand_x) / diameter, (y - hand_y) / diameter]
+        if self.setup.may_exceed_reach:
+            values = [min(max(value, -1.0), 1.0) for value in values]
+        return np.array(values, dtype=np.float32)
 
-    def _place(self, posture: Sequence[float], target: tuple[float, float]) -> None:
+    def _delayed(self, observation: Any) -> Any:
+        """What is observed now, if senses are late; it shares no memory with what comes."""
+        if not self.setup.delay:
+            return observation
+        self._late.append(observation)
+        return self._late[0].copy()
+
+    def _place(self, posture: list[float], targets: list[Point]) -> None:
         self._arm.reset(posture)
-        self._target = target
+        self._steps = self._place_on_path = 0
+        self._targets, self._target = targets, targets[0]
+        self._is_last_target = self.setup.task.advance == "time" or len(targets) == 1
+        if self.setup.lock_step == 0:
+            self._arm.lock()
         if self._renderer is not None:
             self._renderer.clear_trace()
 
+    def _advance_events(self) -> None:
+        """What else happens in a step: the target moves on, and joints lock."""
+        self._steps += 1
+        if self._steps == self.setup.lock_step:
+            self._arm.lock()
+        task, last = self.setup.task, len(self._targets) - 1
+        if task.advance == "time":
+            place = self._steps % (last + 1) if task.periodic else min(self._steps, last)
+        else:
+            reached = _distance(self._seen_hand(), self._target) <= self.success_distance
+            self._place_on_path = place = min(self._place_on_path + reached, last)
+            self._is_last_target = place == last
+        self._target = self._targets[place]
+
     def _check_action(self, action: ArrayLike) -> list[float]:
         array = np.asarray(action)
-        if array.shape != self._action_shape:
-            raise ValueError(f"action must have shape {self._action_shape}, got {array.shape}")
+        if array.shape != self.action_space.shape:
+            raise ValueError(f"action must have shape {self.action_space.shape}, got {array.shape}")
         values: list[float] = array.tolist()
         for value in values:
             if not -1.0 <= value <= 1.0:  # false for NaN too
                 raise ValueError(f"action must lie within -1 and 1, got {values}")
         return values
 
-    def _check_options(
-        self, options: dict[str, Any]
-    ) -> tuple[list[float] | None, tuple[float, float] | None]:
-        unknown = set(options) - {"joint_angles", "target"}
-        if unknown:
-            names = sorted(map(str, unknown))
-            raise ValueError(f"options must be 'joint_angles' or 'target', got {names}")
-        p, posture, target = self.parameters, None, None
-        if options.get("joint_angles") is not None:
-            count = len(p.segment_lengths)
-            angles = _finite("options['joint_angles']", options["joint_angles"], count)
-            posture = [math.remainder(angle, math.tau) for angle in angles]
-            for angle, (low, high) in zip(posture, p.joint_limits or (), strict=False):
-                if not low <= angle <= high:
-                    raise ValueError(
-                        f"options['joint_angles'] must lie within the joint limits "
-                        f"{p.joint_limits}, got {posture}"
-                    )
-        if options.get("target") is not None:
-            target = self._check_target("options['target']", options["target"])
-        return posture, target
 
-    def _check_target(self, name: str, target: ArrayLike) -> tuple[float, float]:
-        x, y = _finite(name, target, 2)
-        if not tasks.is_reachable((x, y), self.parameters.segment_lengths):
-            inner, outer = reachable_radii(self.parameters.segment_lengths)
-            raise ValueError(
-                f"{name} must lie between {inner:g} and {outer:g} from the base, got {(x, y)}"
-            )
-        return x, y
-
-    def _draw_posture(self) -> list[float]:
-        p = self.parameters
-        limits = p.joint_limits or ((-math.pi, math.pi),) * len(p.segment_lengths)
-        return [self.np_random.uniform(low, high) for low, high in limits]
-
-    def _draw_target(self) -> tuple[float, float]:
-        if self._hands:
-            cell = self._hands[self.np_random.integers(len(self._hands))]
-            x, y = cell[self.np_random.integers(len(cell))]
-            return float(x), float(y)
-        return tasks.sample_target(self.parameters.segment_lengths, self.np_random)
-
-
-def _require_one_of(name: str, value: object, accepted: Sequence[object]) -> None:
-    if value not in accepted:
-        raise ValueError(f"{name} must be one of {tuple(accepted)}, got {value!r}")
-
-
-def _require_at_least_zero(name: str, value: float) -> None:
-    if not 0 <= value < math.inf:
-        raise ValueError(f"{name} must be finite and not negative, got {value!r}")
-
-
-def _finite(name: str, value: ArrayLike, count: int) -> list[float]:
-    message = f"{name} must be {count} finite numbers, got {value!r}"
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:  # not numbers, or of uneven lengths
-        raise ValueError(message) from error
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(message)
-    values: list[float] = array.tolist()
-    return values
+def _distance(one: Point, other: Point) -> float:
+    # The operations of `compute_reward`, so that relabelling gives the same bits.
+    x, y = other[0] - one[0], other[1] - one[1]
+    return math.sqrt(x * x + y * y)

@@ -8,8 +8,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mmc_gym.envs import tasks
-from mmc_gym.envs.reach import Info, MMCReachEnv, RewardType
+from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.rewards import dense_reward, sparse_reward
+from mmc_gym.envs.setup import ReachSetup, RewardType
+from mmc_gym.envs.workspace import REACH_TOLERANCE, Point
 
 
 class MMCReachGoalEnv(MMCReachEnv):
@@ -39,6 +41,7 @@ class MMCReachGoalEnv(MMCReachEnv):
         if "control_weight" in kwargs and kwargs.pop("control_weight") != 0.0:
             raise ValueError("control_weight must be 0: the reward is a function of the goals")
         super().__init__(reward_type=reward_type, control_weight=0.0, **kwargs)
+        check_goals(self.setup)
 
     def compute_reward(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
@@ -49,8 +52,8 @@ class MMCReachGoalEnv(MMCReachEnv):
         x, y = offset[..., 0], offset[..., 1]
         distance = np.sqrt(x * x + y * y)
         if self.reward_type == "sparse":
-            return tasks.sparse_reward(distance, self.success_distance)
-        return tasks.dense_reward(distance)
+            return sparse_reward(distance, self.success_distance)
+        return dense_reward(distance)
 
     def compute_terminated(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
@@ -66,15 +69,30 @@ class MMCReachGoalEnv(MMCReachEnv):
         return self.compute_terminated(achieved_goal, desired_goal, info)
 
     def _make_observation_space(self, count: int) -> spaces.Space[Any]:
-        # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
-        border = self.reach * (1 + tasks.REACH_TOLERANCE)
-        goal = spaces.Box(-border, border, (2,), np.float64)
-        posture = spaces.Box(-1.0, 1.0, (3 * count,), np.float32)
-        return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
+        return goal_observation_space(self.setup)
 
-    def _observation(self, posture: list[float], info: Info) -> Any:
+    def _observation(self, posture: list[float], hand: Point, target: Point) -> Any:
         return {
             "observation": np.array(posture, dtype=np.float32),
-            "achieved_goal": info["end_effector"].copy(),
-            "desired_goal": info["target"].copy(),
+            "achieved_goal": np.array(hand),
+            "desired_goal": np.array(target),
         }
+
+
+def goal_observation_space(setup: ReachSetup) -> spaces.Dict:
+    """The observation space of `MMCReachGoal-v0`."""
+    # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
+    border = setup.farthest * (1 + REACH_TOLERANCE)
+    goal = spaces.Box(-border, border, (2,), np.float64)
+    posture = spaces.Box(-1.0, 1.0, (3 * setup.joint_count,), np.float32)
+    return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
+
+
+def check_goals(setup: ReachSetup) -> None:
+    """Raise a `ValueError` if the reward would not be a function of the observed goals."""
+    if setup.noises or setup.delay or setup.task.advance == "reach":
+        raise ValueError(
+            "a goal environment must have a reward that is a function of the observed goals: no "
+            f"noise, no delay and no via points, got task={setup.task}, "
+            f"perturbations={setup.perturbations}"
+        )

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mmc_gym.envs import drawing
 from mmc_gym.envs.drawing import SIZE, View
+from mmc_gym.envs.setup import ReachSetup
 
 TRACE_SECONDS = 1.0
 _OVERSAMPLING = 2
@@ -28,20 +29,17 @@ class Renderer:
         view: maps the world to the picture.
     """
 
-    def __init__(
-        self, segment_lengths: Sequence[float], success_distance: float, mode: str, fps: int
-    ) -> None:
+    def __init__(self, setup: ReachSetup, mode: str, fps: int) -> None:
         """Make a renderer for one arm.
 
         Args:
-            segment_lengths: N lengths.
-            success_distance: radius of the target's ring, segment lengths.
+            setup: of its environment.
             mode: "rgb_array", for which no display is touched, or "human", which opens a window.
             fps: frames per second; `draw` waits for its turn if there is a window.
         """
-        self.view = View(sum(segment_lengths))
-        self._segment_lengths = tuple(segment_lengths)
-        self._success_distance = success_distance
+        self.view = View(setup.farthest)
+        self._segment_lengths = setup.body.segment_lengths
+        self._success_distance = setup.success_distance
         self._trace: deque[drawing.Point] = deque(maxlen=max(2, round(TRACE_SECONDS * fps)))
         self._large_view = View(self.view.reach, _OVERSAMPLING * SIZE)
         self._canvas = pygame.Surface((self._large_view.size,) * 2, depth=32)
@@ -53,13 +51,17 @@ class Renderer:
         self._window = Window((SIZE, SIZE), "mmc-gym", fps) if mode == "human" else None
 
     def draw(
-        self, segment_angles: Sequence[float], target: Sequence[float]
+        self,
+        segment_angles: Sequence[float],
+        target: Sequence[float],
+        ghost: Sequence[float] | None = None,
     ) -> NDArray[np.uint8] | None:
         """Paint one frame.
 
         Args:
             segment_angles: N absolute angles, radians.
             target: (x, y), segment lengths.
+            ghost: N joint angles of a second arm to show, radians.
 
         Returns:
             The picture (height, width, 3) in a new array, or None if it is shown in a window.

@@ -1,94 +1,289 @@
-"""Reaching tasks: where targets come from, what counts as success, and what it is worth.
+"""Reaching tasks: where a trial starts, and where its target is.  A task is a few lines of data.
 
-Pure functions; nothing here touches the arm.
+A trial is a posture to start from and a path of target positions.  The target moves along the
+path by one place a control step, or, for via points, whenever it has been reached; in the end
+it stays at the last place, or starts over if the task is periodic.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import lru_cache
-from operator import mul
-from typing import TypeVar
+from dataclasses import dataclass
+from itertools import permutations
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.network.chain import reachable_radii, segments_from_joint_angles
-
-# A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
-REACH_TOLERANCE = 1e-9
-_CELLS = 60  # grid cells across the reach, where joint limits shape the reachable set
-
-Distance = TypeVar("Distance", float, NDArray[np.float64])
+from mmc_gym.envs.workspace import Point, Workspace
 
 
-def sample_target(
-    segment_lengths: Sequence[float], random: np.random.Generator
-) -> tuple[float, float]:
-    """A target drawn area-uniformly from the disc or ring that the hand can reach."""
-    inner, outer = reachable_radii(segment_lengths)
-    radius = math.sqrt(random.uniform(inner**2, outer**2))
-    angle = random.uniform(-math.pi, math.pi)
-    return radius * math.cos(angle), radius * math.sin(angle)
+class Trial(NamedTuple):
+    """A posture to start from, N joint angles, and the path of the target, a list of (x, y)."""
+
+    joint_angles: list[float]
+    targets: list[Point]
 
 
-@lru_cache(maxsize=8)  # a vector of environments asks once for each
-def reachable_hands(
-    segment_lengths: tuple[float, ...], joint_limits: tuple[tuple[float, float], ...]
-) -> list[NDArray[np.float64]]:
-    """Hand positions that an arm with joint limits reaches, grouped by cells of a square grid.
+class Task(ABC):
+    """A reaching task.
 
-    Draw a cell, then a position in it, for targets that are area-uniform up to the size of a
-    cell (a thirtieth of the reach) and reachable without exception.
-
-    Returns:
-        One array (n, 2) per cell that the hand can reach.
+    Attributes:
+        advance: what moves the target on along its path: "time", by one place a control step,
+            or "reach", when the hand has come within the success distance.
+        periodic: whether the path starts over at its end.
     """
-    random = np.random.default_rng(0)
-    low, high = np.array(joint_limits).T
-    angles = random.uniform(low, high, size=(100_000, len(low)))
-    hands = segments_from_joint_angles(angles, segment_lengths).sum(axis=-2)
-    reach = reachable_radii(segment_lengths)[1]
-    columns, rows = ((hands / reach + 1) / 2 * _CELLS).astype(int).T
-    cells = rows * (_CELLS + 1) + columns
-    order = np.argsort(cells, kind="stable")
-    borders = np.flatnonzero(np.diff(cells[order])) + 1
-    return np.split(hands[order], borders)
+
+    advance: ClassVar[Literal["time", "reach"]] = "time"
+    periodic: ClassVar[bool] = False
+
+    @property
+    def trial_count(self) -> int | None:
+        """How many different trials there are, for `options={"trial": …}`; None: unlimited."""
+        return None
+
+    @abstractmethod
+    def path_length(self, control_step: float) -> int:
+        """Places on the path of the target, the same for all trials."""
+
+    @abstractmethod
+    def draw(
+        self,
+        workspace: Workspace,
+        control_step: float,
+        random: np.random.Generator,
+        trial: int | None = None,
+        joint_angles: list[float] | None = None,
+    ) -> Trial:
+        """Draw a trial.
+
+        Args:
+            workspace: of the arm.
+            control_step: duration of a step, s.
+            random: all randomness comes from here.
+            trial: which one to take, where they are counted; None draws one.
+            joint_angles: the posture to start from, where it is already decided.
+
+        Raises:
+            ValueError: if the arm is none that the task can be done with.
+        """
 
 
-def is_reachable(target: Sequence[float], segment_lengths: Sequence[float]) -> bool:
-    """Whether the hand of an arm with continuous joints can be at `target` (x, y)."""
-    inner, outer = reachable_radii(segment_lengths)
-    slack = REACH_TOLERANCE * outer
-    return inner - slack <= math.hypot(*target) <= outer + slack
+@dataclass(frozen=True)
+class RandomTarget(Task):
+    """From any posture to a target anywhere in reach.
+
+    Postures are uniform in the joint angles, targets area-uniform over the reachable set.
+    """
+
+    def path_length(self, control_step: float) -> int:
+        """See `Task.path_length`."""
+        return 1
+
+    def draw(
+        self,
+        workspace: Workspace,
+        control_step: float,
+        random: np.random.Generator,
+        trial: int | None = None,
+        joint_angles: list[float] | None = None,
+    ) -> Trial:
+        """See `Task.draw`."""
+        drawn = workspace.draw_posture(random)
+        start = joint_angles or drawn
+        return Trial(start, [workspace.draw_target(random, start)])
 
 
-def nearest_reachable(
-    point: Sequence[float], segment_lengths: Sequence[float]
-) -> tuple[float, float]:
-    """The point nearest to `point` (x, y) that an arm with continuous joints can reach."""
-    x, y = point
-    distance = math.hypot(x, y)
-    inner, outer = reachable_radii(segment_lengths)
-    if inner <= distance <= outer:
-        return x, y
-    radius = inner if distance < inner else outer
-    angle = math.atan2(y, x)  # defined at the base too, and no division by a tiny distance
-    return radius * math.cos(angle), radius * math.sin(angle)
+@dataclass(frozen=True)
+class DoubleStep(RandomTarget):
+    """The target jumps to another place while the hand is on its way.
+
+    After Georgopoulos, Kalaska & Massey (1981), J. Neurophysiol. 46:725.
+
+    Attributes:
+        delay: when it jumps, s after the start.
+    """
+
+    delay: float = 0.1
+
+    def path_length(self, control_step: float) -> int:
+        """See `Task.path_length`."""
+        return round(self.delay / control_step) + 1
+
+    def draw(
+        self,
+        workspace: Workspace,
+        control_step: float,
+        random: np.random.Generator,
+        trial: int | None = None,
+        joint_angles: list[float] | None = None,
+    ) -> Trial:
+        """See `Task.draw`."""
+        start, targets = super().draw(workspace, control_step, random, trial, joint_angles)
+        second = workspace.draw_target(random, start)
+        return Trial(start, targets * (self.path_length(control_step) - 1) + [second])
 
 
-def dense_reward(distance: Distance) -> Distance:
-    """Minus the distance from hand to target, in segment lengths."""
-    return -distance
+@dataclass(frozen=True)
+class ViaPoints(RandomTarget):
+    """Random targets one after the other: the next appears when the last has been reached.
+
+    Success is to be at the last of them.
+
+    Attributes:
+        count: how many targets a trial has.
+    """
+
+    advance: ClassVar[Literal["time", "reach"]] = "reach"
+    count: int = 3
+
+    def path_length(self, control_step: float) -> int:
+        """See `Task.path_length`."""
+        return self.count
+
+    def draw(
+        self,
+        workspace: Workspace,
+        control_step: float,
+        random: np.random.Generator,
+        trial: int | None = None,
+        joint_angles: list[float] | None = None,
+    ) -> Trial:
+        """See `Task.draw`."""
+        start, targets = super().draw(workspace, control_step, random, trial, joint_angles)
+        more = [workspace.draw_target(random, start) for _ in range(self.count - 1)]
+        return Trial(start, targets + more)
 
 
-def sparse_reward(distance: Distance, success_distance: float) -> Distance:
-    """0 where the hand is within `success_distance` of the target, −1 elsewhere."""
-    return (distance <= success_distance) - 1.0  # type: ignore[return-value]
+@dataclass(frozen=True)
+class PointToPoint(Task):
+    """From one of a list of points to another, starting at rest in the evenly bent posture.
+
+    Attributes:
+        points: (x, y) as fractions of the arm's reach.
+        pairs: indices of start and target among the points, one pair a trial.
+    """
+
+    points: tuple[Point, ...]
+    pairs: tuple[tuple[int, int], ...]
+
+    @property
+    def trial_count(self) -> int:
+        """See `Task.trial_count`."""
+        return len(self.pairs)
+
+    def path_length(self, control_step: float) -> int:
+        """See `Task.path_length`."""
+        return 1
+
+    def draw(
+        self,
+        workspace: Workspace,
+        control_step: float,
+        random: np.random.Generator,
+        trial: int | None = None,
+        joint_angles: list[float] | None = None,
+    ) -> Trial:
+        """See `Task.draw`."""
+        drawn = int(random.integers(len(self.pairs)))
+        start, target = (
+            (x * workspace.outer, y * workspace.outer)
+            for x, y in (
+                self.points[index] for index in self.pairs[drawn if trial is None else trial]
+            )
+        )
+        if not workspace.contains(target):
+            raise ValueError(f"the arm does not reach the task's target {target}")
+        return Trial(joint_angles or workspace.posture_at(start), [target])
 
 
-def control_cost(speeds: Sequence[float], weight: float) -> float:
-    """Minus `weight` times the mean square of the joint speeds, as fractions of their limit."""
-    squares: float = sum(map(mul, speeds, speeds))
-    return -weight * squares / len(speeds)
+@dataclass(frozen=True)
+class Pursuit(Task):
+    """The target moves along sums of sines, as in manual tracking (McRuer & Jex, 1967).
+
+    Frequencies are multiples of one over the period that have no common harmonics, so that x
+    and y are not coupled; phases are random.  The centre is half a reach in front of the base.
+
+    Attributes:
+        period: after which the path repeats, s.
+        multiples_x: frequencies of the sines in x, in periods.
+        multiples_y: likewise in y.
+        amplitude: sum of the amplitudes in x, and in y, as a fraction of the reach.
+    """
+
+    periodic: ClassVar[bool] = True
+    period: float = 10.0
+    multiples_x: tuple[int, ...] = (2, 5)
+    multiples_y: tuple[int, ...] = (3, 7)
+    amplitude: float = 0.3
+
+    def path_length(self, control_step: float) -> int:
+        """See `Task.path_length`."""
+        return round(self.period / control_step)
+
+    def draw(
+        self,
+        workspace: Workspace,
+        control_step: float,
+        random: np.random.Generator,
+        trial: int | None = None,
+        joint_angles: list[float] | None = None,
+    ) -> Trial:
+        """See `Task.draw`."""
+        drawn = workspace.draw_posture(random)
+        count = self.path_length(control_step)
+        x, y = (
+            self._coordinate(multiples, count, random)
+            for multiples in (self.multiples_x, self.multiples_y)
+        )
+        path = np.stack([x, 0.5 + y], axis=-1) * workspace.outer
+        return Trial(joint_angles or drawn, [workspace.nearest(point) for point in path.tolist()])
+
+    def _coordinate(
+        self, multiples: Sequence[int], count: int, random: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """One coordinate of the path, (count,), fractions of the reach; slow sines are larger."""
+        weights = 1 / np.array(multiples)
+        amplitudes = self.amplitude * weights / weights.sum()
+        time = np.arange(count)[:, None] / count * math.tau
+        phases = random.uniform(-math.pi, math.pi, len(multiples))
+        waves: NDArray[np.float64] = amplitudes * np.sin(time * np.array(multiples) + phases)
+        return np.asarray(waves.sum(axis=-1))
+
+
+def _paper_task() -> PointToPoint:
+    """The paper's 21 targets at three radii and seven angles: 420 movements between them."""
+    points = tuple(
+        (radius / 3 * math.cos(angle * math.pi / 6), radius / 3 * math.sin(angle * math.pi / 6))
+        for radius in (1, 2, 3)
+        for angle in range(7)
+    )
+    return PointToPoint(points, tuple(permutations(range(21), 2)))
+
+
+def _centre_out_task(directions: int = 8, radius: float = 0.2) -> PointToPoint:
+    """From half a reach in front of the base to targets on a circle around that point."""
+    circle = (
+        (radius * math.cos(k / directions * math.tau), radius * math.sin(k / directions * math.tau))
+        for k in range(directions)
+    )
+    points = ((0.0, 0.5), *((x, 0.5 + y) for x, y in circle))
+    return PointToPoint(points, tuple((0, target) for target in range(1, directions + 1)))
+
+
+TASKS: dict[str, Task] = {
+    "random": RandomTarget(),
+    "paper": _paper_task(),
+    "centre-out": _centre_out_task(),
+    "double-step-100": DoubleStep(delay=0.1),
+    "double-step-200": DoubleStep(delay=0.2),
+    "pursuit": Pursuit(),
+    "via-points": ViaPoints(),
+}
+"""Tasks by name.
+
+`paper`: the paper's 420 movements between 21 targets.  `centre-out`: eight targets around a point
+in front of the arm, after Georgopoulos, Kalaska, Caminiti & Massey (1982), J. Neurosci. 2:1527.
+"""

@@ -12,7 +12,7 @@ import numpy as np
 import pygame
 
 from mmc_gym.agents import AGENTS, make_agent
-from mmc_gym.envs import drawing, tasks
+from mmc_gym.envs import drawing
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.evaluation.rollout import Predictor
 
@@ -133,8 +133,7 @@ class Game:
         elif event.type == pygame.KEYDOWN:
             self._heed_key(event.key)
         elif event.type == pygame.MOUSEMOTION:
-            lengths = self._reach.parameters.segment_lengths
-            self.target = tasks.nearest_reachable(self._view.point(event.pos), lengths)
+            self.target = self._reach.setup.workspace.nearest(self._view.point(event.pos))
             self._reach.set_target(self.target)
         else:
             return False

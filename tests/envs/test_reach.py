@@ -12,8 +12,9 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
-from mmc_gym.envs.reach import Control, MMCReachEnv
+from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.reach_goal import MMCReachGoalEnv
+from mmc_gym.envs.setup import Control
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)
@@ -301,7 +302,7 @@ BAD_ACTIONS: dict[str, Any] = {
     "batch": np.zeros((1, 3)),
 }
 BAD_OPTIONS: dict[str, tuple[Any, str]] = {
-    "unknown": ({"goal": (0, 0)}, r"options must be .*'joint_angles' or 'target'.*\['goal'\]"),
+    "unknown": ({"goal": (0, 0)}, r"options must be 'joint_angles', 'target' or 'trial'.*\['goal'\]"),
     "target NaN": ({"target": (math.nan, 0)}, r"options\['target'\] must be 2 finite numbers"),
     "target shape": ({"target": (1, 1, 1)}, r"options\['target'\] must be 2 finite .*\(1, 1, 1\)"),
     "target words": ({"target": "there"}, r"options\['target'\] must be 2 finite .*'there'"),

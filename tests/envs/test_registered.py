@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import mmc_gym  # noqa: F401  (registers the environments)
-from mmc_gym.envs.reach import Control
+from mmc_gym.envs.setup import Control
 
 IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]
 CONTROLS = get_args(Control)

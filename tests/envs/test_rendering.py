@@ -13,6 +13,7 @@ import pytest
 from mmc_gym.envs import drawing
 from mmc_gym.envs.drawing import View
 from mmc_gym.envs.rendering import Renderer, Window
+from mmc_gym.envs.setup import ReachSetup
 
 LENGTHS = (1.0, 1.0, 1.0)
 FAR = (-2.5, 0.0)
@@ -26,7 +27,7 @@ def no_display_before_or_after() -> Iterator[None]:
 
 
 def picture(angles: list[float], target: tuple[float, float] = FAR) -> np.ndarray:
-    frame = Renderer(LENGTHS, 0.05, "rgb_array", 50).draw(angles, target)
+    frame = Renderer(ReachSetup(), "rgb_array", 50).draw(angles, target)
     assert frame is not None
     return frame.astype(int)
 
@@ -56,7 +57,7 @@ def test_an_array_needs_no_display() -> None:
 
 
 def test_frames_share_no_memory() -> None:
-    renderer = Renderer(LENGTHS, 0.05, "rgb_array", 50)
+    renderer = Renderer(ReachSetup(), "rgb_array", 50)
     first = renderer.draw([0.0, 0.0, 0.0], FAR)
     assert first is not None
     kept = first.copy()
@@ -125,7 +126,7 @@ def test_reaching_the_target_shows_without_colour() -> None:
 
 
 def test_the_hand_leaves_a_trace_that_fades_and_can_be_cleared() -> None:
-    renderer = Renderer(LENGTHS, 0.05, "rgb_array", 50)
+    renderer = Renderer(ReachSetup(), "rgb_array", 50)
     clean = picture([1.0] * 3)
     darkness = []
     for step in range(70):

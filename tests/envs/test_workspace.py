@@ -1,6 +1,7 @@
-"""Facts about targets and rewards."""
+"""Facts about what the hand can reach, and what is drawn from there."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -8,9 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from mmc_gym.envs import tasks
+from mmc_gym.body import ArmParameters
 from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.workspace import Workspace, reachable_hands
 from mmc_gym.network.chain import reachable_radii
+
+
+def workspace(lengths: Sequence[float]) -> Workspace:
+    return Workspace(ArmParameters(tuple(lengths)))
+
 
 LENGTHS = st.lists(st.floats(0.1, 3.0), min_size=1, max_size=8)
 
@@ -22,7 +29,7 @@ def test_targets_are_uniform_over_the_area_that_the_hand_reaches(
     lengths: tuple[float, ...],
 ) -> None:
     random = np.random.default_rng(0)
-    x, y = np.array([tasks.sample_target(lengths, random) for _ in range(20_000)]).T
+    x, y = np.array([workspace(lengths).draw_target(random, []) for _ in range(20_000)]).T
     inner, outer = reachable_radii(lengths)
     area = (x**2 + y**2 - inner**2) / (outer**2 - inner**2)
     assert stats.kstest(area, "uniform").pvalue > 0.01
@@ -36,21 +43,23 @@ def test_targets_are_uniform_over_the_area_that_the_hand_reaches(
 
 def test_a_single_segment_has_its_circle_for_targets() -> None:
     random = np.random.default_rng(0)
-    targets = np.array([tasks.sample_target((1.5,), random) for _ in range(1000)])
+    targets = np.array([workspace((1.5,)).draw_target(random, []) for _ in range(1000)])
     np.testing.assert_allclose(np.linalg.norm(targets, axis=-1), 1.5)
 
 
 @given(lengths=LENGTHS, seed=st.integers(0, 2**32 - 1))
 def test_every_target_is_reachable(lengths: list[float], seed: int) -> None:
-    assert tasks.is_reachable(tasks.sample_target(lengths, np.random.default_rng(seed)), lengths)
+    space = workspace(lengths)
+    assert space.contains(space.draw_target(np.random.default_rng(seed), []))
 
 
 @given(lengths=LENGTHS, x=st.floats(-50, 50), y=st.floats(-50, 50))
 def test_the_nearest_reachable_point_is_reachable_and_nearest(
     lengths: list[float], x: float, y: float
 ) -> None:
-    nearest = tasks.nearest_reachable((x, y), lengths)
-    assert tasks.is_reachable(nearest, lengths)
+    space = workspace(lengths)
+    nearest = space.nearest((x, y))
+    assert space.contains(nearest)
     inner, outer = reachable_radii(lengths)
     distance = math.hypot(x, y)
     expected = max(0.0, inner - distance, distance - outer)
@@ -58,10 +67,10 @@ def test_the_nearest_reachable_point_is_reachable_and_nearest(
 
 
 def test_a_reachable_point_is_its_own_nearest() -> None:
-    assert tasks.nearest_reachable((0.3, -2.0), (1.0, 1.0, 1.0)) == (0.3, -2.0)
-    assert tasks.nearest_reachable((0.0, 0.0), (1.0, 1.0, 1.0)) == (0.0, 0.0)
-    assert tasks.nearest_reachable((6.0, 0.0), (1.0, 1.0, 1.0)) == (3.0, 0.0)
-    assert tasks.nearest_reachable((0.0, 0.0), (2.0, 0.5)) == (1.5, 0.0)
+    assert workspace((1.0, 1.0, 1.0)).nearest((0.3, -2.0)) == (0.3, -2.0)
+    assert workspace((1.0, 1.0, 1.0)).nearest((0.0, 0.0)) == (0.0, 0.0)
+    assert workspace((1.0, 1.0, 1.0)).nearest((6.0, 0.0)) == (3.0, 0.0)
+    assert workspace((2.0, 0.5)).nearest((0.0, 0.0)) == (1.5, 0.0)
 
 
 # --- Joint limits
@@ -115,20 +124,7 @@ def test_joint_limits_leave_targets_uniform_over_what_remains(limited_targets: n
 
 
 def test_cells_of_reachable_hands_hold_all_hands() -> None:
-    cells = tasks.reachable_hands(TWO_LENGTHS, TWO_LIMITS)
+    cells = reachable_hands(TWO_LENGTHS, TWO_LIMITS)
     assert sum(map(len, cells)) == 100_000
     widths = [np.ptp(cell, axis=0).max() for cell in cells]
     assert max(widths) <= sum(TWO_LENGTHS) / 30 + 1e-12
-
-
-# --- Rewards
-
-
-def test_rewards_are_what_they_are_called() -> None:
-    distances = np.array([0.0, 0.05, 0.0501, 2.0])
-    assert tasks.dense_reward(distances).tolist() == (-distances).tolist()
-    assert tasks.sparse_reward(distances, 0.05).tolist() == [0.0, 0.0, -1.0, -1.0]
-    assert tasks.sparse_reward(0.05, 0.05) == 0.0
-    assert tasks.sparse_reward(0.06, 0.05) == -1.0
-    assert tasks.control_cost([1.0, -1.0, 0.0], 0.3) == pytest.approx(-0.2)
-    assert tasks.control_cost([0.0], 0.3) == 0.0

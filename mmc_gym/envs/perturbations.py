@@ -1,0 +1,305 @@
+"""Perturbations: what goes wrong with the body, with what is seen of the hand, or with the senses.
+
+Each is a frozen dataclass of physical parameters, and they can be combined.  One that changes the
+body says how by `change_body`; a visuomotor rotation moves the cursor that stands for the hand;
+noise and delay change what is observed, not what is rewarded.
+
+Lengths are in segment lengths, masses in segment masses (the arm weighs 3, reaches 3).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.body import ArmParameters
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the senses tell, before it is encoded; all arrays lead with the batch.
+
+    Attributes:
+        joint_angles: radians, (..., N).
+        joint_velocities: rad/s, (..., N).
+        hand: where the hand, or the cursor that stands for it, is seen, (..., 2).
+        target: where the target is seen, (..., 2).
+    """
+
+    joint_angles: Floats
+    joint_velocities: Floats
+    hand: Floats
+    target: Floats
+
+
+class Perturbation:
+    """Something that goes wrong; by itself it changes nothing.
+
+    Attributes:
+        told: whether agents are told of the changed body.
+    """
+
+    told: bool = False
+
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        """The arm under this perturbation."""
+        return body
+
+
+class Noise(Perturbation):
+    """Noise of the senses, white in time and normally distributed."""
+
+    def draws(self, joint_count: int) -> int:
+        """How many standard normal numbers `disturb` takes."""
+        raise NotImplementedError
+
+    def disturb(self, readings: Readings, normals: Floats) -> Readings:
+        """The readings under noise made of standard normal numbers (..., draws)."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class ForceField(Perturbation):
+    """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
+
+    After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208, whose fields were of about
+    13 N·s/m at hand movements of 0.1 m in 0.5 s.
+
+    Attributes:
+        curl: mass / s; positive bends to the right of the movement.
+    """
+
+    curl: float = 20.0
+
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        """See `Perturbation.change_body`; fields add."""
+        old = body.force_field or ((0.0, 0.0), (0.0, 0.0))
+        field = ((old[0][0], old[0][1] + self.curl), (old[1][0] - self.curl, old[1][1]))
+        return replace(body, force_field=field)
+
+
+@dataclass(frozen=True)
+class HandMass(Perturbation):
+    """The hand carries a point mass.
+
+    Attributes:
+        mass: segment masses.
+    """
+
+    mass: float = 1.0
+
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        """See `Perturbation.change_body`; masses add."""
+        return replace(body, hand_mass=body.hand_mass + self.mass)
+
+
+@dataclass(frozen=True)
+class SegmentLength(Perturbation):
+    """A segment is longer or shorter than it was: a tool, a growth, a cut.  Its mass stays.
+
+    Attributes:
+        factor: new length over old.
+        segment: index of the segment; -1 is the last.
+        told: whether agents are told the new length.
+    """
+
+    factor: float = 1.2
+    segment: int = -1
+    told: bool = False
+
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        """See `Perturbation.change_body`."""
+        lengths = list(body.segment_lengths)
+        lengths[_index("segment", self.segment, len(lengths))] *= self.factor
+        return replace(body, segment_lengths=tuple(lengths))
+
+
+@dataclass(frozen=True)
+class LockedJoint(Perturbation):
+    """A joint becomes rigid at the angle that it has, and stays so until the next reset.
+
+    Locked from the start, the targets are ones that the other joints can reach.  Locked on the
+    way, the target may have become unreachable, and there is no way to tell beforehand.
+
+    Attributes:
+        joint: index of the joint, from the base outward.
+        time: when it locks, s after the start.
+        told: whether agents are told which joint it is (`env.unwrapped.parameters`).
+    """
+
+    joint: int = 1
+    time: float = 0.0
+    told: bool = False
+
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        """See `Perturbation.change_body`."""
+        joint = _index("joint", self.joint, len(body.segment_lengths))
+        return replace(body, lockable_joints=(*body.lockable_joints, joint))
+
+
+@dataclass(frozen=True)
+class Obstacles(Perturbation):
+    """Fixed discs in the plane stop the arm, without friction.
+
+    Starting postures and targets are clear of them.  The way between may be blocked.
+
+    Attributes:
+        discs: (x, y, radius) of each.
+        segment_radius: half the thickness of the segments.
+    """
+
+    discs: tuple[tuple[float, float, float], ...] = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25))
+    segment_radius: float = 0.05
+
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        """See `Perturbation.change_body`; discs add."""
+        discs = (*body.obstacles, *self.discs)
+        return replace(body, obstacles=discs, segment_radius=self.segment_radius)
+
+
+@dataclass(frozen=True)
+class VisuomotorRotation(Perturbation):
+    """A cursor stands for the hand, turned about a centre; it is seen, measured and rewarded.
+
+    After Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20:8916, who turned by 30°.
+
+    Attributes:
+        degrees: counter-clockwise.
+        centre: (x, y) that the cursor and the hand turn about.  About the base, whatever the
+            hand reaches the cursor does.
+    """
+
+    degrees: float = 30.0
+    centre: tuple[float, float] = (0.0, 0.0)
+
+    def cursor(self, x: float, y: float) -> tuple[float, float]:
+        """Where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
+        cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
+        x, y = x - self.centre[0], y - self.centre[1]
+        return self.centre[0] + cos * x - sin * y, self.centre[1] + sin * x + cos * y
+
+
+@dataclass(frozen=True)
+class JointNoise(Noise):
+    """Noise of joint angles and velocities.
+
+    Standing still, people feel their joint angles to about 1° (van Beers, Sittig & Denier van
+    der Gon, 1998, Exp. Brain Res. 122:367).
+
+    Attributes:
+        std: standard deviation of the angles, rad; that of the velocities is ten a second of it.
+        speed_std: what is added to it by the joint's speed, s.
+    """
+
+    std: float = 0.02
+    speed_std: float = 0.0
+    _RATE: ClassVar[float] = 10.0  # 1/s
+
+    def draws(self, joint_count: int) -> int:
+        """See `Noise.draws`."""
+        return 2 * joint_count
+
+    def disturb(self, readings: Readings, normals: Floats) -> Readings:
+        """See `Noise.disturb`."""
+        count = readings.joint_angles.shape[-1]
+        std = self.std + self.speed_std * np.abs(readings.joint_velocities)
+        return replace(
+            readings,
+            joint_angles=readings.joint_angles + std * normals[..., :count],
+            joint_velocities=readings.joint_velocities + self._RATE * std * normals[..., count:],
+        )
+
+
+@dataclass(frozen=True)
+class VisionNoise(Noise):
+    """Noise of where hand and target are seen, in each coordinate.
+
+    Attributes:
+        std: standard deviation, segment lengths.
+        distance_std: what is added to it by the distance between hand and target, as a
+            fraction of it (Weber's law).
+    """
+
+    std: float = 0.03
+    distance_std: float = 0.0
+
+    def draws(self, joint_count: int) -> int:
+        """See `Noise.draws`."""
+        return 4
+
+    def disturb(self, readings: Readings, normals: Floats) -> Readings:
+        """See `Noise.disturb`."""
+        offset = readings.target - readings.hand
+        x, y = offset[..., 0], offset[..., 1]
+        std = (self.std + self.distance_std * np.sqrt(x * x + y * y))[..., None]
+        return replace(
+            readings,
+            hand=readings.hand + std * normals[..., :2],
+            target=readings.target + std * normals[..., 2:],
+        )
+
+
+@dataclass(frozen=True)
+class SensoryDelay(Perturbation):
+    """All is observed late; until the delay is over, the state at the start is.
+
+    `gymnasium.wrappers.DelayObservation` delays likewise, but shows zeros at first, which are
+    the observation of no posture, and cannot wrap a vector environment.
+
+    Attributes:
+        seconds: by how much, rounded to control steps.
+    """
+
+    seconds: float = 0.1
+
+
+def rotation_and_noises(
+    perturbations: Sequence[Perturbation],
+) -> tuple[VisuomotorRotation | None, list[Noise]]:
+    """The one rotation, if there is any, and the noises."""
+    rotations = [one for one in perturbations if isinstance(one, VisuomotorRotation)]
+    if len(rotations) > 1:
+        raise ValueError(f"perturbations must have at most one rotation, got {rotations}")
+    return (rotations or [None])[0], [one for one in perturbations if isinstance(one, Noise)]
+
+
+def _index(name: str, index: int, count: int) -> int:
+    if not -count <= index < count:
+        raise ValueError(f"{name} must be an index from {-count} to {count - 1}, got {index}")
+    return index % count
+
+
+_CHANGES = {"longer": 1, "shorter": -1}
+
+PERTURBATIONS: dict[str, Perturbation] = {
+    "force-field": ForceField(),
+    "rotation-30": VisuomotorRotation(30.0),
+    "rotation-45": VisuomotorRotation(45.0),
+    "hand-mass": HandMass(),
+    **{
+        f"{name}-{percent}{'-told' * told}": SegmentLength(1 + sign * percent / 100, told=told)
+        for name, sign in _CHANGES.items()
+        for percent in (10, 20, 50)
+        for told in (False, True)
+    },
+    "locked": LockedJoint(),
+    "locked-told": LockedJoint(told=True),
+    "locks": LockedJoint(time=0.2),
+    "locks-told": LockedJoint(time=0.2, told=True),
+    "joint-noise": JointNoise(),
+    "joint-noise-speed": JointNoise(std=0.0, speed_std=0.01),
+    "vision-noise": VisionNoise(),
+    "vision-noise-distance": VisionNoise(std=0.0, distance_std=0.05),
+    "delay-50": SensoryDelay(0.05),
+    "delay-100": SensoryDelay(0.1),
+    "delay-200": SensoryDelay(0.2),
+    "obstacles": Obstacles(),
+}
+"""Perturbations by name."""

@@ -1,0 +1,252 @@
+"""What a reaching environment is made of: its arguments, checked, and all that follows from them.
+
+Nothing here changes while an environment runs, and the single and the vector environment use the
+same, so that both mean the same by every argument.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from typing import Any, Literal, TypeVar, cast, get_args
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike
+
+from mmc_gym.body import ArmParameters, Servo
+from mmc_gym.body.engines import Engine
+from mmc_gym.envs.perturbations import (
+    PERTURBATIONS,
+    LockedJoint,
+    Perturbation,
+    SensoryDelay,
+    rotation_and_noises,
+)
+from mmc_gym.envs.tasks import TASKS, Task, Trial
+from mmc_gym.envs.workspace import Point, Workspace
+
+Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
+RewardType = Literal["dense", "sparse"]
+Named = TypeVar("Named", Task, Perturbation)
+
+_SERVO: dict[Control, Servo] = {
+    "joint_position": "position",
+    "joint_delta": "position",
+    "joint_velocity": "velocity",
+    "joint_torque": "torque",
+}
+
+
+class ReachSetup:
+    """The arguments of `MMCReachEnv`, and what follows from them.
+
+    Attributes:
+        told: physical parameters of the arm, as agents are told them.
+        body: those of the arm that is simulated; perturbations make the difference.
+        task: where trials come from.
+        workspace: what the hand can reach.
+        rotation: the visuomotor rotation, or None.
+        noises: of the senses.
+        noise_draws: how many normal numbers each of them takes.
+        delay: of the senses, control steps.
+        lock_step: after how many control steps the lockable joints lock; None: never.
+        path_length: places on the path of the target.
+        action_scale: what an action of 1 means.
+        servo: kind of servo that follows the actions.
+        reach: the sum of the told lengths, by which observed positions are divided.
+        farthest: distance from the base within which the hand, or its cursor, always is.
+        may_exceed_reach: whether that is beyond `reach`, so that observations must be clipped.
+    """
+
+    def __init__(
+        self,
+        *,
+        control: Control = "joint_position",
+        reward_type: RewardType = "dense",
+        control_weight: float = 0.1,
+        success_distance: float = 0.05,
+        task: str | Task = "random",
+        perturbations: Sequence[str | Perturbation] = (),
+        engine: Engine = "pymunk",
+        **arm_parameters: Any,
+    ) -> None:
+        """Check the arguments; they are listed in `MMCReachEnv`.
+
+        Raises:
+            ValueError: if one is outside what it accepts.
+            TypeError: if one is unknown.
+        """
+        require_one_of("control", control, get_args(Control))
+        require_one_of("reward_type", reward_type, get_args(RewardType))
+        require_one_of("engine", engine, get_args(Engine))
+        _require_at_least_zero("control_weight", control_weight)
+        _require_at_least_zero("success_distance", success_distance)
+        self.control: Control = control
+        self.reward_type: RewardType = reward_type
+        self.control_weight = float(control_weight)
+        self.success_distance = float(success_distance)
+        self.engine: Engine = engine
+        self.task = _named("task", task, TASKS, Task)
+        if isinstance(perturbations, (str, Perturbation)):
+            perturbations = (perturbations,)
+        self.perturbations = tuple(
+            _named("perturbations", one, PERTURBATIONS, Perturbation) for one in perturbations
+        )
+        self._apply_perturbations(ArmParameters(**arm_parameters))
+        self.servo = _SERVO[control]
+        self.action_scale = {
+            "joint_position": math.pi,
+            "joint_delta": self.max_joint_delta,
+            "joint_velocity": self.told.speed_limit,
+            "joint_torque": self.told.torque_limit,
+        }[control]
+        self.joint_count = len(self.told.segment_lengths)
+        self.reach = sum(self.told.segment_lengths)
+        self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
+        self.path_length = self.task.path_length(self.told.control_step)
+
+    def _apply_perturbations(self, parameters: ArmParameters) -> None:
+        changes = self.perturbations
+        step = parameters.control_step
+        self.body = reduce(lambda arm, change: change.change_body(arm), changes, parameters)
+        told = [change for change in changes if change.told]
+        self.told = reduce(lambda arm, change: change.change_body(arm), told, parameters)
+        self.rotation, self.noises = rotation_and_noises(changes)
+        count = len(parameters.segment_lengths)
+        self.noise_draws = [noise.draws(count) for noise in self.noises]
+        delays = [change.seconds for change in changes if isinstance(change, SensoryDelay)]
+        if not all(0 <= delay < math.inf for delay in delays):
+            raise ValueError(f"seconds of a delay must be finite and not negative, got {delays}")
+        self.delay = round(sum(delays) / step)
+        locks = [change for change in changes if isinstance(change, LockedJoint)]
+        times = {lock.time for lock in locks}
+        if len(times) > 1 or not all(0 <= time < math.inf for time in times):
+            raise ValueError(
+                f"the times of locked joints must be one time of at least 0, got {sorted(times)}"
+            )
+        self.lock_step = round(times.pop() / step) if times else None
+        locked = self.body.lockable_joints if self.lock_step == 0 else ()
+        self.workspace = Workspace(self.body, self.told, locked)
+        centre = self.rotation.centre if self.rotation else (0.0, 0.0)
+        self.farthest = sum(self.body.segment_lengths) + 2 * math.hypot(*centre)
+        self.may_exceed_reach = self.farthest > sum(self.told.segment_lengths)
+
+    @property
+    def max_joint_delta(self) -> float:
+        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians.
+
+        A target so far ahead asks the servo for its full speed; the joint's mean speed is less,
+        for it has come nearer when the control step ends.
+        """
+        return self.told.speed_limit / self.told.servo_gain
+
+    def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
+        """A trial of the task, with what the options decide.
+
+        A target given as an option stands still.  Everything is drawn in any case, so that an
+        option given for the one does not change the other.
+        """
+        posture, target, number = options
+        trial = self.task.draw(self.workspace, self.told.control_step, random, number, posture)
+        return trial if target is None else Trial(trial.joint_angles, [target])
+
+    def check_options(self, options: dict[str, Any] | None) -> Options:
+        """Posture, target and number of the trial that the options of a reset ask for, or None.
+
+        Raises:
+            ValueError: for an unknown option, or one of wrong shape, not finite, outside the
+                joint limits, out of reach, or in an obstacle.
+        """
+        options = options or {}
+        unknown = set(options) - {"joint_angles", "target", "trial"}
+        if unknown:
+            names = sorted(map(str, unknown))
+            raise ValueError(f"options must be 'joint_angles', 'target' or 'trial', got {names}")
+        posture, target, trial = (options.get(key) for key in ("joint_angles", "target", "trial"))
+        return (
+            None if posture is None else self._check_posture(posture),
+            None if target is None else self.check_target("options['target']", target),
+            None if trial is None else self._check_trial(trial),
+        )
+
+    def _check_posture(self, posture: ArrayLike) -> list[float]:
+        angles = finite("options['joint_angles']", posture, self.joint_count)
+        posture = [math.remainder(angle, math.tau) for angle in angles]
+        for angle, (low, high) in zip(posture, self.body.joint_limits or (), strict=False):
+            if not low <= angle <= high:
+                raise ValueError(
+                    f"options['joint_angles'] must lie within the joint limits "
+                    f"{self.body.joint_limits}, got {posture}"
+                )
+        if not self.workspace.is_clear(posture):
+            raise ValueError(
+                f"options['joint_angles'] must keep the arm clear of the obstacles "
+                f"{self.body.obstacles}, got {posture}"
+            )
+        return posture
+
+    def check_target(self, name: str, target: ArrayLike) -> Point:
+        """The target as a point, if it can be reached.
+
+        Raises:
+            ValueError: if it is of wrong shape, not finite, out of reach, or in an obstacle.
+        """
+        x, y = finite(name, target, 2)
+        if not self.workspace.contains((x, y)):
+            inner, outer = self.workspace.inner, self.workspace.outer
+            clear = " and clear of the obstacles" if self.body.obstacles else ""
+            raise ValueError(
+                f"{name} must lie between {inner:g} and {outer:g} from the base{clear}, "
+                f"got {(x, y)}"
+            )
+        return x, y
+
+    def _check_trial(self, trial: Any) -> int:
+        count = self.task.trial_count
+        if count is None:
+            raise ValueError(
+                f"options['trial'] must not be given: {self.task} has no numbered trials"
+            )
+        whole = isinstance(trial, (int, np.integer)) and not isinstance(trial, bool)
+        if not whole or not 0 <= trial < count:
+            raise ValueError(f"options['trial'] must be from 0 to {count - 1}, got {trial!r}")
+        return int(trial)
+
+
+Options = tuple[list[float] | None, Point | None, int | None]
+
+
+def require_one_of(name: str, value: object, accepted: Sequence[object]) -> None:
+    """Raise a `ValueError` that names the argument unless `value` is one of `accepted`."""
+    if value not in accepted:
+        raise ValueError(f"{name} must be one of {tuple(accepted)}, got {value!r}")
+
+
+def _require_at_least_zero(name: str, value: float) -> None:
+    if not 0 <= value < math.inf:
+        raise ValueError(f"{name} must be finite and not negative, got {value!r}")
+
+
+def _named(name: str, value: Any, table: Mapping[str, Named], kind: type) -> Named:
+    """The entry of a table, or what is one by itself."""
+    if isinstance(value, str) and value in table:
+        return table[value]
+    if not isinstance(value, kind):
+        accepted = f"a {kind.__name__} or one of {tuple(table)}"
+        raise ValueError(f"{name} must be {accepted}, got {value!r}")
+    return cast(Named, value)
+
+
+def finite(name: str, value: ArrayLike, count: int) -> list[float]:
+    """The value as `count` numbers, or a `ValueError` that names the argument."""
+    message = f"{name} must be {count} finite numbers, got {value!r}"
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:  # not numbers, or of uneven lengths
+        raise ValueError(message) from error
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(message)
+    values: list[float] = array.tolist()
+    return values

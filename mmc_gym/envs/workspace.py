@@ -1,0 +1,219 @@
+"""The workspace of an arm: where its hand can be, and postures and targets drawn from there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from mmc_gym.body import ArmParameters
+from mmc_gym.network.chain import (
+    node_positions,
+    reachable_radii,
+    segments_from_joint_angles,
+)
+
+# A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
+REACH_TOLERANCE = 1e-9
+_CELLS = 60  # grid cells across the reach, where joint limits shape the reachable set
+_MOST_DRAWS = 10_000
+
+Point = tuple[float, float]
+
+
+class Workspace:
+    """What the hand of one arm can reach.
+
+    The joints in `locked` cannot move, so that the segments on both sides of them are one rigid
+    piece, and what can be reached depends on the posture.
+
+    Attributes:
+        body: the arm.
+        inner: smallest distance from the base of a reachable point, with all joints free.
+        outer: largest distance, likewise.
+        locked: indices of joints that are locked all the time.
+    """
+
+    def __init__(
+        self, body: ArmParameters, told: ArmParameters | None = None, locked: Sequence[int] = ()
+    ) -> None:
+        """Make the workspace of `body`.
+
+        Args:
+            body: the arm that moves.
+            told: the arm that an agent takes it for, if another: the workspace is then what
+                both can reach.
+            locked: indices of joints that are locked all the time.
+        """
+        self.body = body
+        self.locked = tuple(locked)
+        rings = [reachable_radii(arm.segment_lengths) for arm in (body, told or body)]
+        self.inner = max(inner for inner, _ in rings)
+        self.outer = min(outer for _, outer in rings)
+        limits = body.joint_limits
+        self._limits = limits or ((-math.pi, math.pi),) * len(body.segment_lengths)
+        self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
+
+    def contains(self, point: Sequence[float]) -> bool:
+        """Whether the hand can be at `point` (x, y), with free joints without limits."""
+        slack = REACH_TOLERANCE * self.outer
+        distance = math.hypot(*point)
+        return self.inner - slack <= distance <= self.outer + slack and self._is_free(point)
+
+    def nearest(self, point: Sequence[float]) -> Point:
+        """The nearest point to `point` (x, y) between `inner` and `outer`."""
+        x, y = point
+        distance = math.hypot(x, y)
+        if self.inner <= distance <= self.outer:
+            return x, y
+        radius = self.inner if distance < self.inner else self.outer
+        angle = math.atan2(y, x)  # defined at the base too, and no division by a tiny distance
+        return radius * math.cos(angle), radius * math.sin(angle)
+
+    def draw_posture(self, random: np.random.Generator) -> list[float]:
+        """Joint angles uniform on the circle or within their limits, clear of obstacles."""
+        for _ in range(_MOST_DRAWS):
+            posture = [random.uniform(low, high) for low, high in self._limits]
+            if self.is_clear(posture):
+                return posture
+        raise RuntimeError("the obstacles leave no room for the arm")
+
+    def draw_target(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
+        """A target that the hand can reach from `posture`, clear of obstacles.
+
+        Area-uniform over the reachable set: with joint limits up to the size of a grid cell.
+        Only where some joints are locked and others limited, it is the hand of a posture drawn
+        uniformly, hence not area-uniform.
+        """
+        for _ in range(_MOST_DRAWS):
+            target = self._draw_target(random, posture)
+            if not (self.locked or self.body.obstacles) or self.contains(target):
+                return target
+        raise RuntimeError("no reachable target was found: the obstacles leave no room")
+
+    def _draw_target(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
+        if self._hands:
+            cell = self._hands[random.integers(len(self._hands))]
+            x, y = cell[random.integers(len(cell))]
+            return float(x), float(y)
+        if not self.locked:
+            return _draw_from_ring(self.inner, self.outer, random)
+        if self.body.joint_limits:
+            angles = [
+                posture[joint] if joint in self.locked else random.uniform(low, high)
+                for joint, (low, high) in enumerate(self._limits)
+            ]
+            x, y = self._nodes(angles)[-1]
+            return x, y
+        base, lengths = self._rigid_pieces(posture)
+        if not lengths:
+            return base
+        x, y = _draw_from_ring(*reachable_radii(lengths), random)
+        return base[0] + x, base[1] + y
+
+    def is_clear(self, posture: Sequence[float]) -> bool:
+        """Whether an arm in this posture (N joint angles) touches no obstacle."""
+        if not self.body.obstacles:
+            return True
+        rods = list(pairwise(self._nodes(posture)))
+        radius = self.body.segment_radius
+        return all(
+            _distance_to_rod((x, y), start, end) > disc + radius
+            for x, y, disc in self.body.obstacles
+            for start, end in rods
+        )
+
+    def posture_at(self, point: Sequence[float]) -> list[float]:
+        """The evenly bent posture (N joint angles) that has the hand at `point` (x, y).
+
+        All joints but the first have the same angle, from 0 (stretched) on, counter-clockwise.
+
+        Raises:
+            ValueError: if there is none, or none within the joint limits.
+        """
+        count, distance = len(self.body.segment_lengths), math.hypot(*point)
+
+        def bent(angle: float) -> Point:
+            return self._nodes([0.0] + [angle] * (count - 1))[-1]
+
+        # The hand comes nearer to the base as the arm bends; by 2π/N equal segments are a ring.
+        angles = np.linspace(0.0, math.tau / max(count, 2), 200)
+        beyond = [math.hypot(*bent(angle)) - distance for angle in angles]
+        bracket = next((i for i in range(1, len(angles)) if beyond[i] <= 0), None)
+        if math.isclose(beyond[0], 0.0, abs_tol=REACH_TOLERANCE * self.outer):
+            bend = 0.0
+        elif beyond[0] < 0 or bracket is None or count == 1:
+            raise ValueError(f"no evenly bent posture has the hand at {tuple(point)}")
+        else:
+            low, high = angles[bracket - 1], angles[bracket]
+            bend = float(brentq(lambda angle: math.hypot(*bent(angle)) - distance, low, high))
+        x, y = bent(bend)
+        base = math.remainder(math.atan2(point[1], point[0]) - math.atan2(y, x), math.tau)
+        posture = [base] + [bend] * (count - 1)
+        for angle, (low, high) in zip(posture, self._limits, strict=True):
+            if not low <= angle <= high:
+                raise ValueError(
+                    f"the evenly bent posture with the hand at {tuple(point)}, {posture}, is "
+                    f"beyond the joint limits {self.body.joint_limits}"
+                )
+        return posture
+
+    def _nodes(self, posture: Sequence[float]) -> list[Point]:
+        segments = segments_from_joint_angles(np.array(posture), self.body.segment_lengths)
+        return [(float(x), float(y)) for x, y in node_positions(segments)]
+
+    def _rigid_pieces(self, posture: Sequence[float]) -> tuple[Point, list[float]]:
+        """First joint that is free, and the lengths of the rigid pieces beyond it."""
+        nodes = self._nodes(posture)
+        free = [joint for joint in range(len(posture)) if joint not in self.locked]
+        ends = [nodes[joint] for joint in free] + [nodes[-1]]
+        return ends[0], [math.dist(start, end) for start, end in pairwise(ends)]
+
+    def _is_free(self, point: Sequence[float]) -> bool:
+        """Whether the tip of the hand at `point` touches no obstacle."""
+        radius = self.body.segment_radius
+        return all(math.dist(point, (x, y)) > disc + radius for x, y, disc in self.body.obstacles)
+
+
+@lru_cache(maxsize=8)  # a vector of environments asks once for each
+def reachable_hands(
+    segment_lengths: tuple[float, ...], joint_limits: tuple[tuple[float, float], ...]
+) -> list[NDArray[np.float64]]:
+    """Hand positions that an arm with joint limits reaches, grouped by cells of a square grid.
+
+    Draw a cell, then a position in it, for targets that are area-uniform up to the size of a
+    cell (a thirtieth of the reach) and reachable without exception.
+
+    Returns:
+        One array (n, 2) per cell that the hand can reach.
+    """
+    random = np.random.default_rng(0)
+    low, high = np.array(joint_limits).T
+    angles = random.uniform(low, high, size=(100_000, len(low)))
+    hands = segments_from_joint_angles(angles, segment_lengths).sum(axis=-2)
+    reach = reachable_radii(segment_lengths)[1]
+    columns, rows = ((hands / reach + 1) / 2 * _CELLS).astype(int).T
+    cells = rows * (_CELLS + 1) + columns
+    order = np.argsort(cells, kind="stable")
+    borders = np.flatnonzero(np.diff(cells[order])) + 1
+    return np.split(hands[order], borders)
+
+
+def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:
+    """A point drawn area-uniformly between two distances from the base."""
+    radius = math.sqrt(random.uniform(inner**2, outer**2))
+    angle = random.uniform(-math.pi, math.pi)
+    return radius * math.cos(angle), radius * math.sin(angle)
+
+
+def _distance_to_rod(point: Point, start: Point, end: Point) -> float:
+    along = (end[0] - start[0], end[1] - start[1])
+    offset = (point[0] - start[0], point[1] - start[1])
+    squared = along[0] ** 2 + along[1] ** 2
+    share = min(max((offset[0] * along[0] + offset[1] * along[1]) / squared, 0.0), 1.0)
+    return math.hypot(offset[0] - share * along[0], offset[1] - share * along[1])
