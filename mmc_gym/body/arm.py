@@ -1,7 +1,7 @@
 """One planar arm in a pymunk Space: N uniform rods on pivots, with a servo at every joint.
 
-The rods have no shapes (nothing collides) and the plane is horizontal unless gravity is set.
-Joint angles are relative, 0 = straight on; the base stands at the origin.
+The rods have no shapes (nothing collides) unless there are obstacles, and the plane is horizontal
+unless gravity is set.  Joint angles are relative, 0 = straight on; the base stands at the origin.
 
 A servo is a constraint, solved implicitly inside the physics step: stable at the full substep,
 and one write per control step.
@@ -21,17 +21,14 @@ pymunk's own, bit by bit.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from math import copysign, cos, remainder, sin, tau
 from typing import get_args
 
-import pymunk
 from pymunk._chipmunk_cffi import lib as chipmunk
 
+from mmc_gym.body.linkage import Linkage, forget_impulses, make_space
 from mmc_gym.body.parameters import ArmParameters, Servo, require
-
-_MOST_SOLVER_ITERATIONS = 500  # a step of three segments then takes 0.1 ms instead of 0.01
 
 
 class Arm:
@@ -47,6 +44,7 @@ class Arm:
         command: takes N values and hands them to the servos, which hold them until the next
             call: joint targets in radians (reached the short way round, or within the joint
             limits if there are any), joint velocities in rad/s, or torques.
+        step: simulates one control step.
     """
 
     segment_angles: list[float]
@@ -54,6 +52,7 @@ class Arm:
     joint_velocities: list[float]
     end_effector: tuple[float, float]
     command: Callable[[Sequence[float]], None]
+    step: Callable[[], None]
 
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
         """Build the arm, stretched along the x axis and at rest.
@@ -65,44 +64,19 @@ class Arm:
         self.parameters = parameters or ArmParameters()
         self._servo = servo
         self.command = getattr(self, f"_command_{servo}")
-        self._space = pymunk.Space()
-        self._space.gravity = self.parameters.gravity
-        self._space.iterations = _solver_iterations(self.parameters)
-        self._segments: list[pymunk.Body] = []
-        self._servos: list[pymunk.Constraint] = []
+        self.step = self._step if self.parameters.force_field is None else self._step_in_field
         self._build()
-        lengths = self.parameters.segment_lengths
-        self._handles = [
-            (body._body, length) for body, length in zip(self._segments, lengths, strict=True)
-        ]
-        self._servo_handles = [servo._constraint for servo in self._servos]
-        self.reset([0.0] * len(self._segments))
+        self.reset([0.0] * len(self._handles))
 
     def _build(self) -> None:
-        p = self.parameters
-        parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), (0.0, 0.0)
-        for index, (length, mass) in enumerate(zip(p.segment_lengths, p.masses, strict=True)):
-            segment = pymunk.Body(mass, mass * length**2 / 12)
-            pivot = pymunk.PivotJoint(parent, segment, anchor, (-length / 2, 0.0))
-            drive = self._make_servo(parent, segment)
-            self._space.add(segment, pivot, drive)
-            if p.joint_limits is not None:
-                self._space.add(pymunk.RotaryLimitJoint(parent, segment, *p.joint_limits[index]))
-            self._segments.append(segment)
-            self._servos.append(drive)
-            parent, anchor = segment, (length / 2, 0.0)
-
-    def _make_servo(self, parent: pymunk.Body, segment: pymunk.Body) -> pymunk.Constraint:
-        p = self.parameters
-        drive: pymunk.GearJoint | pymunk.SimpleMotor
-        if self._servo == "position":
-            drive = pymunk.GearJoint(parent, segment, 0.0, 1.0)
-            drive.error_bias = math.exp(-p.servo_gain)  # what is left of an error after 1 s
-            drive.max_bias = p.speed_limit
-        else:
-            drive = pymunk.SimpleMotor(parent, segment, 0.0)
-        drive.max_force = p.torque_limit
-        return drive
+        self._space = make_space(self.parameters)
+        self._linkage = Linkage(self._space, self.parameters, self._servo)
+        self._servos = self._linkage.servos
+        self._servo_handles = [servo._constraint for servo in self._servos]
+        self._handles = [
+            (segment._body, length)
+            for segment, length in zip(self._linkage.segments, self.parameters.segment_lengths)
+        ]
 
     def reset(
         self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
@@ -114,46 +88,61 @@ class Arm:
             joint_velocities: N relative angular velocities in rad/s, or None for rest.
 
         The servos hold the posture (position), stop the joints (velocity) or are slack
-        (torque) until they are commanded.
+        (torque) until they are commanded.  Locked joints are free again.
+
+        Raises:
+            ValueError: for another number of angles or velocities than N.
         """
-        self._forget_impulses()
-        velocities = [0.0] * len(joint_angles) if joint_velocities is None else joint_velocities
-        angle = speed = x = y = velocity_x = velocity_y = 0.0
-        for segment, length, joint_angle, joint_velocity in zip(
-            self._segments, self.parameters.segment_lengths, joint_angles, velocities, strict=True
-        ):
-            angle += joint_angle
-            speed += joint_velocity
-            half_x, half_y = length / 2 * cos(angle), length / 2 * sin(angle)
-            segment.position = (x + half_x, y + half_y)
-            segment.velocity = (velocity_x - speed * half_y, velocity_y + speed * half_x)
-            segment.angle = angle
-            segment.angular_velocity = speed
-            x, y = x + 2 * half_x, y + 2 * half_y
-            velocity_x -= 2 * speed * half_y
-            velocity_y += 2 * speed * half_x
+        at_rest = [0.0] * len(self._handles)
+        velocities = at_rest if joint_velocities is None else joint_velocities
+        for name, values in ("joint_angles", joint_angles), ("joint_velocities", velocities):
+            require(len(values) == len(at_rest), name, values, f"{len(at_rest)} values")
+        if self.parameters.obstacles:  # contacts are remembered, and are not to be forgotten
+            self._build()
+        else:
+            forget_impulses(self._space, [self._linkage], self.parameters.substep)
+        self._linkage.place(joint_angles, velocities)
         self._read()
-        self.command(joint_angles if self._servo == "position" else [0.0] * len(joint_angles))
+        self.command(joint_angles if self._servo == "position" else at_rest)
 
-    def _forget_impulses(self) -> None:
-        """Clear the impulses that pymunk's joints keep from one physics step to the next.
+    def lock(self) -> None:
+        """Make the `lockable_joints` rigid where they are, until the next reset."""
+        self._linkage.lock(self.joint_angles)
 
-        They are not part of a body's pose or velocity, and would make the future of a reset arm
-        another than that of a new one.  A step in which no joint may exert a force clears them.
-        """
-        limits = [(joint, joint.max_force) for joint in self._space.constraints]
-        for joint, _ in limits:
-            joint.max_force = 0.0
-        self._space.step(self.parameters.substep)
-        for joint, limit in limits:
-            joint.max_force = limit
+    @property
+    def hand_velocity(self) -> tuple[float, float]:
+        """Velocity (x, y) of the end of the last segment, lengths / s."""
+        return self._linkage.hand_velocity()
 
-    def step(self) -> None:
+    def pivot_gap(self) -> float:
+        """Largest distance between the two ends that a pivot should hold together, lengths."""
+        return self._linkage.pivot_gap()
+
+    def _step(self) -> None:
         """Simulate one control step."""
         space, substep = self._space._space, self.parameters.substep
         for _ in range(self.parameters.substeps):
             chipmunk.cpSpaceStep(space, substep)
         self._read()
+
+    def _step_in_field(self) -> None:
+        """Simulate one control step, in which a force field acts on the hand."""
+        space, substep = self._space._space, self.parameters.substep
+        for _ in range(self.parameters.substeps):
+            self._push_hand()
+            chipmunk.cpSpaceStep(space, substep)
+        self._read()
+
+    def _push_hand(self) -> None:
+        """Let the force field act on the hand in the next physics step."""
+        assert self.parameters.force_field is not None
+        (xx, xy), (yx, yy) = self.parameters.force_field
+        x, y = self._linkage.hand_velocity()
+        force_x, force_y = xx * x + xy * y, yx * x + yy * y
+        body, reach = self._linkage.hand
+        angle = chipmunk.cpBodyGetAngle(body)
+        chipmunk.cpBodySetForce(body, (force_x, force_y))
+        chipmunk.cpBodySetTorque(body, reach * (cos(angle) * force_y - sin(angle) * force_x))
 
     def _read(self) -> None:
         get_angle, get_velocity = chipmunk.cpBodyGetAngle, chipmunk.cpBodyGetAngularVelocity
@@ -200,33 +189,6 @@ class Arm:
         for servo, torque in zip(servos, torques):
             set_rate(servo, copysign(speed_limit, -torque))
             set_limit(servo, min(abs(torque), torque_limit))
-
-    def pivot_gap(self) -> float:
-        """Largest distance between the two ends that a pivot should hold together, lengths."""
-        gap, end = 0.0, pymunk.Vec2d(0.0, 0.0)
-        for segment, length in zip(self._segments, self.parameters.segment_lengths, strict=True):
-            gap = max(gap, segment.local_to_world((-length / 2, 0.0)).get_distance(end))
-            end = segment.local_to_world((length / 2, 0.0))
-        return gap
-
-
-def _solver_iterations(parameters: ArmParameters) -> int:
-    """Sweeps of Chipmunk's solver over the joints in a physics step.
-
-    The heavier the arm beyond a joint, measured by the rod that carries it, the more of them an
-    arm needs to come to rest at its joint targets instead of buzzing around them.  Three equal
-    rods (a ratio of inertias of 27) need pymunk's 10; in random arms of two to five segments,
-    four times lighter and heavier, the need was seen to grow in proportion to that ratio.
-    """
-    lengths, masses = parameters.segment_lengths, parameters.masses
-    ratio = 0.0
-    for joint in range(len(lengths)):
-        inertia = start = 0.0  # of the arm beyond this joint, stretched, about the joint
-        for length, mass in zip(lengths[joint:], masses[joint:]):
-            inertia += mass * ((start + length / 2) ** 2 + length**2 / 12)
-            start += length
-        ratio = max(ratio, inertia / (masses[joint] * lengths[joint] ** 2 / 3))
-    return min(max(10, round(10 / 27 * ratio)), _MOST_SOLVER_ITERATIONS)
 
 
 def _wrong_count(name: str, count: int, values: Sequence[float]) -> ValueError:
