@@ -34,6 +34,7 @@ class Linkage:
         servos: the N constraints that drive the joints.
         locks: the lockable joints and the constraints that make them rigid.
         hand: the last body, and how far from its centre of gravity the hand is.
+        locked: whether the lockable joints are held.
     """
 
     def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
@@ -41,6 +42,7 @@ class Linkage:
         self.segments: list[pymunk.Body] = []
         self.servos: list[pymunk.Constraint] = []
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
+        self.locked = False
         self._lengths = parameters.segment_lengths
         self._centres: list[float] = []
         # The base is a body of the arm's own that is not in the Space: the Space's own static
@@ -131,7 +133,10 @@ class Linkage:
             velocity_y += speed * length * along_x
 
     def lock(self, joint_angles: Sequence[float]) -> None:
-        """Hold the lockable joints at `joint_angles`, of which there is one per joint."""
+        """Hold the lockable joints at `joint_angles`, one per joint, if they are not held yet."""
+        if self.locked:
+            return
+        self.locked = True
         for joint, lock in self.locks:
             chipmunk.cpGearJointSetPhase(lock._constraint, joint_angles[joint])
             chipmunk.cpConstraintSetMaxForce(lock._constraint, math.inf)
@@ -145,6 +150,19 @@ class Linkage:
         """Allow all joints the force that they were built with; locks are open."""
         for joint, limit in zip(self.joint_handles, self._limits):
             chipmunk.cpConstraintSetMaxForce(joint, limit)
+        self.locked = False
+
+    def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
+        """Take the joints out of one Space and into another, and keep their order.
+
+        Chipmunk fills the place of what it takes out with the last one of all.  Taken out from
+        the last to the first, the joints of an arm are so replaced by those of another, in their
+        order.
+        """
+        for joint in reversed(self.joint_handles):
+            chipmunk.cpSpaceRemoveConstraint(source._space, joint)
+        for joint in self.joint_handles:
+            chipmunk.cpSpaceAddConstraint(target._space, joint)
 
     def hand_velocity(self) -> tuple[float, float]:
         """Velocity (x, y) of the end of the last segment."""
