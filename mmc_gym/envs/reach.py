@@ -13,12 +13,11 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body import ArmParameters
 from mmc_gym.body.engines import make_arm
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import control_cost, dense_reward, sparse_reward
 from mmc_gym.envs.senses import disturb, encode
-from mmc_gym.envs.setup import ReachSetup, finite, require_one_of
+from mmc_gym.envs.setup import HasSetup, ReachSetup, finite, require_one_of
 from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 Info = dict[str, Any]
 
 
-class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
+class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]], EzPickle):
     """A planar arm of three segments reaches for a target and stays there.
 
     ## Description
@@ -104,16 +103,10 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
         EzPickle.__init__(self, render_mode=render_mode, **arguments)
         require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = ReachSetup(**arguments)
-        self.parameters: ArmParameters = setup.told
-        self.control = setup.control
-        self.reward_type = setup.reward_type
-        self.control_weight = setup.control_weight
-        self.success_distance = setup.success_distance
-        self.reach = setup.reach
-        self.max_joint_delta = setup.max_joint_delta
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1 / setup.told.control_step)}
         self.action_space = setup.action_space
+        self._action_shape = setup.action_space.shape
         self.observation_space = self._make_observation_space(setup.joint_count)
         self._arm = make_arm(setup.engine, setup.body, setup.servo)
         self._has_events = setup.path_length > 1 or bool(setup.lock_step)
@@ -149,22 +142,19 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
             ValueError: if the action has the wrong shape or an element that is not a number
                 within −1 and 1; the environment stays as it was.
         """
-        values = self._check_action(action)
-        scale = self.setup.action_scale
-        if self.control == "joint_delta":
-            command = [
-                angle + scale * value for angle, value in zip(self._arm.joint_angles, values)
-            ]
-        else:
-            command = [scale * value for value in values]
-        self._arm.command(command)
-        self._arm.step()
+        arm, setup = self._arm, self.setup
+        scale = setup.action_scale
+        command = [scale * value for value in self._check_action(action)]
+        if setup.control == "joint_delta":
+            command = [angle + delta for angle, delta in zip(arm.joint_angles, command)]
+        arm.command(command)
+        arm.step()
         if self._has_events:
             self._advance_events()
         if self.render_mode == "human":
             self.render()
         observation, reward, info = self._outcome()
-        if self.setup.delay:
+        if setup.delay:
             observation = self._delayed(observation)
         return observation, reward, False, False, info
 
@@ -219,22 +209,23 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
     def _outcome(self) -> tuple[Any, float, Info]:
         """Observation, reward and info of the present state."""
         arm, setup, target = self._arm, self.setup, self._target
-        hand = self._seen_hand()
+        hand = arm.end_effector if setup.rotation is None else self._seen_hand()
         limit = setup.told.speed_limit
         speeds = [
             -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
             for velocity in arm.joint_velocities
         ]
         distance = _distance(hand, target)
+        is_success = distance <= setup.success_distance and self._is_last_target
         reward_distance = dense_reward(distance)
-        reward_control = control_cost(speeds, setup.joint_count, self.control_weight)
-        if self.reward_type == "sparse":
-            reward = sparse_reward(distance, self.success_distance)
+        reward_control = control_cost(speeds, setup.control_weight)
+        if setup.reward_type == "sparse":
+            reward = sparse_reward(is_success)
         else:
             reward = reward_distance + reward_control
         info = {
             "distance": distance,
-            "is_success": distance <= self.success_distance and self._is_last_target,
+            "is_success": is_success,
             "end_effector": np.array(arm.end_effector),
             "target": np.array(target),
             "reward_distance": reward_distance,
@@ -260,7 +251,7 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _observation(self, posture: list[float], hand: Point, target: Point) -> Any:
         """Observation from cos, sin and speed of the joints, the seen hand and the target."""
-        (x, y), (hand_x, hand_y), reach = target, hand, self.reach
+        (x, y), (hand_x, hand_y), reach = target, hand, self.setup.reach
         diameter = 2 * reach
         values = [*posture, x / reach, y / reach, (x - hand_x) / diameter, (y - hand_y) / diameter]
         if self.setup.may_exceed_reach:
@@ -300,8 +291,8 @@ class MMCReachEnv(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _check_action(self, action: ArrayLike) -> list[float]:
         array = np.asarray(action)
-        if array.shape != self.action_space.shape:
-            raise ValueError(f"action must have shape {self.action_space.shape}, got {array.shape}")
+        if array.shape != self._action_shape:
+            raise ValueError(f"action must have shape {self._action_shape}, got {array.shape}")
         values: list[float] = array.tolist()
         for value in values:
             if not -1.0 <= value <= 1.0:  # false for NaN too

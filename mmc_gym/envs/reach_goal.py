@@ -10,11 +10,40 @@ from numpy.typing import NDArray
 
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.rewards import dense_reward, sparse_reward
-from mmc_gym.envs.setup import ReachSetup, RewardType
+from mmc_gym.envs.setup import HasSetup, ReachSetup, RewardType
 from mmc_gym.envs.workspace import REACH_TOLERANCE, Point
 
 
-class MMCReachGoalEnv(MMCReachEnv):
+class GoalRewards(HasSetup):
+    """What stable-baselines3 asks a goal environment for, so that it can relabel transitions."""
+
+    def compute_reward(
+        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
+    ) -> Any:
+        """Reward for hands (..., 2) and targets (..., 2), shape (...); `info` is not used."""
+        del info
+        offset = np.asarray(desired_goal, np.float64) - np.asarray(achieved_goal, np.float64)
+        x, y = offset[..., 0], offset[..., 1]
+        distance = np.sqrt(x * x + y * y)
+        if self.reward_type == "sparse":
+            return sparse_reward(distance <= self.success_distance)
+        return dense_reward(distance)
+
+    def compute_terminated(
+        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
+    ) -> Any:
+        """False for every transition, shape (...): the hand must stay at the target."""
+        del desired_goal, info
+        return np.zeros(np.shape(achieved_goal)[:-1], dtype=bool)[()]
+
+    def compute_truncated(
+        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
+    ) -> Any:
+        """False for every transition, shape (...): the time limit alone truncates."""
+        return self.compute_terminated(achieved_goal, desired_goal, info)
+
+
+class MMCReachGoalEnv(GoalRewards, MMCReachEnv):
     """`MMCReachEnv` as a goal environment, for hindsight experience replay.
 
     As `MMCReach-v0`, but for:
@@ -38,35 +67,8 @@ class MMCReachGoalEnv(MMCReachEnv):
         Raises:
             ValueError: if an argument is outside what it accepts.
         """
-        if "control_weight" in kwargs and kwargs.pop("control_weight") != 0.0:
-            raise ValueError("control_weight must be 0: the reward is a function of the goals")
-        super().__init__(reward_type=reward_type, control_weight=0.0, **kwargs)
+        super().__init__(reward_type=reward_type, **without_control_weight(kwargs))
         check_goals(self.setup)
-
-    def compute_reward(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """Reward for hands (..., 2) and targets (..., 2), shape (...); `info` is not used."""
-        del info
-        offset = np.asarray(desired_goal, np.float64) - np.asarray(achieved_goal, np.float64)
-        x, y = offset[..., 0], offset[..., 1]
-        distance = np.sqrt(x * x + y * y)
-        if self.reward_type == "sparse":
-            return sparse_reward(distance, self.success_distance)
-        return dense_reward(distance)
-
-    def compute_terminated(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """False for every transition, shape (...): the hand must stay at the target."""
-        del desired_goal, info
-        return np.zeros(np.shape(achieved_goal)[:-1], dtype=bool)[()]
-
-    def compute_truncated(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """False for every transition, shape (...): the time limit alone truncates."""
-        return self.compute_terminated(achieved_goal, desired_goal, info)
 
     def _make_observation_space(self, count: int) -> spaces.Space[Any]:
         return goal_observation_space(self.setup)
@@ -96,3 +98,10 @@ def check_goals(setup: ReachSetup) -> None:
             f"noise, no delay and no via points, got task={setup.task}, "
             f"perturbations={setup.perturbations}"
         )
+
+
+def without_control_weight(arguments: dict[str, Any]) -> dict[str, Any]:
+    """The arguments with no weight for the control cost, or a `ValueError` if there is one."""
+    if arguments.get("control_weight", 0.0) != 0.0:
+        raise ValueError("control_weight must be 0: the reward is a function of the goals")
+    return {**arguments, "control_weight": 0.0}

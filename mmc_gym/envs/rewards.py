@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
+from operator import mul
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,18 +17,17 @@ def dense_reward(distance: Distance) -> Distance:
     return -distance
 
 
-def sparse_reward(distance: Distance, success_distance: float) -> Distance:
-    """0 where the hand is within `success_distance` of the target, −1 elsewhere."""
-    return (distance <= success_distance) - 1.0  # type: ignore[return-value]
+def sparse_reward(is_success: Any) -> Any:
+    """0 where the task is done, −1 elsewhere."""
+    return is_success - 1.0
 
 
-def control_cost(speeds: Iterable[Any], count: int, weight: float) -> Any:
+def control_cost(speeds: Sequence[Any] | NDArray[np.float64], weight: float) -> Any:
     """Minus `weight` times the mean square of the joint speeds, as fractions of their limit.
 
     Args:
-        speeds: one number, or one array over arms, for each of the `count` joints.
-        count: how many joints there are.
+        speeds: of the joints, first axis; an array may have arms behind it.
         weight: of the cost.
     """
-    squares: Any = sum(speed * speed for speed in speeds)
-    return -weight * squares / count
+    squares: Any = sum(map(mul, speeds, speeds))
+    return -weight * squares / len(speeds)

@@ -215,6 +215,47 @@ class ReachSetup:
         return int(trial)
 
 
+class HasSetup:
+    """What an environment tells of its setup; agents and measures read it."""
+
+    setup: ReachSetup
+
+    @property
+    def parameters(self) -> ArmParameters:
+        """The arm as agents are told it."""
+        return self.setup.told
+
+    @property
+    def control(self) -> Control:
+        """What actions mean."""
+        return self.setup.control
+
+    @property
+    def reward_type(self) -> RewardType:
+        """The kind of reward."""
+        return self.setup.reward_type
+
+    @property
+    def control_weight(self) -> float:
+        """Weight of the control cost."""
+        return self.setup.control_weight
+
+    @property
+    def success_distance(self) -> float:
+        """Distance within which the target counts as reached, segment lengths."""
+        return self.setup.success_distance
+
+    @property
+    def reach(self) -> float:
+        """Sum of the told segment lengths."""
+        return self.setup.reach
+
+    @property
+    def max_joint_delta(self) -> float:
+        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
+        return self.setup.max_joint_delta
+
+
 Options = tuple[list[float] | None, Point | None, int | None]
 
 

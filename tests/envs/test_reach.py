@@ -302,7 +302,10 @@ BAD_ACTIONS: dict[str, Any] = {
     "batch": np.zeros((1, 3)),
 }
 BAD_OPTIONS: dict[str, tuple[Any, str]] = {
-    "unknown": ({"goal": (0, 0)}, r"options must be 'joint_angles', 'target' or 'trial'.*\['goal'\]"),
+    "unknown": (
+        {"goal": (0, 0)},
+        r"options must be 'joint_angles', 'target' or 'trial'.*\['goal'\]",
+    ),
     "target NaN": ({"target": (math.nan, 0)}, r"options\['target'\] must be 2 finite numbers"),
     "target shape": ({"target": (1, 1, 1)}, r"options\['target'\] must be 2 finite .*\(1, 1, 1\)"),
     "target words": ({"target": "there"}, r"options\['target'\] must be 2 finite .*'there'"),

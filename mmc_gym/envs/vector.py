@@ -1,0 +1,355 @@
+"""`MMCReach-v0` as a vector environment: many arms, stepped as arrays.
+
+Arm `i` plays exactly what a single environment with its seed and actions would play.  All that
+follows from the arguments comes from the same `ReachSetup`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space, create_empty_array
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym.body.engines import make_arms
+from mmc_gym.envs.perturbations import Readings
+from mmc_gym.envs.rewards import control_cost, dense_reward, sparse_reward
+from mmc_gym.envs.rows import check_mask, check_seeds, pick, put, spread
+from mmc_gym.envs.senses import disturb, encode, relative_speeds
+from mmc_gym.envs.setup import HasSetup, Options, ReachSetup, require_one_of
+
+if TYPE_CHECKING:
+    from mmc_gym.envs.rendering import Renderer
+
+Info = dict[str, Any]
+Indices = NDArray[np.intp]
+Bools = NDArray[np.bool_]
+
+
+class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
+    """Many arms of `MMCReachEnv`, array in, array out.
+
+    `gym.make_vec("MMCReach-v0", num_envs=64)` makes one.  With the same seeds and actions it
+    returns what `vectorization_mode="sync"` does, bit for bit, where numpy's `cos` and `sin` are
+    those of the C library (elsewhere observations, distances and rewards may differ in the last
+    bit, the movements never).  Returned arrays are new ones.
+
+    ## Arguments
+    Those of `MMCReachEnv`, and `num_envs`, `max_episode_steps` (100; None: no limit),
+    `autoreset_mode` (Gymnasium's `AutoresetMode`, or its value: "NextStep", "SameStep",
+    "Disabled") and `threads` that step the arms (1).
+
+    It cannot be pickled or copied: make it anew.
+    """
+
+    metadata = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = 100,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int = 1,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        """Make the environment; the arguments are listed in the class docstring.
+
+        Raises:
+            ValueError: if an argument is outside what it accepts.
+            TypeError: if one is unknown.
+        """
+        require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
+            if value is not None and not (isinstance(value, int) and value >= 1):
+                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+        self.setup = setup = ReachSetup(**arguments)
+        self.num_envs = num_envs
+        self.max_episode_steps = max_episode_steps
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.render_mode = render_mode
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": round(1 / setup.told.control_step),
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.single_action_space = setup.action_space
+        self.single_observation_space = self._make_observation_space()
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._body = make_arms(setup.engine, setup.body, num_envs, setup.servo, threads)
+        self._all = np.arange(num_envs)
+        self._randoms: list[np.random.Generator] = []
+        self._seeds: list[int] = []
+        self._steps = np.zeros(num_envs, dtype=np.intp)
+        self._paths = np.zeros((num_envs, setup.path_length, 2))
+        self._last_places = np.zeros(num_envs, dtype=np.intp)
+        self._places = np.zeros(num_envs, dtype=np.intp)
+        self._targets = np.zeros((num_envs, 2))
+        self._is_started = np.zeros(num_envs, dtype=bool)
+        self._is_over = np.zeros(num_envs, dtype=bool)
+        space = self.single_observation_space
+        # Observations on their way, oldest first: that one is shown.
+        self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
+        self._renderers: list[Renderer] = []
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, Info]:
+        """Start episodes, of all arms, or of those that `options["reset_mask"]` names.
+
+        Args:
+            seed: of the first arm, the next gets `seed` + 1 and so on; or one for each.
+            options: as in `MMCReachEnv.reset`, the same for all; and `reset_mask`, (n,) bool.
+
+        Raises:
+            ValueError: if a seed or an option is outside what it accepts; nothing has changed.
+        """
+        options = dict(options or {})
+        mask = check_mask(options.pop("reset_mask", None), self.num_envs)
+        checked = self.setup.check_options(options)
+        self._seed(check_seeds(seed, self.num_envs), mask)
+        arms = np.flatnonzero(mask)
+        self._place(arms, checked)
+        self._is_started[arms], self._is_over[arms] = True, False
+        observation, _, info = self._outcome(arms)
+        self._show_start(arms, observation)
+        return deepcopy(self._late[0]), spread(info, mask)
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Any, NDArray[np.float64], Bools, Bools, Info]:
+        """Hand each arm its action, (n, N), and simulate one control step.
+
+        Raises:
+            ValueError: if the actions are of wrong shape, or one is not within −1 and 1; nothing
+                has changed.
+            gymnasium.error.ResetNeeded: if there was no reset yet; or, without autoreset, if an
+                episode is over.
+        """
+        self._require_running()
+        waiting = np.flatnonzero(self._is_over)  # they are reset in place of a step
+        self._body.command(self._commands(actions, waiting))
+        self._body.step()
+        self._steps += 1
+        self._advance_events()
+        self._place(waiting, _NO_OPTIONS)
+        observation, rewards, info = self._outcome(self._all)
+        self._late = [*self._late[1:], observation]
+        self._show_start(waiting, pick(observation, waiting))
+        rewards[waiting] = 0.0
+        terminations = np.zeros(self.num_envs, dtype=bool)
+        truncations = terminations.copy()
+        if self.max_episode_steps is not None:
+            truncations |= self._steps >= self.max_episode_steps
+        infos = spread(info, np.ones(self.num_envs, dtype=bool))
+        if self.autoreset_mode != AutoresetMode.SAME_STEP:
+            self._is_over = truncations.copy()
+        elif truncations.any():
+            infos = self._restart(infos, truncations)
+        return deepcopy(self._late[0]), rewards, terminations, truncations, infos
+
+    def render(self) -> tuple[Any, ...] | None:
+        """A picture (height, width, 3) of each arm."""
+        if self.render_mode is None:
+            gym.logger.warn("render() needs render_mode='rgb_array'")
+            return None
+        if not self._renderers:
+            from mmc_gym.envs.rendering import Renderer
+
+            fps = self.metadata["render_fps"]
+            self._renderers = [Renderer(self.setup, "rgb_array", fps) for _ in self._all]
+        return tuple(
+            renderer.draw(angles, target)
+            for renderer, angles, target in zip(
+                self._renderers,
+                self._body.segment_angles.tolist(),
+                self._targets.tolist(),
+                strict=True,
+            )
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads."""
+        del kwargs
+        self._body.close()
+
+    @property  # type: ignore[misc]  # read-only, as in SyncVectorEnv
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The random generator of each arm, as of Gymnasium's `SyncVectorEnv`."""
+        self._seed([None] * self.num_envs, np.zeros(self.num_envs, dtype=bool))
+        return tuple(self._randoms)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The seed of each arm's generator."""
+        self._seed([None] * self.num_envs, np.zeros(self.num_envs, dtype=bool))
+        return tuple(self._seeds)
+
+    def __getstate__(self) -> NoReturn:
+        raise TypeError("a vector environment cannot be pickled or copied: make it anew")
+
+    # --- What happens to the arms
+
+    def _seed(self, seeds: Sequence[int | None], mask: Bools) -> None:
+        """Give the masked arms generators of their seeds, and all arms one if they have none."""
+        if not self._randoms:
+            made = [seeding.np_random() for _ in self._all]
+            self._randoms, self._seeds = [one for one, _ in made], [seed for _, seed in made]
+        for arm, (seed, is_masked) in enumerate(zip(seeds, mask, strict=True)):
+            if is_masked and seed is not None:
+                self._randoms[arm], self._seeds[arm] = seeding.np_random(seed)
+
+    def _place(self, arms: Indices, options: Options) -> None:
+        """Draw trials for these arms, and place them."""
+        if not len(arms):
+            return
+        trials = [self.setup.draw_trial(self._randoms[arm], options) for arm in arms]
+        for arm, (_, targets) in zip(arms, trials, strict=True):
+            self._paths[arm, : len(targets)] = targets
+            self._last_places[arm] = len(targets) - 1
+        self._body.reset(np.array([posture for posture, _ in trials]), arms)
+        if self.setup.lock_step == 0:
+            self._body.lock(arms)
+        self._steps[arms] = self._places[arms] = 0
+        self._targets[arms] = self._paths[arms, 0]
+        for renderer in [self._renderers[arm] for arm in arms] if self._renderers else ():
+            renderer.clear_trace()
+
+    def _advance_events(self) -> None:
+        """What else happens in a step: targets move on, and joints lock."""
+        setup, last = self.setup, self._last_places
+        if setup.lock_step:
+            self._body.lock(np.flatnonzero(self._steps == setup.lock_step))
+        if setup.path_length == 1:
+            return
+        if setup.task.advance == "reach":
+            hands = self._seen_hands(self._all)
+            reached = _distance(hands, self._targets) <= self.success_distance
+            self._places = np.minimum(self._places + reached, last)
+        elif setup.task.periodic:
+            self._places = self._steps % (last + 1)
+        else:
+            self._places = np.minimum(self._steps, last)
+        self._targets = self._paths[self._all, self._places]
+
+    def _restart(self, infos: Info, over: Bools) -> Info:
+        """Under SAME_STEP: start the arms that are over; the infos tell how they ended."""
+        arms = np.flatnonzero(over)
+        final_observations = np.full(self.num_envs, None, dtype=object)
+        for arm in arms:
+            final_observations[arm] = deepcopy(pick(self._late[0], arm))
+        names = [name for name in infos if not name.startswith("_")]
+        final = spread({name: infos[name][arms] for name in names}, over)
+        self._place(arms, _NO_OPTIONS)
+        observation, _, info = self._outcome(arms)
+        self._show_start(arms, observation)
+        for name, values in info.items():
+            infos[name][arms] = values
+        ends = {"final_obs": final_observations, "final_info": final}
+        return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
+
+    # --- What is seen of them
+
+    def _outcome(self, arms: Indices) -> tuple[Any, NDArray[np.float64], Info]:
+        """Observation, reward and info of the present state of these arms."""
+        setup, body, targets = self.setup, self._body, self._targets[arms]
+        hands = self._seen_hands(arms)
+        readings = Readings(body.joint_angles[arms], body.joint_velocities[arms], hands, targets)
+        distance = _distance(hands, targets)
+        is_success = distance <= self.success_distance
+        if setup.task.advance == "reach":
+            is_success &= self._places[arms] == self._last_places[arms]
+        speeds = relative_speeds(setup, readings.joint_velocities)
+        reward_distance = dense_reward(distance)
+        reward_control = control_cost(speeds.T, setup.control_weight)
+        if setup.reward_type == "sparse":
+            rewards = sparse_reward(is_success)
+        else:
+            rewards = reward_distance + reward_control
+        info = {
+            "distance": distance,
+            "is_success": is_success,
+            "end_effector": body.end_effectors[arms],
+            "target": targets,
+            "reward_distance": reward_distance,
+            "reward_control": reward_control,
+        }
+        if setup.rotation is not None:
+            info["cursor"] = hands
+        if setup.noises:
+            readings = disturb(setup, readings, [self._randoms[arm] for arm in arms])
+        return self._observe(readings), rewards, info
+
+    def _seen_hands(self, arms: Indices) -> NDArray[np.float64]:
+        """Where the hands are, or the cursors that stand for them, (k, 2)."""
+        hands = self._body.end_effectors[arms]
+        if self.setup.rotation is None:
+            return hands
+        return np.stack(self.setup.rotation.cursor(*hands.T), axis=-1)
+
+    def _make_observation_space(self) -> spaces.Space[Any]:
+        return spaces.Box(-1.0, 1.0, (3 * self.setup.joint_count + 4,), np.float32)
+
+    def _observe(self, readings: Readings) -> Any:
+        return encode(self.setup, readings)
+
+    def _show_start(self, arms: Indices, observation: Any) -> None:
+        """Show these arms' observation from now on, also where senses are late."""
+        if len(arms):
+            for late in self._late:
+                put(late, arms, observation)
+
+    # --- Checks
+
+    def _require_running(self) -> None:
+        if not self._is_started.all():
+            raise ResetNeeded("call reset() before step()")
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._is_over.any():
+            arms = np.flatnonzero(self._is_over).tolist()
+            raise ResetNeeded(f"reset the arms whose episodes are over before step(): {arms}")
+
+    def _commands(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.float64]:
+        """What the servos are asked for, (n, N); the actions of waiting arms do not matter."""
+        values = np.array(actions, dtype=np.float64)
+        if values.shape != self.action_space.shape:
+            raise ValueError(
+                f"actions must have shape {self.action_space.shape}, got {values.shape}"
+            )
+        values[waiting] = 0.0
+        fine = (np.abs(values) <= 1.0).all(axis=-1)  # false for NaN too
+        if not fine.all():
+            arm = int(np.argmin(fine))
+            raise ValueError(
+                f"actions must lie within -1 and 1, got {values[arm].tolist()} for arm {arm}"
+            )
+        values *= self.setup.action_scale
+        if self.control == "joint_delta":
+            values += self._body.joint_angles
+        return values
+
+
+_NO_OPTIONS: Options = (None, None, None)
+
+
+def _distance(hands: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:
+    # The operations of `compute_reward`, so that relabelling gives the same bits.
+    offset = targets - hands
+    x, y = offset[:, 0], offset[:, 1]
+    return np.sqrt(x * x + y * y)
