@@ -21,18 +21,27 @@ pymunk's own, bit by bit.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from math import copysign, cos, remainder, sin, tau
-from typing import get_args
+from typing import Any, get_args
 
 from pymunk._chipmunk_cffi import lib as chipmunk
 
 from mmc_gym.body.linkage import Linkage, forget_impulses, make_space
 from mmc_gym.body.parameters import ArmParameters, Servo, require
 
+_LONGEST_HISTORY = 10_000
+_History = deque[tuple[float, ...] | None]
+_FORGOTTEN: _History = deque(maxlen=0)
+
 
 class Arm:
     """A simulated arm of N segments.  All sequences run from the base outward.
+
+    A copy or a pickle of an arm has the same future, bit for bit.  Chipmunk does not show the
+    impulses that its joints remember, so it is made by replaying what the arm has been told since
+    its last reset; after more than 10,000 steps without one there is no copy.
 
     Attributes:
         parameters: the arm's physical parameters.
@@ -53,6 +62,10 @@ class Arm:
     end_effector: tuple[float, float]
     command: Callable[[Sequence[float]], None]
     step: Callable[[], None]
+    _start: tuple[tuple[float, ...], tuple[float, ...]]
+    _history: _History  # of every step since the reset, the command before it, if there was one
+    _new_command: tuple[float, ...] | None
+    _steps_to_lock: int | None
 
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
         """Build the arm, stretched along the x axis and at rest.
@@ -104,10 +117,16 @@ class Arm:
         self._linkage.place(joint_angles, velocities)
         self._read()
         self.command(joint_angles if self._servo == "position" else at_rest)
+        self._start = tuple(joint_angles), tuple(velocities)
+        self._history = deque()
+        self._new_command = None
+        self._steps_to_lock = None
 
     def lock(self) -> None:
         """Make the `lockable_joints` rigid where they are, until the next reset."""
-        self._linkage.lock(self.joint_angles)
+        if not self._linkage.locked:
+            self._linkage.lock(self.joint_angles)
+            self._steps_to_lock = len(self._history)
 
     @property
     def hand_velocity(self) -> tuple[float, float]:
@@ -124,6 +143,7 @@ class Arm:
         for _ in range(self.parameters.substeps):
             chipmunk.cpSpaceStep(space, substep)
         self._read()
+        self._record()
 
     def _step_in_field(self) -> None:
         """Simulate one control step, in which a force field acts on the hand."""
@@ -132,6 +152,24 @@ class Arm:
             self._push_hand()
             chipmunk.cpSpaceStep(space, substep)
         self._read()
+        self._record()
+
+    def _record(self) -> None:
+        history = self._history
+        history.append(self._new_command)
+        self._new_command = None
+        if len(history) > _LONGEST_HISTORY:
+            self._history = _FORGOTTEN
+
+    def __reduce__(self) -> tuple[Callable[..., Arm], tuple[Any, ...]]:
+        if self._history is _FORGOTTEN:
+            raise RuntimeError(
+                f"an arm cannot be copied or pickled more than {_LONGEST_HISTORY} steps after its "
+                "last reset: a copy replays what the arm has been told since, and no more than "
+                "that is kept; reset it first, or pickle its parameters"
+            )
+        told = self._start, list(self._history), self._new_command, self._steps_to_lock
+        return _replay, (type(self), self.parameters, self._servo, *told)
 
     def _push_hand(self) -> None:
         """Let the force field act on the hand in the next physics step."""
@@ -164,6 +202,7 @@ class Arm:
         servos, limits = self._servo_handles, self.parameters.joint_limits
         if len(joint_targets) != len(servos):  # strict zips would cost 1 % of the step
             raise _wrong_count("joint targets", len(servos), joint_targets)
+        self._new_command = tuple(joint_targets)
         set_phase = chipmunk.cpGearJointSetPhase
         if limits is None:
             for servo, target, angle in zip(servos, joint_targets, self.joint_angles):
@@ -176,6 +215,7 @@ class Arm:
         servos, limit = self._servo_handles, self.parameters.speed_limit
         if len(joint_velocities) != len(servos):
             raise _wrong_count("joint velocities", len(servos), joint_velocities)
+        self._new_command = tuple(joint_velocities)
         set_rate = chipmunk.cpSimpleMotorSetRate
         for servo, velocity in zip(servos, joint_velocities):
             set_rate(servo, -min(max(velocity, -limit), limit))  # pymunk's: of the parent
@@ -184,11 +224,34 @@ class Arm:
         servos, speed_limit = self._servo_handles, self.parameters.speed_limit
         if len(torques) != len(servos):
             raise _wrong_count("torques", len(servos), torques)
+        self._new_command = tuple(torques)
         set_rate, set_limit = chipmunk.cpSimpleMotorSetRate, chipmunk.cpConstraintSetMaxForce
         torque_limit = self.parameters.torque_limit
         for servo, torque in zip(servos, torques):
             set_rate(servo, copysign(speed_limit, -torque))
             set_limit(servo, min(abs(torque), torque_limit))
+
+
+def _replay(
+    kind: type[Arm],
+    parameters: ArmParameters,
+    servo: Servo,
+    start: tuple[tuple[float, ...], tuple[float, ...]],
+    history: list[tuple[float, ...] | None],
+    new_command: tuple[float, ...] | None,
+    steps_to_lock: int | None,
+) -> Arm:
+    """An arm that has been told all this."""
+    arm = kind(parameters, servo)
+    arm.reset(*start)
+    for steps, command in enumerate([*history, new_command]):
+        if command is not None:
+            arm.command(command)
+        if steps == steps_to_lock:
+            arm.lock()
+        if steps < len(history):
+            arm.step()
+    return arm
 
 
 def _wrong_count(name: str, count: int, values: Sequence[float]) -> ValueError:

@@ -1,9 +1,11 @@
 """Facts about the simulated arm."""
 
+import copy
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+import pickle
+from collections.abc import Callable, Sequence
 from typing import get_args
 
 import numpy as np
@@ -137,6 +139,62 @@ def test_the_velocities_of_a_reset_are_those_of_rigid_rods_on_pivots() -> None:
         assert body.velocity == pytest.approx(difference, abs=1e-5)
 
 
+# --- A copy is the same arm
+
+
+def pickled(arm: Arm) -> Arm:
+    copied = pickle.loads(pickle.dumps(arm))
+    assert isinstance(copied, Arm)
+    return copied
+
+
+@every_servo
+@every_condition
+@pytest.mark.parametrize("copies", [pickled, copy.deepcopy])
+def test_a_copy_has_the_same_future(
+    parameters: ArmParameters, servo: Servo, copies: Callable[[Arm], Arm]
+) -> None:
+    random, arm = np.random.default_rng(0), Arm(parameters, servo)
+    scale = command_scale(parameters, servo)
+    play(arm, servo, seed=0)
+    for steps in (0, 1, 25):
+        arm.reset(random_posture(parameters, random), random.uniform(-3, 3, 3).tolist())
+        play(arm, servo, seed=1, steps=steps)
+        command = scale * random.uniform(-1, 1, 3)
+        arm.command(command)
+        command[:] = np.nan  # the array is the caller's
+        copied = copies(copies(arm))
+        assert play(copied, servo, seed=2, steps=100) == play(arm, servo, seed=2, steps=100)
+        arm.reset([0.5] * 3)
+        copied.reset([0.5] * 3)
+        assert play(copied, servo, seed=3) == play(arm, servo, seed=3)
+
+
+def test_moving_a_copy_does_not_move_the_arm() -> None:
+    arm = Arm()
+    play(arm, "position", seed=0)
+    before = arm.joint_angles
+    copied = copy.deepcopy(arm)
+    play(copied, "position", seed=1)
+    assert arm.joint_angles == before
+    assert copied.joint_angles != before
+
+
+def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mmc_gym.body.arm._LONGEST_HISTORY", 100)
+    arm = Arm()
+    play(arm, "position", seed=0, steps=100)
+    assert pickled(arm).joint_angles == arm.joint_angles
+    for steps in (1, 50):
+        play(arm, "position", seed=0, steps=steps)
+        with pytest.raises(RuntimeError, match=r"more than 100 steps after its last reset.* reset"):
+            pickle.dumps(arm)
+    arm.reset([0.0, 0.0, 0.0])
+    assert pickled(arm).joint_angles == arm.joint_angles
+
+
 # --- The shortcut to Chipmunk is pymunk
 
 
@@ -147,6 +205,7 @@ class PublicArm(Arm):
         for _ in range(self.parameters.substeps):
             self._space.step(self.parameters.substep)
         self._read()
+        self._record()
 
     def _read(self) -> None:
         angles = [0.0, *(body.angle for body in self._linkage.segments)]
