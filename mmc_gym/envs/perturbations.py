@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from mmc_gym.body import ArmParameters
 
 Floats = NDArray[np.float64]
+Coordinate = TypeVar("Coordinate", float, Floats)
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,15 @@ class Noise(Perturbation):
 class ForceField(Perturbation):
     """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
 
-    After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208, whose fields were of about
-    13 N·s/m at hand movements of 0.1 m in 0.5 s.
+    After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  Servos with torque to spare
+    hold their course: the hand leaves it where the field takes them to their torque limit.
+    From a curl of about 80 on, the servos may no longer get the hand to the target in time.
 
     Attributes:
         curl: mass / s; positive bends to the right of the movement.
     """
 
-    curl: float = 20.0
+    curl: float = 60.0
 
     def change_body(self, body: ArmParameters) -> ArmParameters:
         """See `Perturbation.change_body`; fields add."""
@@ -90,10 +92,10 @@ class HandMass(Perturbation):
     """The hand carries a point mass.
 
     Attributes:
-        mass: segment masses.
+        mass: segment masses; 3 is as heavy as the default arm.
     """
 
-    mass: float = 1.0
+    mass: float = 3.0
 
     def change_body(self, body: ArmParameters) -> ArmParameters:
         """See `Perturbation.change_body`; masses add."""
@@ -179,7 +181,7 @@ class VisuomotorRotation(Perturbation):
     degrees: float = 30.0
     centre: tuple[float, float] = (0.0, 0.0)
 
-    def cursor(self, x: float, y: float) -> tuple[float, float]:
+    def cursor(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
         cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
         x, y = x - self.centre[0], y - self.centre[1]
@@ -267,7 +269,8 @@ def rotation_and_noises(
     rotations = [one for one in perturbations if isinstance(one, VisuomotorRotation)]
     if len(rotations) > 1:
         raise ValueError(f"perturbations must have at most one rotation, got {rotations}")
-    return (rotations or [None])[0], [one for one in perturbations if isinstance(one, Noise)]
+    rotation = rotations[0] if rotations else None
+    return rotation, [one for one in perturbations if isinstance(one, Noise)]
 
 
 def _index(name: str, index: int, count: int) -> int:
