@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.engines import make_arm
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 Info = dict[str, Any]
 
 
-class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]], EzPickle):
+class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
     """A planar arm of three segments reaches for a target and stays there.
 
     ## Description
@@ -85,7 +84,8 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]], EzPickle):
     `torque_limit`, `servo_gain`, `joint_limits`, `gravity`, `substep`, `substeps`.  The arm has
     as many joints as `segment_lengths`, and action and observation grow with it.
 
-    A pickled or deep-copied environment is a new one with the same arguments.
+    A pickled or deep-copied environment goes on from where it is as the original does, bit for
+    bit; it has no window.  Far into an endless episode it refuses, see `mmc_gym.body.Arm`.
 
     ## Version History
     * v0: initial version
@@ -100,7 +100,6 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]], EzPickle):
             ValueError: if an argument is outside what it accepts.
             TypeError: if one is unknown.
         """
-        EzPickle.__init__(self, render_mode=render_mode, **arguments)
         require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = ReachSetup(**arguments)
         self.render_mode = render_mode
@@ -202,6 +201,9 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]], EzPickle):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}  # windows belong to a process
 
     def _make_observation_space(self, count: int) -> spaces.Space[Any]:
         return spaces.Box(-1.0, 1.0, (3 * count + 4,), np.float32)

@@ -1,5 +1,6 @@
 """What holds for every environment that mmc_gym registers, under every control mode."""
 
+import copy
 import pickle
 from collections.abc import Iterator
 from functools import partial
@@ -46,7 +47,12 @@ def harsh_actions(env: gym.Env, steps: int, seed: int = 0) -> np.ndarray:
 
 def rollout(env: gym.Env, actions: np.ndarray, seed: int = 7) -> list[Transition]:
     """All that reset and steps return, with a reset at every truncation."""
-    record: list[Transition] = [env.reset(seed=seed)]
+    return [env.reset(seed=seed), *continued(env, actions)]
+
+
+def continued(env: gym.Env, actions: np.ndarray) -> list[Transition]:
+    """All that steps return, with a reset at every truncation."""
+    record: list[Transition] = []
     for action in actions:
         record.append(env.step(action))
         if record[-1][2] or record[-1][3]:
@@ -84,11 +90,15 @@ def test_same_seed_and_actions_give_the_same_episodes(env: gym.Env, control: str
     assert not same(first, rollout(other, actions, seed=8))
 
 
-def test_a_pickled_environment_plays_the_same(env: gym.Env) -> None:
-    actions = harsh_actions(env, 120)
-    rollout(env, actions, seed=3)
-    copy = pickle.loads(pickle.dumps(env))
-    assert same(rollout(env, actions), rollout(copy, actions))
+def test_a_copy_of_a_running_environment_has_the_same_future(env: gym.Env) -> None:
+    actions = harsh_actions(env, 250)
+    env.reset(seed=3)
+    for action in actions[:30]:
+        env.step(action)
+    copies = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env)]
+    future = continued(env, actions[30:])
+    for other in copies:
+        assert same(future, continued(other, actions[30:]))
 
 
 def test_observations_stay_inside_their_space(env: gym.Env) -> None:
