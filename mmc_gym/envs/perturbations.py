@@ -70,9 +70,9 @@ class Noise(Perturbation):
 class ForceField(Perturbation):
     """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
 
-    After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  Servos with torque to spare
-    hold their course: the hand leaves it where the field takes them to their torque limit.
-    From a curl of about 80 on, the servos may no longer get the hand to the target in time.
+    Viscous fields at the hand are Shadmehr & Mussa-Ivaldi's (1994), J. Neurosci. 14:3208.
+    Servos with torque to spare hold their course: the hand leaves it where the field takes them
+    to their torque limit.  From a curl of about 80 on, they may fail to bring it to the target.
 
     Attributes:
         curl: mass / s; positive bends to the right of the movement.
@@ -174,8 +174,9 @@ class VisuomotorRotation(Perturbation):
 
     Attributes:
         degrees: counter-clockwise.
-        centre: (x, y) that the cursor and the hand turn about.  About the base, whatever the
-            hand reaches the cursor does.
+        centre: (x, y) of the one place where the cursor is on the hand.  Turned about the base,
+            the cursor reaches whatever the hand does; about another, tasks with fixed targets
+            near the border of the reach may ask for more than that.
     """
 
     degrees: float = 30.0
@@ -186,6 +187,10 @@ class VisuomotorRotation(Perturbation):
         cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
         x, y = x - self.centre[0], y - self.centre[1]
         return self.centre[0] + cos * x - sin * y, self.centre[1] + sin * x + cos * y
+
+    def hand(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """Where the hand is for a cursor at (x, y)."""
+        return replace(self, degrees=-self.degrees).cursor(x, y)
 
 
 @dataclass(frozen=True)
@@ -280,11 +285,12 @@ def _index(name: str, index: int, count: int) -> int:
 
 
 _CHANGES = {"longer": 1, "shorter": -1}
+_CENTRE_OUT_START = (0.0, 1.5)  # of the default arm, in the task "centre-out"
 
 PERTURBATIONS: dict[str, Perturbation] = {
     "force-field": ForceField(),
-    "rotation-30": VisuomotorRotation(30.0),
-    "rotation-45": VisuomotorRotation(45.0),
+    "rotation-30": VisuomotorRotation(30.0, _CENTRE_OUT_START),
+    "rotation-45": VisuomotorRotation(45.0, _CENTRE_OUT_START),
     "hand-mass": HandMass(),
     **{
         f"{name}-{percent}{'-told' * told}": SegmentLength(1 + sign * percent / 100, told=told)

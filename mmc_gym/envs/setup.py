@@ -128,9 +128,9 @@ class ReachSetup:
             )
         self.lock_step = round(times.pop() / step) if times else None
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
-        self.workspace = Workspace(self.body, self.told, locked)
-        centre = self.rotation.centre if self.rotation else (0.0, 0.0)
-        self.farthest = sum(self.body.segment_lengths) + 2 * math.hypot(*centre)
+        self.workspace = Workspace(self.body, self.told, locked, self.rotation)
+        shift = self.rotation.cursor(0.0, 0.0) if self.rotation else (0.0, 0.0)
+        self.farthest = sum(self.body.segment_lengths) + math.hypot(*shift)
         self.may_exceed_reach = self.farthest > sum(self.told.segment_lengths)
 
     @property

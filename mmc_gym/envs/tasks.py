@@ -203,8 +203,8 @@ class PointToPoint(Task):
 class Pursuit(Task):
     """The target moves along sums of sines, as in manual tracking (McRuer & Jex, 1967).
 
-    Frequencies are multiples of one over the period that have no common harmonics, so that x
-    and y are not coupled; phases are random.  The centre is half a reach in front of the base.
+    Frequencies are multiples of one over the period, all prime, so that no sine is a harmonic of
+    another; phases are random.  The centre is half a reach in front of the base (up, along y).
 
     Attributes:
         period: after which the path repeats, s.

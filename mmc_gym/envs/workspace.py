@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mmc_gym.body import ArmParameters
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.network.chain import (
     node_positions,
     reachable_radii,
@@ -37,10 +38,15 @@ class Workspace:
         inner: smallest distance from the base of a reachable point, with all joints free.
         outer: largest distance, likewise.
         locked: indices of joints that are locked all the time.
+        rotation: of the cursor that stands for the hand, or None.
     """
 
     def __init__(
-        self, body: ArmParameters, told: ArmParameters | None = None, locked: Sequence[int] = ()
+        self,
+        body: ArmParameters,
+        told: ArmParameters | None = None,
+        locked: Sequence[int] = (),
+        rotation: VisuomotorRotation | None = None,
     ) -> None:
         """Make the workspace of `body`.
 
@@ -49,9 +55,12 @@ class Workspace:
             told: the arm that an agent takes it for, if another: the workspace is then what
                 both can reach.
             locked: indices of joints that are locked all the time.
+            rotation: of the cursor that stands for the hand, if there is one; what can be
+                reached is then what the cursor can.
         """
         self.body = body
         self.locked = tuple(locked)
+        self.rotation = rotation
         rings = [reachable_radii(arm.segment_lengths) for arm in (body, told or body)]
         self.inner = max(inner for inner, _ in rings)
         self.outer = min(outer for _, outer in rings)
@@ -60,10 +69,17 @@ class Workspace:
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
 
     def contains(self, point: Sequence[float]) -> bool:
-        """Whether the hand can be at `point` (x, y), with free joints without limits."""
-        slack = REACH_TOLERANCE * self.outer
-        distance = math.hypot(*point)
-        return self.inner - slack <= distance <= self.outer + slack and self._is_free(point)
+        """Whether the hand can be at `point` (x, y), with free joints without limits.
+
+        With a rotation, whether its cursor can, at a point that the hand could be at, too.
+        """
+        x, y = point
+        if not self._is_in_ring((x, y)):
+            return False
+        if self.rotation is None:
+            return self._is_free((x, y))
+        hand = self.rotation.hand(x, y)
+        return self._is_in_ring(hand) and self._is_free(hand)
 
     def nearest(self, point: Sequence[float]) -> Point:
         """The nearest point to `point` (x, y) between `inner` and `outer`."""
@@ -91,12 +107,16 @@ class Workspace:
         uniformly, hence not area-uniform.
         """
         for _ in range(_MOST_DRAWS):
-            target = self._draw_target(random, posture)
-            if not (self.locked or self.body.obstacles) or self.contains(target):
+            target = self._draw_hand(random, posture)
+            if self.rotation:
+                target = self.rotation.cursor(*target)
+            elif not (self.locked or self.body.obstacles):
                 return target
-        raise RuntimeError("no reachable target was found: the obstacles leave no room")
+            if self.contains(target):
+                return target
+        raise RuntimeError("no reachable target was found: the perturbations leave no room")
 
-    def _draw_target(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
+    def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         if self._hands:
             cell = self._hands[random.integers(len(self._hands))]
             x, y = cell[random.integers(len(cell))]
@@ -173,6 +193,10 @@ class Workspace:
         free = [joint for joint in range(len(posture)) if joint not in self.locked]
         ends = [nodes[joint] for joint in free] + [nodes[-1]]
         return ends[0], [math.dist(start, end) for start, end in pairwise(ends)]
+
+    def _is_in_ring(self, point: Point) -> bool:
+        slack = REACH_TOLERANCE * self.outer
+        return self.inner - slack <= math.hypot(*point) <= self.outer + slack
 
     def _is_free(self, point: Sequence[float]) -> bool:
         """Whether the tip of the hand at `point` touches no obstacle."""

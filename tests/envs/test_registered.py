@@ -1,10 +1,14 @@
-"""What holds for every environment that mmc_gym registers, under every control mode."""
+"""What holds for every environment that mmc_gym registers.
+
+The two plain ones are tried under every control mode; of the others, which differ from them in
+task or perturbation, each is tried under one, in turn.
+"""
 
 import copy
 import pickle
 from collections.abc import Iterator
 from functools import partial
-from itertools import pairwise
+from itertools import cycle, pairwise, product
 from typing import Any, get_args
 
 import gymnasium as gym
@@ -14,17 +18,20 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import mmc_gym  # noqa: F401  (registers the environments)
+from mmc_gym.envs.perturbations import JointNoise
 from mmc_gym.envs.setup import Control
+from mmc_gym.envs.tasks import TASKS
 
+PLAIN = ["MMCReach-v0", "MMCReachGoal-v0"]
 IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]
 CONTROLS = get_args(Control)
 same = partial(data_equivalence, exact=True)
 Transition = tuple[Any, ...]
 
-pytestmark = [
-    pytest.mark.parametrize("env_id", IDS),
-    pytest.mark.parametrize("control", CONTROLS),
-]
+OTHERS = sorted(set(IDS) - set(PLAIN))
+CASES = [*product(PLAIN, CONTROLS), *zip(OTHERS, cycle(CONTROLS), strict=False)]
+
+pytestmark = pytest.mark.parametrize(("env_id", "control"), CASES)
 
 
 @pytest.fixture
@@ -66,8 +73,36 @@ def flat(observation: Any) -> np.ndarray:
     return np.asarray(observation)
 
 
+def time_limit(env: gym.Env) -> int:
+    assert env.spec is not None
+    assert env.spec.max_episode_steps is not None
+    return env.spec.max_episode_steps
+
+
+def posture_elements(env: gym.Env, start: int, stop: int) -> np.ndarray:
+    """Which elements of the flat observation are from `start` to `stop` of the posture's nine."""
+    places = np.arange(len(flat(env.observation_space.sample())))
+    if isinstance(env.observation_space, gym.spaces.Dict):  # the posture comes last
+        places = places - len(places) + 9
+    return (start <= places) & (places < stop)
+
+
+def is_posture(env: gym.Env) -> np.ndarray:
+    return posture_elements(env, 0, 6)
+
+
+def is_speed(env: gym.Env) -> np.ndarray:
+    return posture_elements(env, 6, 9)
+
+
 def test_there_are_environments(env_id: str, control: str) -> None:
-    assert {"MMCReach-v0", "MMCReachGoal-v0"} <= set(IDS)
+    assert set(PLAIN) < set(IDS)
+
+
+def test_its_specification_is_data(env_id: str, control: str) -> None:
+    spec = gym.spec(env_id)
+    assert gym.envs.registration.EnvSpec.from_json(spec.to_json()) == spec
+    assert spec.vector_entry_point is not None
 
 
 def test_gymnasium_approves(env: gym.Env) -> None:
@@ -133,15 +168,21 @@ def test_rewards_are_finite_floats(env: gym.Env) -> None:
 
 def test_an_episode_ends_by_the_time_limit_alone(env: gym.Env) -> None:
     env.reset(seed=0)
-    ends = [env.step(env.action_space.sample())[2:4] for _ in range(100)]
-    assert ends == [(False, False)] * 99 + [(False, True)]
+    limit = time_limit(env)
+    ends = [env.step(env.action_space.sample())[2:4] for _ in range(limit)]
+    assert ends == [(False, False)] * (limit - 1) + [(False, True)]
 
 
 def test_initial_states_differ(env: gym.Env) -> None:
     starts = np.array([flat(env.reset()[0]) for _ in range(5)])
-    is_speed = np.ptp(starts, axis=0) == 0
-    assert is_speed.sum() == 3  # at rest; all else is drawn anew
-    assert (starts[:, is_speed] == 0).all()
+    is_constant = np.ptp(starts, axis=0) == 0
+    setup, speeds = env.unwrapped.setup, starts[:, is_constant & is_speed(env)]
+    assert (speeds == 0).all()
+    senses_rest = not any(isinstance(noise, JointNoise) and noise.std for noise in setup.noises)
+    assert speeds.shape[1] == (3 if senses_rest else 0)
+    if setup.task == TASKS["centre-out"]:  # one place to start from
+        is_constant &= ~is_posture(env)
+    assert is_constant.sum() == speeds.shape[1]  # all else is drawn anew
 
 
 def test_a_vector_of_them_plays_like_single_ones(env: gym.Env, control: str) -> None:
@@ -151,14 +192,15 @@ def test_a_vector_of_them_plays_like_single_ones(env: gym.Env, control: str) -> 
     single = [gym.make(env.spec.id, control=control) for _ in range(count)]
     observations, _ = vector.reset(seed=20)
     alone = [one.reset(seed=20 + index)[0] for index, one in enumerate(single)]
-    actions = np.stack([harsh_actions(env, 100, seed) for seed in range(count)], axis=1)
+    steps = time_limit(env)
+    actions = np.stack([harsh_actions(env, steps, seed) for seed in range(count)], axis=1)
     for action in actions:
         assert same(observations, stack(alone))
         observations, rewards, _, truncated, infos = vector.step(action)
-        steps = [one.step(act) for one, act in zip(single, action, strict=True)]
-        alone = [step[0] for step in steps]
-        assert rewards.tolist() == [step[1] for step in steps]
-        assert infos["distance"].tolist() == [step[4]["distance"] for step in steps]
+        returned = [one.step(act) for one, act in zip(single, action, strict=True)]
+        alone = [one[0] for one in returned]
+        assert rewards.tolist() == [one[1] for one in returned]
+        assert infos["distance"].tolist() == [one[4]["distance"] for one in returned]
     assert truncated.all()
     assert same(observations, stack(alone))
     vector.close()
