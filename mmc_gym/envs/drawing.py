@@ -1,9 +1,10 @@
-"""Drawing an arm and its target with pygame: small functions that each paint one thing.
+"""Drawing an arm, its target and its path with pygame: small functions that each paint one thing.
 
 They paint on a surface through a `View`, which maps the world (x to the right, y up, the base in
 the middle) to pixels.  Nothing here depends on colour alone: the arm is the filled shape, the
 target the ring with a cross, reaching it adds a second ring, and the dots of the trace lie one
-frame apart.
+frame apart; an internal model's arm is a thin line with hollow joints, and where the target will
+be are dots or rings without a cross.
 """
 
 from __future__ import annotations
@@ -15,13 +16,12 @@ from itertools import accumulate, pairwise
 
 import pygame
 
+from mmc_gym.envs.strokes import Color as Color
+from mmc_gym.envs.strokes import Point, blend, draw_dashes, draw_ring, draw_rod
 from mmc_gym.network.chain import reachable_radii
 
 SIZE = 640  # width and height of the picture in pixels; video encoders like multiples of 16
 _MARGIN = 1.1  # half the picture's width, in reaches
-
-Color = tuple[int, int, int]
-Point = tuple[float, float]
 
 # Blue and vermilion of the Okabe-Ito palette: apart for every kind of colour vision.
 BACKGROUND: Color = (246, 247, 249)
@@ -32,6 +32,7 @@ ROD: Color = (64, 132, 190)
 BASE: Color = (120, 130, 144)
 TRACE: Color = (92, 104, 122)
 TARGET: Color = (213, 78, 0)
+GHOST: Color = (0, 128, 96)
 
 
 @dataclass(frozen=True)
@@ -129,23 +130,47 @@ def draw_arm(
     """
     nodes = node_positions(segment_angles, segment_lengths)
     pixels = [view.pixel(node) for node in nodes]
-    # The arm tapers with its length, so that its thickness at a joint is one for both rods.
-    along = [0.0, *accumulate(segment_lengths)]
-    widths = [
-        view.stroke(style.base_width + (style.hand_width - style.base_width) * way / along[-1])
-        for way in along
-    ]
+    widths = arm_widths(view, segment_lengths, style)
     edge = view.stroke(2)
     # From the hand to the base: the thicker rod lies on top at every joint.
     for (start, end), (width, end_width) in reversed(
         list(zip(pairwise(pixels), pairwise(widths), strict=True))
     ):
-        _draw_rod(surface, style.outline, start, end, width + 2 * edge, end_width + 2 * edge)
-        _draw_rod(surface, style.fill, start, end, width, end_width)
+        draw_rod(surface, style.outline, start, end, width + 2 * edge, end_width + 2 * edge)
+        draw_rod(surface, style.fill, start, end, width, end_width)
     for pixel, width in zip(pixels[:-1], widths, strict=False):
         pygame.draw.circle(surface, style.outline, pixel, 0.36 * width + edge)
         pygame.draw.circle(surface, REACHABLE, pixel, 0.36 * width)
     pygame.draw.circle(surface, style.outline, pixels[-1], widths[-1] / 2 + edge)
+
+
+def arm_widths(
+    view: View, segment_lengths: Sequence[float], style: ArmStyle = ArmStyle()
+) -> list[float]:
+    """How thick the arm is at its base, joints and hand (N + 1 pixels).
+
+    It tapers with its length, so that its thickness at a joint is one for both rods.
+    """
+    along = [0.0, *accumulate(segment_lengths)]
+    taper = (style.hand_width - style.base_width) / along[-1]
+    return [view.stroke(style.base_width + taper * way) for way in along]
+
+
+def draw_ghost(
+    surface: pygame.Surface,
+    view: View,
+    joint_angles: Sequence[float],
+    segment_lengths: Sequence[float],
+) -> None:
+    """Paint an internal model's arm (N joint angles): a thin line with hollow joints."""
+    nodes = node_positions(list(accumulate(joint_angles)), segment_lengths)
+    pixels = [view.pixel(node) for node in nodes]
+    for color, line in ((REACHABLE, view.stroke(5)), (GHOST, view.stroke(2.5))):
+        for start, end in pairwise(pixels):
+            draw_rod(surface, color, start, end, line, line)
+    for pixel in pixels[1:]:
+        pygame.draw.circle(surface, GHOST, pixel, view.stroke(5.5))
+        pygame.draw.circle(surface, REACHABLE, pixel, view.stroke(3))
 
 
 def draw_target(
@@ -163,9 +188,34 @@ def draw_target(
     for color, line in ((REACHABLE, view.stroke(4.5)), (TARGET, view.stroke(2.5))):
         for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1)):
             start, end = (x + gap * dx, y + gap * dy), (x + tick * dx, y + tick * dy)
-            _draw_rod(surface, color, start, end, line, line)
+            draw_rod(surface, color, start, end, line, line)
         for ring in (radius, radius + view.stroke(8.5))[: 1 + reached]:
-            _draw_ring(surface, color, (x, y), ring, line)
+            draw_ring(surface, color, (x, y), ring, line)
+
+
+def draw_track(surface: pygame.Surface, view: View, points: Sequence[Sequence[float]]) -> None:
+    """Paint the path of a moving target as faint dots."""
+    for point in points[:: max(1, len(points) // 160)]:
+        pygame.draw.circle(
+            surface, blend(BACKGROUND, TARGET, 0.45), view.pixel(point), view.stroke(2)
+        )
+
+
+def draw_next_targets(
+    surface: pygame.Surface,
+    view: View,
+    target: Sequence[float],
+    points: Sequence[Sequence[float]],
+    success_distance: float,
+) -> None:
+    """Paint the targets to come: faint rings, joined to the present one by dashes in order."""
+    color, line = blend(BACKGROUND, TARGET, 0.55), view.stroke(2)
+    pixels = [view.pixel(point) for point in (target, *points)]
+    draw_dashes(surface, color, pixels, view.stroke(1.5), view.stroke(5))
+    radius = max(success_distance * view.scale, view.stroke(3)) + view.stroke(3)
+    for pixel in pixels[1:]:
+        pygame.draw.circle(surface, REACHABLE, pixel, radius)
+        draw_ring(surface, color, pixel, radius, line)
 
 
 def draw_trace(surface: pygame.Surface, view: View, points: Iterable[Sequence[float]]) -> None:
@@ -173,9 +223,9 @@ def draw_trace(surface: pygame.Surface, view: View, points: Iterable[Sequence[fl
     pixels = [view.pixel(point) for point in points]
     for age, (start, end) in enumerate(pairwise(pixels), start=1):
         freshness = age / len(pixels)
-        color = _blend(REACHABLE, TRACE, 0.2 + 0.8 * freshness)
+        color = blend(REACHABLE, TRACE, 0.2 + 0.8 * freshness)
         width = view.stroke(0.8 + 1.4 * freshness)
-        _draw_rod(surface, color, start, end, width, width)
+        draw_rod(surface, color, start, end, width, width)
         pygame.draw.circle(surface, color, end, view.stroke(1.5 + 1.8 * freshness))
 
 
@@ -188,42 +238,3 @@ def node_positions(
         x, y = nodes[-1]
         nodes.append((x + length * math.cos(angle), y + length * math.sin(angle)))
     return nodes
-
-
-def _draw_rod(
-    surface: pygame.Surface,
-    color: Color,
-    start: Point,
-    end: Point,
-    start_width: float,
-    end_width: float,
-) -> None:
-    """Paint a tapering rod with round ends."""
-    along_x, along_y = end[0] - start[0], end[1] - start[1]
-    length = math.hypot(along_x, along_y)
-    if length > 0:
-        across_x, across_y = -along_y / length / 2, along_x / length / 2
-        corners = [
-            (x + side * width * across_x, y + side * width * across_y)
-            for (x, y), width, side in (
-                (start, start_width, 1),
-                (end, end_width, 1),
-                (end, end_width, -1),
-                (start, start_width, -1),
-            )
-        ]
-        pygame.draw.polygon(surface, color, corners)
-    pygame.draw.circle(surface, color, start, start_width / 2)
-    pygame.draw.circle(surface, color, end, end_width / 2)
-
-
-def _draw_ring(
-    surface: pygame.Surface, color: Color, middle: Point, radius: float, width: float
-) -> None:
-    """Paint a circle's line, half of it to either side of the radius."""
-    pygame.draw.circle(surface, color, middle, radius + width / 2, max(1, round(width)))
-
-
-def _blend(start: Color, end: Color, share: float) -> Color:
-    red, green, blue = (round(a + (b - a) * share) for a, b in zip(start, end, strict=True))
-    return red, green, blue

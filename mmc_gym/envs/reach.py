@@ -20,7 +20,7 @@ from mmc_gym.envs.setup import HasSetup, ReachSetup, finite, require_one_of
 from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.rendering import Renderer
+    from mmc_gym.envs.rendering import Renderer, Scene
 
 Info = dict[str, Any]
 
@@ -126,11 +126,12 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         checked = self.setup.check_options(options)
         super().reset(seed=seed)
         self._place(*self.setup.draw_trial(self.np_random, checked))
-        if self.render_mode == "human":
-            self.render()
         observation, _, info = self._outcome()
         self._late.extend([observation] * self.setup.delay)
-        return self._delayed(observation), info
+        observation = self._delayed(observation)
+        if self.render_mode == "human":
+            self.render()
+        return observation, info
 
     def step(
         self, action: NDArray[np.float32]
@@ -150,11 +151,11 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         arm.step()
         if self._has_events:
             self._advance_events()
+        observation, reward, info = self._outcome()
+        if setup.are_senses_disturbed:
+            observation = self._delayed(observation)
         if self.render_mode == "human":
             self.render()
-        observation, reward, info = self._outcome()
-        if setup.delay:
-            observation = self._delayed(observation)
         return observation, reward, False, False, info
 
     def set_target(self, target: ArrayLike) -> None:
@@ -194,7 +195,20 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
             from mmc_gym.envs.rendering import Renderer
 
             self._renderer = Renderer(self.setup, self.render_mode, self.metadata["render_fps"])
-        return self._renderer.draw(self._arm.segment_angles, self._target, self._ghost)
+        return self._renderer.draw(self._scene())
+
+    def _scene(self) -> Scene:
+        from mmc_gym.envs.rendering import Scene
+
+        setup = self.setup
+        return Scene(
+            self._arm.segment_angles,
+            self._target,
+            path=self._targets,
+            ghost=self._ghost,
+            is_locked=setup.lock_step is not None and self._steps >= setup.lock_step,
+            observation=self._late[0] if self._late and setup.are_senses_disturbed else None,
+        )
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -262,7 +276,7 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
 
     def _delayed(self, observation: Any) -> Any:
         """What is observed now, if senses are late; it shares no memory with what comes."""
-        if not self.setup.delay:
+        if not self.setup.are_senses_disturbed:
             return observation
         self._late.append(observation)
         return self._late[0].copy()

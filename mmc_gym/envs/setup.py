@@ -51,6 +51,7 @@ class ReachSetup:
         noises: of the senses.
         noise_draws: how many normal numbers each of them takes.
         delay: of the senses, control steps.
+        are_senses_disturbed: whether there is any noise or delay.
         lock_step: after how many control steps the lockable joints lock; None: never.
         path_length: places on the path of the target.
         action_scale: what an action of 1 means.
@@ -120,6 +121,7 @@ class ReachSetup:
         if not all(0 <= delay < math.inf for delay in delays):
             raise ValueError(f"seconds of a delay must be finite and not negative, got {delays}")
         self.delay = round(sum(delays) / step)
+        self.are_senses_disturbed = bool(self.noises or self.delay)
         locks = [change for change in changes if isinstance(change, LockedJoint)]
         times = {lock.time for lock in locks}
         if len(times) > 1 or not all(0 <= time < math.inf for time in times):

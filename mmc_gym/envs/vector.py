@@ -27,7 +27,7 @@ from mmc_gym.envs.senses import disturb, encode, relative_speeds
 from mmc_gym.envs.setup import HasSetup, Options, ReachSetup, require_one_of
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.rendering import Renderer
+    from mmc_gym.envs.rendering import Renderer, Scene
 
 Info = dict[str, Any]
 Indices = NDArray[np.intp]
@@ -176,13 +176,19 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             fps = self.metadata["render_fps"]
             self._renderers = [Renderer(self.setup, "rgb_array", fps) for _ in self._all]
         return tuple(
-            renderer.draw(angles, target)
-            for renderer, angles, target in zip(
-                self._renderers,
-                self._body.segment_angles.tolist(),
-                self._targets.tolist(),
-                strict=True,
-            )
+            renderer.draw(self._scene(arm)) for arm, renderer in enumerate(self._renderers)
+        )
+
+    def _scene(self, arm: int) -> Scene:
+        from mmc_gym.envs.rendering import Scene
+
+        setup = self.setup
+        return Scene(
+            self._body.segment_angles[arm].tolist(),
+            self._targets[arm].tolist(),
+            path=self._paths[arm, : self._last_places[arm] + 1].tolist(),
+            is_locked=setup.lock_step is not None and bool(self._steps[arm] >= setup.lock_step),
+            observation=pick(self._late[0], arm) if setup.are_senses_disturbed else None,
         )
 
     def close_extras(self, **kwargs: Any) -> None:

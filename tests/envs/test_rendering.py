@@ -12,7 +12,7 @@ import pytest
 
 from mmc_gym.envs import drawing
 from mmc_gym.envs.drawing import View
-from mmc_gym.envs.rendering import Renderer, Window
+from mmc_gym.envs.rendering import Renderer, Scene, Window
 from mmc_gym.envs.setup import ReachSetup
 
 LENGTHS = (1.0, 1.0, 1.0)
@@ -27,7 +27,7 @@ def no_display_before_or_after() -> Iterator[None]:
 
 
 def picture(angles: list[float], target: tuple[float, float] = FAR) -> np.ndarray:
-    frame = Renderer(ReachSetup(), "rgb_array", 50).draw(angles, target)
+    frame = Renderer(ReachSetup(), "rgb_array", 50).draw(Scene(angles, target))
     assert frame is not None
     return frame.astype(int)
 
@@ -58,10 +58,10 @@ def test_an_array_needs_no_display() -> None:
 
 def test_frames_share_no_memory() -> None:
     renderer = Renderer(ReachSetup(), "rgb_array", 50)
-    first = renderer.draw([0.0, 0.0, 0.0], FAR)
+    first = renderer.draw(Scene([0.0, 0.0, 0.0], FAR))
     assert first is not None
     kept = first.copy()
-    renderer.draw([1.0, 1.0, 1.0], FAR)
+    renderer.draw(Scene([1.0, 1.0, 1.0], FAR))
     np.testing.assert_array_equal(first, kept)
 
 
@@ -130,13 +130,13 @@ def test_the_hand_leaves_a_trace_that_fades_and_can_be_cleared() -> None:
     clean = picture([1.0] * 3)
     darkness = []
     for step in range(70):
-        frame = renderer.draw([min(1.0, 0.1 * step)] * 3, FAR)
+        frame = renderer.draw(Scene([min(1.0, 0.1 * step)] * 3, FAR))
         assert frame is not None
         x, y = map(round, View(3.0).pixel((3 * math.cos(0.2), 3 * math.sin(0.2))))
         darkness.append(255 - frame[y - 2 : y + 3, x - 2 : x + 3].mean(axis=-1).min())
     assert darkness[12] > darkness[30] > darkness[50] > 0
     renderer.clear_trace()
-    np.testing.assert_array_equal(renderer.draw([1.0] * 3, FAR), clean)
+    np.testing.assert_array_equal(renderer.draw(Scene([1.0] * 3, FAR)), clean)
 
 
 def test_edges_are_smooth() -> None:
