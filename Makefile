@@ -9,6 +9,7 @@ ARGS ?=
 VENV_READY := $(VENV)/.stamp-venv
 PACKAGE_READY := $(VENV)/.stamp-package
 DEV_READY := $(VENV)/.stamp-dev
+BENCHMARK_READY := $(VENV)/.stamp-benchmark
 
 # The constraints hold for isolated builds too: pip before 25.3 takes them from PIP_CONSTRAINT,
 # later ones from PIP_BUILD_CONSTRAINT.
@@ -19,10 +20,10 @@ export PIP_NO_INPUT := 1
 PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint type imports format clean
+.PHONY: help demo test lint type imports format benchmark clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
 
 demo: $(PACKAGE_READY) ## install mmc-gym into .venv and compare the shipped policies
 	$(BIN)/mmc-gym compare $(ARGS)
@@ -43,6 +44,9 @@ imports: $(DEV_READY) ## the import rules between the packages
 format: $(DEV_READY) ## let ruff repair and format everything
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+
+benchmark: $(BENCHMARK_READY) ## install the peers' packages, then time the environments beside them
+	$(BIN)/python benchmarks/environment_speed.py $(ARGS)
 
 clean: ## remove .venv, build outputs and caches
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
@@ -72,4 +76,9 @@ $(PACKAGE_READY): $(VENV_READY) pyproject.toml constraints.txt
 $(DEV_READY): $(PACKAGE_READY)
 	@echo "Installing what the tests need"
 	@$(PIP_INSTALL) -e '.[dev]'
+	@touch $@
+
+$(BENCHMARK_READY): $(PACKAGE_READY)
+	@echo "Installing the environments to compare with"
+	@$(PIP_INSTALL) -e '.[analytic,benchmark]'
 	@touch $@

@@ -26,7 +26,7 @@ SHIPPED = {
     "mmc_gym/agents/pretrained/*.safetensors",
 }
 
-HEAVY = {"matplotlib", "pygame", "stable_baselines3", "torch"}
+HEAVY = {"matplotlib", "numba", "pygame", "stable_baselines3", "torch"}
 
 
 def run_python(code: str) -> str:
@@ -81,6 +81,21 @@ def test_import_registers_the_environments(environment):
 
 def test_gymnasium_finds_the_environment_by_module_and_name():
     run_python("import gymnasium; gymnasium.make('mmc_gym:MMCReach-v0').close()")
+
+
+def test_the_default_engine_needs_no_numba():
+    blocked = "import sys; sys.modules['numba'] = None; import gymnasium, mmc_gym"
+    run_python(f"{blocked}; gymnasium.make('MMCReach-v0').reset()")
+
+
+def test_the_tests_need_no_peer_of_the_benchmarks():
+    requirements = [Requirement(line) for line in requires("mmc-gym") or []]
+    dev, benchmark = (
+        {one.name for one in requirements if one.marker and one.marker.evaluate({"extra": extra})}
+        for extra in ("dev", "benchmark")
+    )
+    assert "gymnasium" in benchmark
+    assert benchmark.isdisjoint(dev)
 
 
 def test_the_version_is_the_distribution_s():
