@@ -25,13 +25,13 @@ import yaml
 from safetensors import SafetensorError
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.reinforcement import ACTIVATIONS, PolicyCard, save_policy
+from mmc_gym.agents.vec_env import GymnasiumVecEnv
 from mmc_gym.network.training import one_thread
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -41,6 +41,7 @@ _NOT_PPO = {
     "policy",
     "n_envs",
     "learning_rate",
+    "ent_coef",
     "policy_kwargs",
     "env_kwargs",
     "normalize_reward",
@@ -82,6 +83,7 @@ class Training:
         self.steps_per_leg = h["rollouts_per_leg"] * h["n_envs"] * h["n_steps"]
         # Whole legs, so that every leg starts where a rollout does.
         self.total_steps = -(-int(h["n_timesteps"]) // self.steps_per_leg) * self.steps_per_leg
+        self.entropy_bonus = _schedule(h["ent_coef"])
         self._seconds_before = 0.0
 
     def run(self, resume: bool = False) -> PolicyCard:
@@ -143,9 +145,7 @@ class Training:
 
     def _make_model(self) -> PPO:
         h = self.hyperparameters
-        env: VecEnv = make_vec_env(
-            self.env_id, h["n_envs"], seed=self.seed, env_kwargs=dict(h.get("env_kwargs", {}))
-        )
+        env: VecEnv = make_vec_env(self.env_id, h["n_envs"], h.get("env_kwargs", {}))
         if h.get("normalize_reward", False):
             env = VecNormalize(env, norm_obs=False, gamma=h["gamma"])
         policy = dict(h["policy_kwargs"])
@@ -235,6 +235,7 @@ class _Legs(BaseCallback):
                 training.save(model)
             training.begin_leg(model)
             self._first = False
+        model.ent_coef = training.entropy_bonus(1 - model.num_timesteps / training.total_steps)
 
     def _on_rollout_end(self) -> None:
         training = self._training
@@ -264,9 +265,9 @@ def evaluate(
 ) -> dict[str, float]:
     """Success and mean final distance of the deterministic policy over fixed episodes.
 
-    All episodes run at once, each in an environment of its own.
+    All episodes run at once, each with an arm of its own.
     """
-    env = make_vec_env(env_id, episodes, env_kwargs=dict(hyperparameters.get("env_kwargs", {})))
+    env = make_vec_env(env_id, episodes, hyperparameters.get("env_kwargs", {}))
     env.seed(EVALUATION_SEED)
     observations = env.reset()
     running = np.ones(episodes, dtype=bool)
@@ -280,6 +281,12 @@ def evaluate(
         running &= ~dones
     env.close()
     return {"success": float(success.mean()), "final_distance": float(distance.mean())}
+
+
+def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> GymnasiumVecEnv:
+    """The native vector environment of `count` arms, for stable-baselines3."""
+    env = gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments)
+    return GymnasiumVecEnv(env)
 
 
 def library_versions() -> dict[str, str]:
@@ -296,9 +303,10 @@ def _reward_statistics(model: PPO) -> list[float] | None:
     return [float(statistics.mean), float(statistics.var), float(statistics.count)]
 
 
-def _schedule(value: float | str) -> float | Callable[[float], float]:
-    """A constant, or "lin_X" for a linear fall from X to 0 (the form of rl_zoo3)."""
+def _schedule(value: float | str) -> Callable[[float], float]:
+    """Of the part of the training that remains: a constant, or "lin_X", from X down to 0."""
     if isinstance(value, str) and value.startswith("lin_"):
         start = float(value.removeprefix("lin_"))
         return lambda progress_remaining: start * progress_remaining
-    return float(value)
+    constant = float(value)
+    return lambda progress_remaining: constant

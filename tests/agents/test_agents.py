@@ -166,7 +166,7 @@ def servo_demand(network: MMCNetwork) -> tuple[float, float]:
         fastest = max(fastest, np.abs(np.pi * action - target).max() / 0.02)
         target = np.pi * action
         observation, *_ = env.step(action)
-        # The impulse of the last physics step, of 0.005 s.
+        # The impulse of the last physics step, of 0.005 s: a peak before it shows as a little less.
         strongest = max(strongest, *(servo.impulse / 0.005 for servo in arm._servos))
     return fastest, strongest
 
@@ -176,7 +176,7 @@ def test_the_classical_networks_first_peak_saturates_the_servo_and_the_dynamic_o
     classical_speed, classical_torque = servo_demand(MMCNetwork())
     dynamic_speed, dynamic_torque = servo_demand(MMCNetwork(dynamics="paper"))
     assert classical_speed > 2.5 * speed_limit
-    assert classical_torque > 0.999 * torque_limit
+    assert classical_torque > 0.99 * torque_limit
     assert dynamic_speed < 1.1 * speed_limit
     assert dynamic_torque < 0.5 * torque_limit
 

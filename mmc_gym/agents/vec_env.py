@@ -1,0 +1,232 @@
+"""Gymnasium's vector environments as stable-baselines3's: one step of arrays for many arms.
+
+stable-baselines3 has a `VecEnv` of its own, which begins a new episode in the step that ends one
+and tells in the infos how it ended.  `GymnasiumVecEnv` is one around any
+`gymnasium.vector.VectorEnv` that does the same (`autoreset_mode="SameStep"`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils.env_checker import data_equivalence
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+from stable_baselines3.common.env_util import is_wrapped
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import (
+    VecEnvIndices,
+    VecEnvObs,
+    VecEnvStepReturn,
+)
+
+Info = dict[str, Any]
+
+# What a vector environment has for each of its environments, under another name or as a tuple.
+_SINGLE = {name: f"single_{name}" for name in ("action_space", "observation_space")}
+_OF_EACH = ("np_random", "np_random_seed")
+# What it does for all its environments at once.
+_OF_ALL = ("close", "render", "reset", "step")
+
+
+class GymnasiumVecEnv(VecEnv):
+    """A `gymnasium.vector.VectorEnv` as a stable-baselines3 `VecEnv`.
+
+    It does what `DummyVecEnv` does with the same environments, seeds and actions, except that
+    the infos of a step are empty where no episode has ended: a dict with everything for each
+    environment at each step would cost more than the step itself.  Where one has ended the info
+    is complete, with `terminal_observation` and `TimeLimit.truncated`, which is all that
+    stable-baselines3 reads (`VecMonitor` adds the episode's return).  `info_keys` asks for more.
+
+    Attributes:
+        vector_env: the environment inside.
+        reset_infos: infos of the latest reset of each environment.
+
+    >>> import gymnasium as gym, mmc_gym
+    >>> from stable_baselines3 import PPO
+    >>> env = GymnasiumVecEnv(gym.make_vec("MMCReach-v0", 64, autoreset_mode="SameStep"))
+    >>> model = PPO("MlpPolicy", env, n_steps=64, device="cpu").learn(4096)
+    """
+
+    def __init__(self, vector_env: VectorEnv[Any, Any, Any], info_keys: Sequence[str] = ()) -> None:
+        """Adapt an environment.
+
+        Args:
+            vector_env: any that restarts in the step that ends an episode.
+            info_keys: names of what the infos shall have in every step.
+
+        Raises:
+            ValueError: if the environment has another autoreset mode.
+        """
+        mode = vector_env.metadata.get("autoreset_mode")
+        if mode != AutoresetMode.SAME_STEP:
+            raise ValueError(
+                "vector_env must restart in the step that ends an episode, as one made by "
+                f"gym.make_vec(..., autoreset_mode='SameStep') does, got autoreset_mode={mode}"
+            )
+        self.vector_env = vector_env
+        self.info_keys = tuple(info_keys)
+        super().__init__(
+            vector_env.num_envs,
+            vector_env.single_observation_space,
+            vector_env.single_action_space,
+        )
+        self.metadata = vector_env.metadata
+        self._was_reset = False
+
+    def reset(self) -> VecEnvObs:
+        """Start an episode in every environment, with the seeds and options set for it."""
+        seed, options = self._seeds[0], self._options
+        if all(data_equivalence(options[0], one) for one in options[1:]):
+            observation, infos = self.vector_env.reset(seed=seed, options=dict(options[0]) or None)
+            self.reset_infos = [_row(infos, index) for index in range(self.num_envs)]
+        else:
+            if not self._was_reset:
+                self.vector_env.reset()
+            for index, own in enumerate(options):
+                mask = np.arange(self.num_envs) == index
+                observation, infos = self.vector_env.reset(
+                    seed=seed, options={**own, "reset_mask": mask}
+                )
+                self.reset_infos[index] = _row(infos, index)
+        self._was_reset = True
+        self._reset_seeds()
+        self._reset_options()
+        return observation  # type: ignore[no-any-return]
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take note of the actions, of shape (n, ...)."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step all environments by the noted actions."""
+        observation, rewards, terminated, truncated, infos = self.vector_env.step(self._actions)
+        dones = terminated | truncated
+        rows: list[Info] = [{} for _ in range(self.num_envs)]
+        if self.info_keys:
+            chosen = {
+                name: infos[name]
+                for key in self.info_keys
+                for name in (key, f"_{key}")
+                if name in infos
+            }
+            rows = [_row(chosen, index) for index in range(self.num_envs)]
+        for index in np.flatnonzero(dones).tolist():
+            rows[index].update(_row(infos["final_info"], index))
+            rows[index]["terminal_observation"] = infos["final_obs"][index]
+            rows[index]["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
+            self.reset_infos[index] = {
+                name: value
+                for name, value in _row(infos, index).items()
+                if name not in ("final_info", "final_obs")
+            }
+        return observation, rewards.astype(np.float32), dones, rows
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.vector_env.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A picture of each environment, if its render mode is "rgb_array"."""
+        if self.render_mode != "rgb_array":
+            warnings.warn(
+                f"render_mode must be 'rgb_array' for pictures, got {self.render_mode!r}",
+                stacklevel=2,
+            )
+            return [None] * self.num_envs
+        pictures: Any = self.vector_env.render()
+        return list(pictures)
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of each chosen environment.
+
+        A native vector environment is one object for all: what it has, each has.
+        """
+        return [self._values(attr_name)[index] for index in self._chosen(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set the attribute of the chosen environments.
+
+        Raises:
+            ValueError: if only some are chosen of a native vector environment.
+        """
+        chosen = self._chosen(indices)
+        env: Any = self.vector_env.unwrapped
+        if hasattr(env, "set_attr"):
+            everywhere = set(chosen) == set(range(self.num_envs))
+            values = [value] * self.num_envs if everywhere else self._values(attr_name)
+            for index in chosen:
+                values[index] = value
+            env.set_attr(attr_name, values)
+        elif set(chosen) == set(range(self.num_envs)):
+            setattr(env, attr_name, value)
+        else:
+            raise ValueError(
+                f"indices must be those of all {self.num_envs} environments, which are one "
+                f"object, to set {attr_name!r}, got {chosen}"
+            )
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        """What the method returns, called once for each chosen environment.
+
+        Raises:
+            ValueError: if a native vector environment has it only for all at once.
+        """
+        chosen = self._chosen(indices)
+        env: Any = self.vector_env.unwrapped
+        if hasattr(env, "call"):
+            returned = env.call(method_name, *method_args, **method_kwargs)
+            return [returned[index] for index in chosen]
+        if method_name in _OF_ALL:
+            raise ValueError(
+                f"method_name must not be {method_name!r}, which all environments do at once: "
+                "call the method of that name of the VecEnv itself"
+            )
+        method = getattr(self.vector_env, method_name)
+        return [method(*method_args, **method_kwargs) for _ in chosen]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """Whether each chosen environment is in such a wrapper; those of no process here are not.
+
+        The arms of a native vector environment are in none.
+        """
+        envs = getattr(self.vector_env.unwrapped, "envs", None)
+        return [
+            envs is not None and is_wrapped(envs[index], wrapper_class)
+            for index in self._chosen(indices)
+        ]
+
+    def _chosen(self, indices: VecEnvIndices) -> list[int]:
+        return [int(index) for index in self._get_indices(indices)]
+
+    def _values(self, name: str) -> list[Any]:
+        """An attribute of each environment."""
+        env: Any = self.vector_env.unwrapped
+        if hasattr(env, "get_attr"):
+            return list(env.get_attr(name))
+        value = getattr(self.vector_env, _SINGLE.get(name, name))
+        return list(value) if name in _OF_EACH else [value] * self.num_envs
+
+
+def _row(infos: Info, index: int) -> Info:
+    """The info of one environment, out of Gymnasium's arrays with a mask for each."""
+    row = {}
+    for name, values in infos.items():
+        mask = infos.get(f"_{name}")
+        if mask is None and name.startswith("_"):  # a mask itself
+            continue
+        if mask is None or mask[index]:
+            row[name] = _row(values, index) if isinstance(values, dict) else values[index]
+    return row
