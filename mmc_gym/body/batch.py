@@ -12,21 +12,17 @@ from __future__ import annotations
 
 import math
 import os
-from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NoReturn, get_args
+from queue import SimpleQueue
+from typing import NoReturn, get_args
 
 import numpy as np
 import pymunk
 from numpy.typing import ArrayLike, NDArray
-from pymunk._chipmunk_cffi import lib as chipmunk
-from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 
-from mmc_gym.body.linkage import Linkage, forget_impulses, make_space
 from mmc_gym.body.parameters import ArmParameters, Servo, require
-
-Floats = NDArray[np.float64]
+from mmc_gym.body.shared_space import Floats, SharedSpace, cosine, sine
 
 ARMS_PER_SPACE = 64  # fewer calls with more of them, and more that does not fit the cache
 
@@ -80,13 +76,13 @@ class Arms:
         self._segment_velocities: Floats = np.zeros((count, joints))
         most = 1 if parameters.obstacles else min(ARMS_PER_SPACE, -(-count // threads))
         self._arms_per_space = most
-        self._blocks = [
-            _Block(parameters, servo, first, min(most, count - first))
+        self._spaces = [
+            SharedSpace(parameters, servo, first, min(most, count - first))
             for first in range(0, count, most)
         ]
-        self._servo_handles = [
-            handle for block in self._blocks for handle in block.servo_handles(range(block.count))
-        ]
+        self._settings: Floats = np.zeros((count, joints))  # of the servos: phases or rates
+        self._torques: Floats = np.full((count, joints), parameters.torque_limit)
+        self._commanded = False  # and the servos not yet set: the next step does that
         self._scratch = pymunk.Space()
         self._scratch.iterations = 1
         self.reset(self.joint_angles.copy())
@@ -103,47 +99,66 @@ class Arms:
         commands = np.asarray(values, np.float64)
         shape = self.joint_angles.shape
         require(commands.shape == shape, "values", commands.shape, f"of shape {shape}")
-        self._command(commands, self.joint_angles, self._servo_handles)
+        self._command(commands, slice(None))
 
-    def _command(self, values: Floats, joint_angles: Floats, servos: Sequence[Any]) -> None:
-        """Hand values (k, N) to the k · N `servos` of arms that are at `joint_angles` (k, N)."""
+    def _command(self, values: Floats, arms: slice | NDArray[np.intp]) -> None:
+        """Command k `arms` with values (k, N)."""
         p = self.parameters
-        if self._servo == "position":
-            if p.joint_limits is None:
-                phases = joint_angles + _remainder(values - joint_angles, math.tau)
-            else:
-                low, high = np.transpose(p.joint_limits)
-                phases = np.minimum(np.maximum(values, low), high)
-            _for_each(chipmunk.cpGearJointSetPhase, servos, phases)
-        elif self._servo == "velocity":
-            speeds = np.minimum(np.maximum(values, -p.speed_limit), p.speed_limit)
-            _for_each(chipmunk.cpSimpleMotorSetRate, servos, -speeds)
+        if self._servo == "velocity":
+            self._settings[arms] = -np.minimum(np.maximum(values, -p.speed_limit), p.speed_limit)
+        elif self._servo == "torque":
+            self._settings[arms] = np.copysign(p.speed_limit, -values)
+            self._torques[arms] = np.minimum(np.abs(values), p.torque_limit)
+        elif p.joint_limits is None:
+            angles = self.joint_angles[arms]
+            self._settings[arms] = angles + _remainder(values - angles, math.tau)
         else:
-            _for_each(chipmunk.cpSimpleMotorSetRate, servos, np.copysign(p.speed_limit, -values))
-            torques = np.minimum(np.abs(values), p.torque_limit)
-            _for_each(chipmunk.cpConstraintSetMaxForce, servos, torques)
+            low, high = np.transpose(p.joint_limits)
+            self._settings[arms] = np.minimum(np.maximum(values, low), high)
+        self._commanded = True
 
     def step(self) -> None:
         """Simulate one control step of every arm."""
-        parts = [self._blocks[part :: self._threads] for part in range(self._threads)]
-        others = [self._executor().submit(self._simulate, part) for part in parts[1:] if part]
-        self._simulate(parts[0])
+        ready: SimpleQueue[SharedSpace | None] = SimpleQueue()
+        helpers = self._threads - 1
+        others = [self._executor().submit(self._simulate, ready) for _ in range(helpers)]
+        # Setting a servo takes too little time for two threads to share: this one sets those of
+        # a Space while others simulate the Spaces before it.
+        try:
+            for space in self._spaces:
+                if self._commanded:
+                    space.drive(self._settings[space.arms], self._torques[space.arms])
+                ready.put(space)
+                if not helpers:
+                    self._simulate_next(ready)
+            self._commanded = False
+        finally:
+            for _ in range(self._threads):
+                ready.put(None)
+        self._simulate(ready)
         for other in others:
             other.result()
         self._derive(slice(None))
 
-    def _simulate(self, blocks: Iterable[_Block]) -> None:
-        for block in blocks:
-            block.step()
-            arms = slice(block.first, block.first + block.count)
-            block.read(self.segment_angles[arms], self._segment_velocities[arms])
+    def _simulate(self, ready: SimpleQueue[SharedSpace | None]) -> None:
+        while self._simulate_next(ready):
+            pass
+
+    def _simulate_next(self, ready: SimpleQueue[SharedSpace | None]) -> bool:
+        """Simulate the next Space that is ready, unless there are no more."""
+        space = ready.get()
+        if space is None:
+            return False
+        space.step()
+        space.read(self.segment_angles[space.arms], self._segment_velocities[space.arms])
+        return True
 
     def _derive(self, arms: slice | NDArray[np.intp]) -> None:
         """Bring what follows from the segments' angles and velocities up to date."""
         angles, velocities = self.segment_angles[arms], self._segment_velocities[arms]
         self.joint_angles[arms] = np.diff(angles, prepend=0.0)
         self.joint_velocities[arms] = np.diff(velocities, prepend=0.0)
-        x, y = _cosine(angles), _sine(angles)
+        x, y = cosine(angles), sine(angles)
         hands = np.zeros((len(angles), 2))
         for segment, length in enumerate(self.parameters.segment_lengths):
             hands[:, 0] += length * x[:, segment]  # in the order in which `Arm` adds them
@@ -174,28 +189,23 @@ class Arms:
         shape = len(rows), len(self.parameters.segment_lengths)
         for name, values in ("joint_angles", postures), ("joint_velocities", speeds):
             require(values.shape == shape, name, values.shape, f"of shape {shape}")
-        for block, part, members in self._by_block(rows):
-            block.reset(members, postures[part].tolist(), speeds[part].tolist(), self._scratch)
-            if self.parameters.obstacles:
-                first = block.first * shape[1]
-                self._servo_handles[first : first + shape[1]] = block.servo_handles(members)
+        for space, part, members in self._by_space(rows):
+            space.reset(members, postures[part].tolist(), speeds[part].tolist(), self._scratch)
         self.segment_angles[rows] = np.cumsum(postures, axis=1)
         self._segment_velocities[rows] = np.cumsum(speeds, axis=1)
         self._derive(rows)
-        commands = postures if self._servo == "position" else np.zeros(shape)
-        handles, joints = self._servo_handles, range(shape[1])
-        servos = [handles[arm * shape[1] + joint] for arm in rows.tolist() for joint in joints]
-        self._command(commands, self.joint_angles[rows], servos)
+        self._command(postures if self._servo == "position" else np.zeros(shape), rows)
 
     def lock(self, arms: ArrayLike) -> None:
         """Make the `lockable_joints` of the arms of these indices rigid; see `Arm.lock`."""
-        for block, _, members in self._by_block(self._indices(arms)):
+        for space, _, members in self._by_space(self._indices(arms)):
             for member in members:
-                block.linkages[member].lock(self.joint_angles[block.first + member].tolist())
+                angles = self.joint_angles[space.first + member]
+                space.linkages[member].lock(angles.tolist())
 
     def pivot_gaps(self) -> Floats:
         """Largest distance between two ends that a pivot should hold together, (count,)."""
-        linkages = (linkage for block in self._blocks for linkage in block.linkages)
+        linkages = (linkage for space in self._spaces for linkage in space.linkages)
         return np.array([linkage.pivot_gap() for linkage in linkages])
 
     def close(self) -> None:
@@ -219,15 +229,15 @@ class Arms:
         require(fine, "arms", arms, f"different indices from 0 to {count - 1}")
         return rows.astype(np.intp)
 
-    def _by_block(
+    def _by_space(
         self, arms: NDArray[np.intp]
-    ) -> Iterable[tuple[_Block, NDArray[np.intp], list[int]]]:
-        """Blocks, which of `arms` are in it, and which of its own those are."""
+    ) -> Iterable[tuple[SharedSpace, NDArray[np.intp], list[int]]]:
+        """Every Space that holds some of `arms`, which of them, and which of its own those are."""
         owners = arms // self._arms_per_space
         for owner in np.unique(owners).tolist():
             part = np.flatnonzero(owners == owner)
-            block = self._blocks[owner]
-            yield block, part, (arms[part] - block.first).tolist()
+            space = self._spaces[owner]
+            yield space, part, (arms[part] - space.first).tolist()
 
     def _executor(self) -> ThreadPoolExecutor:
         """Threads of this process; a forked one has inherited none."""
@@ -237,92 +247,6 @@ class Arms:
         return self._pool
 
 
-class _Block:
-    """Arms that share a Space: `count` of them, beginning with number `first` of all."""
-
-    def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
-        self.first, self.count = first, count
-        self._parameters, self._servo = parameters, servo
-        self._buffer, self._push_buffer = Buffer(), Buffer()
-        bodies = count * len(parameters.segment_lengths) + bool(parameters.obstacles)
-        self._pushes = np.zeros((bodies, 3))  # force x, y and torque; the obstacles are one body
-        self._push_buffer.set_float_buf(self._pushes)
-        self._build()
-
-    def _build(self) -> None:
-        self._space = make_space(self._parameters)
-        self.linkages = [
-            Linkage(self._space, self._parameters, self._servo) for _ in range(self.count)
-        ]
-
-    def servo_handles(self, members: Iterable[int]) -> list[Any]:
-        return [servo._constraint for member in members for servo in self.linkages[member].servos]
-
-    def step(self) -> None:
-        space, substep = self._space._space, self._parameters.substep
-        for _ in range(self._parameters.substeps):
-            if self._parameters.force_field is not None:
-                self._push_hands()
-            chipmunk.cpSpaceStep(space, substep)
-
-    def _get(self, fields: BodyFields) -> Floats:
-        """These fields of all segments, (count, N, values), until the next call."""
-        self._buffer.clear()
-        get_space_bodies(self._space, fields, self._buffer)
-        values = np.frombuffer(self._buffer.float_buf()).reshape(len(self._pushes), -1)
-        joints = len(self._parameters.segment_lengths)
-        return values[: self.count * joints].reshape(self.count, joints, -1)
-
-    def read(self, angles: Floats, velocities: Floats) -> None:
-        """Write the segments' angles and angular velocities to two arrays (count, N)."""
-        state = self._get(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
-        angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
-
-    def _push_hands(self) -> None:
-        """Let the force field act on the hands in the next physics step."""
-        assert self._parameters.force_field is not None
-        (xx, xy), (yx, yy) = self._parameters.force_field
-        fields = BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
-        angle, centre_x, centre_y, speed = self._get(fields)[:, -1].T
-        along_x, along_y = _cosine(angle), _sine(angle)
-        _, reach = self.linkages[0].hand
-        x, y = centre_x - reach * speed * along_y, centre_y + reach * speed * along_x
-        force_x, force_y = xx * x + xy * y, yx * x + yy * y
-        joints = len(self._parameters.segment_lengths)
-        last = self._pushes[joints - 1 : self.count * joints : joints]
-        last[:, 0], last[:, 1] = force_x, force_y
-        last[:, 2] = reach * (along_x * force_y - along_y * force_x)
-        set_space_bodies(self._space, BodyFields.FORCE | BodyFields.TORQUE, self._push_buffer)
-
-    def reset(
-        self,
-        members: Sequence[int],
-        joint_angles: Sequence[Sequence[float]],
-        joint_velocities: Sequence[Sequence[float]],
-        scratch: pymunk.Space,
-    ) -> None:
-        """Place some of the arms; `scratch` is an empty Space."""
-        substep = self._parameters.substep
-        linkages = [self.linkages[member] for member in members]
-        if self._parameters.obstacles:
-            self._build()
-            linkages = self.linkages
-        elif len(linkages) == self.count:
-            forget_impulses(self._space, linkages, substep)
-        else:  # the other arms must not move
-            for linkage in linkages:
-                linkage.move_joints(self._space, scratch)
-            forget_impulses(scratch, linkages, substep)
-            for linkage in linkages:
-                linkage.move_joints(scratch, self._space)
-        for linkage, posture, speeds in zip(linkages, joint_angles, joint_velocities):
-            linkage.place(posture, speeds)
-
-
-def _for_each(function: Callable[[Any, float], None], handles: Sequence[Any], x: Floats) -> None:
-    deque(map(function, handles, x.ravel().tolist()), maxlen=0)
-
-
 def _remainder(x: Floats, y: float) -> Floats:
     """`math.remainder` of every element, exactly as it is defined: x − n y, n = x / y rounded."""
     size = np.abs(x)
@@ -330,14 +254,3 @@ def _remainder(x: Floats, y: float) -> Floats:
     other = y - rest
     half = rest - 2.0 * np.fmod(0.5 * (size - rest), y)  # between two n: the even one
     return np.copysign(1.0, x) * np.where(rest < other, rest, np.where(rest > other, -other, half))
-
-
-def _like_the_c_library(ufunc: np.ufunc, function: Callable[[float], float]) -> Any:
-    """`ufunc`, unless numpy was built with another cosine than the one Python and Chipmunk use."""
-    sample = np.linspace(-50.0, 50.0, 4099)
-    same = ufunc(sample).tolist() == [function(x) for x in sample.tolist()]
-    return ufunc if same else np.vectorize(function, otypes=[np.float64])
-
-
-_cosine = _like_the_c_library(np.cos, math.cos)
-_sine = _like_the_c_library(np.sin, math.sin)

@@ -21,8 +21,8 @@ import pymunk
 from pymunk._chipmunk_cffi import lib as chipmunk
 
 from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.solver import segment_inertia, solver_iterations
 
-_MOST_SOLVER_ITERATIONS = 500  # a step of three segments then takes 0.1 ms instead of 0.01
 _NO_COLLISIONS_AMONG_SEGMENTS = pymunk.ShapeFilter(group=1)
 
 
@@ -182,7 +182,11 @@ class Linkage:
 
 
 def make_space(parameters: ArmParameters) -> pymunk.Space:
-    """An empty Space with the gravity and the solver that these arms need."""
+    """An empty Space with the gravity and the solver that these arms need.
+
+    Raises:
+        ValueError: for arms that Chipmunk cannot hold together.
+    """
     space = pymunk.Space()
     space.gravity = parameters.gravity
     space.iterations = solver_iterations(parameters)
@@ -202,39 +206,3 @@ def forget_impulses(space: pymunk.Space, linkages: Iterable[Linkage], substep: f
     chipmunk.cpSpaceStep(space._space, substep)
     for linkage in linkages:
         linkage.tighten()
-
-
-def segment_inertia(parameters: ArmParameters, index: int) -> tuple[float, float, float]:
-    """Mass of a segment, how far its centre of gravity is from its joint, and moment about it."""
-    mass, length = parameters.masses[index], parameters.segment_lengths[index]
-    held = parameters.hand_mass if index == len(parameters.masses) - 1 else 0.0
-    total = mass + held
-    centre = length / 2 * (1 + held / total)
-    return total, centre, mass * length**2 / 12 + mass * held / total * (length / 2) ** 2
-
-
-def solver_iterations(parameters: ArmParameters) -> int:
-    """Sweeps of Chipmunk's solver over the joints in a physics step.
-
-    The heavier the arm beyond a joint, measured by the rod that carries it, the more of them an
-    arm needs to come to rest at its joint targets instead of buzzing around them.  Three equal
-    rods (a ratio of inertias of 27) need pymunk's 10; in random arms of two to five segments,
-    four times lighter and heavier, the need was seen to grow in proportion to that ratio.
-    """
-    return min(max(10, round(10 / 27 * inertia_ratio(parameters))), _MOST_SOLVER_ITERATIONS)
-
-
-def inertia_ratio(parameters: ArmParameters) -> float:
-    """Largest ratio of the inertia of the stretched arm beyond a joint to its own segment's."""
-    lengths = parameters.segment_lengths
-    ratio = 0.0
-    for joint in range(len(lengths)):
-        inertia = start = 0.0  # about the joint
-        for index in range(joint, len(lengths)):
-            mass, centre, moment = segment_inertia(parameters, index)
-            inertia += moment + mass * (start + centre) ** 2
-            start += lengths[index]
-            if index == joint:
-                own = inertia
-        ratio = max(ratio, inertia / own)
-    return ratio
