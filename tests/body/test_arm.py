@@ -5,13 +5,15 @@ import dataclasses
 import itertools
 import math
 import pickle
+import resource
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pymunk
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mmc_gym.body import Arm, ArmParameters, Servo
@@ -110,7 +112,7 @@ def test_an_arm_that_no_one_commands_after_a_reset_is_as_a_new_one(servo: Servo)
 
 
 @given(
-    lengths=st.lists(st.floats(0.1, 3.0), min_size=1, max_size=8),
+    lengths=st.lists(st.floats(0.5, 3.0), min_size=1, max_size=8),
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(max_examples=50)
@@ -513,6 +515,59 @@ def test_pivots_gape_little() -> None:
     assert max(gaps) < 0.005
 
 
+def memory_in_use() -> float:
+    """Resident memory of this process, MB."""
+    statistics = Path("/proc/self/statm")
+    if not statistics.exists():
+        pytest.skip("knows no other way to ask for it")
+    return int(statistics.read_text().split()[1]) * resource.getpagesize() / 1e6
+
+
+def largest_gap_of_random_movements(arm: Arm, servo: Servo, resets: int) -> float:
+    """Largest gap of the pivots over 100 steps after each reset, with abrupt random commands."""
+    random, largest = np.random.default_rng(0), 0.0
+    scale = command_scale(arm.parameters, servo)
+    for _ in range(resets):
+        arm.reset(random.uniform(-math.pi, math.pi, 3).tolist(), random.uniform(-6, 6, 3).tolist())
+        commands = random.uniform(-scale, scale, (20, 3)).tolist()
+        held = random.choice((1, 5, 20))
+        for step in range(100):
+            if step % held == 0:
+                arm.command(commands[step % 20])
+            arm.step()
+            largest = max(largest, arm.pivot_gap())
+    return largest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("servo", "resets", "gap"),
+    [
+        ("position", 10_000, 0.01),
+        ("velocity", 500, 0.01),
+        ("torque", 500, 0.015),  # the full torque for 0.4 s whips joints round at 35 rad/s
+    ],
+)
+def test_a_long_life_leaves_the_pivots_tight_and_the_memory_as_it_was(
+    servo: Servo, resets: int, gap: float
+) -> None:
+    arm = Arm(servo=servo)
+    largest_gap_of_random_movements(arm, servo, resets=50)
+    before = memory_in_use()
+    assert largest_gap_of_random_movements(arm, servo, resets) <= gap
+    assert memory_in_use() - before < 2
+
+
+def test_resets_among_obstacles_leave_the_memory_as_it_was() -> None:
+    arm, before = Arm(CONDITIONS["obstacles"]), 0.0
+    for episode in range(1500):
+        if episode == 300:
+            before = memory_in_use()
+        arm.reset([0.1, 0.2, 0.3])
+        arm.step()
+    assert memory_in_use() - before < 5
+
+
 @every_servo
 @pytest.mark.parametrize("gravity", [(0.0, 0.0), (0.0, -9.81)])
 def test_joint_limits_are_held(servo: Servo, gravity: tuple[float, float]) -> None:
@@ -656,7 +711,74 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(servo: Servo) -> None:
     assert arm.joint_angles == free.joint_angles
 
 
+# --- Arms of any make
+
+SIX_DECADES = st.floats(-3, 3).map(lambda exponent: 10**exponent)
+
+
+@st.composite
+def any_arm(draw: st.DrawFn) -> ArmParameters:
+    """One to forty segments, lengths and masses over six decades, equal or not."""
+    count = draw(st.integers(1, 40))
+    equal_or_not = st.one_of(
+        SIX_DECADES.map(lambda value: (value,) * count),
+        st.tuples(*[SIX_DECADES] * count),
+        st.tuples(*[st.floats(0.3, 3.0)] * count),
+    )
+    return ArmParameters(
+        segment_lengths=draw(equal_or_not),
+        segment_masses=draw(equal_or_not),
+        hand_mass=draw(st.one_of(st.just(0.0), SIX_DECADES)),
+    )
+
+
+@every_servo
+@given(parameters=any_arm(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_an_arm_holds_together_or_is_refused(
+    parameters: ArmParameters, seed: int, servo: Servo
+) -> None:
+    try:
+        arm = Arm(parameters, servo)
+    except ValueError as refusal:
+        assert "an arm that pymunk can hold together" in str(refusal)
+        return
+    arm.reset(random_posture(parameters, np.random.default_rng(seed)))
+    for _ in range(3):
+        assert np.isfinite(play(arm, servo, seed, steps=3)).all()
+        assert arm.pivot_gap() < 0.05 * sum(parameters.segment_lengths)
+
+
+@every_servo
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        *(ArmParameters(segment_lengths=(1.0,) * count) for count in (1, 20, 40)),
+        *(
+            ArmParameters(segment_lengths=(length,) * 3, segment_masses=(mass,) * 3)
+            for length in (1e-3, 1e3)
+            for mass in (1e-3, 1e3)
+        ),
+        ArmParameters(segment_masses=(10.0, 1.0, 0.1)),
+        ArmParameters(segment_masses=(0.1, 0.1, 3.0)),
+        ArmParameters(hand_mass=20.0),
+    ],
+)
+def test_arms_that_are_not_refused(parameters: ArmParameters, servo: Servo) -> None:
+    arm = Arm(parameters, servo)
+    arm.reset(random_posture(parameters, np.random.default_rng(0)))
+    for _ in range(5):
+        assert np.isfinite(play(arm, servo, seed=0, steps=3)).all()
+        assert arm.pivot_gap() < 0.01 * sum(parameters.segment_lengths)
+
+
 # --- What is refused
+
+
+def test_an_arm_with_too_heavy_a_hand_for_the_solver_is_refused() -> None:
+    message = "segment_lengths, segment_masses and hand_mass must .* hold together: .* got .* times"
+    with pytest.raises(ValueError, match=message):
+        Arm(ArmParameters(segment_masses=(1.0, 1.0, 1.0), hand_mass=1e4))
 
 
 @pytest.mark.parametrize(
