@@ -71,7 +71,7 @@ class Arm:
         """Build the arm, stretched along the x axis and at rest.
 
         Raises:
-            ValueError: for an unknown kind of servo.
+            ValueError: for an unknown kind of servo, or an arm that Chipmunk cannot hold together.
         """
         require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
         self.parameters = parameters or ArmParameters()

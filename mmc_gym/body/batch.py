@@ -58,7 +58,8 @@ class Arms:
             threads: how many threads simulate them; the result does not depend on it.
 
         Raises:
-            ValueError: for an unknown kind of servo, or less than one arm or thread.
+            ValueError: for an unknown kind of servo, less than one arm or thread, or an arm that
+                Chipmunk cannot hold together.
         """
         require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
         require(count >= 1, "count", count, "at least 1")
