@@ -89,9 +89,9 @@ class Renderer:
         self._paint_path(scene)
         drawing.draw_trace(self._canvas, self._large_view, self._trace)
         self._paint_arm(scene, nodes)
-        self._paint_target(scene, nodes[-1])
         if scene.observation is not None:
             self._paint_sensed(scene.observation)
+        self._paint_target(scene, nodes[-1])
         pygame.transform.smoothscale(self._canvas, (SIZE, SIZE), self._picture)
         if self._window is not None:
             self._window.show(self._picture)

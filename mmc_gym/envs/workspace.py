@@ -156,25 +156,13 @@ class Workspace:
         Raises:
             ValueError: if there is none, or none within the joint limits.
         """
-        count, distance = len(self.body.segment_lengths), math.hypot(*point)
-
-        def bent(angle: float) -> Point:
-            return self._nodes([0.0] + [angle] * (count - 1))[-1]
-
-        # The hand comes nearer to the base as the arm bends; by 2π/N equal segments are a ring.
-        angles = np.linspace(0.0, math.tau / max(count, 2), 200)
-        beyond = [math.hypot(*bent(angle)) - distance for angle in angles]
-        bracket = next((i for i in range(1, len(angles)) if beyond[i] <= 0), None)
-        if math.isclose(beyond[0], 0.0, abs_tol=REACH_TOLERANCE * self.outer):
-            bend = 0.0
-        elif beyond[0] < 0 or bracket is None or count == 1:
+        lengths, distance = self.body.segment_lengths, math.hypot(*point)
+        bend = _even_bend(lengths, distance)
+        if bend is None:
             raise ValueError(f"no evenly bent posture has the hand at {tuple(point)}")
-        else:
-            low, high = angles[bracket - 1], angles[bracket]
-            bend = float(brentq(lambda angle: math.hypot(*bent(angle)) - distance, low, high))
-        x, y = bent(bend)
+        x, y = _bent_hand(lengths, bend)
         base = math.remainder(math.atan2(point[1], point[0]) - math.atan2(y, x), math.tau)
-        posture = [base] + [bend] * (count - 1)
+        posture = [base] + [bend] * (len(lengths) - 1)
         for angle, (low, high) in zip(posture, self._limits, strict=True):
             if not low <= angle <= high:
                 raise ValueError(
@@ -226,6 +214,28 @@ def reachable_hands(
     order = np.argsort(cells, kind="stable")
     borders = np.flatnonzero(np.diff(cells[order])) + 1
     return np.split(hands[order], borders)
+
+
+@lru_cache(maxsize=64)  # tasks start from a few points, time and again
+def _even_bend(segment_lengths: tuple[float, ...], distance: float) -> float | None:
+    """The smallest angle of all joints but the first at which the hand is so far from the base."""
+    if math.isclose(distance, sum(segment_lengths), rel_tol=REACH_TOLERANCE):
+        return 0.0
+
+    def beyond(angle: float) -> float:
+        return math.hypot(*_bent_hand(segment_lengths, angle)) - distance
+
+    # The hand comes nearer to the base as the arm bends; by 2π/N equal segments are a ring.
+    angles = np.linspace(0.0, math.tau / max(len(segment_lengths), 2), 200).tolist()
+    nearer = next((i for i, angle in enumerate(angles) if beyond(angle) <= 0), 0)
+    return float(brentq(beyond, angles[nearer - 1], angles[nearer])) if nearer else None
+
+
+def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
+    """The hand of an arm whose joint angles are all `bend`, but the first, which is 0."""
+    x = sum(length * math.cos(joint * bend) for joint, length in enumerate(segment_lengths))
+    y = sum(length * math.sin(joint * bend) for joint, length in enumerate(segment_lengths))
+    return x, y
 
 
 def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:

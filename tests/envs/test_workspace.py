@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from mmc_gym.body import ArmParameters
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.workspace import Workspace, reachable_hands
-from mmc_gym.network.chain import reachable_radii
+from mmc_gym.network.chain import reachable_radii, segments_from_joint_angles
 
 
 def workspace(lengths: Sequence[float]) -> Workspace:
@@ -128,3 +129,56 @@ def test_cells_of_reachable_hands_hold_all_hands() -> None:
     assert sum(map(len, cells)) == 100_000
     widths = [np.ptp(cell, axis=0).max() for cell in cells]
     assert max(widths) <= sum(TWO_LENGTHS) / 30 + 1e-12
+
+
+# --- Evenly bent postures
+
+
+@pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (2.0, 0.7), (1.0, 0.8, 0.6, 0.4), (1.5,)])
+@pytest.mark.parametrize("share", [1.0, 0.9, 0.7])
+def test_the_evenly_bent_posture_has_the_hand_where_it_is_asked_for(
+    lengths: tuple[float, ...], share: float
+) -> None:
+    distance = share * sum(lengths)
+    point = (distance * math.cos(2.5), distance * math.sin(2.5))
+    if len(lengths) == 1 and share < 1:
+        with pytest.raises(ValueError, match="no evenly bent posture"):
+            workspace(lengths).posture_at(point)
+        return
+    posture = workspace(lengths).posture_at(point)
+    hand = segments_from_joint_angles(np.array(posture), lengths).sum(axis=0)
+    np.testing.assert_allclose(hand, point, atol=1e-9)
+    assert len(set(posture[1:])) <= 1
+    assert all(0 <= angle <= math.pi for angle in posture[1:])
+
+
+def test_an_evenly_bent_posture_beyond_reach_or_limits_is_refused() -> None:
+    with pytest.raises(ValueError, match="no evenly bent posture"):
+        workspace((1.0, 1.0, 1.0)).posture_at((3.1, 0.0))
+    limited = Workspace(ArmParameters(joint_limits=((-1.0, 1.0),) * 3))
+    with pytest.raises(ValueError, match="beyond the joint limits"):
+        limited.posture_at((0.0, 0.5))
+
+
+# --- Rotated cursors
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0), (0.0, 1.5), (-2.0, 1.0)])
+@pytest.mark.parametrize("degrees", [30.0, -90.0, 180.0])
+def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(
+    centre: tuple[float, float], degrees: float
+) -> None:
+    rotation = VisuomotorRotation(degrees, centre)
+    space, random = Workspace(ArmParameters(), rotation=rotation), np.random.default_rng(0)
+    for _ in range(300):
+        target = space.draw_target(random, [])
+        assert space.contains(target)
+        assert math.hypot(*target) <= 3 + 1e-8
+        assert math.hypot(*rotation.hand(*target)) <= 3 + 1e-8
+
+
+def test_what_the_hand_reaches_its_cursor_may_not() -> None:
+    space = Workspace(ArmParameters(), rotation=VisuomotorRotation(180.0, (1.0, 0.0)))
+    assert space.contains((0.0, 0.0))  # the hand is then at (2, 0)
+    assert not space.contains((-2.0, 0.0))  # it would be at (4, 0)
+    assert not space.contains((4.0, 0.0))  # the target itself is out of reach

@@ -1,0 +1,229 @@
+"""Facts about the tasks: where trials start, and where their targets are and go."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+
+from mmc_gym.agents import make_agent
+from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.tasks import TASKS, DoubleStep, PointToPoint, Pursuit, ViaPoints
+from mmc_gym.paper.movements import PAIRS, TARGETS
+
+STILL = np.zeros(3, np.float32)
+
+
+def targets_of(env: MMCReachEnv, steps: int, **reset: Any) -> np.ndarray:
+    """Where the target is at reset and after each step, (steps + 1, 2)."""
+    infos = [env.reset(**reset)[1], *(env.step(STILL)[4] for _ in range(steps))]
+    return np.array([info["target"] for info in infos])
+
+
+# --- The paper's movements
+
+
+def test_the_papers_task_is_its_420_movements_and_starts_at_their_first_target() -> None:
+    env = MMCReachEnv(task="paper")
+    assert env.setup.task.trial_count == len(PAIRS) == 420
+    infos = [env.reset(options={"trial": trial})[1] for trial in range(420)]
+    starts = np.array([info["end_effector"] for info in infos])
+    targets = np.array([info["target"] for info in infos])
+    np.testing.assert_allclose(starts, TARGETS[PAIRS[:, 0]], atol=1e-9)
+    np.testing.assert_allclose(targets, TARGETS[PAIRS[:, 1]], atol=1e-12)
+    movements = {tuple(row) for row in np.hstack([starts, targets]).round(6).tolist()}
+    assert len(movements) == 420
+
+
+def test_a_movement_starts_at_rest_in_an_evenly_bent_posture() -> None:
+    env = MMCReachEnv(task="paper")
+    for trial in (0, 100, 419):
+        observation, _ = env.reset(options={"trial": trial})
+        angles = np.arctan2(observation[3:6], observation[:3])
+        assert angles[1] == pytest.approx(angles[2], abs=1e-6)
+        assert angles[1] >= -1e-6
+        assert observation[6:9].tolist() == [0.0] * 3
+
+
+def test_trials_that_are_not_asked_for_are_drawn_from_all() -> None:
+    env = MMCReachEnv(task="paper")
+    env.reset(seed=0)
+    drawn = {
+        (*info["end_effector"].round(6), *info["target"].round(6))
+        for info in (env.reset()[1] for _ in range(2000))
+    }
+    assert len(drawn) > 400
+
+
+def test_an_arm_that_cannot_do_a_task_is_told_so() -> None:
+    env = MMCReachEnv(task="paper", segment_lengths=(2.0, 0.5))  # nothing nearer than 1.5
+    with pytest.raises(ValueError, match="does not reach the task's target"):
+        env.reset(options={"trial": int(np.flatnonzero(PAIRS[:, 1] == 0)[0])})
+
+
+def test_an_arm_of_another_reach_does_the_task_in_proportion() -> None:
+    env = MMCReachEnv(task="paper", segment_lengths=(2.0, 2.0, 2.0))
+    _, info = env.reset(options={"trial": 7})
+    np.testing.assert_allclose(info["end_effector"], 2 * TARGETS[PAIRS[7, 0]], atol=1e-9)
+    np.testing.assert_allclose(info["target"], 2 * TARGETS[PAIRS[7, 1]], atol=1e-9)
+
+
+# --- Centre-out
+
+
+def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far() -> None:
+    env = MMCReachEnv(task="centre-out")
+    infos = [env.reset(options={"trial": trial})[1] for trial in range(8)]
+    starts = np.array([info["end_effector"] for info in infos])
+    np.testing.assert_allclose(starts, [(0.0, 1.5)] * 8, atol=1e-9)
+    ways = np.array([info["target"] for info in infos]) - (0.0, 1.5)
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=-1), 0.6)
+    np.testing.assert_allclose(
+        np.arctan2(ways[:, 1], ways[:, 0]) % math.tau, np.arange(8) * math.pi / 4, atol=1e-9
+    )
+
+
+# --- Targets that jump
+
+
+@pytest.mark.parametrize(("name", "step"), [("double-step-100", 5), ("double-step-200", 10)])
+def test_the_target_jumps_once_and_at_its_time(name: str, step: int) -> None:
+    env = MMCReachEnv(task=name)
+    for seed in range(5):
+        targets = targets_of(env, 40, seed=seed)
+        jumps = np.flatnonzero(np.any(np.diff(targets, axis=0), axis=-1)) + 1
+        assert jumps.tolist() == [step]
+
+
+def test_the_jump_is_seen_and_rewarded_at_once() -> None:
+    env = MMCReachEnv(task="double-step-100")
+    env.reset(seed=0)
+    for _ in range(10):
+        observation, _, _, _, info = env.step(STILL)
+        np.testing.assert_allclose(observation[9:11] * 3, info["target"], atol=1e-6)
+        distance = math.dist(info["target"], info["end_effector"])
+        assert info["distance"] == pytest.approx(distance)
+        assert info["reward_distance"] == -info["distance"]
+
+
+def test_a_jump_at_another_control_rate_comes_at_the_same_time() -> None:
+    env = MMCReachEnv(task=DoubleStep(delay=0.1), substeps=2)  # steps of 0.01 s
+    jumps = np.flatnonzero(np.any(np.diff(targets_of(env, 30, seed=0), axis=0), axis=-1)) + 1
+    assert jumps.tolist() == [10]
+
+
+# --- Targets that move
+
+
+def test_a_pursued_target_has_the_stated_frequencies_and_no_others() -> None:
+    task = TASKS["pursuit"]
+    assert isinstance(task, Pursuit)
+    path = targets_of(MMCReachEnv(task="pursuit"), 499, seed=0)
+    np.testing.assert_allclose(path.mean(axis=0), (0.0, 1.5), atol=1e-9)
+    amplitudes = np.abs(np.fft.rfft(path - (0.0, 1.5), axis=0)) / 250
+    for coordinate, multiples in zip(amplitudes.T, (task.multiples_x, task.multiples_y)):
+        assert tuple(np.flatnonzero(coordinate > 1e-9)) == multiples
+        assert coordinate.sum() == pytest.approx(0.3 * 3)
+        slow, fast = multiples  # amplitudes go with the inverse of the frequency
+        assert coordinate[slow] / coordinate[fast] == pytest.approx(fast / slow)
+
+
+def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time() -> None:
+    env = MMCReachEnv(task="pursuit")
+    paths = [targets_of(env, 1000, seed=seed) for seed in range(4)]
+    for path in paths:
+        np.testing.assert_array_equal(path[:500], path[500:1000])
+        assert np.linalg.norm(path, axis=-1).max() < 3.0
+        steps = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+        assert 0 < steps.max() < 0.06  # it moves, and nowhere jumps
+    assert len({tuple(path[0]) for path in paths}) == 4
+
+
+# --- Via points
+
+
+def visit(env: MMCReachEnv, seed: int, steps: int = 300) -> list[dict[str, Any]]:
+    """Infos of a movement of the MMC agent, each with its reward."""
+    agent, state = make_agent("mmc", env), None
+    observation, info = env.reset(seed=seed)
+    infos = [info]
+    for _ in range(steps):
+        action, state = agent.predict(observation, state)
+        observation, reward, _, _, info = env.step(action)
+        infos.append({**info, "reward": reward})
+    return infos
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_next_via_point_appears_when_the_last_has_been_reached(seed: int) -> None:
+    infos = visit(MMCReachEnv(task="via-points"), seed)
+    places = list(dict.fromkeys(tuple(info["target"]) for info in infos))
+    assert len(places) == 3
+    for before, after in pairwise(infos):
+        reached = math.dist(after["end_effector"], before["target"]) <= 0.05
+        moved_on = tuple(before["target"]) != tuple(after["target"])
+        is_last = tuple(before["target"]) == places[-1]
+        assert moved_on == (reached and not is_last)
+
+
+@pytest.mark.parametrize("reward_type", ["dense", "sparse"])
+def test_only_the_last_via_point_is_a_success(reward_type: str) -> None:
+    infos = visit(MMCReachEnv(task="via-points", reward_type=reward_type), seed=0)
+    last = tuple(infos[-1]["target"])
+    assert infos[-1]["is_success"]
+    for info in infos[1:]:
+        at_last = tuple(info["target"]) == last
+        assert info["is_success"] == (at_last and info["distance"] <= 0.05)
+        if reward_type == "sparse":
+            assert info["reward"] == (0.0 if info["is_success"] else -1.0)
+
+
+def test_a_single_via_point_is_a_target_like_any_other() -> None:
+    via, plain = MMCReachEnv(task=ViaPoints(count=1)), MMCReachEnv()
+    assert data_equivalence(via.reset(seed=0), plain.reset(seed=0), exact=True)
+    assert visit(via, 0, steps=100)[-1]["is_success"]
+
+
+# --- Options and names
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_posture_and_target_can_be_set_in_every_task(name: str) -> None:
+    env = MMCReachEnv(task=name)
+    posture = [0.5, 0.6, -0.7]
+    observation, _ = env.reset(seed=0, options={"joint_angles": posture})
+    np.testing.assert_allclose(np.arctan2(observation[3:6], observation[:3]), posture, atol=1e-6)
+    targets = targets_of(env, 30, seed=0, options={"target": (1.0, 0.5)})
+    assert (targets == (1.0, 0.5)).all()
+
+
+@pytest.mark.parametrize(
+    ("task", "trial"),
+    [("random", 0), ("pursuit", 0), ("paper", 420), ("paper", -1), ("paper", 1.5), ("paper", True)],
+)
+def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, trial: Any) -> None:
+    env, twin = MMCReachEnv(task=task), MMCReachEnv(task=task)
+    for one in (env, twin):
+        one.reset(seed=1)
+        one.step(STILL)
+    with pytest.raises(ValueError, match=r"options\['trial'\] must"):
+        env.reset(seed=2, options={"trial": trial})
+    for act in (lambda one: one.step(STILL), lambda one: one.reset()):
+        assert data_equivalence(act(env), act(twin), exact=True)
+
+
+def test_an_unknown_task_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"task must be a Task or one of .*'centre-out'"):
+        MMCReachEnv(task="centre-in")
+    with pytest.raises(ValueError, match="task must be"):
+        MMCReachEnv(task=3)
+
+
+def test_a_task_of_ones_own_is_a_few_lines() -> None:
+    there_and_back = PointToPoint(points=((0.5, 0.0), (0.0, 0.5)), pairs=((0, 1), (1, 0)))
+    env = MMCReachEnv(task=there_and_back)
+    _, info = env.reset(options={"trial": 1})
+    np.testing.assert_allclose(info["end_effector"], (0.0, 1.5), atol=1e-9)
+    np.testing.assert_allclose(info["target"], (1.5, 0.0), atol=1e-9)
