@@ -1,0 +1,61 @@
+"""One picture of every task and every perturbation, mid-movement, in one labelled sheet.
+
+`python examples/contact_sheet.py docs/contact-sheet.png` makes the one in the documentation.
+"""
+
+import os
+import sys
+from math import ceil
+from pathlib import Path
+
+import gymnasium as gym
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+import mmc_gym
+from mmc_gym.envs.registered import PERTURBATION_TASKS, TASK_STEPS, camel_case
+
+COLUMNS = 7
+STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}
+OTHERS = 11  # steps until the picture is taken
+START = {"joint_angles": [0.2, 0.4, 0.4]}
+OPTIONS = {
+    "random": {**START, "target": (-1.5, 1.8)},
+    "centre-out": {"trial": 3},
+    "paper": {"trial": 130},
+}
+
+
+def picture(name):
+    """The arm in the environment of a task or perturbation, driven by the MMC network."""
+    env_id = "MMCReach-v0" if name == "random" else f"MMCReach{camel_case(name)}-v0"
+    env = gym.make(env_id, render_mode="rgb_array")
+    agent = mmc_gym.make_agent("mmc", env)
+    task = name if name in TASK_STEPS else PERTURBATION_TASKS.get(name, "random")
+    observation, _ = env.reset(seed=6, options=OPTIONS.get(task, START))
+    state = None
+    for _ in range(STEPS.get(name, OTHERS)):
+        action, state = agent.predict(observation, state)
+        observation, *_ = env.step(action)
+        env.unwrapped.show_posture(state.joint_angles)
+        frame = env.render()
+    env.close()
+    return frame[28:-28, 28:-28]
+
+
+names = ["random", *TASK_STEPS, *PERTURBATION_TASKS]
+rows = ceil(len(names) / COLUMNS)
+figure, axes = plt.subplots(rows, COLUMNS, figsize=(1.6 * COLUMNS, 1.8 * rows), dpi=125)
+for axis in axes.flat:
+    axis.axis("off")
+for axis, name in zip(axes.flat, names):
+    axis.imshow(picture(name))
+    axis.set_title(name, fontsize=8)
+figure.tight_layout(pad=0.3)
+path = Path(sys.argv[1] if len(sys.argv) > 1 else "contact-sheet.png")
+whole = path.with_name(f".{path.name}.new")
+figure.savefig(whole, format="png")
+os.replace(whole, path)  # never half a picture, even if two write at once
+print(f"wrote {path}: {len(names)} pictures")
