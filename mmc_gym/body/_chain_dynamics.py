@@ -7,12 +7,18 @@ that they call into, delete its `__pycache__`.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.solver import segment_inertia
 
 LANES = 32  # arms in a block
+_STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
 
 
 def _lanes(*names: str) -> np.dtype[np.void]:
@@ -68,6 +74,35 @@ WORLD = np.dtype(
     ]
     + [("gravity", np.float64, (2,)), ("field", np.float64, (2, 2))]
 )
+
+
+def make_rods(parameters: ArmParameters) -> NDArray[np.void]:
+    """One record per segment, with the joint before it."""
+    count = len(parameters.segment_lengths)
+    rods = np.zeros(count, RODS)
+    rods["length"] = parameters.segment_lengths
+    inertias = [segment_inertia(parameters, index) for index in range(count)]
+    for name, values in zip(("mass", "centre", "inertia"), zip(*inertias)):
+        rods[name] = values
+    limits = parameters.joint_limits or ((-math.inf, math.inf),) * count
+    rods["lowest_angle"], rods["highest_angle"] = zip(*limits)
+    return rods
+
+
+def make_world(parameters: ArmParameters, servo: Servo) -> NDArray[np.void]:
+    """One record of what is common to all segments."""
+    world, substep = np.zeros(1, WORLD), parameters.substep
+    world["substep"] = substep
+    world["speed_limit"] = parameters.speed_limit
+    world["torque_limit"] = parameters.torque_limit
+    world["gain"] = -math.expm1(-parameters.servo_gain * substep) / substep
+    world["stop_gain"] = -math.expm1(-_STOP_RATE * substep) / substep
+    world["is_position"] = servo == "position"
+    world["is_torque"] = servo == "torque"
+    world["gravity"] = parameters.gravity
+    if parameters.force_field is not None:
+        world["field"] = parameters.force_field
+    return world
 
 
 def compiled(function: Any) -> Any:

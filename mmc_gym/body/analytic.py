@@ -12,17 +12,16 @@ The motion of a slack arm is of second order in the substep (2.5e-3 rad off afte
 
 from __future__ import annotations
 
-import math
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.parameters import ArmParameters, Servo, require
-from mmc_gym.body.solver import segment_inertia
 
 try:
     from mmc_gym.body import _chain_dynamics as lanes
@@ -36,14 +35,12 @@ except ModuleNotFoundError as error:
 
 Floats = NDArray[np.float64]
 
-_STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
-
 
 class AnalyticArms:
     """Many equal arms that know nothing of each other, each bit for bit an arm alone.
 
-    Segments and joints run from the base outward.  Instances can be pickled and copied at any
-    time, and the copy has the same future.
+    What one arm is and does stands at `mmc_gym.body.Arm`.  Instances can be pickled and copied at
+    any time, and the copy has the same future.
 
     Attributes:
         parameters: the arms' physical parameters.
@@ -94,11 +91,12 @@ class AnalyticArms:
         self.parameters = parameters
         self._servo: Servo = servo
         self._count, self._threads = int(count), int(threads)
-        self._rods = _rods(parameters)
-        self._world = _world(parameters, servo)
+        self._rods = lanes.make_rods(parameters)
+        self._world = lanes.make_world(parameters, servo)
         segments, blocks = len(parameters.segment_lengths), -(-self._count // lanes.LANES)
         self._state = np.zeros((blocks, segments), lanes.STATE)
         self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
         self._show(np.zeros(self._count * (3 * segments + 2)))
         self.reset(np.zeros((self._count, segments)))
 
@@ -121,9 +119,9 @@ class AnalyticArms:
 
     def reset(
         self,
-        joint_angles: Floats,
-        arms: NDArray[np.intp] | None = None,
-        joint_velocities: Floats | None = None,
+        joint_angles: ArrayLike,
+        arms: ArrayLike | None = None,
+        joint_velocities: ArrayLike | None = None,
     ) -> None:
         """Place some arms, or all; their future is that of newly built ones.
 
@@ -136,10 +134,9 @@ class AnalyticArms:
         until they are commanded.  Locked joints are free again.
 
         Raises:
-            ValueError: if a shape is another.
-            IndexError: for an index that no arm has.
+            ValueError: for another shape, or indices of no arm or twice of the same.
         """
-        chosen = self._indices(arms)
+        chosen = np.arange(self._count) if arms is None else self._indices(arms)
         shape = len(chosen), len(self._rods)
         postures = _table("joint_angles", joint_angles, shape)
         speeds = np.zeros(shape)
@@ -147,10 +144,15 @@ class AnalyticArms:
             speeds = _table("joint_velocities", joint_velocities, shape)
         lanes.place(self._state, self._output, self._rods, self._world, chosen, postures, speeds)
 
-    def _indices(self, arms: NDArray[np.intp] | None) -> NDArray[np.intp]:
-        return np.ascontiguousarray(np.arange(self._count)[slice(None) if arms is None else arms])
+    def _indices(self, arms: ArrayLike) -> NDArray[np.intp]:
+        rows = np.asarray(arms)
+        fine = rows.ndim == 1 and (rows.size == 0 or rows.dtype.kind in "iu")
+        fine = fine and bool(np.all((rows >= 0) & (rows < self._count)))
+        fine = fine and len(np.unique(rows)) == len(rows)
+        require(fine, "arms", arms, f"different indices from 0 to {self._count - 1}")
+        return np.ascontiguousarray(rows, np.intp)
 
-    def command(self, values: Floats) -> None:
+    def command(self, values: ArrayLike) -> None:
         """Hand values (n, N) to the servos, which hold them until the next call.
 
         They are joint targets in rad (reached the short way round, or within the joint limits if
@@ -159,7 +161,7 @@ class AnalyticArms:
         Raises:
             ValueError: for another shape.
         """
-        table = _table("command", values, (self._count, len(self._rods)))
+        table = _table("values", values, (self._count, len(self._rods)))
         lanes.command(self._state, self._output, self._rods, self._world, table)
 
     def step(self) -> None:
@@ -169,15 +171,21 @@ class AnalyticArms:
         if shares == 1:
             self._step_blocks(0, blocks)
             return
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self._threads - 1, "arms")
+        pool = self._executor()
         edges = [blocks * share // shares for share in range(shares + 1)]
         others = [
-            self._pool.submit(self._step_blocks, first, last) for first, last in pairwise(edges[1:])
+            pool.submit(self._step_blocks, first, last) for first, last in pairwise(edges[1:])
         ]
         self._step_blocks(0, edges[1])
         for other in others:
             other.result()
+
+    def _executor(self) -> ThreadPoolExecutor:
+        """Threads of this process; a forked one has inherited none."""
+        if self._pool is None or self._pool_process != os.getpid():
+            self._pool = ThreadPoolExecutor(self._threads - 1, "arms")
+            self._pool_process = os.getpid()
+        return self._pool
 
     def _step_blocks(self, first: int, last: int) -> None:
         step_blocks(
@@ -190,7 +198,7 @@ class AnalyticArms:
             last,
         )
 
-    def lock(self, arms: NDArray[np.intp]) -> None:
+    def lock(self, arms: ArrayLike) -> None:
         """Make the lockable joints of these arms rigid where they are, until the next reset."""
         chosen = self._indices(arms)
         for joint in self.parameters.lockable_joints:
@@ -203,9 +211,9 @@ class AnalyticArms:
 
     def close(self) -> None:
         """End the threads; the next step would start new ones."""
-        if self._pool is not None:
+        if self._pool is not None and self._pool_process == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
 
 class AnalyticArm:
@@ -293,34 +301,8 @@ class AnalyticArm:
         return 0.0
 
 
-def _rods(parameters: ArmParameters) -> NDArray[np.void]:
-    count = len(parameters.segment_lengths)
-    rods = np.zeros(count, lanes.RODS)
-    rods["length"] = parameters.segment_lengths
-    inertias = [segment_inertia(parameters, index) for index in range(count)]
-    for name, values in zip(("mass", "centre", "inertia"), zip(*inertias)):
-        rods[name] = values
-    limits = parameters.joint_limits or ((-math.inf, math.inf),) * count
-    rods["lowest_angle"], rods["highest_angle"] = zip(*limits)
-    return rods
-
-
-def _world(parameters: ArmParameters, servo: Servo) -> NDArray[np.void]:
-    world, substep = np.zeros(1, lanes.WORLD), parameters.substep
-    world["substep"] = substep
-    world["speed_limit"] = parameters.speed_limit
-    world["torque_limit"] = parameters.torque_limit
-    world["gain"] = -math.expm1(-parameters.servo_gain * substep) / substep
-    world["stop_gain"] = -math.expm1(-_STOP_RATE * substep) / substep
-    world["is_position"] = servo == "position"
-    world["is_torque"] = servo == "torque"
-    world["gravity"] = parameters.gravity
-    if parameters.force_field is not None:
-        world["field"] = parameters.force_field
-    return world
-
-
-def _table(name: str, values: Floats, shape: tuple[int, int]) -> Floats:
+def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:
+    """`values` as the compiled functions take them: they are compiled for this kind of array."""
     table = np.array(values, dtype=np.float64, order="C")
-    require(table.shape == shape, name, values, f"an array of shape {shape}")
+    require(table.shape == shape, name, table.shape, f"of shape {shape}")
     return table

@@ -130,7 +130,7 @@ class Bookkeeping:
 
 
 @every_servo
-@pytest.mark.parametrize("count", [1, 2, 3, 6])
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 12])
 def test_every_torque_is_the_one_that_gives_the_asked_speed_or_the_largest(
     servo: Servo, count: int
 ) -> None:
@@ -440,12 +440,13 @@ def test_impossible_batches_are_refused(arguments: dict[str, object], message: s
 
 def test_values_of_the_wrong_shape_are_refused() -> None:
     arms, arm = AnalyticArms(None, 4), AnalyticArm()
-    with pytest.raises(ValueError, match=r"command must be an array of shape \(4, 3\)"):
+    with pytest.raises(ValueError, match=r"values must be of shape \(4, 3\), got \(3, 3\)"):
         arms.command(np.zeros((3, 3)))
-    with pytest.raises(ValueError, match=r"joint_angles must be an array of shape \(2, 3\)"):
+    with pytest.raises(ValueError, match=r"joint_angles must be of shape \(2, 3\), got \(3, 3\)"):
         arms.reset(np.zeros((3, 3)), np.array([0, 1]))
-    with pytest.raises(IndexError):
-        arms.reset(np.zeros((1, 3)), np.array([4]))
+    for indices in ([4], [-1], [1, 1], [0.5], [[0]]):
+        with pytest.raises(ValueError, match="arms must be different indices from 0 to 3"):
+            arms.lock(indices)
     with pytest.raises(ValueError, match="command must be 3 values"):
         arm.command([1.0])
     with pytest.raises(ValueError, match="joint_velocities must be 3 values"):
