@@ -25,6 +25,7 @@ from mmc_gym.body.parameters import ArmParameters, Servo, require
 from mmc_gym.body.shared_space import Floats, SharedSpace, cosine, sine
 
 ARMS_PER_SPACE = 64  # fewer calls with more of them, and more that does not fit the cache
+_WORTH_A_THREAD = 16
 
 
 class Arms:
@@ -66,7 +67,6 @@ class Arms:
         require(threads >= 1, "threads", threads, "at least 1")
         self.parameters = parameters = parameters or ArmParameters()
         self._servo = servo
-        self._threads = threads
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
         joints = len(parameters.segment_lengths)
@@ -75,12 +75,17 @@ class Arms:
         self.joint_velocities: Floats = np.zeros((count, joints))
         self.end_effectors: Floats = np.zeros((count, 2))
         self._segment_velocities: Floats = np.zeros((count, joints))
-        most = 1 if parameters.obstacles else min(ARMS_PER_SPACE, -(-count // threads))
+        most = (
+            1
+            if parameters.obstacles
+            else min(ARMS_PER_SPACE, max(_WORTH_A_THREAD, -(-count // threads)))
+        )
         self._arms_per_space = most
         self._spaces = [
             SharedSpace(parameters, servo, first, min(most, count - first))
             for first in range(0, count, most)
         ]
+        self._threads = min(threads, len(self._spaces))
         self._settings: Floats = np.zeros((count, joints))  # of the servos: phases or rates
         self._torques: Floats = np.full((count, joints), parameters.torque_limit)
         self._commanded = False  # and the servos not yet set: the next step does that

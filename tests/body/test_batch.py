@@ -115,8 +115,9 @@ def test_every_arm_moves_as_a_single_one(
 
 
 @every_servo
-def test_threads_change_nothing(servo: Servo) -> None:
-    play_both(CONDITIONS["everything"], servo, count=10, seed=0, steps=60, threads=3)
+def test_threads_change_nothing(servo: Servo, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch_module, "ARMS_PER_SPACE", 4)
+    play_both(CONDITIONS["everything"], servo, count=18, seed=0, steps=60, threads=3)
 
 
 def test_a_whole_space_of_arms_moves_as_single_ones() -> None:
@@ -158,8 +159,8 @@ def stepped_elsewhere(arms: Arms, results: "multiprocessing.Queue[list[list[floa
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of a process with threads that forks
 def test_a_forked_process_has_threads_of_its_own() -> None:
-    arms = Arms(count=8, threads=2)
-    arms.command(np.ones((8, 3)))
+    arms = Arms(count=40, threads=2)
+    arms.command(np.ones((40, 3)))
     arms.step()
     context = multiprocessing.get_context("fork")
     results: multiprocessing.Queue[list[list[float]]] = context.Queue()
@@ -173,7 +174,7 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 
 
 def test_closed_arms_can_be_stepped_again() -> None:
-    arms = Arms(count=8, threads=2)
+    arms = Arms(count=40, threads=2)
     for _ in range(2):
         arms.step()
         arms.close()
