@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.body import ArmParameters
+from mmc_gym.body.parameters import require
 
 Floats = NDArray[np.float64]
 Coordinate = TypeVar("Coordinate", float, Floats)
@@ -150,7 +151,8 @@ class LockedJoint(Perturbation):
 class Obstacles(Perturbation):
     """Fixed discs in the plane stop the arm, without friction.
 
-    Starting postures and targets are clear of them.  The way between may be blocked.
+    Starting postures and targets are clear of them.  The way between may be blocked.  A segment
+    that is pressed or thrown against a disc sinks in a little, by up to about 0.08.
 
     Attributes:
         discs: (x, y, radius) of each.
@@ -182,6 +184,11 @@ class VisuomotorRotation(Perturbation):
     degrees: float = 30.0
     centre: tuple[float, float] = (0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        require(math.isfinite(self.degrees), "degrees", self.degrees, "finite")
+        fine = len(self.centre) == 2 and all(map(math.isfinite, self.centre))
+        require(fine, "centre", self.centre, "two finite values (x, y)")
+
     def cursor(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
         cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
@@ -208,6 +215,9 @@ class JointNoise(Noise):
     std: float = 0.02
     speed_std: float = 0.0
     _RATE: ClassVar[float] = 10.0  # 1/s
+
+    def __post_init__(self) -> None:
+        require_at_least_zero(std=self.std, speed_std=self.speed_std)
 
     def draws(self, joint_count: int) -> int:
         """See `Noise.draws`."""
@@ -236,6 +246,9 @@ class VisionNoise(Noise):
 
     std: float = 0.03
     distance_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_at_least_zero(std=self.std, distance_std=self.distance_std)
 
     def draws(self, joint_count: int) -> int:
         """See `Noise.draws`."""
@@ -276,6 +289,12 @@ def rotation_and_noises(
         raise ValueError(f"perturbations must have at most one rotation, got {rotations}")
     rotation = rotations[0] if rotations else None
     return rotation, [one for one in perturbations if isinstance(one, Noise)]
+
+
+def require_at_least_zero(**values: float) -> None:
+    """Raise a `ValueError` that names the argument unless all are finite and not negative."""
+    for name, value in values.items():
+        require(0 <= value < math.inf, name, value, "finite and not negative")
 
 
 def _index(name: str, index: int, count: int) -> int:

@@ -17,6 +17,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmc_gym.body.parameters import require
 from mmc_gym.envs.workspace import Point, Workspace
 
 
@@ -108,6 +109,9 @@ class DoubleStep(RandomTarget):
 
     delay: float = 0.1
 
+    def __post_init__(self) -> None:
+        require(0 <= self.delay < math.inf, "delay", self.delay, "finite and not negative")
+
     def path_length(self, control_step: float) -> int:
         """See `Task.path_length`."""
         return round(self.delay / control_step) + 1
@@ -139,6 +143,9 @@ class ViaPoints(RandomTarget):
     advance: ClassVar[Literal["time", "reach"]] = "reach"
     count: int = 3
 
+    def __post_init__(self) -> None:
+        require(self.count >= 1, "count", self.count, "at least 1")
+
     def path_length(self, control_step: float) -> int:
         """See `Task.path_length`."""
         return self.count
@@ -168,6 +175,11 @@ class PointToPoint(Task):
 
     points: tuple[Point, ...]
     pairs: tuple[tuple[int, int], ...]
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        fine = bool(self.pairs) and all(0 <= index < count for pair in self.pairs for index in pair)
+        require(fine, "pairs", self.pairs, f"at least one pair of indices from 0 to {count - 1}")
 
     @property
     def trial_count(self) -> int:
@@ -218,6 +230,13 @@ class Pursuit(Task):
     multiples_x: tuple[int, ...] = (2, 5)
     multiples_y: tuple[int, ...] = (3, 7)
     amplitude: float = 0.3
+
+    def __post_init__(self) -> None:
+        require(0 < self.period < math.inf, "period", self.period, "positive and finite")
+        for name in ("multiples_x", "multiples_y"):
+            multiples = getattr(self, name)
+            fine = bool(multiples) and min(multiples) >= 1
+            require(fine, name, multiples, "at least one, of at least 1")
 
     def path_length(self, control_step: float) -> int:
         """See `Task.path_length`."""

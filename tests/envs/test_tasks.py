@@ -1,6 +1,7 @@
 """Facts about the tasks: where trials start, and where their targets are and go."""
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -227,3 +228,19 @@ def test_a_task_of_ones_own_is_a_few_lines() -> None:
     _, info = env.reset(options={"trial": 1})
     np.testing.assert_allclose(info["end_effector"], (0.0, 1.5), atol=1e-9)
     np.testing.assert_allclose(info["target"], (1.5, 0.0), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: DoubleStep(delay=-0.1), "delay"),
+        (lambda: ViaPoints(count=0), "count"),
+        (lambda: Pursuit(period=0.0), "period"),
+        (lambda: Pursuit(multiples_y=()), "multiples_y"),
+        (lambda: PointToPoint(((0.5, 0.0),), ()), "pairs"),
+        (lambda: PointToPoint(((0.5, 0.0),), ((0, 1),)), "pairs"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(make: Callable[[], object], name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name} must be"):
+        make()

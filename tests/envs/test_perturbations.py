@@ -1,0 +1,476 @@
+"""Facts about the perturbations: what goes wrong, by how much, and what stays as it was."""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym.agents import make_agent
+from mmc_gym.body import ArmParameters
+from mmc_gym.envs.perturbations import (
+    PERTURBATIONS,
+    ForceField,
+    HandMass,
+    JointNoise,
+    LockedJoint,
+    Obstacles,
+    Perturbation,
+    Readings,
+    SegmentLength,
+    SensoryDelay,
+    VisionNoise,
+    VisuomotorRotation,
+)
+from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.network.chain import node_positions, segments_from_joint_angles
+
+STILL = np.zeros(3, np.float32)
+Perturbed = Sequence[str | Perturbation]
+
+
+def movement(
+    env: MMCReachEnv, steps: int = 100, agent: str = "mmc", **reset: Any
+) -> list[dict[str, Any]]:
+    """What reset and steps tell while an agent acts; `angles` are the joint angles."""
+    actor, state = make_agent(agent, env), None
+    observation, info = env.reset(**reset)
+    infos = [{**info, "angles": joint_angles(env)}]
+    for _ in range(steps):
+        action, state = actor.predict(observation, state)
+        observation, reward, _, _, info = env.step(action)
+        infos.append({**info, "angles": joint_angles(env), "reward": reward})
+    return infos
+
+
+def joint_angles(env: MMCReachEnv) -> np.ndarray:
+    return np.array(env._arm.joint_angles)
+
+
+def hands(infos: list[dict[str, Any]]) -> np.ndarray:
+    return np.array([info["end_effector"] for info in infos])
+
+
+def centre_out(perturbations: Perturbed, **arguments: Any) -> list[list[dict[str, Any]]]:
+    """The eight movements of centre-out."""
+    env = MMCReachEnv(task="centre-out", perturbations=perturbations, **arguments)
+    return [movement(env, seed=0, options={"trial": trial}) for trial in range(8)]
+
+
+def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """How far joint angles are apart, the short way round."""
+    return np.abs(np.remainder(first - second + math.pi, math.tau) - math.pi)
+
+
+def rough_actions(steps: int, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return random.uniform(-1, 1, (steps // 5, 3)).astype(np.float32).repeat(5, axis=0)
+
+
+# --- The force field
+
+
+def rightward(infos: list[dict[str, Any]]) -> np.ndarray:
+    """How far the hand is to the right of the straight line to its target, step by step."""
+    path, target = hands(infos), infos[0]["target"]
+    x, y = (target - path[0]) / math.dist(target, path[0])
+    return (path - path[0]) @ (y, -x)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(sign: int) -> None:
+    field = ForceField(sign * ForceField().curl)
+    bent, straight = centre_out([field]), centre_out([])
+    pushes = [sign * (rightward(a) - rightward(b)) for a, b in zip(bent, straight, strict=True)]
+    assert np.mean([push.max() for push in pushes]) > 0.06  # the target is 0.6 away
+    assert max(push.max() for push in pushes) > 0.2
+    assert np.mean([-push.min() for push in pushes]) < 0.01
+    assert all(infos[-1]["is_success"] for infos in bent)
+
+
+def test_a_stronger_field_bends_more() -> None:
+    straight = [hands(infos) for infos in centre_out([])]
+    bends = []
+    for curl in (5.0, 20.0, 40.0, 60.0):
+        paths = [hands(infos) for infos in centre_out([ForceField(curl)])]
+        bends.append(np.mean([np.abs(a - b).max() for a, b in zip(paths, straight, strict=True)]))
+    assert (np.diff(bends) > 0).all()
+
+
+def test_fields_and_masses_and_obstacles_add() -> None:
+    arm = ArmParameters(force_field=((1.0, 0.0), (0.0, 1.0)))
+    for change in (ForceField(3.0), ForceField(4.0), HandMass(1.0), HandMass(2.0), Obstacles()):
+        arm = change.change_body(arm)
+    assert arm.force_field == ((1.0, 7.0), (-7.0, 1.0))
+    assert arm.hand_mass == 3.0
+    assert arm.obstacles == Obstacles().discs
+
+
+def test_a_curl_field_does_no_work() -> None:
+    ((xx, xy), (yx, yy)) = ForceField(7.0).change_body(ArmParameters()).force_field or ()
+    for velocity in ((1.0, 0.0), (0.3, -2.0)):
+        x, y = velocity
+        assert (xx * x + xy * y) * x + (yx * x + yy * y) * y == pytest.approx(0.0)
+
+
+# --- The hand mass
+
+
+def test_a_heavy_hand_is_late() -> None:
+    def arrivals(perturbations: Perturbed) -> list[int]:
+        return [
+            max(step for step, info in enumerate(infos) if not info["is_success"]) + 1
+            for infos in centre_out(perturbations)
+        ]
+
+    light, heavy = arrivals([]), arrivals(["hand-mass"])
+    assert all(late >= early for early, late in zip(light, heavy, strict=True))
+    assert sum(heavy) >= sum(light) + 4  # steps
+    assert max(heavy) < 20
+
+
+# --- Changed lengths
+
+LENGTHS = [name for name, one in PERTURBATIONS.items() if isinstance(one, SegmentLength)]
+
+
+@pytest.mark.parametrize("name", LENGTHS)
+def test_who_is_not_told_a_length_misses_by_its_change(name: str) -> None:
+    change = PERTURBATIONS[name]
+    assert isinstance(change, SegmentLength)
+    env = MMCReachEnv(perturbations=name)
+    assert env.setup.body.segment_lengths == (1.0, 1.0, change.factor)
+    assert env.parameters.segment_lengths == (1.0, 1.0, change.factor if change.told else 1.0)
+    expected = 0.0 if change.told else abs(change.factor - 1)
+    for seed in range(5):
+        assert movement(env, seed=seed)[-1]["distance"] == pytest.approx(expected, abs=0.01)
+
+
+def test_targets_can_be_reached_by_the_arm_and_by_what_it_is_taken_for() -> None:
+    longer, shorter = (MMCReachEnv(perturbations=name) for name in ("longer-50", "shorter-50"))
+    for env, reach in ((longer, 3.0), (shorter, 2.5)):
+        distances = [np.linalg.norm(env.reset(seed=s)[1]["target"]) for s in range(300)]
+        assert reach - 0.1 < max(distances) <= reach + 1e-8
+
+
+def test_any_segment_can_change_and_no_other_than_those_there_are() -> None:
+    env = MMCReachEnv(perturbations=[SegmentLength(2.0, segment=0), SegmentLength(0.5, 1)])
+    assert env.setup.body.segment_lengths == (2.0, 0.5, 1.0)
+    with pytest.raises(ValueError, match="segment must be an index from -3 to 2, got 3"):
+        MMCReachEnv(perturbations=SegmentLength(segment=3))
+    with pytest.raises(ValueError, match="segment_lengths must be positive"):
+        MMCReachEnv(perturbations=SegmentLength(-1.0))
+
+
+# --- Locked joints
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_targets_of_a_locked_arm_can_be_reached_by_its_other_joints(joint: int) -> None:
+    env = MMCReachEnv(perturbations=LockedJoint(joint))
+    for seed in range(200):
+        target = env.reset(seed=seed)[1]["target"]
+        segments = segments_from_joint_angles(joint_angles(env), (1.0,) * 3)
+        nodes = node_positions(segments)
+        start = nodes[1] if joint == 0 else nodes[0]  # the first joint that is free
+        if joint == 1:
+            pieces = np.linalg.norm(nodes[2]), 1.0
+        else:
+            pieces = (1.0, np.linalg.norm(nodes[3] - nodes[1])) if joint == 2 else (1.0, 1.0)
+        distance = np.linalg.norm(target - start)
+        assert abs(pieces[0] - pieces[1]) - 1e-8 <= distance <= sum(pieces) + 1e-8
+        assert np.linalg.norm(target) <= 3 + 1e-8
+
+
+def test_with_all_joints_locked_the_hand_is_at_its_target() -> None:
+    env = MMCReachEnv(perturbations=[LockedJoint(joint) for joint in range(3)])
+    assert env.reset(seed=0)[1]["is_success"]
+
+
+SLIPS = pytest.mark.xfail(reason="Chipmunk's ten sweeps let a lock slip", strict=False)
+
+
+@pytest.mark.parametrize("engine", [pytest.param("pymunk", marks=SLIPS), "analytic"])
+@pytest.mark.parametrize(("name", "step"), [("locked", 0), ("locks", 10)])
+def test_a_joint_locks_at_its_time_and_for_the_episode(name: str, step: int, engine: str) -> None:
+    if engine == "analytic":
+        pytest.importorskip("numba")
+    env = MMCReachEnv(perturbations=name, engine=engine)
+    moved = []
+    for seed in range(5):
+        infos = movement(env, seed=seed, steps=40)
+        angles = np.array([info["angles"] for info in infos])[:, 1]
+        assert turned(angles[step:], angles[step]).max() < 0.02
+        moved.append(turned(angles[: step + 1], angles[0]).max())
+    assert (max(moved) > 0.2) == (step > 0)
+
+
+def test_who_is_told_of_a_lock_knows_which_joint_it_is() -> None:
+    assert MMCReachEnv(perturbations="locked").parameters.lockable_joints == ()
+    assert MMCReachEnv(perturbations="locked-told").parameters.lockable_joints == (1,)
+
+
+def test_locks_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match="joint must be an index"):
+        MMCReachEnv(perturbations=LockedJoint(7))
+    with pytest.raises(ValueError, match="one time of at least 0"):
+        MMCReachEnv(perturbations=[LockedJoint(0), LockedJoint(1, time=0.2)])
+    with pytest.raises(ValueError, match="one time of at least 0"):
+        MMCReachEnv(perturbations=LockedJoint(time=-0.1))
+
+
+# --- Noise
+
+
+def observed(perturbations: Perturbed, steps: int = 4000) -> tuple[np.ndarray, MMCReachEnv]:
+    """Observations (steps, 13) of an arm that hangs limp, at rest."""
+    env = MMCReachEnv(control="joint_torque", perturbations=perturbations)
+    env.reset(seed=0, options={"joint_angles": [0.3, 0.5, -0.4], "target": (-1.0, 1.5)})
+    return np.array([env.step(STILL)[0] for _ in range(steps)], np.float64), env
+
+
+def assert_white(errors: np.ndarray, std: float) -> None:
+    """Zero mean, the stated spread, and no memory, within four standard errors."""
+    count = len(errors)
+    assert np.abs(errors.mean(axis=0)).max() < 4 * std / math.sqrt(count)
+    np.testing.assert_allclose(errors.std(axis=0), std, rtol=4 / math.sqrt(2 * count))
+    correlation = (errors[1:] * errors[:-1]).mean(axis=0) / std**2
+    assert np.abs(correlation).max() < 4 / math.sqrt(count)
+
+
+def test_joint_noise_is_as_large_as_stated_and_white() -> None:
+    observations, _ = observed([JointNoise(std=0.03)])
+    errors = np.arctan2(observations[:, 3:6], observations[:, :3]) - (0.3, 0.5, -0.4)
+    assert_white(errors, 0.03)
+    assert_white(observations[:, 6:9] * math.tau, 0.3)
+    np.testing.assert_allclose(observations[:, 9:], observations[:1, 9:].repeat(4000, 0), atol=1e-6)
+    assert np.abs(np.corrcoef(errors.T)[np.triu_indices(3, 1)]).max() < 0.07
+
+
+def test_vision_noise_is_as_large_as_stated_and_white() -> None:
+    observations, env = observed([VisionNoise(std=0.05)])
+    targets = observations[:, 9:11] * 3
+    seen_hands = targets - observations[:, 11:13] * 6
+    assert_white(targets - (-1.0, 1.5), 0.05)
+    assert_white(seen_hands - env._arm.end_effector, 0.05)
+    both = np.concatenate([targets, seen_hands], axis=1)
+    assert np.abs(np.corrcoef(both.T)[np.triu_indices(4, 1)]).max() < 0.07
+    np.testing.assert_allclose(observations[:, :9], observations[:1, :9].repeat(4000, 0), atol=1e-6)
+
+
+def readings(speed: float, distance: float) -> Readings:
+    still = np.zeros((1, 3))
+    return Readings(still, still + speed, np.zeros((1, 2)), np.array([[0.0, distance]]))
+
+
+def test_joint_noise_grows_with_speed() -> None:
+    noise, ones = JointNoise(std=0.01, speed_std=0.02), np.ones((1, 6))
+    for speed in (0.0, 1.5, -3.0):
+        seen = noise.disturb(readings(speed, 1.0), ones)
+        np.testing.assert_allclose(seen.joint_angles, 0.01 + 0.02 * abs(speed))
+        np.testing.assert_allclose(seen.joint_velocities - speed, 0.1 + 0.2 * abs(speed))
+
+
+def test_vision_noise_grows_with_distance() -> None:
+    noise, ones = VisionNoise(std=0.01, distance_std=0.05), np.ones((1, 4))
+    for distance in (0.0, 1.0, 2.5):
+        seen = noise.disturb(readings(0.0, distance), ones)
+        np.testing.assert_allclose(seen.hand, 0.01 + 0.05 * distance)
+        np.testing.assert_allclose(seen.target - (0.0, distance), 0.01 + 0.05 * distance)
+
+
+@pytest.mark.parametrize("name", ["joint-noise", "vision-noise", "delay-100"])
+def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name: str) -> None:
+    disturbed, plain = MMCReachEnv(perturbations=name), MMCReachEnv()
+    for env in (disturbed, plain):
+        env.reset(seed=0)
+    for action in rough_actions(50, seed=0):
+        seen, told = disturbed.step(action), plain.step(action)
+        assert not np.array_equal(seen[0], told[0])
+        assert seen[1] == told[1]
+        assert all(np.array_equal(seen[4][key], told[4][key]) for key in told[4])
+
+
+# --- Delay
+
+
+@pytest.mark.parametrize(("name", "steps"), [("delay-50", 2), ("delay-100", 5), ("delay-200", 10)])
+def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
+    name: str, steps: int
+) -> None:
+    late = MMCReachEnv(perturbations=name)
+    wrapped = gym.wrappers.DelayObservation(MMCReachEnv(), delay=steps)
+    for seed in range(2):  # the second episode remembers nothing of the first
+        start = MMCReachEnv().reset(seed=seed)[0]
+        assert np.array_equal(late.reset(seed=seed)[0], start)
+        wrapped.reset(seed=seed)
+        for step, action in enumerate(rough_actions(40, seed), start=1):
+            seen = late.step(action)[0]
+            expected = wrapped.step(action)[0] if step > steps else start
+            if step <= steps:
+                wrapped.step(action)
+            assert np.array_equal(seen, expected)
+
+
+def test_delays_add_and_no_delay_is_none() -> None:
+    assert MMCReachEnv(perturbations=["delay-50", "delay-200"]).setup.delay == 12
+    assert MMCReachEnv(perturbations=SensoryDelay(0.0)).setup.delay == 0
+    for seconds in (-0.1, math.inf, math.nan):
+        with pytest.raises(ValueError, match="seconds of a delay"):
+            MMCReachEnv(perturbations=SensoryDelay(seconds))
+
+
+# --- Rotation
+
+
+@pytest.mark.parametrize("rotation", [VisuomotorRotation(40.0), PERTURBATIONS["rotation-30"]])
+def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(
+    rotation: VisuomotorRotation,
+) -> None:
+    env = MMCReachEnv(perturbations=rotation, control_weight=0.0)
+    env.reset(seed=0)
+    turn, centre = np.exp(1j * math.radians(rotation.degrees)), complex(*rotation.centre)
+    for action in rough_actions(40, seed=0):
+        observation, reward, _, _, info = env.step(action)
+        cursor = turn * (complex(*info["end_effector"]) - centre) + centre
+        assert complex(*info["cursor"]) == pytest.approx(cursor)
+        assert info["distance"] == pytest.approx(math.dist(info["cursor"], info["target"]))
+        assert reward == -info["distance"]
+        offset = np.clip((info["target"] - info["cursor"]) / 6, -1, 1)
+        np.testing.assert_allclose(observation[11:13], offset, atol=1e-6)
+        assert rotation.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
+
+
+def test_a_rotation_about_the_start_leaves_the_cursor_on_the_hand_there() -> None:
+    env = gym.make("MMCReachRotation45-v0")
+    for trial in range(8):
+        _, info = env.reset(seed=0, options={"trial": trial})
+        np.testing.assert_allclose(info["cursor"], info["end_effector"], atol=1e-9)
+
+
+def test_who_knows_nothing_of_a_rotation_misses_by_it() -> None:
+    for infos in centre_out(["rotation-30"]):
+        assert infos[-1]["distance"] == pytest.approx(
+            2 * 0.6 * math.sin(math.radians(15)), abs=0.01
+        )
+
+
+@pytest.mark.parametrize(
+    "task", ["random", "centre-out", "double-step-100", "pursuit", "via-points"]
+)
+@pytest.mark.parametrize("name", ["rotation-30", "rotation-45"])
+def test_a_hand_in_reach_brings_the_cursor_to_every_target(task: str, name: str) -> None:
+    env = MMCReachEnv(perturbations=name, task=task)
+    rotation = env.setup.rotation
+    assert rotation is not None
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        for target in env.setup.draw_trial(random, (None, None, None)).targets:
+            assert math.hypot(*rotation.hand(*target)) <= 3 + 1e-8
+
+
+def test_there_is_at_most_one_rotation() -> None:
+    with pytest.raises(ValueError, match="at most one rotation"):
+        MMCReachEnv(perturbations=["rotation-30", "rotation-45"])
+
+
+# --- Obstacles
+
+
+def clearance(env: MMCReachEnv) -> float:
+    """Least distance between the surfaces of arm and obstacles; negative: how deep it is in."""
+    body = env.setup.body
+    nodes = node_positions(segments_from_joint_angles(joint_angles(env), body.segment_lengths))
+    shares = np.linspace(0, 1, 101)[:, None]
+    rods = np.concatenate([a + shares * (b - a) for a, b in pairwise(nodes)])
+    return min(
+        float(np.linalg.norm(rods - (x, y), axis=-1).min() - radius - body.segment_radius)
+        for x, y, radius in body.obstacles
+    )
+
+
+def test_obstacles_stop_the_arm() -> None:
+    env, free = MMCReachEnv(perturbations="obstacles"), MMCReachEnv()
+    least, apart = [], []
+    for seed in range(8):
+        env.reset(seed=seed)
+        options = {"joint_angles": joint_angles(env)}
+        free.reset(seed=seed, options=options)
+        for action in rough_actions(100, seed):
+            env.step(action)
+            free.step(action)
+            least.append(clearance(env))
+        apart.append(turned(joint_angles(env), joint_angles(free)).max())
+    assert -0.08 < min(least) < 0  # it touched them, and was held
+    assert max(apart) > 0.5
+
+
+def test_starts_and_targets_are_clear_of_obstacles() -> None:
+    env = MMCReachEnv(perturbations="obstacles")
+    env.reset(seed=0)
+    for _ in range(200):
+        target = env.reset()[1]["target"]
+        assert clearance(env) > 0
+        for x, y, radius in env.setup.body.obstacles:
+            assert math.dist(target, (x, y)) > radius
+    with pytest.raises(ValueError, match="clear of the obstacles"):
+        env.reset(options={"target": (1.5, 1.0)})
+    with pytest.raises(ValueError, match="clear of the obstacles"):
+        env.reset(options={"joint_angles": [math.atan2(1.0, 1.5), 0.0, 0.0]})
+
+
+# --- In combination, and by name
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["force-field", "hand-mass", "longer-20", "delay-100", "vision-noise"],
+        ["locked", "shorter-20-told", "rotation-30", "joint-noise-speed"],
+        ["obstacles", "rotation-45", "locks", "joint-noise", "vision-noise-distance", "delay-50"],
+    ],
+)
+def test_perturbations_can_be_combined(names: list[str]) -> None:
+    env = MMCReachEnv(perturbations=names, task="double-step-100")
+    assert env.setup.perturbations == tuple(PERTURBATIONS[name] for name in names)
+    for seed in range(3):
+        observation, info = env.reset(seed=seed)
+        for action in rough_actions(60, seed):
+            assert env.observation_space.contains(observation)
+            observation, reward, _, _, info = env.step(action)
+            assert math.isfinite(float(reward))
+        hand = info.get("cursor", info["end_effector"])
+        assert info["distance"] == pytest.approx(math.dist(hand, info["target"]))
+
+
+def test_one_perturbation_needs_no_list() -> None:
+    for one in ("hand-mass", HandMass()):
+        assert MMCReachEnv(perturbations=one).setup.perturbations == (HandMass(),)
+
+
+def test_an_unknown_perturbation_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"perturbations must be a Perturbation or one of .*locks"):
+        MMCReachEnv(perturbations="gremlins")
+    with pytest.raises(ValueError, match="perturbations must be"):
+        MMCReachEnv(perturbations=[None])
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: JointNoise(std=-0.1), "std"),
+        (lambda: JointNoise(speed_std=math.nan), "speed_std"),
+        (lambda: VisionNoise(std=math.inf), "std"),
+        (lambda: VisionNoise(distance_std=-1.0), "distance_std"),
+        (lambda: VisuomotorRotation(math.nan), "degrees"),
+        (lambda: VisuomotorRotation(30.0, (0.0, math.inf)), "centre"),
+        (lambda: HandMass(-1.0).change_body(ArmParameters()), "hand_mass"),
+        (lambda: ForceField(math.nan).change_body(ArmParameters()), "force_field"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(make: Callable[[], object], name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name} must be"):
+        make()
