@@ -1,32 +1,33 @@
-"""Steps per second of `MMCReach-v0` beside `Reacher-v5`, both as `gym.make` returns them.
+"""Steps per second of `MMCReach-v0` beside other reaching environments.
 
-Run it with `python benchmarks/environment_speed.py` (needs the `dev` extra, for MuJoCo).  The
-environments take turns in short rounds, so that a drift of the machine's speed meets all of
-them; the ratio is the median over the rounds of each round's own ratio.
+Run it with `make benchmark`, or `python benchmarks/environment_speed.py`; peers that are not
+installed (they are in the `benchmark` extra) are named and left out.  The environments take
+turns, and a ratio is the median over the rounds of each round's own ratio.  The last table shows
+how the native vector environment grows with the number of its arms.
 """
 
 from __future__ import annotations
 
-import time
+import os
+import platform
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import TypeAlias
 
-import gymnasium as gym
 import numpy as np
 import tyro
+from contestants import PEER, Contestant
+from gymnasium.error import DependencyNotInstalled
+from lineup import ENGINES, GROWTH, REFERENCE, SINGLE, VECTOR, WHAT_THEY_SIMULATE, Entry
+from memory import bytes_per_arm
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from timing import interleaved
 
-import mmc_gym  # noqa: F401  (registers the environments)
-
-PEER = "Reacher-v5"
-CONTESTANTS: dict[str, tuple[str, dict[str, str]]] = {
-    PEER: (PEER, {}),
-    "MMCReach-v0": ("MMCReach-v0", {}),
-    "MMCReach-v0, joint_delta": ("MMCReach-v0", {"control": "joint_delta"}),
-    "MMCReach-v0, joint_velocity": ("MMCReach-v0", {"control": "joint_velocity"}),
-    "MMCReach-v0, joint_torque": ("MMCReach-v0", {"control": "joint_torque"}),
-    "MMCReachGoal-v0": ("MMCReachGoal-v0", {}),
-}
+Times: TypeAlias = Mapping[Entry, NDArray[np.float64]]
+PACKAGES = ("numpy", "gymnasium", "pymunk", "numba", "mujoco", "dm_control", "envpool")
 
 
 @dataclass
@@ -35,53 +36,131 @@ class Arguments:
 
     Attributes:
         rounds: rounds, in each of which every environment has one turn.
-        steps: steps in a turn.
+        seconds: a turn is as many episodes as fit into this time, at least one.
+        growth_rounds: rounds for the last table; 0 leaves it out.
     """
 
-    rounds: int = 30
-    steps: int = 2000
+    rounds: int = 10
+    seconds: float = 0.06
+    growth_rounds: int = 3
 
 
-def seconds_per_step(env: gym.Env, actions: list[np.ndarray]) -> float:
-    """Mean time of a step under the given actions, resets when an episode ends included."""
-    start = time.perf_counter()
-    for action in actions:
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            env.reset()
-    return (time.perf_counter() - start) / len(actions)
+def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Contestant]:
+    """The contestants whose packages are installed; the others are named."""
+    made = {}
+    # Processes fork off while this one still has no threads.
+    for entry in sorted(entries, key=lambda entry: entry.variant != "async"):
+        try:
+            made[entry] = entry.make()
+        except (ImportError, DependencyNotInstalled) as error:
+            reason = str(error).partition("\n")[0]
+            console.print(f"not installed: {entry.environment} {entry.variant} ({reason})")
+    return made
+
+
+def seconds_per_step(made: Mapping[Entry, Contestant], rounds: int, seconds: float) -> Times:
+    """Mean time of a step, one value per round."""
+    times = interleaved({entry: one.play for entry, one in made.items()}, rounds, seconds)
+    for one in made.values():
+        one.close()
+    return {entry: values / made[entry].steps for entry, values in times.items()}
+
+
+def speed(seconds: NDArray[np.float64]) -> str:
+    """Steps per second to three digits."""
+    return f"{float(f'{1 / np.median(seconds):.3g}'):,.0f}"
+
+
+def ratios(times: Times, entry: Entry, reference: Entry) -> tuple[str, str]:
+    """How many times as fast as the reference: median and quartiles over the rounds."""
+    if reference not in times:
+        return "–", "–"
+    low, middle, high = np.percentile(times[reference] / times[entry], [25, 50, 75])
+    digits = 2 if middle < 10 else 1
+    return f"{middle:.{digits}f}", f"{low:.{digits}f} – {high:.{digits}f}"
+
+
+def single_table(times: Times) -> Table:
+    """One environment at a time."""
+    headings = ("µs per step", "steps per second", f"ratio to {PEER}", "quartiles")
+    table = empty_table("one arm", ("environment", ""), headings)
+    for entry in filter(times.__contains__, SINGLE):
+        microseconds = f"{np.median(times[entry]) * 1e6:.1f}"
+        numbers = (microseconds, speed(times[entry]), *ratios(times, entry, REFERENCE))
+        table.add_row(entry.environment, entry.variant, *numbers)
+    return table
+
+
+def vector_table(times: Times) -> Table:
+    """Vector environments, beside EnvPool's with as many threads."""
+    headings = ("arms", "threads", "steps per second", f"to {PEER}", "quartiles", "to EnvPool")
+    title = f"many arms; ratios to one {PEER}, and to EnvPool with as many threads"
+    table = empty_table(title, ("environment", ""), headings)
+    peers = {entry.threads: entry for entry in VECTOR if entry.variant == "EnvPool"}
+    for entry in filter(times.__contains__, VECTOR):
+        peer = peers.get(entry.threads)
+        to_peer = ratios(times, entry, peer)[0] if peer else "–"
+        threads = "processes" if entry.variant == "async" else str(entry.threads)
+        numbers = (speed(times[entry]), *ratios(times, entry, REFERENCE), to_peer)
+        table.add_row(entry.environment, entry.variant, str(entry.arms), threads, *numbers)
+    return table
+
+
+def growth_table(times: Times) -> Table:
+    """The native vector environment, by number of arms."""
+    headings = ("arms", "1 thread", "2 threads", "ratio", "µs per arm", "KiB per arm")
+    table = empty_table("native, steps per second by number of arms", ("engine",), headings)
+    for engine in ENGINES:
+        alone, two = (
+            [entry for entry in times if (entry.variant, entry.threads) == (engine, threads)]
+            for threads in (1, 2)
+        )
+        memory = bytes_per_arm(engine, [entry.arms for entry in alone]) if alone else []
+        for one, both, size in zip(alone, two, memory, strict=True):
+            numbers = (
+                speed(times[one]),
+                speed(times[both]),
+                ratios(times, both, one)[0],
+                f"{np.median(times[one]) * 1e6:.2f}",
+                f"{size / 1024:.1f}" if one.arms >= 256 else "",  # few arms vanish in a page
+            )
+            table.add_row(engine, f"{one.arms:,}", *numbers, end_section=both is two[-1])
+    return table
+
+
+def empty_table(title: str, words: Iterable[str], numbers: Iterable[str]) -> Table:
+    """A table with columns of words, then of numbers."""
+    table = Table(title=title)
+    for heading in words:
+        table.add_column(heading, no_wrap=True)
+    for heading in numbers:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def machine() -> str:
+    """What it ran on."""
+    found = [f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
+    for package in PACKAGES:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            continue
+    return ", ".join(found)
 
 
 def main(arguments: Arguments) -> None:
-    """Print one row per environment: median time of a step, steps per second, ratio."""
-    envs, actions = {}, {}
-    for name, (env_id, options) in CONTESTANTS.items():
-        envs[name] = gym.make(env_id, **options)
-        envs[name].reset(seed=0)
-        envs[name].action_space.seed(0)
-        actions[name] = [envs[name].action_space.sample() for _ in range(arguments.steps)]
-    times = {
-        name: np.array([seconds_per_step(envs[name], actions[name])])[:0] for name in CONTESTANTS
-    }  # one turn each to warm up
-    for _ in range(arguments.rounds):
-        for name in CONTESTANTS:
-            times[name] = np.append(times[name], seconds_per_step(envs[name], actions[name]))
-
-    table = Table(title=f"{arguments.rounds} rounds of {arguments.steps} steps, interleaved")
-    table.add_column("environment")
-    for heading in ("µs per step", "steps per second", f"ratio to {PEER}", "quartiles"):
-        table.add_column(heading, justify="right")
-    for name, seconds in times.items():
-        median = np.median(seconds)
-        low, middle, high = np.percentile(times[PEER] / seconds, [25, 50, 75])
-        table.add_row(
-            name,
-            f"{median * 1e6:.1f}",
-            f"{1 / median:,.0f}",
-            f"{middle:.2f}",
-            f"{low:.2f} – {high:.2f}",
-        )
-    Console(width=100).print(table)
+    """Print the tables."""
+    console = Console(width=120, highlight=False)
+    console.print(machine())
+    made = make_all((*SINGLE, *VECTOR), console)
+    times = seconds_per_step(made, arguments.rounds, arguments.seconds)
+    console.print(single_table(times))
+    console.print(vector_table(times))
+    console.print(WHAT_THEY_SIMULATE)
+    if arguments.growth_rounds:
+        made = make_all(GROWTH, console)
+        console.print(growth_table(seconds_per_step(made, arguments.growth_rounds, 0.02)))
 
 
 if __name__ == "__main__":

@@ -10,8 +10,6 @@ Below it, microseconds per action of the `mmc` agent beside the shipped PPO poli
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import gymnasium as gym
@@ -19,6 +17,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
+from timing import interleaved
 
 from mmc_gym import make_agent
 from mmc_gym.network import MMCNetwork
@@ -44,26 +43,6 @@ class Arguments:
     seconds: float = 0.02
 
 
-def interleaved(
-    contestants: dict[str, Callable[[], object]], arguments: Arguments
-) -> dict[str, np.ndarray]:
-    """Seconds per call of each contestant, one value per round."""
-    calls = {}
-    for name, call in contestants.items():
-        call()
-        start = time.perf_counter()
-        call()
-        calls[name] = max(1, round(arguments.seconds / (time.perf_counter() - start)))
-    times: dict[str, list[float]] = {name: [] for name in contestants}
-    for _ in range(arguments.rounds):
-        for name, call in contestants.items():
-            start = time.perf_counter()
-            for _ in range(calls[name]):
-                call()
-            times[name].append((time.perf_counter() - start) / calls[name])
-    return {name: np.array(values) for name, values in times.items()}
-
-
 def network_table(arguments: Arguments) -> Table:
     """Time per arm and iteration for every batch size, precision and network."""
     table = Table(title=f"MMC network, 3 segments: ns per arm and iteration, run of {ITERATIONS}")
@@ -84,7 +63,8 @@ def network_table(arguments: Arguments) -> Table:
                         "run": lambda n=network, s=state, c=clamps: n.run(s, c, ITERATIONS),
                         "step": lambda n=network, s=state, c=clamps: n.step(s, c),
                     },
-                    arguments,
+                    arguments.rounds,
+                    arguments.seconds,
                 )
                 times["run"] /= ITERATIONS
                 cells = {key: np.median(value) / batch * 1e9 for key, value in times.items()}
@@ -114,7 +94,7 @@ def agent_table(arguments: Arguments) -> Table:
         agent = make_agent(name, env)
         _, state = agent.predict(observation)
         contestants[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
-    times = interleaved(contestants, arguments)
+    times = interleaved(contestants, arguments.rounds, arguments.seconds)
     table = Table(title="predict for one observation")
     table.add_column("agent")
     for heading in ("µs per action", "ratio to ppo"):
