@@ -1,9 +1,11 @@
 """Facts about the pictures."""
 
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -12,7 +14,17 @@ import pytest
 
 from mmc_gym.envs import drawing
 from mmc_gym.envs.drawing import View
-from mmc_gym.envs.rendering import Renderer, Scene, Window
+from mmc_gym.envs.perturbations import (
+    PERTURBATIONS,
+    ForceField,
+    HandMass,
+    LockedJoint,
+    Obstacles,
+    SegmentLength,
+    VisuomotorRotation,
+)
+from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.rendering import Renderer, Scene, Window, caption, old_lengths
 from mmc_gym.envs.setup import ReachSetup
 
 LENGTHS = (1.0, 1.0, 1.0)
@@ -162,6 +174,230 @@ def test_a_view_maps_there_and_back() -> None:
         assert 0 < x < 200
         assert 0 < y < 200
         assert view.point((x, y)) == pytest.approx(point)
+
+
+# --- Ghosts, and where the target will be
+
+
+def gray(image: np.ndarray, view: View, point: tuple[float, float], size: int = 5) -> np.ndarray:
+    """The surroundings of a point of the world, without colour."""
+    x, y = map(round, view.pixel(point))
+    return image[y - size : y + size + 1, x - size : x + size + 1].mean(axis=-1)
+
+
+def drawn(setup: ReachSetup, scene: Scene) -> np.ndarray:
+    frame = Renderer(setup, "rgb_array", 50).draw(scene)
+    assert frame is not None
+    return frame.astype(float)
+
+
+def changed(setup: ReachSetup, scene: Scene, other: Scene, point: tuple[float, float]) -> bool:
+    """Whether two scenes differ near a point of the world, were there no colour."""
+    view = View(setup.farthest)
+    first, second = (gray(drawn(setup, one), view, point) for one in (scene, other))
+    return bool(np.abs(first - second).max() > 30)
+
+
+def test_a_ghost_is_where_its_joint_angles_say() -> None:
+    setup, plain = ReachSetup(), Scene([0.0] * 3, FAR)
+    bent = Scene([0.0] * 3, FAR, ghost=[1.0, 0.5, 0.5])
+    elbow = (math.cos(1.0), math.sin(1.0))
+    hand = tuple(np.sum([(math.cos(a), math.sin(a)) for a in (1.0, 1.5, 2.0)], axis=0))
+    for point in (elbow, hand, (0.5 * elbow[0], 0.5 * elbow[1])):
+        assert changed(setup, plain, bent, point)
+    assert not changed(setup, plain, bent, (1.0, -1.0))
+
+
+def test_an_environment_shows_the_posture_it_is_given() -> None:
+    env = gym.make("MMCReach-v0", render_mode="rgb_array").unwrapped
+    env.reset(seed=0)
+    plain = env.render()
+    env.show_posture([0.5, 0.5, 0.5])
+    assert not np.array_equal(env.render(), plain)
+    env.show_posture(None)
+    np.testing.assert_array_equal(env.render(), plain)
+
+
+def test_targets_to_come_are_shown_and_those_that_were_are_not() -> None:
+    setup = ReachSetup(task="via-points")
+    path = [(-1.0, 1.0), (-1.0, -1.0), (1.0, -2.0)]
+    scenes = [Scene([0.0] * 3, target, path=path) for target in path]
+    alone = [Scene([0.0] * 3, target) for target in path]
+    assert changed(setup, scenes[0], alone[0], path[1])
+    assert changed(setup, scenes[0], alone[0], path[2])
+    assert changed(setup, scenes[1], alone[1], path[2])
+    assert not changed(setup, scenes[1], alone[1], path[0])
+    np.testing.assert_array_equal(drawn(setup, scenes[2]), drawn(setup, alone[2]))
+
+
+def test_the_whole_path_of_a_pursued_target_is_shown() -> None:
+    setup = ReachSetup(task="pursuit")
+    path = setup.draw_trial(np.random.default_rng(0), (None, None, None)).targets
+    scene = Scene([0.0] * 3, path[0], path=path)
+    for place in (100, 250, 400):
+        assert changed(setup, scene, Scene([0.0] * 3, path[0]), path[place])
+
+
+# --- Perturbations are to be seen, and without colour
+
+POSTURE = [0.5, 1.0, 1.5]  # absolute angles
+NODES = np.cumsum([(0.0, 0.0), *((math.cos(a), math.sin(a)) for a in POSTURE)], axis=0)
+
+
+def looks_perturbed(perturbation: object, point: tuple[float, float], **scene: object) -> bool:
+    """Whether a picture differs near a point from one without the perturbation."""
+    setup, plain = ReachSetup(perturbations=[perturbation]), ReachSetup()
+    view = View(setup.farthest)
+    assert view == View(plain.farthest)
+    images = drawn(setup, Scene(POSTURE, FAR, **scene)), drawn(plain, Scene(POSTURE, FAR))
+    first, second = (gray(image, view, point) for image in images)
+    return bool(np.abs(first - second).max() > 30)
+
+
+def test_obstacles_are_where_they_are() -> None:
+    for x, y, radius in Obstacles().discs:
+        assert looks_perturbed(Obstacles(), (x, y))
+        assert looks_perturbed(Obstacles(), (x, y + radius))
+        assert not looks_perturbed(Obstacles(), (x, y + radius + 0.1))
+
+
+def test_a_hand_mass_is_at_the_hand_and_larger_the_heavier() -> None:
+    x, y = NODES[-1]
+    assert looks_perturbed(HandMass(1.0), (x + 0.05, y))
+    beside = (x + 0.16, y - 0.05)
+    assert looks_perturbed(HandMass(20.0), beside)
+    assert not looks_perturbed(HandMass(1.0), beside)
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_lock_is_on_its_joint_and_only_once_it_is_locked(joint: int) -> None:
+    lock, point = LockedJoint(joint), tuple(NODES[joint])
+    assert looks_perturbed(lock, point, is_locked=True)
+    assert not looks_perturbed(lock, point, is_locked=False)
+
+
+def test_an_environment_shows_a_lock_from_its_time_on() -> None:
+    env, free = (MMCReachEnv(render_mode="rgb_array", perturbations=p) for p in ("locks", ()))
+    options = {"joint_angles": [0.5, 0.5, 0.5], "target": FAR}
+    view, joint = View(3.0), (math.cos(0.5), math.sin(0.5))
+    hold = np.full(3, 0.5 / math.pi, np.float32)
+    for one in (env, free):
+        one.reset(seed=0, options=options)
+    for step in range(1, 13):
+        pictures = []
+        for one in (env, free):
+            one.step(hold)
+            pictures.append(gray(one.render().astype(float), view, joint))
+        assert (np.abs(pictures[0] - pictures[1]).max() > 30) == (step >= 10)
+
+
+def test_a_changed_segment_has_its_old_length_around_it() -> None:
+    x, y = NODES[2]
+    for factor in (0.5, 1.2):
+        setup = ReachSetup(perturbations=[SegmentLength(factor)])
+        assert old_lengths(setup) == pytest.approx((1.0, 1.0, 1.0))
+        other = ReachSetup(segment_lengths=setup.body.segment_lengths)
+        images = (drawn(one, Scene(POSTURE, FAR)) for one in (setup, other))
+        end = (x + 1.05 * math.cos(POSTURE[2]), y + 1.05 * math.sin(POSTURE[2]))
+        with_outline, without = (gray(image, View(setup.farthest), end, 9) for image in images)
+        assert np.abs(with_outline - without).max() > 30
+
+
+def test_arrows_turn_as_the_field_bends() -> None:
+    """Upside down, a field's arrows are the opposite field's."""
+    scene = Scene([0.0] * 3, FAR)  # the same upside down
+    fields = [ReachSetup(perturbations=[ForceField(curl)]) for curl in (9.0, -9.0)]
+    one, other = (drawn(setup, scene)[60:-60] for setup in fields)  # the caption is above
+    assert np.abs(one - other).max() > 30
+    assert np.abs(one - other[::-1]).mean() < 0.2 * np.abs(one - other).mean()
+
+
+def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target() -> None:
+    rotation = VisuomotorRotation(90.0)
+    setup = ReachSetup(perturbations=[rotation])
+    plain = ReachSetup()
+    cursor = rotation.cursor(3.0, 0.0)
+    scene = Scene([0.0] * 3, FAR)
+    view = View(3.0)
+    at_cursor, nothing = (gray(drawn(one, scene), view, cursor) for one in (setup, plain))
+    assert np.abs(at_cursor - nothing).max() > 30
+    # Within the success distance a second ring is painted, of the cursor and not of the hand.
+    near = [Scene([0.0] * 3, target) for target in ((0.0, 2.97), (0.0, 2.9), (2.97, 0.0))]
+    dark = [(gray(drawn(setup, one), view, tuple(one.target), 16) < 150).sum() for one in near]
+    assert dark[0] > dark[1] + 20
+
+
+def test_what_is_sensed_is_shown_where_it_is_late_or_noisy() -> None:
+    env = MMCReachEnv(render_mode="rgb_array", perturbations="delay-200")
+    start = {"joint_angles": [0.0, 0.0, 0.0], "target": (-1.0, -1.0)}
+    env.reset(seed=0, options=start)
+    for _ in range(10):
+        env.step(np.full(3, 0.5, np.float32))
+    x, y = map(round, View(3.0).pixel((3.0, 0.0)))  # the arm has left, and is still felt there
+    frame = env.render()
+    assert frame[y - 8 : y + 9, x - 8 : x + 9].min() < 100
+
+
+def test_a_picture_is_named_by_its_task_and_perturbations() -> None:
+    assert caption(ReachSetup()) == ""
+    setup = ReachSetup(task="paper", perturbations=["locked", ForceField(3.0)])
+    assert caption(setup) == "paper, locked, ForceField"
+
+
+@pytest.mark.parametrize("name", PERTURBATIONS)
+def test_every_perturbation_can_be_seen(name: str) -> None:
+    env, plain = (
+        MMCReachEnv(render_mode="rgb_array", task="centre-out", perturbations=perturbations)
+        for perturbations in ((name,), ())
+    )
+    for one in (env, plain):
+        one.reset(seed=0, options={"trial": 0})
+        for _ in range(12):
+            one.step(np.full(3, 0.4, np.float32))
+    below = np.s_[40:]  # the caption
+    assert np.abs(env.render()[below].astype(int) - plain.render()[below]).max() > 30
+
+
+def test_a_vector_of_environments_shows_what_single_ones_do() -> None:
+    names = ["locks", "delay-100", "hand-mass"]
+    arguments = {"task": "via-points", "perturbations": names, "render_mode": "rgb_array"}
+    vector = gym.make_vec("MMCReach-v0", 2, **arguments)
+    single = [gym.make("MMCReach-v0", **arguments) for _ in range(2)]
+    vector.reset(seed=3)
+    for index, env in enumerate(single):
+        env.reset(seed=3 + index)
+    for _ in range(12):
+        vector.step(np.full((2, 3), 0.3, np.float32))
+        for env in single:
+            env.step(np.full(3, 0.3, np.float32))
+    for shown, env in zip(vector.render(), single, strict=True):
+        np.testing.assert_array_equal(shown, env.render())
+    vector.close()
+
+
+# --- Films
+
+
+def test_gymnasium_records_films(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy")
+    env = gym.make("MMCReach-v0", render_mode="rgb_array", max_episode_steps=7)
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    film = gym.wrappers.RecordVideo(env, str(tmp_path / "films"))
+    film.reset(seed=0)
+    renderings = [env.render().astype(int)]
+    for _ in range(7):
+        film.step(np.full(3, 0.3, np.float32))
+        renderings.append(env.render().astype(int))
+    film.close()
+    (path,) = (tmp_path / "films").glob("*.mp4")
+    decode = [ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    decoded = subprocess.run(decode, capture_output=True, check=True)
+    assert re.search(r"Video: .*640x640.* 50 fps", decoded.stderr.decode())
+    pictures = np.frombuffer(decoded.stdout, np.uint8).reshape(-1, 640, 640, 3)
+    assert len(pictures) == 8  # the start, and one a step
+    start, end = renderings[0], renderings[-1]
+    errors = [np.abs(pictures[-1].astype(int) - one).mean() for one in (start, end)]
+    assert errors[1] < 0.4 * errors[0]
 
 
 # --- The window (SDL's dummy driver stands in for a screen)
