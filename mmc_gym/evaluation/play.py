@@ -76,7 +76,7 @@ class Game:
         if agent not in makers:
             raise ValueError(f"agent must be one of {tuple(makers)}, got {agent!r}")
         self._env, self._reach = env, env.unwrapped
-        self._view = drawing.View(self._reach.reach)
+        self._view = drawing.View(self._reach.setup.farthest)
         self._makers, self._agents = dict(makers), {agent: makers[agent]()}
         self.agent, self.message = agent, ""
         self.paused, self.running = False, True
@@ -133,11 +133,18 @@ class Game:
         elif event.type == pygame.KEYDOWN:
             self._heed_key(event.key)
         elif event.type == pygame.MOUSEMOTION:
-            self.target = self._reach.setup.workspace.nearest(self._view.point(event.pos))
-            self._reach.set_target(self.target)
+            self._move_target(self._view.point(event.pos))
         else:
             return False
         return True
+
+    def _move_target(self, point: tuple[float, float]) -> None:
+        """Put the target as near to a point as the hand gets; obstacles keep it where it was."""
+        workspace = self._reach.setup.workspace
+        nearest = workspace.nearest(point)
+        if workspace.contains(nearest):
+            self.target = nearest
+            self._reach.set_target(nearest)
 
     def _heed_key(self, key: int) -> None:
         names = list(self._makers)

@@ -69,6 +69,26 @@ def shown() -> np.ndarray:
     return pygame.surfarray.array3d(pygame.display.get_surface())
 
 
+@pytest.mark.parametrize("name", ["obstacles", "rotation-45", "longer-50"])
+def test_the_mouse_points_at_what_the_picture_shows_and_the_hand_can_reach(name: str) -> None:
+    env = gym.make("MMCReach-v0", render_mode="rgb_array", perturbations=name, max_episode_steps=-1)
+    game = Game(env, {"first": Recorder}, "first", seed=0)
+    view = View(env.unwrapped.setup.farthest)
+    point_at(*view.pixel((-0.5, 1.5)))
+    game.frame()
+    assert game.target == pytest.approx((-0.5, 1.5))
+    if name == "obstacles":
+        point_at(*view.pixel((1.5, 1.0)))  # in the middle of one
+        game.frame()
+        assert game.target == pytest.approx((-0.5, 1.5))
+    for corner in ((0, 0), (SIZE - 1, SIZE - 1)):
+        point_at(*corner)
+        game.frame()
+        assert env.unwrapped.setup.workspace.contains(game.target)
+    env.close()
+    pygame.display.quit()
+
+
 def test_the_mouse_is_the_target(game: Game, env: gym.Env) -> None:
     view = View(3.0)
     point_at(*view.pixel((-1.0, 0.5)))
