@@ -30,7 +30,7 @@ turns the loops over lanes into vector instructions only where it sees, or can c
 loop, that nothing it writes is read again: the records, whose fields do not overlap; the number of
 lanes, an argument, as constant loops would be unrolled first; and the segments from the hand
 inward, looked up in `inward`, as its checks before loops that run backward always fail.  Together
-they make the steps six times as quick.
+they make the steps two to four times as quick.
 """
 
 from __future__ import annotations

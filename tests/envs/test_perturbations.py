@@ -190,14 +190,9 @@ def test_with_all_joints_locked_the_hand_is_at_its_target() -> None:
     assert env.reset(seed=0)[1]["is_success"]
 
 
-SLIPS = pytest.mark.xfail(reason="Chipmunk's ten sweeps let a lock slip", strict=False)
-
-
-@pytest.mark.parametrize("engine", [pytest.param("pymunk", marks=SLIPS), "analytic"])
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 @pytest.mark.parametrize(("name", "step"), [("locked", 0), ("locks", 10)])
 def test_a_joint_locks_at_its_time_and_for_the_episode(name: str, step: int, engine: str) -> None:
-    if engine == "analytic":
-        pytest.importorskip("numba")
     env = MMCReachEnv(perturbations=name, engine=engine)
     moved = []
     for seed in range(5):
