@@ -141,11 +141,11 @@ class Renderer:
             )
         if body.hand_mass:
             perturbed.draw_hand_mass(surface, view, nodes[-1], body.hand_mass)
-        for joint in body.lockable_joints if scene.is_locked else ():
-            perturbed.draw_lock(surface, view, nodes[joint])
         if scene.ghost is not None:
             told = self._setup.told.segment_lengths
             drawing.draw_ghost(surface, view, scene.ghost, told)
+        for joint in body.lockable_joints if scene.is_locked else ():
+            perturbed.draw_lock(surface, view, nodes[joint])
 
     def _paint_target(self, scene: Scene, hand: Point) -> None:
         surface, view, setup = self._canvas, self._large_view, self._setup
