@@ -14,7 +14,7 @@ _SWEEPS_PER_RATIO = 10 / 27
 _MOST_SWEEPS = 500  # a step of three segments then takes 0.1 ms instead of 0.01
 _LARGEST_RATIO = _MOST_SWEEPS / _SWEEPS_PER_RATIO
 _LARGEST_RATIO_OF_NEIGHBOURS = 100.0
-_FEWEST_SWEEPS, _FEWEST_SWEEPS_FOR_LOCKS = 10, 40
+_FEWEST_SWEEPS, _FEWEST_SWEEPS_FOR_LOCKS = 10, 60
 _STRONG = 1e4  # rad/s that a servo could give a segment alone in a physics step
 
 
@@ -26,7 +26,7 @@ def solver_iterations(parameters: ArmParameters) -> int:
     to five segments, four times lighter and heavier, the need was seen to grow in proportion to
     that ratio.  Servos out of all proportion to the segments need ten times as many.  A lock, which
     must bear whatever the servos and the other segments do, slips by 0.7 rad in 2 s of abrupt
-    commands with 10 sweeps, and by less than 0.005 with 40.
+    commands with 10 sweeps, and by less than 0.005 with 60.
 
     Raises:
         ValueError: if they would be too many.  Of 30,000 random arms of one to ten segments, with

@@ -107,6 +107,7 @@ class ReachSetup:
         self.reach = sum(self.told.segment_lengths)
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         self.path_length = self.task.path_length(self.told.control_step)
+        self.task.check(self.workspace)
 
     def _apply_perturbations(self, parameters: ArmParameters) -> None:
         changes = self.perturbations

@@ -45,6 +45,9 @@ class Task(ABC):
         """How many different trials there are, for `options={"trial": …}`; None: unlimited."""
         return None
 
+    def check(self, workspace: Workspace) -> None:  # noqa: B027  (most tasks suit all arms)
+        """Raise a `ValueError` if the arm cannot do the task, before it is asked to."""
+
     @abstractmethod
     def path_length(self, control_step: float) -> int:
         """Places on the path of the target, the same for all trials."""
@@ -66,9 +69,6 @@ class Task(ABC):
             random: all randomness comes from here.
             trial: which one to take, where they are counted; None draws one.
             joint_angles: the posture to start from, where it is already decided.
-
-        Raises:
-            ValueError: if the arm is none that the task can be done with.
         """
 
 
@@ -200,15 +200,29 @@ class PointToPoint(Task):
     ) -> Trial:
         """See `Task.draw`."""
         drawn = int(random.integers(len(self.pairs)))
-        start, target = (
-            (x * workspace.outer, y * workspace.outer)
-            for x, y in (
-                self.points[index] for index in self.pairs[drawn if trial is None else trial]
-            )
-        )
-        if not workspace.contains(target):
-            raise ValueError(f"the arm does not reach the task's target {target}")
+        start, target = self._ends(workspace, drawn if trial is None else trial)
         return Trial(joint_angles or workspace.posture_at(start), [target])
+
+    def check(self, workspace: Workspace) -> None:
+        """See `Task.check`: the arm must reach every target, from where its trial starts."""
+        out_of_reach = []
+        for trial in range(len(self.pairs)):
+            start, target = self._ends(workspace, trial)
+            posture = workspace.posture_at(start)
+            if not workspace.is_clear(posture) or not workspace.contains(target, posture):
+                out_of_reach.append(trial)
+        if out_of_reach:
+            raise ValueError(
+                f"task must be one that the perturbed arm can do: of its {len(self.pairs)} trials "
+                f"{len(out_of_reach)} start or end where it cannot be, the first is number "
+                f"{out_of_reach[0]}"
+            )
+
+    def _ends(self, workspace: Workspace, trial: int) -> tuple[Point, Point]:
+        """Where the hand starts in a trial, and the target."""
+        start, target = (self.points[index] for index in self.pairs[trial])
+        reach = workspace.outer
+        return (start[0] * reach, start[1] * reach), (target[0] * reach, target[1] * reach)
 
 
 @dataclass(frozen=True)

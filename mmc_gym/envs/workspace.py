@@ -68,18 +68,21 @@ class Workspace:
         self._limits = limits or ((-math.pi, math.pi),) * len(body.segment_lengths)
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
 
-    def contains(self, point: Sequence[float]) -> bool:
-        """Whether the hand can be at `point` (x, y), with free joints without limits.
+    def contains(self, point: Sequence[float], posture: Sequence[float] | None = None) -> bool:
+        """Whether the hand can be at `point` (x, y), with joints without limits.
 
         With a rotation, whether its cursor can, at a point that the hand could be at, too.
+        With a posture, whether it can from there, with the joints locked that are.
         """
         x, y = point
-        if not self._is_in_ring((x, y)):
-            return False
-        if self.rotation is None:
-            return self._is_free((x, y))
-        hand = self.rotation.hand(x, y)
-        return self._is_in_ring(hand) and self._is_free(hand)
+        hand = (x, y) if self.rotation is None else self.rotation.hand(x, y)
+        fine = self._is_in_ring((x, y)) and self._is_in_ring(hand) and self._is_free(hand)
+        if not fine or posture is None or not self.locked:
+            return fine
+        base, lengths = self._rigid_pieces(posture)
+        inner, outer = reachable_radii(lengths) if lengths else (0.0, 0.0)
+        slack = REACH_TOLERANCE * self.outer
+        return inner - slack <= math.dist(base, hand) <= outer + slack
 
     def nearest(self, point: Sequence[float]) -> Point:
         """The nearest point to `point` (x, y) between `inner` and `outer`."""

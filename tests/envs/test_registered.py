@@ -174,6 +174,7 @@ def test_an_episode_ends_by_the_time_limit_alone(env: gym.Env) -> None:
 
 
 def test_initial_states_differ(env: gym.Env) -> None:
+    env.reset(seed=0)
     starts = np.array([flat(env.reset()[0]) for _ in range(5)])
     is_constant = np.ptp(starts, axis=0) == 0
     setup, speeds = env.unwrapped.setup, starts[:, is_constant & is_speed(env)]

@@ -340,8 +340,8 @@ def test_what_is_sensed_is_shown_where_it_is_late_or_noisy() -> None:
 
 def test_a_picture_is_named_by_its_task_and_perturbations() -> None:
     assert caption(ReachSetup()) == ""
-    setup = ReachSetup(task="paper", perturbations=["locked", ForceField(3.0)])
-    assert caption(setup) == "paper, locked, ForceField"
+    setup = ReachSetup(task="pursuit", perturbations=["locked", ForceField(3.0)])
+    assert caption(setup) == "pursuit, locked, ForceField"
 
 
 @pytest.mark.parametrize("name", PERTURBATIONS)

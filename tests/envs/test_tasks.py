@@ -59,9 +59,14 @@ def test_trials_that_are_not_asked_for_are_drawn_from_all() -> None:
 
 
 def test_an_arm_that_cannot_do_a_task_is_told_so() -> None:
-    env = MMCReachEnv(task="paper", segment_lengths=(2.0, 0.5))  # nothing nearer than 1.5
-    with pytest.raises(ValueError, match="does not reach the task's target"):
-        env.reset(options={"trial": int(np.flatnonzero(PAIRS[:, 1] == 0)[0])})
+    with pytest.raises(ValueError, match="no evenly bent posture has the hand at"):
+        MMCReachEnv(task="paper", segment_lengths=(2.0, 0.5))  # nothing nearer than 1.5
+    with pytest.raises(ValueError, match=r"task must be .* of its 420 trials 60 start or end"):
+        MMCReachEnv(task="paper", perturbations="rotation-30")  # the cursor leaves the reach
+    with pytest.raises(ValueError, match="task must be one that the perturbed arm can do"):
+        MMCReachEnv(task="paper", perturbations="obstacles")
+    with pytest.raises(ValueError, match="task must be one that the perturbed arm can do"):
+        MMCReachEnv(task="centre-out", segment_lengths=(1.0, 1.0), perturbations="locked")
 
 
 def test_an_arm_of_another_reach_does_the_task_in_proportion() -> None:
