@@ -12,9 +12,20 @@ from typing import Any
 import gymnasium as gym
 
 from mmc_gym.agents.base import Agent, ReachInterface
-from mmc_gym.agents.inverse_kinematics import DampedLeastSquaresAgent
+from mmc_gym.agents.closed_form import closed_form
+from mmc_gym.agents.differential import (
+    damped_least_squares,
+    jacobian_transpose,
+    null_space,
+    pseudo_inverse,
+)
+from mmc_gym.agents.geometric import cyclic_coordinate_descent, fabrik
+from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, Solver
+from mmc_gym.agents.minimum_jerk import MinimumJerkAgent
 from mmc_gym.agents.mmc import MMCAgent
+from mmc_gym.agents.passive_motion import PassiveMotionAgent
 from mmc_gym.agents.random import RandomAgent
+from mmc_gym.agents.timed_mmc import TimedMMCAgent
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, Normalizer
 
 __all__ = ["AGENTS", "Agent", "AgentEntry", "make_agent"]
@@ -71,6 +82,17 @@ def _classical_mmc(env: gym.Env[Any, Any]) -> MMCAgent:
     return MMCAgent(interface, MMCNetwork(interface.segment_lengths))
 
 
+def _timed_mmc(env: gym.Env[Any, Any]) -> TimedMMCAgent:
+    interface = ReachInterface.of(env)
+    return TimedMMCAgent(interface, MMCNetwork(interface.segment_lengths), iterations_per_step=2)
+
+
+def _inverse_kinematics(
+    solver: Solver, iterations_per_step: int
+) -> Callable[[gym.Env[Any, Any]], InverseKinematicsAgent]:
+    return lambda env: InverseKinematicsAgent(ReachInterface.of(env), solver, iterations_per_step)
+
+
 def _ppo(env: gym.Env[Any, Any]) -> Agent[Any]:
     from mmc_gym.agents.reinforcement import PolicyAgent  # imports torch
 
@@ -92,11 +114,47 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "ik-dls": AgentEntry(
         "inverse kinematics by damped least squares",
-        lambda env: DampedLeastSquaresAgent(ReachInterface.of(env)),
+        _inverse_kinematics(damped_least_squares, iterations_per_step=3),
     ),
     "ppo": AgentEntry("PPO of stable-baselines3, trained by `mmc-gym train ppo`", _ppo),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
         lambda env: RandomAgent(len(ReachInterface.of(env).segment_lengths)),
+    ),
+    "ik-transpose": AgentEntry(
+        "inverse kinematics by the Jacobian transpose",
+        _inverse_kinematics(jacobian_transpose, iterations_per_step=5),
+    ),
+    "ik-pinv": AgentEntry(
+        "inverse kinematics by the truncated pseudo-inverse",
+        _inverse_kinematics(pseudo_inverse, iterations_per_step=3),
+    ),
+    "ik-nullspace": AgentEntry(
+        "as ik-dls, with a comfortable posture in the null space",
+        _inverse_kinematics(null_space, iterations_per_step=3),
+    ),
+    "ik-ccd": AgentEntry(
+        "inverse kinematics by cyclic coordinate descent",
+        _inverse_kinematics(cyclic_coordinate_descent, iterations_per_step=3),
+    ),
+    "ik-fabrik": AgentEntry(
+        "inverse kinematics by FABRIK, forward and backward reaching",
+        _inverse_kinematics(fabrik, iterations_per_step=3),
+    ),
+    "ik-closed-form": AgentEntry(
+        "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
+        _inverse_kinematics(closed_form, iterations_per_step=1),
+    ),
+    "mmc-bell": AgentEntry(
+        "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",
+        _timed_mmc,
+    ),
+    "minimum-jerk": AgentEntry(
+        "minimum-jerk path of the hand, followed by damped least squares",
+        lambda env: MinimumJerkAgent(ReachInterface.of(env)),
+    ),
+    "pmp": AgentEntry(
+        "Passive Motion Paradigm with a terminal attractor",
+        lambda env: PassiveMotionAgent(ReachInterface.of(env)),
     ),
 }

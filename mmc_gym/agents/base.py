@@ -44,12 +44,14 @@ class ReachInterface:
         control: the environment's control mode.
         speed_limit: largest joint speed, rad/s.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
+        control_step: duration of a control step, s.
     """
 
     segment_lengths: tuple[float, ...]
     control: str
     speed_limit: float
     servo_gain: float
+    control_step: float
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any]) -> ReachInterface:
@@ -62,7 +64,9 @@ class ReachInterface:
         control = getattr(env.unwrapped, "control", None)
         if body is None or control is None:
             raise ValueError(f"env must be a reaching environment of mmc_gym, got {env}")
-        return cls(body.segment_lengths, control, body.speed_limit, body.servo_gain)
+        return cls(
+            body.segment_lengths, control, body.speed_limit, body.servo_gain, body.control_step
+        )
 
     @property
     def max_joint_delta(self) -> float:

@@ -65,21 +65,22 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
     return covered
 
 
-def share(iteration: ArrayLike, duration: float) -> NDArray[np.float64]:
+def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
     """σ: the share of the remaining distance that the hand is to go in an iteration.
 
     Args:
         iteration: its number k, from 1.  From `duration` on the share is 1: what the hand has
             not covered by then, it covers as fast as the network can.
-        duration: T, of the movement, in iterations.
+        duration: T, of the movement or of each, in iterations.
 
     Raises:
-        ValueError: if the duration is not positive.
+        ValueError: if a duration is not positive.
 
     >>> share([1, 2, 3, 4, 5], duration=4).round(4).tolist()
     [0.1035, 0.4423, 0.793, 1.0, 1.0]
     """
-    if not 0 < duration < np.inf:
+    duration = np.asarray(duration, dtype=np.float64)
+    if not ((duration > 0) & (duration < np.inf)).all():
         raise ValueError(f"duration must be positive and finite, got {duration}")
     number = np.asarray(iteration, dtype=np.float64)
     remaining = 1 - minimum_jerk((number - 1) / duration)

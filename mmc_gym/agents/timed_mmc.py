@@ -1,0 +1,75 @@
+"""The MMC network on a time base: movements with a bell-shaped speed.
+
+As `mmc`, but the gain of every iteration is such that the hand covers the share of its way that a
+minimum-jerk movement would (`network.time_base`).  `movement` says when a movement begins and how
+long it takes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.agents.movement import Movement, begin, follow, step, where
+from mmc_gym.network import MMCNetwork, MMCState
+from mmc_gym.network.chain import Floats
+from mmc_gym.network.time_base import share, timed_step
+
+
+class TimedMMCState(NamedTuple):
+    """State of the agent: the network's, and the movement."""
+
+    network: MMCState
+    movement: Movement
+
+
+class TimedMMCAgent(JointTargetAgent[TimedMMCState]):
+    """An MMC network on a time base that drives the arm."""
+
+    def __init__(
+        self, interface: ReachInterface, network: MMCNetwork, iterations_per_step: int = 1
+    ) -> None:
+        """Make the agent.
+
+        Args:
+            interface: of the environment.
+            network: the internal model, kinematic; of the environment's segment lengths.
+            iterations_per_step: iterations of the network in a control step.
+
+        Raises:
+            ValueError: if `iterations_per_step` is less than one, or under torque control.
+        """
+        if iterations_per_step < 1:
+            raise ValueError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
+        super().__init__(interface)
+        self.network = network
+        self.iterations_per_step = iterations_per_step
+
+    def start(self, sensed: Sensed) -> TimedMMCState:
+        """Networks in the sensed postures, about to move."""
+        state = self.network.state_from_joint_angles(sensed.joint_angles)
+        hand = state.segments.sum(axis=-2)
+        return TimedMMCState(state, begin(hand, sensed.target, self.interface.control_step))
+
+    def restart(
+        self, state: TimedMMCState, fresh: TimedMMCState, started: NDArray[np.bool_]
+    ) -> TimedMMCState:
+        """The networks' states and the movements, new where an episode started."""
+        values = np.where(started, fresh.network.values, state.network.values)
+        return TimedMMCState(
+            MMCState(values, state.network.segment_count),
+            where(started, fresh.movement, state.movement),
+        )
+
+    def advance(self, state: TimedMMCState, sensed: Sensed) -> tuple[Floats, TimedMMCState]:
+        """Joint angles of the networks after the iterations of one control step."""
+        network, count = state.network, self.iterations_per_step
+        hand = network.segments.sum(axis=-2)
+        movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
+        for part in range(1, count + 1):
+            way = share(count * movement.elapsed + part, count * movement.duration)
+            network = timed_step(self.network, network, movement.target, way)
+        return network.joint_angles, TimedMMCState(network, step(movement))

@@ -1,0 +1,351 @@
+"""Every inverse kinematics solver: where it arrives, and what it does in the hard cases."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmc_gym.agents.closed_form import closed_form, solutions
+from mmc_gym.agents.differential import (
+    damped_least_squares,
+    jacobian_transpose,
+    null_space,
+    pseudo_inverse,
+)
+from mmc_gym.agents.geometric import cyclic_coordinate_descent, fabrik
+from mmc_gym.agents.inverse_kinematics import (
+    hand_position,
+    iterate,
+    jacobian,
+    leave_line,
+)
+from mmc_gym.network.chain import reachable_radii, wrap_angle
+
+SOLVERS = {
+    "transpose": jacobian_transpose,
+    "pinv": pseudo_inverse,
+    "dls": damped_least_squares,
+    "nullspace": null_space,
+    "ccd": cyclic_coordinate_descent,
+    "fabrik": fabrik,
+    "closed-form": closed_form,
+}
+ARMS = ((1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), (2.0, 1.0, 0.5), (0.5,) * 7)
+DIFFERENTIAL = ("pinv", "dls", "nullspace")
+
+solver_names = st.sampled_from(tuple(SOLVERS))
+angles = st.floats(-np.pi, np.pi)
+
+
+def can(name: str, lengths: tuple[float, ...]) -> bool:
+    return name != "closed-form" or len(lengths) <= 3
+
+
+CASES = [(name, lengths) for name in SOLVERS for lengths in ARMS if can(name, lengths)]
+
+
+def polar(radius: object, angle: object) -> np.ndarray:
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+
+
+def random_reaches(lengths: tuple[float, ...], count: int = 500) -> tuple[np.ndarray, np.ndarray]:
+    """Postures uniform in the joint angles, targets area-uniform over the reachable set."""
+    random = np.random.default_rng(1)
+    inner, outer = reachable_radii(lengths)
+    radii = np.sqrt(random.uniform(inner**2, outer**2, count))
+    targets = polar(radii, random.uniform(-np.pi, np.pi, count))
+    return random.uniform(-np.pi, np.pi, (count, len(lengths))), targets
+
+
+def distances(joint_angles: np.ndarray, target: np.ndarray, lengths: tuple[float, ...]) -> object:
+    return np.linalg.norm(hand_position(joint_angles, lengths) - target, axis=-1)
+
+
+# The share of targets that are reached within an accuracy by so many iterations: of arms of up to
+# three segments, and of seven.  The first-order methods (transpose, CCD, FABRIK) crawl near full
+# stretch, the more so the more segments there are; the others converge quadratically.
+@pytest.mark.parametrize(
+    ("name", "iterations", "accuracy", "up_to_three", "seven"),
+    [
+        ("transpose", 100, 0.05, 0.9, 0.5),
+        ("transpose", 800, 0.05, 0.99, 0.97),
+        ("pinv", 300, 1e-6, 0.99, 0.99),
+        ("dls", 300, 1e-6, 0.99, 0.99),
+        ("nullspace", 300, 1e-4, 0.99, 0.98),
+        ("ccd", 100, 0.05, 0.99, 0.85),
+        ("ccd", 400, 0.05, 0.99, 0.99),
+        ("fabrik", 10, 0.05, 0.9, 0.95),
+        ("fabrik", 100, 0.05, 0.99, 0.99),
+        ("closed-form", 1, 1e-12, 1.0, None),
+    ],
+)
+def test_reaches_random_targets_from_random_postures(
+    name, iterations, accuracy, up_to_three, seven
+):
+    for lengths in (arm for arm in ARMS if can(name, arm)):
+        postures, targets = random_reaches(lengths)
+        for _ in range(0, iterations, 10):  # as an agent does, a few iterations a control step
+            count = min(iterations, 10)
+            postures = iterate(SOLVERS[name], postures, targets, lengths, count)
+        reached = (distances(postures, targets, lengths) <= accuracy).mean()
+        assert reached >= (up_to_three if len(lengths) <= 3 else seven), lengths
+
+
+@given(st.data())
+@settings(max_examples=60)
+def test_stays_finite_and_ends_no_farther_away_from_anywhere(data):
+    name, lengths = data.draw(st.sampled_from(CASES))
+    posture = np.array(data.draw(st.lists(angles, min_size=len(lengths), max_size=len(lengths))))
+    target = polar(data.draw(st.floats(0.0, 2 * sum(lengths))), data.draw(angles))
+    first = distances(posture, target, lengths)
+    after = iterate(SOLVERS[name], posture, target, lengths, 200)
+    assert np.isfinite(after).all()
+    assert distances(after, target, lengths) <= first + 0.01 * sum(lengths)  # of a bend
+
+
+@pytest.mark.parametrize(("name", "lengths"), CASES)
+def test_a_batch_is_solved_as_its_members_are_alone(name, lengths):
+    postures, targets = random_reaches(lengths, 12)
+    shape = (3, 4, len(lengths))
+    together = iterate(SOLVERS[name], postures.reshape(shape), targets.reshape(3, 4, 2), lengths, 5)
+    alone = [
+        iterate(SOLVERS[name], posture, target, lengths, 5)
+        for posture, target in zip(postures, targets)
+    ]
+    np.testing.assert_allclose(together, np.reshape(alone, shape), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "lengths"), CASES)
+def test_what_is_handed_in_stays_as_it_is(name, lengths):
+    postures, targets = random_reaches(lengths, 3)
+    before = postures.copy(), targets.copy()
+    SOLVERS[name](postures, targets, lengths)
+    np.testing.assert_array_equal(postures, before[0])
+    np.testing.assert_array_equal(targets, before[1])
+
+
+@pytest.mark.parametrize(("name", "lengths"), CASES)
+def test_joints_turn_the_short_way_round_so_angles_do_not_jump_at_pi(name, lengths):
+    postures, targets = random_reaches(lengths)
+    change = SOLVERS[name](postures, targets, lengths) - postures
+    assert np.abs(change).max() <= np.pi + 1e-9
+    turns = 2 * np.pi * np.arange(-2, len(lengths) - 2)
+    turned = SOLVERS[name](postures + turns, targets, lengths) - (postures + turns)
+    np.testing.assert_allclose(wrap_angle(turned - change), 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("share", [-0.9, -0.3, 0.3, 0.9])
+@pytest.mark.parametrize("lengths", [(1.0, 1.0), (1.0, 1.0, 1.0), (0.5,) * 7])
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_stretched_arm_reaches_targets_in_its_own_line(name, lengths, share):
+    if not can(name, lengths):
+        pytest.skip("no closed form for so many segments")
+    posture, target = np.zeros(len(lengths)), np.array([share * sum(lengths), 0.0])
+    for _ in range(60):
+        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
+    assert distances(posture, target, lengths) < 0.05
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.5, 2.5])
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_folded_arm_reaches_targets_in_its_own_line(name, radius):
+    lengths = (1.0, 1.0, 1.0)
+    posture, target = np.array([0.0, np.pi, np.pi]), np.array([radius, 0.0])
+    for _ in range(60):
+        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
+    assert distances(posture, target, lengths) < 0.05
+
+
+@pytest.mark.parametrize("lengths", ARMS)
+@pytest.mark.parametrize("name", SOLVERS)
+def test_points_at_targets_out_of_reach_and_rests(name, lengths):
+    if not can(name, lengths):
+        pytest.skip("no closed form for so many segments")
+    posture, target = random_reaches(lengths, 1)[0][0], polar(1.5 * sum(lengths), 2.0)
+    for _ in range(100):
+        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
+    hand = hand_position(posture, lengths)
+    np.testing.assert_allclose(hand, polar(sum(lengths), 2.0), atol=0.05)
+    after = iterate(SOLVERS[name], posture, target, lengths, 30)
+    np.testing.assert_allclose(hand_position(after, lengths), hand, atol=0.01)
+
+
+@pytest.mark.parametrize("lengths", [arm for arm in ARMS if reachable_radii(arm)[0] == 0.0])
+@pytest.mark.parametrize("name", SOLVERS)
+def test_reaches_its_own_base(name, lengths):
+    if not can(name, lengths):
+        pytest.skip("no closed form for so many segments")
+    posture, target = np.linspace(0.4, 0.9, len(lengths)), np.zeros(2)
+    for _ in range(60):
+        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
+    assert distances(posture, target, lengths) < 0.05
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_reaches_the_inner_rim_of_an_arm_with_a_long_segment(name):
+    lengths, target = (2.0, 1.0, 0.5), polar(0.5, 1.0)
+    posture = np.array([0.3, 0.5, 0.7])
+    for _ in range(60):
+        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
+    assert distances(posture, target, lengths) < 0.05
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_starts_with_joints_on_each_other_and_on_the_target(name):
+    lengths = (1.0, 1.0, 1.0)
+    for posture in ([0.0, np.pi, 0.5], [0.3, 0.5, np.pi], [0.0, np.pi, 0.0], [0.0, 0.5, 0.5]):
+        segments = np.cumsum(polar(1.0, np.cumsum(posture)), axis=0)
+        for target in (*segments, np.zeros(2)):
+            after = np.array(posture)
+            for _ in range(60):
+                after = iterate(SOLVERS[name], after, target, lengths, 10)
+            assert distances(after, target, lengths) < 0.05
+
+
+@given(
+    st.sampled_from([arm for arm in ARMS if len(arm) <= 3] + [(0.3, 1.0, 2.0), (1.0, 0.2)]),
+    st.floats(0.0, 1.0),
+    angles,
+    st.lists(angles, min_size=3, max_size=3),
+)
+def test_every_solution_of_the_sweep_puts_the_hand_on_the_target(lengths, share, angle, posture):
+    inner, outer = reachable_radii(lengths)
+    target = polar(inner + share * (outer - inner), angle)
+    posture = np.array(posture[: len(lengths)])
+    found = solutions(target, lengths, posture)
+    hands = hand_position(found, lengths)
+    np.testing.assert_allclose(hands, np.broadcast_to(target, hands.shape), atol=1e-12)
+
+
+@given(st.lists(angles, min_size=3, max_size=3))
+def test_a_posture_that_reaches_already_is_its_own_closed_form_solution(posture):
+    lengths = (1.0, 0.7, 1.3)
+    posture = np.array(posture)
+    found = closed_form(posture, hand_position(posture, lengths), lengths)
+    np.testing.assert_allclose(found, posture, atol=1e-5)
+
+
+def test_closed_form_is_the_nearest_of_all_solutions_within_a_sweeps_grid():
+    lengths = (1.0, 1.0, 1.0)
+    postures, targets = random_reaches(lengths, 20)
+    found = np.linalg.norm(closed_form(postures, targets, lengths) - postures, axis=-1)
+    random = np.random.default_rng(0)
+    for posture, target, length in zip(postures, targets, found):
+        starts = random.uniform(-np.pi, np.pi, (300, 3))
+        starts[:100] = posture + random.normal(0.0, 0.5, (100, 3))
+        others = iterate(damped_least_squares, starts, target, lengths, 150)
+        others = others[distances(others, target, lengths) < 1e-6]
+        assert length <= np.linalg.norm(wrap_angle(others - posture), axis=-1).min() + 0.02
+
+
+def test_there_is_no_closed_form_for_four_segments():
+    with pytest.raises(ValueError, match=r"segment_lengths must be 1, 2 or 3 .* got 4"):
+        closed_form(np.zeros(4), np.ones(2), (1.0,) * 4)
+
+
+def test_the_jacobian_is_the_derivative_of_the_hand():
+    lengths, posture = (1.0, 0.7, 1.3), np.array([0.4, -1.2, 2.0])
+    small = 1e-6 * np.eye(3)
+    expected = hand_position(posture + small, lengths) - hand_position(posture - small, lengths)
+    _, jacobian_x, jacobian_y = jacobian(posture, lengths)
+    np.testing.assert_allclose(np.stack([jacobian_x, jacobian_y], -1), expected / 2e-6, atol=1e-8)
+
+
+def jacobian_and_error(target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    posture = np.array([0.4, -1.2, 2.0])
+    hand, *rows = jacobian(posture, (1.0, 0.7, 1.3))
+    return posture, np.stack(rows), target - hand
+
+
+@pytest.mark.parametrize("target", [[0.5, 0.2], [0.98, -0.4], [-1.0, 2.0]])
+def test_one_iteration_is_what_the_textbook_says(target):
+    lengths, target = (1.0, 0.7, 1.3), np.array(target)
+    posture, matrix, error = jacobian_and_error(target)
+    short = error * min(1.0, 0.1 / np.linalg.norm(error))
+    pulled = matrix.T @ error
+    moved = matrix @ pulled
+    for change, expected in (
+        (
+            jacobian_transpose(posture, target, lengths, max_change=10.0) - posture,
+            pulled * (error @ moved) / (moved @ moved),
+        ),
+        (
+            pseudo_inverse(posture, target, lengths, max_change=10.0) - posture,
+            np.linalg.pinv(matrix) @ short,
+        ),
+        (
+            damped_least_squares(posture, target, lengths, damping=0.2) - posture,
+            matrix.T @ np.linalg.solve(matrix @ matrix.T + 0.04 * np.eye(2), short),
+        ),
+    ):
+        np.testing.assert_allclose(change, expected, atol=1e-12)
+    added = null_space(posture, target, lengths) - damped_least_squares(posture, target, lengths)
+    projector = np.eye(3) - np.linalg.pinv(matrix) @ matrix
+    np.testing.assert_allclose(added, -0.03 * projector @ (posture * [0, 1, 1]), atol=1e-12)
+
+
+def test_a_truncated_singular_value_moves_nothing_in_its_direction():
+    lengths = (1.0, 1.0, 1.0)
+    posture, target = np.array([0.0, 1e-4, 0.0]), np.array([2.5, 0.05])
+    change = pseudo_inverse(posture, target, lengths) - posture
+    assert np.abs(change).max() < 0.05
+    kept = pseudo_inverse(posture, target, lengths, truncation=1e-9) - posture
+    assert np.abs(kept).max() > 0.15
+
+
+def test_comfort_bends_all_joints_but_the_first_evenly():
+    lengths, target = (1.0, 1.0, 1.0), np.array([0.5, 1.5])
+    postures, _ = random_reaches(lengths, 50)
+    ends = iterate(null_space, postures, np.broadcast_to(target, (50, 2)), lengths, 1000)
+    bends = wrap_angle(ends)[:, 1:]
+    hand = distances(ends, target, lengths)
+    np.testing.assert_allclose(hand, 0, atol=1e-6)
+    # The sum of squares is least where its gradient has no part in the null space of J.
+    for end, bend in zip(ends, bends):
+        _, *rows = jacobian(end, lengths)
+        null = np.linalg.svd(np.stack(rows))[2][-1]
+        assert abs(null @ [0.0, *bend]) < 1e-4
+    assert np.median(np.abs(bends[:, 0] - bends[:, 1])) < 1.0
+
+
+def test_fabrik_keeps_the_base_and_the_lengths_as_a_textbook_iteration_in_points():
+    lengths, posture, target = (1.0, 0.7, 1.3), np.array([0.4, -1.2, 2.0]), np.array([0.5, 0.9])
+    points = [np.zeros(2), *np.cumsum(np.array(lengths)[:, None] * polar(1.0, posture.cumsum()), 0)]
+    points[3] = target
+    for i in (2, 1, 0):
+        away = points[i] - points[i + 1]
+        points[i] = points[i + 1] + lengths[i] * away / np.linalg.norm(away)
+    points[0] = np.zeros(2)
+    for i in (0, 1, 2):
+        away = points[i + 1] - points[i]
+        points[i + 1] = points[i] + lengths[i] * away / np.linalg.norm(away)
+    np.testing.assert_allclose(
+        hand_position(fabrik(posture, target, lengths), lengths), points[3], atol=1e-12
+    )
+
+
+def test_coordinate_descent_never_takes_the_hand_farther_away():
+    lengths = (0.5,) * 7
+    postures, targets = random_reaches(lengths, 200)
+    for _ in range(20):
+        after = cyclic_coordinate_descent(postures, targets, lengths)
+        assert (
+            distances(after, targets, lengths) <= distances(postures, targets, lengths) + 1e-12
+        ).all()
+        postures = after
+
+
+def test_only_an_arm_that_cannot_get_nearer_otherwise_is_bent():
+    lengths = (1.0, 1.0, 1.0)
+    straight = np.zeros(3)
+    for target, bent in (
+        ([2.0, 0.0], True),  # inward, on the line
+        ([-1.0, 0.0], True),
+        ([2.0, 1.0], False),  # off the line
+        ([3.0, 0.0], False),  # there already
+        ([-3.0, 0.0], True),
+    ):
+        after = leave_line(straight, np.array(target), lengths)
+        assert np.any(after != straight) == bent, target
+    crooked = np.array([0.0, 0.1, 0.0])
+    np.testing.assert_array_equal(leave_line(crooked, np.array([2.0, 0.0]), lengths), crooked)

@@ -1,0 +1,227 @@
+"""The agents that plan or time a movement: minimum jerk, Passive Motion Paradigm, timed MMC."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mmc_gym import make_agent
+from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.agents.inverse_kinematics import hand_position, jacobian
+from mmc_gym.agents.minimum_jerk import HandPlan, MinimumJerkAgent, minimum_jerk_step
+from mmc_gym.agents.movement import AVERAGE_SPEED, HORIZON, JUMP, SHORTEST, begin, follow, step
+from mmc_gym.agents.passive_motion import PassiveMotionAgent, passive_motion_step
+from mmc_gym.agents.timed_mmc import TimedMMCAgent
+from mmc_gym.evaluation.metrics import minimum_jerk_correlation, time_to_peak, velocity_peaks
+from mmc_gym.network import MMCNetwork
+from mmc_gym.network.time_base import minimum_jerk, share
+
+DT = 0.02
+PLANNERS = ("minimum-jerk", "pmp", "mmc-bell")
+POSTURE, TARGET = np.array([0.3, 0.9, 0.8]), np.array([1.5, -0.8])
+
+points = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)).map(np.array)
+
+
+def interface(lengths: tuple[float, ...] = (1.0, 1.0, 1.0)) -> ReachInterface:
+    return ReachInterface(lengths, "joint_position", 6.28, 12.0, DT)
+
+
+def make(name: str, lengths: tuple[float, ...]) -> JointTargetAgent:
+    if name == "mmc-bell":
+        return TimedMMCAgent(interface(lengths), MMCNetwork(lengths), iterations_per_step=2)
+    return {"minimum-jerk": MinimumJerkAgent, "pmp": PassiveMotionAgent}[name](interface(lengths))
+
+
+def internal_hands(name, posture, targets, lengths=(1.0, 1.0, 1.0)) -> np.ndarray:
+    """Hand positions of the internal model, as if the servos were perfect, (steps + 1, ..., 2)."""
+    agent, state, hands = make(name, lengths), None, [hand_position(posture, lengths)]
+    for target in targets:
+        sensed = Sensed(posture, np.asarray(target))
+        state = agent.start(sensed) if state is None else state
+        joint_targets, state = agent.advance(state, sensed)
+        hands.append(hand_position(joint_targets, lengths))
+    return np.array(hands)
+
+
+def speeds(hands: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.diff(hands, axis=0), axis=-1) / DT
+
+
+def planned(start: np.ndarray, target: np.ndarray, duration: int) -> HandPlan:
+    plan = HandPlan(start, np.zeros_like(start), np.zeros_like(start))
+    plans = [plan]
+    for remaining in range(duration, 0, -1):
+        plans.append(minimum_jerk_step(plans[-1], target, np.array(float(remaining))))
+    return HandPlan(*map(np.array, zip(*plans)))
+
+
+@given(points, points, st.integers(2, 90))
+def test_the_plan_is_the_formula_a_straight_line_with_minimum_jerk_in_time(start, target, duration):
+    plan = planned(start, target, duration)
+    phase = np.arange(duration + 1)[:, None] / duration
+    np.testing.assert_allclose(
+        plan.position, start + (target - start) * minimum_jerk(phase), atol=1e-11
+    )
+    rate = 30 * phase**2 * (1 - phase) ** 2 / duration
+    np.testing.assert_allclose(plan.velocity, (target - start) * rate, atol=1e-10)
+    bend = (60 * phase - 180 * phase**2 + 120 * phase**3) / duration**2
+    np.testing.assert_allclose(plan.acceleration[:-1], ((target - start) * bend)[:-1], atol=1e-9)
+
+
+def test_a_plan_whose_target_moves_turns_without_a_jump_of_velocity():
+    plan = HandPlan(np.zeros(2), np.zeros(2), np.zeros(2))
+    positions = [plan.position]
+    for remaining in range(40, 0, -1):
+        target = np.array([2.0, 0.0] if remaining > 30 else [1.5, 1.5])
+        plan = minimum_jerk_step(plan, target, np.array(float(remaining)))
+        positions.append(plan.position)
+    np.testing.assert_allclose(positions[-1], [1.5, 1.5], atol=1e-12)
+    velocity = np.diff(positions, axis=0) / DT
+    assert np.linalg.norm(np.diff(velocity, axis=0), axis=-1).max() < 0.15 * np.abs(velocity).max()
+
+
+def test_the_hand_of_minimum_jerk_goes_straight_in_bell_shape_and_arrives_in_time():
+    start = hand_position(POSTURE, (1.0, 1.0, 1.0))
+    duration = int(begin(start, TARGET, DT).duration)
+    hands = internal_hands("minimum-jerk", POSTURE, [TARGET] * duration)
+    way = TARGET - start
+    along = way / np.linalg.norm(way)
+    off = hands - start
+    assert np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]).max() < 0.01
+    expected = start + way * minimum_jerk(np.arange(duration + 1) / duration)[:, None]
+    np.testing.assert_allclose(hands, expected, atol=0.02)
+    np.testing.assert_allclose(hands[-1], TARGET, atol=1e-4)
+    assert minimum_jerk_correlation(speeds(hands)) > 0.999
+
+
+@pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (0.5,) * 6])
+@pytest.mark.parametrize(
+    ("name", "least_correlation", "accuracy"),
+    [("minimum-jerk", 0.999, 1e-4), ("pmp", 0.93, 1e-3), ("mmc-bell", 0.96, 0.06)],
+)
+def test_speed_is_bell_shaped_and_the_hand_arrives_at_the_end_time(
+    name, least_correlation, accuracy, lengths
+):
+    # Bent, to a target well inside; nearly stretched or folded arms have less regular movements.
+    random, count = np.random.default_rng(3), len(lengths)
+    for _ in range(30):
+        posture = random.uniform(0.4, 1.2, count)
+        turn = random.uniform(0.3, 0.8, count) * [-1, *[1] * (count - 1)]
+        target = hand_position(posture + turn, lengths)
+        duration = int(begin(hand_position(posture, lengths), target, DT).duration)
+        hands = internal_hands(name, posture, [target] * duration, lengths)
+        profile = speeds(hands)
+        assert velocity_peaks(profile) == 1
+        assert 0.45 < time_to_peak(profile) < 0.65
+        assert minimum_jerk_correlation(profile) > least_correlation
+        assert np.linalg.norm(hands[-1] - target) < accuracy
+
+
+def test_the_speed_of_passive_motion_is_what_the_time_base_makes_of_the_distance():
+    duration = int(begin(hand_position(POSTURE, (1.0, 1.0, 1.0)), TARGET, DT).duration)
+    hands = internal_hands("pmp", POSTURE, [TARGET] * duration)
+    distance = np.linalg.norm(hands - TARGET, axis=-1)
+    steps = np.linalg.norm(np.diff(hands, axis=0), axis=-1)
+    wanted = share(np.arange(1, duration + 1), duration) * distance[:-1]
+    np.testing.assert_allclose(steps, wanted, atol=0.1 * wanted.max())
+    assert distance[-1] < 1e-3
+
+
+def test_a_small_step_of_passive_motion_turns_the_joints_by_the_torques_of_the_pull():
+    lengths, small = (1.0, 0.7, 1.3), np.array(1e-5)
+    hand, *rows = jacobian(POSTURE, lengths)
+    error = TARGET - hand
+    torque = np.stack(rows).T @ error
+    change = passive_motion_step(POSTURE, TARGET, small, lengths) - POSTURE
+    np.testing.assert_allclose(change / change[0], torque / torque[0], rtol=1e-3)
+    moved = hand_position(POSTURE + change, lengths) - hand
+    np.testing.assert_allclose(np.linalg.norm(moved), small * np.linalg.norm(error), rtol=1e-3)
+
+
+@pytest.mark.parametrize("asked", [0.05, 0.3, 0.7])
+def test_a_step_of_passive_motion_covers_the_share_that_the_time_base_asks_for(asked):
+    postures = np.random.default_rng(0).uniform(0.4, 1.2, (50, 3))
+    hands = hand_position(postures, (1.0, 1.0, 1.0))
+    angles = np.random.default_rng(1).uniform(-np.pi, np.pi, 50)
+    targets = hands + 0.05 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    after = passive_motion_step(postures, targets, np.full(50, asked), (1.0, 1.0, 1.0))
+    covered = np.linalg.norm(hand_position(after, (1.0, 1.0, 1.0)) - hands, axis=-1) / 0.05
+    np.testing.assert_allclose(covered, asked, atol=0.15)
+    assert abs(np.median(covered) - asked) < 0.02
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_target_that_jumps_on_the_way_is_reached(name):
+    targets = [[2.0, 1.0]] * 12 + [[-0.5, 1.5]] * 80
+    hands = internal_hands(name, POSTURE, targets)
+    np.testing.assert_allclose(hands[-1], targets[-1], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_a_target_that_moves_on_slowly_is_pursued(name):
+    angles = 0.5 + 0.01 * np.arange(200)  # 0.5 rad/s at radius 1.5: 0.75 lengths/s
+    targets = 1.5 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    hands = internal_hands(name, POSTURE, targets)
+    behind = np.linalg.norm(hands[1:] - targets, axis=-1)
+    assert behind[100:].max() < 0.08
+
+
+@pytest.mark.parametrize("lengths", [(1.0,), (1.0, 1.0), (2.0, 1.0, 0.5), (0.5,) * 7])
+@pytest.mark.parametrize("name", PLANNERS)
+def test_stays_finite_in_the_hard_cases(name, lengths):
+    count = len(lengths)
+    if name == "mmc-bell" and count == 1:
+        pytest.skip("a network has two segments or more")
+    stretched, folded = np.zeros(count), np.array([0.0, *[np.pi] * (count - 1)])
+    for posture in (stretched, folded):
+        for target in ([0.0, 0.0], [0.7, 0.0], [-9.0, 1.0], hand_position(posture, lengths)):
+            hands = internal_hands(name, posture, [target] * 120, lengths)
+            assert np.isfinite(hands).all()
+            assert np.linalg.norm(hands, axis=-1).max() <= sum(lengths) + 1e-9
+
+
+@pytest.mark.parametrize("name", ["minimum-jerk", "pmp"])
+def test_a_stretched_arm_moves_along_its_own_line(name):
+    hands = internal_hands(name, np.zeros(3), [[1.2, 0.0]] * 120)
+    np.testing.assert_allclose(hands[-1], [1.2, 0.0], atol=0.01)
+
+
+def test_a_movement_begins_anew_only_where_the_target_jumps():
+    hand = np.zeros((3, 2))
+    target = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    movement = begin(hand, target, DT)
+    assert movement.duration.tolist() == [np.ceil((SHORTEST + 1 / AVERAGE_SPEED) / DT)] * 3
+    for _ in range(5):
+        movement = step(follow(movement, hand, target, DT))
+    shift = np.array([[0.0, 0.0], [0.0, 0.9 * JUMP], [0.0, 1.1 * JUMP]])
+    movement = follow(movement, hand, target + shift, DT)
+    assert movement.elapsed.tolist() == [5, 5, 0]
+    for _ in range(30):
+        movement = step(movement)
+    movement = follow(movement, hand, target + shift + [0.0, 0.01], DT)
+    assert (movement.remaining == HORIZON).all()
+
+
+def test_arms_of_a_batch_have_movements_of_their_own_after_a_restart():
+    env = gym.make("MMCReach-v0")
+    for name in PLANNERS:
+        agent = make_agent(name, env)
+        observations = np.stack([env.reset(seed=seed)[0] for seed in range(3)])
+        _, state = agent.predict(observations)
+        for _ in range(9):
+            _, state = agent.predict(observations, state)
+        restarted, state = agent.predict(observations, state, episode_start=[False, True, False])
+        fresh, _ = agent.predict(observations)
+        np.testing.assert_array_equal(restarted[1], fresh[1])
+        assert not np.array_equal(restarted[0], fresh[0])
+
+
+def test_settings_of_the_timed_network_are_checked():
+    with pytest.raises(ValueError, match="iterations_per_step must be at least 1, got 0"):
+        TimedMMCAgent(interface(), MMCNetwork(), iterations_per_step=0)
+    with pytest.raises(ValueError, match="network must be kinematic"):
+        agent = TimedMMCAgent(interface(), MMCNetwork(dynamics="paper"))
+        sensed = Sensed(POSTURE, TARGET)
+        agent.advance(agent.start(sensed), sensed)
