@@ -31,7 +31,8 @@ def closed_form(joint_angles: Floats, target: Floats, segment_lengths: SegmentLe
 
     It is a solver in the sense of `inverse_kinematics.Solver`, done after one iteration: its own
     solution is the nearest to itself, up to rounding.  For a target out of reach it solves for
-    the nearest point within reach.
+    the nearest point within reach.  With two equal segments and the target at the base the first
+    joint is free; its angle is then an arbitrary one.
 
     Args:
         joint_angles: the present posture, radians, (..., N).

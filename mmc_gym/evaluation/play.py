@@ -20,6 +20,7 @@ HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q:
 _LINE = 26  # height of a line of text, pixels
 _INDENT = 14
 _FONT_SIZE = 20
+_GAP = 18  # between the names of agents
 
 
 def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) -> None:
@@ -164,18 +165,20 @@ class Game:
         pygame.font.init()
         pygame.display.set_caption("mmc-gym play")
         size = self._view.size
-        self._window = pygame.display.set_mode((size, size + 3 * _LINE))
-        self._picture = self._window.subsurface((0, 0, size, size))
         self._font = pygame.font.Font(None, _FONT_SIZE)
+        self._labels = self._lay_out_agents()
+        self._text_top = self._labels[-1][2] + 1  # first line below the agents
+        self._window = pygame.display.set_mode((size, size + (self._text_top + 2) * _LINE))
+        self._picture = self._window.subsurface((0, 0, size, size))
         self._clock = pygame.time.Clock()
 
     def _show(self) -> None:
         picture: Any = self._env.render()
         self._window.fill(drawing.BACKGROUND)
         pygame.surfarray.blit_array(self._picture, picture.swapaxes(0, 1))
-        self._write_agents(0)
-        self._write(1, self.message or self._measures(), drawing.OUTLINE)
-        self._write(2, HELP, drawing.TRACE)
+        self._write_agents()
+        self._write(self._text_top, self.message or self._measures(), drawing.OUTLINE)
+        self._write(self._text_top + 1, HELP, drawing.TRACE)
         pygame.display.flip()
 
     def _measures(self) -> str:
@@ -189,11 +192,21 @@ class Game:
         )
         return "    ".join(words)
 
-    def _write_agents(self, line: int) -> None:
-        """All agents with their keys, the one at work in a box."""
-        x = _INDENT
+    def _lay_out_agents(self) -> list[tuple[str, int, int]]:
+        """Label, left edge in pixels, and line of each agent; as many lines as they need."""
+        labels, x, line = [], _INDENT, 0
         for number, name in enumerate(self._makers, start=1):
             label = f"{number} {name}" if number <= 9 else name
+            width = self._font.size(label)[0]
+            if x > _INDENT and x + width > self._view.size - _INDENT:
+                x, line = _INDENT, line + 1
+            labels.append((label, x, line))
+            x += width + _GAP
+        return labels
+
+    def _write_agents(self) -> None:
+        """All agents with their keys, the one at work in a box."""
+        for name, (label, x, line) in zip(self._makers, self._labels, strict=True):
             at_work = name == self.agent
             color = drawing.REACHABLE if at_work else drawing.TRACE
             text = self._font.render(label, True, color)
@@ -201,7 +214,6 @@ class Game:
             if at_work:
                 pygame.draw.rect(self._window, drawing.OUTLINE, box.inflate(12, 6), border_radius=4)
             self._window.blit(text, box)
-            x = box.right + 18
 
     def _write(self, line: int, words: str, color: drawing.Color) -> None:
         text = self._font.render(words, True, color)

@@ -233,3 +233,12 @@ def test_what_cannot_be_played_is_refused(env: gym.Env, agents: dict[str, Record
     assert not pygame.display.get_init()
     with pytest.raises(ValueError, match="env must be a reaching environment"):
         play("mmc", "Pendulum-v1")
+
+
+def test_the_names_of_all_agents_fit_into_the_window(env: gym.Env) -> None:
+    makers = {name: Recorder for name in AGENTS}
+    game = Game(env, makers, next(iter(AGENTS)), seed=0)
+    width, height = pygame.display.get_surface().get_size()
+    for label, left, line in game._labels:
+        assert left + game._font.size(label)[0] <= width
+        assert game._view.size <= game._view.size + 26 * (line + 3) <= height
