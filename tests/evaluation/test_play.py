@@ -241,4 +241,4 @@ def test_the_names_of_all_agents_fit_into_the_window(env: gym.Env) -> None:
     width, height = pygame.display.get_surface().get_size()
     for label, left, line in game._labels:
         assert left + game._font.size(label)[0] <= width
-        assert game._view.size <= game._view.size + 26 * (line + 3) <= height
+        assert game._view.size + 26 * (line + 3) <= height
