@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.engines import make_arm
 from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.rewards import control_cost, dense_reward, sparse_reward
+from mmc_gym.envs.rewards import reward_and_info
 from mmc_gym.envs.senses import disturb, encode
 from mmc_gym.envs.setup import HasSetup, ReachSetup, finite, require_one_of
 from mmc_gym.envs.workspace import Point
@@ -233,20 +233,9 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         ]
         distance = _distance(hand, target)
         is_success = distance <= setup.success_distance and self._is_last_target
-        reward_distance = dense_reward(distance)
-        reward_control = control_cost(speeds, setup.control_weight)
-        if setup.reward_type == "sparse":
-            reward = sparse_reward(is_success)
-        else:
-            reward = reward_distance + reward_control
-        info = {
-            "distance": distance,
-            "is_success": is_success,
-            "end_effector": np.array(arm.end_effector),
-            "target": np.array(target),
-            "reward_distance": reward_distance,
-            "reward_control": reward_control,
-        }
+        reward, info = reward_and_info(setup, distance, is_success, speeds)
+        info["end_effector"] = np.array(arm.end_effector)
+        info["target"] = np.array(target)
         if setup.rotation is not None:
             info["cursor"] = np.array(hand)
         if setup.noises:

@@ -1,4 +1,7 @@
-"""What a state is worth: pure functions, for one distance or an array of them."""
+"""What a state is worth, and what is told of it: pure functions, for one arm or many.
+
+Distances, successes and rewards are numbers, or arrays (n,) of n arms.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from mmc_gym.envs.setup import ReachSetup
 
 Distance = TypeVar("Distance", float, NDArray[np.float64])
 
@@ -31,3 +36,28 @@ def control_cost(speeds: Sequence[Any] | NDArray[np.float64], weight: float) -> 
     """
     squares: Any = sum(map(mul, speeds, speeds))
     return -weight * squares / len(speeds)
+
+
+def reward_and_info(
+    setup: ReachSetup, distance: Any, is_success: Any, speeds: Sequence[Any] | NDArray[np.float64]
+) -> tuple[Any, dict[str, Any]]:
+    """The reward of a state, and the infos that it follows from.
+
+    Args:
+        setup: of the environment.
+        distance: of the hand, or the cursor that stands for it, from the target.
+        is_success: whether the task is done.
+        speeds: of the joints, as fractions of their limit, first axis.
+    """
+    reward_distance = dense_reward(distance)
+    reward_control = control_cost(speeds, setup.control_weight)
+    if setup.reward_type == "sparse":
+        reward = sparse_reward(is_success)
+    else:
+        reward = reward_distance + reward_control
+    return reward, {
+        "distance": distance,
+        "is_success": is_success,
+        "reward_distance": reward_distance,
+        "reward_control": reward_control,
+    }

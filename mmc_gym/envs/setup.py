@@ -24,7 +24,7 @@ from mmc_gym.envs.perturbations import (
     SensoryDelay,
     rotation_and_noises,
 )
-from mmc_gym.envs.tasks import TASKS, Task, Trial
+from mmc_gym.envs.tasks import TASKS, Request, Task, Trial
 from mmc_gym.envs.workspace import Point, Workspace
 
 Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
@@ -152,7 +152,7 @@ class ReachSetup:
         option given for the one does not change the other.
         """
         posture, target, number = options
-        trial = self.task.draw(self.workspace, self.told.control_step, random, number, posture)
+        trial = self.task.draw(Request(self.workspace, random, number, posture))
         return trial if target is None else Trial(trial.joint_angles, [target])
 
     def check_options(self, options: dict[str, Any] | None) -> Options:

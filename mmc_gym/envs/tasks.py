@@ -28,6 +28,31 @@ class Trial(NamedTuple):
     targets: list[Point]
 
 
+class Request(NamedTuple):
+    """What a trial is drawn from.
+
+    Attributes:
+        workspace: of the arm.
+        random: all randomness comes from here.
+        trial: which one to take, where they are counted; None draws one.
+        joint_angles: the posture to start from, where it is already decided.
+    """
+
+    workspace: Workspace
+    random: np.random.Generator
+    trial: int | None = None
+    joint_angles: list[float] | None = None
+
+    def draw_posture(self) -> list[float]:
+        """A posture to start from: drawn in any case, so that all that follows stays the same."""
+        drawn = self.workspace.draw_posture(self.random)
+        return self.joint_angles or drawn
+
+    def draw_target(self, posture: list[float]) -> Point:
+        """A target that the hand can reach from a posture."""
+        return self.workspace.draw_target(self.random, posture)
+
+
 class Task(ABC):
     """A reaching task.
 
@@ -53,23 +78,8 @@ class Task(ABC):
         """Places on the path of the target, the same for all trials."""
 
     @abstractmethod
-    def draw(
-        self,
-        workspace: Workspace,
-        control_step: float,
-        random: np.random.Generator,
-        trial: int | None = None,
-        joint_angles: list[float] | None = None,
-    ) -> Trial:
-        """Draw a trial.
-
-        Args:
-            workspace: of the arm.
-            control_step: duration of a step, s.
-            random: all randomness comes from here.
-            trial: which one to take, where they are counted; None draws one.
-            joint_angles: the posture to start from, where it is already decided.
-        """
+    def draw(self, request: Request) -> Trial:
+        """Draw a trial."""
 
 
 @dataclass(frozen=True)
@@ -83,18 +93,10 @@ class RandomTarget(Task):
         """See `Task.path_length`."""
         return 1
 
-    def draw(
-        self,
-        workspace: Workspace,
-        control_step: float,
-        random: np.random.Generator,
-        trial: int | None = None,
-        joint_angles: list[float] | None = None,
-    ) -> Trial:
+    def draw(self, request: Request) -> Trial:
         """See `Task.draw`."""
-        drawn = workspace.draw_posture(random)
-        start = joint_angles or drawn
-        return Trial(start, [workspace.draw_target(random, start)])
+        start = request.draw_posture()
+        return Trial(start, [request.draw_target(start)])
 
 
 @dataclass(frozen=True)
@@ -116,18 +118,11 @@ class DoubleStep(RandomTarget):
         """See `Task.path_length`."""
         return round(self.delay / control_step) + 1
 
-    def draw(
-        self,
-        workspace: Workspace,
-        control_step: float,
-        random: np.random.Generator,
-        trial: int | None = None,
-        joint_angles: list[float] | None = None,
-    ) -> Trial:
+    def draw(self, request: Request) -> Trial:
         """See `Task.draw`."""
-        start, targets = super().draw(workspace, control_step, random, trial, joint_angles)
-        second = workspace.draw_target(random, start)
-        return Trial(start, targets * (self.path_length(control_step) - 1) + [second])
+        start, targets = super().draw(request)
+        steps = self.path_length(request.workspace.body.control_step) - 1
+        return Trial(start, targets * steps + [request.draw_target(start)])
 
 
 @dataclass(frozen=True)
@@ -150,17 +145,10 @@ class ViaPoints(RandomTarget):
         """See `Task.path_length`."""
         return self.count
 
-    def draw(
-        self,
-        workspace: Workspace,
-        control_step: float,
-        random: np.random.Generator,
-        trial: int | None = None,
-        joint_angles: list[float] | None = None,
-    ) -> Trial:
+    def draw(self, request: Request) -> Trial:
         """See `Task.draw`."""
-        start, targets = super().draw(workspace, control_step, random, trial, joint_angles)
-        more = [workspace.draw_target(random, start) for _ in range(self.count - 1)]
+        start, targets = super().draw(request)
+        more = [request.draw_target(start) for _ in range(self.count - 1)]
         return Trial(start, targets + more)
 
 
@@ -190,18 +178,12 @@ class PointToPoint(Task):
         """See `Task.path_length`."""
         return 1
 
-    def draw(
-        self,
-        workspace: Workspace,
-        control_step: float,
-        random: np.random.Generator,
-        trial: int | None = None,
-        joint_angles: list[float] | None = None,
-    ) -> Trial:
+    def draw(self, request: Request) -> Trial:
         """See `Task.draw`."""
-        drawn = int(random.integers(len(self.pairs)))
-        start, target = self._ends(workspace, drawn if trial is None else trial)
-        return Trial(joint_angles or workspace.posture_at(start), [target])
+        drawn = int(request.random.integers(len(self.pairs)))
+        trial = drawn if request.trial is None else request.trial
+        start, target = self._ends(request.workspace, trial)
+        return Trial(request.joint_angles or request.workspace.posture_at(start), [target])
 
     def check(self, workspace: Workspace) -> None:
         """See `Task.check`: the arm must reach every target, from where its trial starts."""
@@ -256,23 +238,16 @@ class Pursuit(Task):
         """See `Task.path_length`."""
         return round(self.period / control_step)
 
-    def draw(
-        self,
-        workspace: Workspace,
-        control_step: float,
-        random: np.random.Generator,
-        trial: int | None = None,
-        joint_angles: list[float] | None = None,
-    ) -> Trial:
+    def draw(self, request: Request) -> Trial:
         """See `Task.draw`."""
-        drawn = workspace.draw_posture(random)
-        count = self.path_length(control_step)
+        workspace, start = request.workspace, request.draw_posture()
+        count = self.path_length(workspace.body.control_step)
         x, y = (
-            self._coordinate(multiples, count, random)
+            self._coordinate(multiples, count, request.random)
             for multiples in (self.multiples_x, self.multiples_y)
         )
         path = np.stack([x, 0.5 + y], axis=-1) * workspace.outer
-        return Trial(joint_angles or drawn, [workspace.nearest(point) for point in path.tolist()])
+        return Trial(start, [workspace.nearest(point) for point in path.tolist()])
 
     def _coordinate(
         self, multiples: Sequence[int], count: int, random: np.random.Generator

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.rewards import control_cost, dense_reward, sparse_reward
+from mmc_gym.envs.rewards import reward_and_info
 from mmc_gym.envs.rows import check_mask, check_seeds, pick, put, spread
 from mmc_gym.envs.senses import disturb, encode, relative_speeds
 from mmc_gym.envs.setup import HasSetup, Options, ReachSetup, require_one_of
@@ -283,20 +283,9 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         if setup.task.advance == "reach":
             is_success &= self._places[arms] == self._last_places[arms]
         speeds = relative_speeds(setup, readings.joint_velocities)
-        reward_distance = dense_reward(distance)
-        reward_control = control_cost(speeds.T, setup.control_weight)
-        if setup.reward_type == "sparse":
-            rewards = sparse_reward(is_success)
-        else:
-            rewards = reward_distance + reward_control
-        info = {
-            "distance": distance,
-            "is_success": is_success,
-            "end_effector": body.end_effectors[arms],
-            "target": targets,
-            "reward_distance": reward_distance,
-            "reward_control": reward_control,
-        }
+        rewards, info = reward_and_info(setup, distance, is_success, speeds.T)
+        info["end_effector"] = body.end_effectors[arms]
+        info["target"] = targets
         if setup.rotation is not None:
             info["cursor"] = hands
         if setup.noises:
