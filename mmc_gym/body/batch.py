@@ -162,8 +162,13 @@ class Arms:
     def _derive(self, arms: slice | NDArray[np.intp]) -> None:
         """Bring what follows from the segments' angles and velocities up to date."""
         angles, velocities = self.segment_angles[arms], self._segment_velocities[arms]
-        self.joint_angles[arms] = np.diff(angles, prepend=0.0)
-        self.joint_velocities[arms] = np.diff(velocities, prepend=0.0)
+        for absolute, relative in (
+            (angles, self.joint_angles),
+            (velocities, self.joint_velocities),
+        ):
+            differences = absolute.copy()
+            differences[:, 1:] -= absolute[:, :-1]
+            relative[arms] = differences
         x, y = cosine(angles), sine(angles)
         hands = np.zeros((len(angles), 2))
         for segment, length in enumerate(self.parameters.segment_lengths):

@@ -6,6 +6,7 @@ follows from the arguments comes from the same `ReachSetup`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -149,15 +150,15 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         self._body.step()
         self._steps += 1
         self._advance_events()
-        self._place(waiting, _NO_OPTIONS)
-        observation, rewards, info = self._outcome(self._all)
+        if len(waiting):
+            self._place(waiting, _NO_OPTIONS)
+        observation, rewards, info = self._outcome(_EVERY)
         self._late = [*self._late[1:], observation]
-        self._show_start(waiting, pick(observation, waiting))
-        rewards[waiting] = 0.0
+        if len(waiting):
+            self._show_start(waiting, pick(observation, waiting))
+            rewards[waiting] = 0.0
         terminations = np.zeros(self.num_envs, dtype=bool)
-        truncations = terminations.copy()
-        if self.max_episode_steps is not None:
-            truncations |= self._steps >= self.max_episode_steps
+        truncations = self._steps >= (self.max_episode_steps or math.inf)
         infos = spread(info, np.ones(self.num_envs, dtype=bool))
         if self.autoreset_mode != AutoresetMode.SAME_STEP:
             self._is_over = truncations.copy()
@@ -224,8 +225,6 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
 
     def _place(self, arms: Indices, options: Options) -> None:
         """Draw trials for these arms, and place them."""
-        if not len(arms):
-            return
         trials = [self.setup.draw_trial(self._randoms[arm], options) for arm in arms]
         for arm, (_, targets) in zip(arms, trials, strict=True):
             self._paths[arm, : len(targets)] = targets
@@ -246,7 +245,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         if setup.path_length == 1:
             return
         if setup.task.advance == "reach":
-            hands = self._seen_hands(self._all)
+            hands = self._seen_hands(_EVERY)
             reached = _distance(hands, self._targets) <= self.success_distance
             self._places = np.minimum(self._places + reached, last)
         elif setup.task.periodic:
@@ -273,7 +272,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
 
     # --- What is seen of them
 
-    def _outcome(self, arms: Indices) -> tuple[Any, NDArray[np.float64], Info]:
+    def _outcome(self, arms: Indices | slice) -> tuple[Any, NDArray[np.float64], Info]:
         """Observation, reward and info of the present state of these arms."""
         setup, body, targets = self.setup, self._body, self._targets[arms]
         hands = self._seen_hands(arms)
@@ -284,15 +283,16 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             is_success &= self._places[arms] == self._last_places[arms]
         speeds = relative_speeds(setup, readings.joint_velocities)
         rewards, info = reward_and_info(setup, distance, is_success, speeds.T)
-        info["end_effector"] = body.end_effectors[arms]
-        info["target"] = targets
+        info["end_effector"] = body.end_effectors[arms].copy()
+        info["target"] = targets.copy()
         if setup.rotation is not None:
             info["cursor"] = hands
         if setup.noises:
-            readings = disturb(setup, readings, [self._randoms[arm] for arm in arms])
+            randoms = [self._randoms[arm] for arm in self._all[arms]]
+            readings = disturb(setup, readings, randoms)
         return self._observe(readings), rewards, info
 
-    def _seen_hands(self, arms: Indices) -> NDArray[np.float64]:
+    def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
         """Where the hands are, or the cursors that stand for them, (k, 2)."""
         hands = self._body.end_effectors[arms]
         if self.setup.rotation is None:
@@ -307,9 +307,8 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
         """Show these arms' observation from now on, also where senses are late."""
-        if len(arms):
-            for late in self._late:
-                put(late, arms, observation)
+        for late in self._late:
+            put(late, arms, observation)
 
     # --- Checks
 
@@ -328,9 +327,8 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
                 f"actions must have shape {self.action_space.shape}, got {values.shape}"
             )
         values[waiting] = 0.0
-        fine = (np.abs(values) <= 1.0).all(axis=-1)  # false for NaN too
-        if not fine.all():
-            arm = int(np.argmin(fine))
+        if not np.abs(values).max() <= 1.0:  # true for NaN too
+            arm = int(np.argmin((np.abs(values) <= 1.0).all(axis=-1)))
             raise ValueError(
                 f"actions must lie within -1 and 1, got {values[arm].tolist()} for arm {arm}"
             )
@@ -341,6 +339,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
 
 
 _NO_OPTIONS: Options = (None, None, None)
+_EVERY = slice(None)
 
 
 def _distance(hands: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from gymnasium import spaces
 
 from mmc_gym.envs.perturbations import Readings
@@ -38,7 +37,7 @@ class MMCReachGoalVectorEnv(GoalRewards, MMCReachVectorEnv):
 
     def _observe(self, readings: Readings) -> Any:
         return {
-            "observation": encode_posture(self.setup, readings).astype(np.float32),
-            "achieved_goal": readings.hand,
-            "desired_goal": readings.target,
+            "observation": encode_posture(self.setup, readings),
+            "achieved_goal": readings.hand.copy(),
+            "desired_goal": readings.target.copy(),
         }

@@ -97,7 +97,7 @@ class Workspace:
     def draw_posture(self, random: np.random.Generator) -> list[float]:
         """Joint angles uniform on the circle or within their limits, clear of obstacles."""
         for _ in range(_MOST_DRAWS):
-            posture = [random.uniform(low, high) for low, high in self._limits]
+            posture = [_uniform(low, high, random) for low, high in self._limits]
             if self.is_clear(posture):
                 return posture
         raise RuntimeError("the obstacles leave no room for the arm")
@@ -128,7 +128,7 @@ class Workspace:
             return _draw_from_ring(self.inner, self.outer, random)
         if self.body.joint_limits:
             angles = [
-                posture[joint] if joint in self.locked else random.uniform(low, high)
+                posture[joint] if joint in self.locked else _uniform(low, high, random)
                 for joint, (low, high) in enumerate(self._limits)
             ]
             x, y = self._nodes(angles)[-1]
@@ -241,10 +241,15 @@ def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
     return x, y
 
 
+def _uniform(low: float, high: float, random: np.random.Generator) -> float:
+    """What `random.uniform(low, high)` gives, in a third of its time."""
+    return low + (high - low) * random.random()
+
+
 def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:
     """A point drawn area-uniformly between two distances from the base."""
-    radius = math.sqrt(random.uniform(inner**2, outer**2))
-    angle = random.uniform(-math.pi, math.pi)
+    radius = math.sqrt(_uniform(inner**2, outer**2, random))
+    angle = _uniform(-math.pi, math.pi, random)
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
