@@ -4,6 +4,8 @@ A training is cut into legs.  At the start of each leg the environments are rese
 random generators are seeded anew, from the training's seed and the leg's number, and the
 policy, its optimizer and the step count are written to a checkpoint.  A training that was
 killed therefore goes on from its last leg to the very policy that it would have reached.
+
+All environments are one native vector environment.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import json
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -25,28 +27,18 @@ import yaml
 from safetensors import SafetensorError
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize
 
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import ReachInterface
-from mmc_gym.agents.reinforcement import ACTIVATIONS, PolicyCard, save_policy
+from mmc_gym.agents.ppo import make_model, plain_weights, schedule
+from mmc_gym.agents.reinforcement import PolicyCard, make_policy, save_policy
 from mmc_gym.agents.vec_env import GymnasiumVecEnv
 from mmc_gym.network.training import one_thread
 
 CHECKPOINT = "checkpoint.safetensors"
-# Entries of the YAML file that are not arguments of stable-baselines3's PPO by that name.
-_NOT_PPO = {
-    "n_timesteps",
-    "policy",
-    "n_envs",
-    "learning_rate",
-    "ent_coef",
-    "policy_kwargs",
-    "env_kwargs",
-    "normalize_reward",
-    "rollouts_per_leg",
-}
 EVALUATION_SEED = 1_000_000  # far from the seeds that a comparison starts from
 
 
@@ -83,7 +75,7 @@ class Training:
         self.steps_per_leg = h["rollouts_per_leg"] * h["n_envs"] * h["n_steps"]
         # Whole legs, so that every leg starts where a rollout does.
         self.total_steps = -(-int(h["n_timesteps"]) // self.steps_per_leg) * self.steps_per_leg
-        self.entropy_bonus = _schedule(h["ent_coef"])
+        self.entropy_bonus = schedule(h["ent_coef"])
         self._seconds_before = 0.0
 
     def run(self, resume: bool = False) -> PolicyCard:
@@ -111,7 +103,7 @@ class Training:
 
     def save(self, model: PPO) -> None:
         """Evaluate the policy and write the checkpoint."""
-        scores = evaluate(model, self.env_id, self.hyperparameters)
+        scores = evaluate(model.policy, self.env_id, self.hyperparameters)
         self.curve.append(
             {"steps": model.num_timesteps, "seconds": round(self._seconds(), 1), **scores}
         )
@@ -145,14 +137,8 @@ class Training:
 
     def _make_model(self) -> PPO:
         h = self.hyperparameters
-        env: VecEnv = make_vec_env(self.env_id, h["n_envs"], h.get("env_kwargs", {}))
-        if h.get("normalize_reward", False):
-            env = VecNormalize(env, norm_obs=False, gamma=h["gamma"])
-        policy = dict(h["policy_kwargs"])
-        policy["activation_fn"] = ACTIVATIONS[policy["activation_fn"]]
-        options = {name: value for name, value in h.items() if name not in _NOT_PPO}
-        options["learning_rate"] = _schedule(h["learning_rate"])
-        return PPO(h["policy"], env, policy_kwargs=policy, seed=self.seed, device="cpu", **options)
+        env = make_vec_env(self.env_id, h["n_envs"], h.get("env_kwargs", {}))
+        return make_model(h, env, self.seed)
 
     def _identity(self) -> dict[str, Any]:
         """What must be equal for a checkpoint to belong to this training."""
@@ -213,10 +199,13 @@ class Training:
             training_steps=model.num_timesteps,
             training_seconds=round(self.curve[-1]["seconds"], 1),
             versions=library_versions(),
-            scores=evaluate(model, self.env_id, h, episodes=500),
+            scores={},
             learning_curve=self.curve,
         )
-        save_policy(cast(Any, model.policy), card, self.folder)
+        policy = make_policy(card)
+        policy.load_state_dict(plain_weights(model))
+        card = replace(card, scores=evaluate(policy, self.env_id, h, episodes=500))
+        save_policy(policy, card, self.folder)
         return card
 
 
@@ -261,7 +250,7 @@ def read_hyperparameters(algorithm: str, env_id: str) -> dict[str, Any]:
 
 
 def evaluate(
-    model: PPO, env_id: str, hyperparameters: dict[str, Any], episodes: int = 100
+    policy: BasePolicy, env_id: str, hyperparameters: dict[str, Any], episodes: int = 100
 ) -> dict[str, float]:
     """Success and mean final distance of the deterministic policy over fixed episodes.
 
@@ -273,7 +262,7 @@ def evaluate(
     running = np.ones(episodes, dtype=bool)
     success, distance = np.zeros(episodes), np.zeros(episodes)
     while running.any():
-        actions, _ = model.predict(observations, deterministic=True)  # type: ignore[arg-type]
+        actions, _ = policy.predict(observations, deterministic=True)  # type: ignore[arg-type]
         observations, _, dones, infos = env.step(actions)
         for index in np.flatnonzero(running & dones):
             success[index] = infos[index]["is_success"]
@@ -301,12 +290,3 @@ def _reward_statistics(model: PPO) -> list[float] | None:
         return None
     statistics = model.env.ret_rms
     return [float(statistics.mean), float(statistics.var), float(statistics.count)]
-
-
-def _schedule(value: float | str) -> Callable[[float], float]:
-    """Of the part of the training that remains: a constant, or "lin_X", from X down to 0."""
-    if isinstance(value, str) and value.startswith("lin_"):
-        start = float(value.removeprefix("lin_"))
-        return lambda progress_remaining: start * progress_remaining
-    constant = float(value)
-    return lambda progress_remaining: constant

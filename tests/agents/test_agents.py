@@ -135,7 +135,13 @@ def test_inverse_kinematics_reaches_99_percent_of_random_targets():
 
 
 def test_ppo_reaches_most_random_targets():
-    assert success_rate("ppo", 100) >= 0.9
+    env = gym.make_vec("MMCReach-v0", 500, autoreset_mode="SameStep")
+    agent = make_agent("ppo", gym.make("MMCReach-v0"))
+    observations, _ = env.reset(seed=0)
+    for _ in range(100):
+        actions, _ = agent.predict(observations, deterministic=True)
+        observations, *_, infos = env.step(actions)
+    assert infos["final_info"]["is_success"].mean() >= 0.9
 
 
 def test_stable_baselines3_evaluates_them():

@@ -12,6 +12,7 @@ import torch
 
 from mmc_gym import make_agent
 from mmc_gym.agents.reinforcement import load_policy, make_policy, save_policy
+from mmc_gym.agents.training import read_hyperparameters
 
 SHIPPED = Path(str(files("mmc_gym.agents") / "pretrained"))
 
@@ -43,6 +44,7 @@ def test_the_card_of_what_ships_is_complete():
     _, card = load_policy(SHIPPED / "ppo.json")
     assert card.algorithm == "ppo"
     assert card.training_steps == card.learning_curve[-1]["steps"]
+    assert card.hyperparameters == read_hyperparameters("ppo", card.env_id)
     assert card.scores["success"] >= 0.9
     assert make_agent("ppo", gym.make("MMCReach-v0")).training_steps == card.training_steps
 
