@@ -65,24 +65,33 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
     ## Starting State
     Joint angles uniform on the circle, at rest; target area-uniform over the disc (for unequal
     segments: the ring) that the hand can reach.  `reset(options={"joint_angles": …})` (3
-    angles in radians) and `{"target": (x, y)}` set either.
+    angles in radians) and `{"target": (x, y)}` set either.  Other tasks start otherwise; where
+    their trials are numbered (`setup.task.trial_count`), `{"trial": k}` takes one.
 
     ## Episode End
     Never terminates: the hand must stay at the target.  `gym.make` truncates after 100 steps
-    (2 s).
+    (2 s; pursuit 500, via points 200).
 
     ## Information
-    `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05), `end_effector`,
-    `target`, and the terms of the dense reward, `reward_distance` and `reward_control`.
+    `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05, with via points at the
+    last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance` and
+    `reward_control`.  All of them are true, whatever is observed.  Under a visuomotor rotation,
+    `cursor` is what stands for the hand, and what distance, success and reward are about.
+
+    ## Tasks and Perturbations
+    `task` says where the target is and how it moves, `perturbations` what goes wrong with body,
+    cursor or senses; each has an id of its own, such as `MMCReachPursuit-v0`.  See
+    `mmc_gym.envs.tasks` and `mmc_gym.envs.perturbations`.  `env.unwrapped.parameters` is the arm
+    that agents are told of.
 
     ## Arguments
     `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `success_distance`
-    (0.05), `render_mode` ("human", "rgb_array"), `task` (a name in `mmc_gym.envs.tasks.TASKS` or
-    a `Task`), `perturbations` (names in `mmc_gym.envs.perturbations.PERTURBATIONS` or
-    `Perturbation`s), `engine` ("pymunk", "analytic"), and any field of
-    `mmc_gym.body.ArmParameters` by name: `segment_lengths`, `segment_masses`, `speed_limit`,
-    `torque_limit`, `servo_gain`, `joint_limits`, `gravity`, `substep`, `substeps`.  The arm has
-    as many joints as `segment_lengths`, and action and observation grow with it.
+    (0.05), `render_mode` ("human", "rgb_array"), `task` (a name in `TASKS` or a `Task`),
+    `perturbations` (names in `PERTURBATIONS` or `Perturbation`s), `engine` ("pymunk",
+    "analytic"), and any field of `mmc_gym.body.ArmParameters` by name: `segment_lengths`,
+    `segment_masses`, `speed_limit`, `torque_limit`, `servo_gain`, `joint_limits`, `gravity`,
+    `substep`, `substeps`, and those that perturbations set.  The arm has as many joints as
+    `segment_lengths`, and action and observation grow with it.
 
     A pickled or deep-copied environment goes on from where it is as the original does, bit for
     bit; it has no window.  Far into an endless episode it refuses, see `mmc_gym.body.Arm`.
