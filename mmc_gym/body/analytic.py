@@ -35,6 +35,8 @@ except ModuleNotFoundError as error:
 
 Floats = NDArray[np.float64]
 
+_WORTH_A_THREAD = 256  # arms; sharing out fewer takes longer than it saves
+
 
 class AnalyticArms:
     """Many equal arms that know nothing of each other, each bit for bit an arm alone.
@@ -167,8 +169,8 @@ class AnalyticArms:
     def step(self) -> None:
         """Simulate one control step of all arms."""
         blocks = len(self._state)
-        shares = min(self._threads, blocks)
-        if shares == 1:
+        shares = min(self._threads, self._count // _WORTH_A_THREAD)
+        if shares <= 1:
             self._step_blocks(0, blocks)
             return
         pool = self._executor()

@@ -331,11 +331,11 @@ def test_an_arm_among_many_is_bit_for_bit_an_arm_alone(
     parameters: ArmParameters, servo: Servo
 ) -> None:
     """Whatever their number, the threads, and whichever arms are reset or locked when."""
-    random, count = np.random.default_rng(3), 100
+    random, count = np.random.default_rng(3), 520  # enough for two threads
     start = postures(parameters, random, count)
     crowd = AnalyticArms(parameters, count, servo, threads=2)
     watched = {0: AnalyticArm(parameters, servo), 37: AnalyticArm(parameters, servo)}
-    watched[99] = AnalyticArm(parameters, servo)
+    watched[519] = AnalyticArm(parameters, servo)
     crowd.reset(start)
     for index, arm in watched.items():
         arm.reset(start[index].tolist())
@@ -389,8 +389,8 @@ def test_a_reset_arm_has_the_future_of_a_new_one(servo: Servo) -> None:
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda arms: pickle.loads(pickle.dumps(arms))])
 def test_a_copy_has_the_same_future(servo: Servo, copied: Callable[[object], object]) -> None:
     random = np.random.default_rng(0)
-    arms, arm = AnalyticArms(None, 50, servo, threads=2), AnalyticArm(None, servo)
-    arms.command(random.uniform(-3, 3, (50, 3)))
+    arms, arm = AnalyticArms(None, 520, servo, threads=2), AnalyticArm(None, servo)
+    arms.command(random.uniform(-3, 3, (520, 3)))
     arm.command([1.0, 2.0, 3.0])
     for _ in range(3):
         arms.step()

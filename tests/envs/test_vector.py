@@ -123,10 +123,10 @@ def test_the_goal_environment_does_so_too(variant: str) -> None:
 
 @pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 def test_an_arm_plays_the_same_in_any_number_of_arms_and_threads(engine: str) -> None:
-    count, steps = 150, 25  # more than one space of arms
+    count, steps = 600, 25  # more than one Space of arms, and enough for two threads
     many = make_native("MMCReach-v0", count, engine=engine, threads=2, max_episode_steps=10)
     few = make_native("MMCReach-v0", 3, engine=engine, max_episode_steps=10)
-    chosen = [0, 77, 149]
+    chosen = [0, 77, 599]
     first, second = many.reset(seed=0), few.reset(seed=chosen)
     for action in random_actions(many, steps):
         assert same(first[0][chosen], second[0])
