@@ -6,7 +6,8 @@ Distances, successes and rewards are numbers, or arrays (n,) of n arms.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from operator import mul
+from functools import reduce
+from operator import add, mul
 from typing import Any, TypeVar
 
 import numpy as np
@@ -34,7 +35,8 @@ def control_cost(speeds: Sequence[Any] | NDArray[np.float64], weight: float) -> 
         speeds: of the joints, first axis; an array may have arms behind it.
         weight: of the cost.
     """
-    squares: Any = sum(map(mul, speeds, speeds))
+    # Not sum(): from Python 3.12 on it adds floats more precisely than arrays.
+    squares: Any = reduce(add, map(mul, speeds, speeds))
     return -weight * squares / len(speeds)
 
 
