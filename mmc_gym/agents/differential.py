@@ -108,9 +108,7 @@ def damped_least_squares(
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = shortened(target - hand, max_step)
-    force_x, force_y = resisted_force(jacobian_x, jacobian_y, error, damping**2)
-    change = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
-    return joint_angles + change
+    return joint_angles + _damped_change(jacobian_x, jacobian_y, error, damping)
 
 
 def null_space(
@@ -139,14 +137,20 @@ def null_space(
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = shortened(target - hand, max_step)
-    force_x, force_y = resisted_force(jacobian_x, jacobian_y, error, damping**2)
-    change = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
+    change = _damped_change(jacobian_x, jacobian_y, error, damping)
     toward_comfort = -comfort * wrap_angle(joint_angles)
     toward_comfort[..., 0] = 0.0
     for _, row, inverse in _singular_rows(jacobian_x, jacobian_y, truncation=1e-6):
         share = (row * toward_comfort).sum(axis=-1) * inverse
         toward_comfort = toward_comfort - share[..., None] * row
     return joint_angles + change + toward_comfort
+
+
+def _damped_change(jacobian_x: Floats, jacobian_y: Floats, error: Floats, damping: float) -> Floats:
+    """Jᵀ(JJᵀ + λ²I)⁻¹e, the change of the joint angles (..., N)."""
+    force_x, force_y = resisted_force(jacobian_x, jacobian_y, error, damping**2)
+    change: Floats = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
+    return change
 
 
 def shortened(error: Floats, max_step: float) -> Floats:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed, State
 from mmc_gym.network import MMCNetwork, MMCState
 from mmc_gym.network.chain import Floats
 
 
-class MMCAgent(JointTargetAgent[MMCState]):
-    """An MMC network that drives the arm; its state is the network's."""
+class NetworkAgent(JointTargetAgent[State]):
+    """An agent whose internal model of the arm is an MMC network."""
 
     def __init__(
         self, interface: ReachInterface, network: MMCNetwork, iterations_per_step: int = 1
@@ -37,17 +37,25 @@ class MMCAgent(JointTargetAgent[MMCState]):
         self.network = network
         self.iterations_per_step = iterations_per_step
 
+
+class MMCAgent(NetworkAgent[MMCState]):
+    """An MMC network that drives the arm; its state is the network's."""
+
     def start(self, sensed: Sensed) -> MMCState:
         """Networks at rest in the sensed postures."""
         return self.network.state_from_joint_angles(sensed.joint_angles)
 
     def restart(self, state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
         """The networks' states, new where an episode started."""
-        values = np.where(started, fresh.values, state.values)
-        return MMCState(values, state.segment_count)
+        return restarted(state, fresh, started)
 
     def advance(self, state: MMCState, sensed: Sensed) -> tuple[Floats, MMCState]:
         """Joint angles of the networks after the iterations of one control step."""
         clamps = self.network.inverse(sensed.target)
         state = self.network.run(state, clamps, self.iterations_per_step)
         return state.joint_angles, state
+
+
+def restarted(state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
+    """The networks of `state`, or of `fresh` where an episode `started` (batch axes)."""
+    return MMCState(np.where(started, fresh.values, state.values), state.segment_count)

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.agents.base import Sensed
+from mmc_gym.agents.mmc import NetworkAgent, restarted
 from mmc_gym.agents.movement import Movement, begin, follow, step, where
-from mmc_gym.network import MMCNetwork, MMCState
+from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share, timed_step
 
@@ -26,27 +27,8 @@ class TimedMMCState(NamedTuple):
     movement: Movement
 
 
-class TimedMMCAgent(JointTargetAgent[TimedMMCState]):
-    """An MMC network on a time base that drives the arm."""
-
-    def __init__(
-        self, interface: ReachInterface, network: MMCNetwork, iterations_per_step: int = 1
-    ) -> None:
-        """Make the agent.
-
-        Args:
-            interface: of the environment.
-            network: the internal model, kinematic; of the environment's segment lengths.
-            iterations_per_step: iterations of the network in a control step.
-
-        Raises:
-            ValueError: if `iterations_per_step` is less than one, or under torque control.
-        """
-        if iterations_per_step < 1:
-            raise ValueError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
-        super().__init__(interface)
-        self.network = network
-        self.iterations_per_step = iterations_per_step
+class TimedMMCAgent(NetworkAgent[TimedMMCState]):
+    """A kinematic MMC network on a time base that drives the arm."""
 
     def start(self, sensed: Sensed) -> TimedMMCState:
         """Networks in the sensed postures, about to move."""
@@ -58,9 +40,8 @@ class TimedMMCAgent(JointTargetAgent[TimedMMCState]):
         self, state: TimedMMCState, fresh: TimedMMCState, started: NDArray[np.bool_]
     ) -> TimedMMCState:
         """The networks' states and the movements, new where an episode started."""
-        values = np.where(started, fresh.network.values, state.network.values)
         return TimedMMCState(
-            MMCState(values, state.network.segment_count),
+            restarted(state.network, fresh.network, started),
             where(started, fresh.movement, state.movement),
         )
 

@@ -12,9 +12,7 @@ The motion of a slack arm is of second order in the substep (2.5e-3 rad off afte
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any, get_args
 
@@ -22,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.parameters import ArmParameters, Servo, require
+from mmc_gym.body.workers import Workers
 
 try:
     from mmc_gym.body import _chain_dynamics as lanes
@@ -97,8 +96,7 @@ class AnalyticArms:
         self._world = lanes.make_world(parameters, servo)
         segments, blocks = len(parameters.segment_lengths), -(-self._count // lanes.LANES)
         self._state = np.zeros((blocks, segments), lanes.STATE)
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0
+        self._workers = Workers(self._threads)
         self._show(np.zeros(self._count * (3 * segments + 2)))
         self.reset(np.zeros((self._count, segments)))
 
@@ -112,8 +110,7 @@ class AnalyticArms:
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("segment_angles", "joint_angles", "joint_velocities", "end_effectors")
-        kept = {name: value for name, value in vars(self).items() if name not in views}
-        return {**kept, "_pool": None}
+        return {name: value for name, value in vars(self).items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -173,7 +170,7 @@ class AnalyticArms:
         if shares <= 1:
             self._step_blocks(0, blocks)
             return
-        pool = self._executor()
+        pool = self._workers.executor()
         edges = [blocks * share // shares for share in range(shares + 1)]
         others = [
             pool.submit(self._step_blocks, first, last) for first, last in pairwise(edges[1:])
@@ -181,13 +178,6 @@ class AnalyticArms:
         self._step_blocks(0, edges[1])
         for other in others:
             other.result()
-
-    def _executor(self) -> ThreadPoolExecutor:
-        """Threads of this process; a forked one has inherited none."""
-        if self._pool is None or self._pool_process != os.getpid():
-            self._pool = ThreadPoolExecutor(self._threads - 1, "arms")
-            self._pool_process = os.getpid()
-        return self._pool
 
     def _step_blocks(self, first: int, last: int) -> None:
         step_blocks(
@@ -213,9 +203,7 @@ class AnalyticArms:
 
     def close(self) -> None:
         """End the threads; the next step would start new ones."""
-        if self._pool is not None and self._pool_process == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
+        self._workers.close()
 
 
 class AnalyticArm:

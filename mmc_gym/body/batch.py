@@ -11,9 +11,7 @@ of an arm in the same order as if it were alone.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
 from typing import NoReturn, get_args
 
@@ -23,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.parameters import ArmParameters, Servo, require
 from mmc_gym.body.shared_space import Floats, SharedSpace, cosine, sine
+from mmc_gym.body.workers import Workers
 
 ARMS_PER_SPACE = 64  # fewer calls with more of them, and more that does not fit the cache
 _WORTH_A_THREAD = 16
@@ -67,8 +66,6 @@ class Arms:
         require(threads >= 1, "threads", threads, "at least 1")
         self.parameters = parameters = parameters or ArmParameters()
         self._servo = servo
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0
         joints = len(parameters.segment_lengths)
         self.segment_angles: Floats = np.zeros((count, joints))
         self.joint_angles: Floats = np.zeros((count, joints))
@@ -86,6 +83,7 @@ class Arms:
             for first in range(0, count, most)
         ]
         self._threads = min(threads, len(self._spaces))
+        self._workers = Workers(self._threads)
         self._settings: Floats = np.zeros((count, joints))  # of the servos: phases or rates
         self._torques: Floats = np.full((count, joints), parameters.torque_limit)
         self._commanded = False  # and the servos not yet set: the next step does that
@@ -127,7 +125,7 @@ class Arms:
         """Simulate one control step of every arm."""
         ready: SimpleQueue[SharedSpace | None] = SimpleQueue()
         helpers = self._threads - 1
-        others = [self._executor().submit(self._simulate, ready) for _ in range(helpers)]
+        others = [self._workers.executor().submit(self._simulate, ready) for _ in range(helpers)]
         # Setting a servo takes too little time for two threads to share: this one sets those of
         # a Space while others simulate the Spaces before it.
         try:
@@ -221,9 +219,7 @@ class Arms:
 
     def close(self) -> None:
         """End the threads."""
-        if self._pool is not None and self._pool_process == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
+        self._workers.close()
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
@@ -249,13 +245,6 @@ class Arms:
             part = np.flatnonzero(owners == owner)
             space = self._spaces[owner]
             yield space, part, (arms[part] - space.first).tolist()
-
-    def _executor(self) -> ThreadPoolExecutor:
-        """Threads of this process; a forked one has inherited none."""
-        if self._pool is None or self._pool_process != os.getpid():
-            self._pool = ThreadPoolExecutor(self._threads - 1, "arms")
-            self._pool_process = os.getpid()
-        return self._pool
 
 
 def _remainder(x: Floats, y: float) -> Floats:
