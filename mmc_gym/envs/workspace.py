@@ -110,11 +110,8 @@ class Workspace:
         uniformly, hence not area-uniform.
         """
         for _ in range(_MOST_DRAWS):
-            target = self._draw_hand(random, posture)
-            if self.rotation:
-                target = self.rotation.cursor(*target)
-            elif not (self.locked or self.body.obstacles):
-                return target
+            hand = self._draw_hand(random, posture)
+            target = hand if self.rotation is None else self.rotation.cursor(*hand)
             if self.contains(target):
                 return target
         raise RuntimeError("no reachable target was found: the perturbations leave no room")

@@ -182,3 +182,10 @@ def test_what_the_hand_reaches_its_cursor_may_not() -> None:
     assert space.contains((0.0, 0.0))  # the hand is then at (2, 0)
     assert not space.contains((-2.0, 0.0))  # it would be at (4, 0)
     assert not space.contains((4.0, 0.0))  # the target itself is out of reach
+
+
+def test_with_joint_limits_too_targets_are_what_told_and_true_arm_both_reach() -> None:
+    limits = ((-3.0, 3.0), (-1.0, 1.0), (-1.0, 1.0))
+    env = MMCReachEnv(joint_limits=limits, perturbations="longer-50")
+    targets = np.array([env.reset(seed=seed)[1]["target"] for seed in range(200)])
+    assert np.linalg.norm(targets, axis=-1).max() <= env.reach
