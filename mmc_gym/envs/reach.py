@@ -60,7 +60,8 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
 
     ## Rewards
     Dense (default): −distance − 0.1 · mean((joint velocity / 2π)²), the distance from hand to
-    target in segment lengths.  Sparse: 0 within 0.05 of the target, −1 elsewhere.
+    target in segment lengths.  With `smoothness_weight` w also − w · mean(change of joint velocity
+    / 2π over the step, squared).  Sparse: 0 within 0.05 of the target, −1 elsewhere.
 
     ## Starting State
     Joint angles uniform on the circle, at rest; target area-uniform over the disc (for unequal
@@ -74,9 +75,10 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
 
     ## Information
     `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05, with via points at the
-    last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance` and
-    `reward_control`.  All of them are true, whatever is observed.  Under a visuomotor rotation,
-    `cursor` is what stands for the hand, and what distance, success and reward are about.
+    last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance`,
+    `reward_control` and, if it has a weight, `reward_smoothness`.  All of them are true, whatever
+    is observed.  Under a visuomotor rotation, `cursor` is what stands for the hand, and what
+    distance, success and reward are about.
 
     ## Tasks and Perturbations
     `task` says where the target is and how it moves, `perturbations` what goes wrong with body,
@@ -85,9 +87,9 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
     that agents are told of.
 
     ## Arguments
-    `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `success_distance`
-    (0.05), `render_mode` ("human", "rgb_array"), `task` (a name in `TASKS` or a `Task`),
-    `perturbations` (names in `PERTURBATIONS` or `Perturbation`s), `engine` ("pymunk",
+    `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `smoothness_weight` (0),
+    `success_distance` (0.05), `render_mode` ("human", "rgb_array"), `task` (a name in `TASKS` or a
+    `Task`), `perturbations` (names in `PERTURBATIONS` or `Perturbation`s), `engine` ("pymunk",
     "analytic"), and any field of `mmc_gym.body.ArmParameters` by name: `segment_lengths`,
     `segment_masses`, `speed_limit`, `torque_limit`, `servo_gain`, `joint_limits`, `gravity`,
     `substep`, `substeps`, and those that perturbations set.  The arm has as many joints as
@@ -242,7 +244,8 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         ]
         distance = _distance(hand, target)
         is_success = distance <= setup.success_distance and self._is_last_target
-        reward, info = reward_and_info(setup, distance, is_success, speeds)
+        reward, info = reward_and_info(setup, distance, is_success, speeds, self._speeds)
+        self._speeds = speeds
         info["end_effector"] = np.array(arm.end_effector)
         info["target"] = np.array(target)
         if setup.rotation is not None:
@@ -281,6 +284,7 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
 
     def _place(self, posture: list[float], targets: list[Point]) -> None:
         self._arm.reset(posture)
+        self._speeds = [0.0] * len(posture)
         self._steps = self._place_on_path = 0
         self._targets, self._target = targets, targets[0]
         self._is_last_target = self.setup.task.advance == "time" or len(targets) == 1

@@ -62,7 +62,7 @@ class MMCReachGoalEnv(GoalRewards, MMCReachEnv):
     """
 
     def __init__(self, *, reward_type: RewardType = "sparse", **kwargs: Any) -> None:
-        """Make the environment; the arguments are those of `MMCReachEnv`, less `control_weight`.
+        """Make the environment; the arguments are those of `MMCReachEnv`, less costs' weights.
 
         Raises:
             ValueError: if an argument is outside what it accepts.
@@ -102,6 +102,7 @@ def check_goals(setup: ReachSetup) -> None:
 
 def without_control_weight(arguments: dict[str, Any]) -> dict[str, Any]:
     """The arguments with no weight for the control cost, or a `ValueError` if there is one."""
-    if arguments.get("control_weight", 0.0) != 0.0:
-        raise ValueError("control_weight must be 0: the reward is a function of the goals")
+    for name in ("control_weight", "smoothness_weight"):
+        if arguments.get(name, 0.0) != 0.0:
+            raise ValueError(f"{name} must be 0: the reward is a function of the goals")
     return {**arguments, "control_weight": 0.0}

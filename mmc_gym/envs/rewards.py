@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from operator import add, mul
-from typing import Any, TypeVar
+from operator import add, mul, sub
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.envs.setup import ReachSetup
 
+Speeds: TypeAlias = "Sequence[Any] | NDArray[np.float64]"
 Distance = TypeVar("Distance", float, NDArray[np.float64])
 
 
@@ -28,11 +29,12 @@ def sparse_reward(is_success: Any) -> Any:
     return is_success - 1.0
 
 
-def control_cost(speeds: Sequence[Any] | NDArray[np.float64], weight: float) -> Any:
+def control_cost(speeds: Speeds, weight: float) -> Any:
     """Minus `weight` times the mean square of the joint speeds, as fractions of their limit.
 
     Args:
-        speeds: of the joints, first axis; an array may have arms behind it.
+        speeds: of the joints, first axis; an array may have arms behind it.  Or their changes,
+            for the cost of movements that are not smooth.
         weight: of the cost.
     """
     # Not sum(): from Python 3.12 on it adds floats more precisely than arrays.
@@ -41,7 +43,11 @@ def control_cost(speeds: Sequence[Any] | NDArray[np.float64], weight: float) -> 
 
 
 def reward_and_info(
-    setup: ReachSetup, distance: Any, is_success: Any, speeds: Sequence[Any] | NDArray[np.float64]
+    setup: ReachSetup,
+    distance: Any,
+    is_success: Any,
+    speeds: Speeds,
+    speeds_before: Speeds,
 ) -> tuple[Any, dict[str, Any]]:
     """The reward of a state, and the infos that it follows from.
 
@@ -50,6 +56,7 @@ def reward_and_info(
         distance: of the hand, or the cursor that stands for it, from the target.
         is_success: whether the task is done.
         speeds: of the joints, as fractions of their limit, first axis.
+        speeds_before: the same one control step earlier.
     """
     reward_distance = dense_reward(distance)
     reward_control = control_cost(speeds, setup.control_weight)
@@ -57,9 +64,16 @@ def reward_and_info(
         reward = sparse_reward(is_success)
     else:
         reward = reward_distance + reward_control
-    return reward, {
+    info = {
         "distance": distance,
         "is_success": is_success,
         "reward_distance": reward_distance,
         "reward_control": reward_control,
     }
+    if setup.smoothness_weight:
+        info["reward_smoothness"] = control_cost(
+            list(map(sub, speeds, speeds_before)), setup.smoothness_weight
+        )
+        if setup.reward_type == "dense":
+            reward = reward + info["reward_smoothness"]
+    return reward, info

@@ -67,6 +67,7 @@ class ReachSetup:
         control: Control = "joint_position",
         reward_type: RewardType = "dense",
         control_weight: float = 0.1,
+        smoothness_weight: float = 0.0,
         success_distance: float = 0.05,
         task: str | Task = "random",
         perturbations: Sequence[str | Perturbation] = (),
@@ -83,10 +84,12 @@ class ReachSetup:
         require_one_of("reward_type", reward_type, get_args(RewardType))
         require_one_of("engine", engine, get_args(Engine))
         _require_at_least_zero("control_weight", control_weight)
+        _require_at_least_zero("smoothness_weight", smoothness_weight)
         _require_at_least_zero("success_distance", success_distance)
         self.control: Control = control
         self.reward_type: RewardType = reward_type
         self.control_weight = float(control_weight)
+        self.smoothness_weight = float(smoothness_weight)
         self.success_distance = float(success_distance)
         self.engine: Engine = engine
         self.task = _named("task", task, TASKS, Task)

@@ -99,6 +99,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         self._paths = np.zeros((num_envs, setup.path_length, 2))
         self._last_places = np.zeros(num_envs, dtype=np.intp)
         self._places = np.zeros(num_envs, dtype=np.intp)
+        self._speeds = np.zeros((num_envs, setup.joint_count))  # relative, a step earlier
         self._targets = np.zeros((num_envs, 2))
         self._is_started = np.zeros(num_envs, dtype=bool)
         self._is_over = np.zeros(num_envs, dtype=bool)
@@ -233,6 +234,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         if self.setup.lock_step == 0:
             self._body.lock(arms)
         self._steps[arms] = self._places[arms] = 0
+        self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
         for renderer in [self._renderers[arm] for arm in arms] if self._renderers else ():
             renderer.clear_trace()
@@ -282,7 +284,9 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         if setup.task.advance == "reach":
             is_success &= self._places[arms] == self._last_places[arms]
         speeds = relative_speeds(setup, readings.joint_velocities)
-        rewards, info = reward_and_info(setup, distance, is_success, speeds.T)
+        before = self._speeds[arms].T
+        rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
+        self._speeds[arms] = speeds
         info["end_effector"] = body.end_effectors[arms].copy()
         info["target"] = targets.copy()
         if setup.rotation is not None:

@@ -193,6 +193,22 @@ def test_standing_at_the_target_is_success_and_never_the_end() -> None:
     assert ends[-1][1] == pytest.approx(0.0, abs=1e-4)
 
 
+def test_the_smoothness_cost_is_that_of_the_changes_of_joint_speed() -> None:
+    env = MMCReachEnv(smoothness_weight=2.0)
+    _, info = env.reset(seed=0)
+    assert info["reward_smoothness"] == 0.0
+    speeds = [np.zeros(3)]
+    for action in (np.ones(3), np.full(3, -0.5)):
+        observation, reward, _, _, info = env.step(action.astype(np.float32))
+        speeds.append(observation[6:9])
+        cost = -2.0 * np.mean((speeds[-1] - speeds[-2]) ** 2)
+        assert info["reward_smoothness"] == pytest.approx(cost, rel=1e-5)
+        terms = (info[f"reward_{name}"] for name in ("distance", "control", "smoothness"))
+        assert reward == pytest.approx(sum(terms), rel=1e-12)
+    env.reset(seed=0)
+    assert "reward_smoothness" not in MMCReachEnv().reset(seed=0)[1]
+
+
 def test_the_control_weight_scales_the_control_cost() -> None:
     costs = []
     for weight in (0.0, 0.1, 1.0):
@@ -373,6 +389,10 @@ def test_the_hole_in_the_middle_is_out_of_reach() -> None:
         ({"control": "telepathy"}, "control must be one of .*'joint_position'.*got 'telepathy'"),
         ({"reward_type": "golden"}, r"reward_type must be one of \('dense', 'sparse'\), got 'go"),
         ({"render_mode": "ansi"}, "render_mode must be one of .*'rgb_array'.*got 'ansi'"),
+        (
+            {"smoothness_weight": -1.0},
+            "smoothness_weight must be finite and not negative, got -1.0",
+        ),
         ({"control_weight": -1.0}, "control_weight must be finite and not negative, got -1.0"),
         ({"success_distance": math.nan}, "success_distance must be finite and not negative"),
         ({"segment_lengths": (1.0, -1.0)}, "segment_lengths must be positive"),

@@ -26,6 +26,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "joint_delta": {"control": "joint_delta"},
     "joint_velocity": {"control": "joint_velocity"},
     "joint_torque": {"control": "joint_torque"},
+    "smooth": {"smoothness_weight": 2.0},
     "sparse": {"reward_type": "sparse", "success_distance": 0.5},
     "joint limits, gravity": {"joint_limits": LIMITS, "gravity": (0.0, -9.81)},
     "one segment": {"segment_lengths": (1.5,)},
