@@ -46,14 +46,15 @@ def test_a_constant_torque_gives_torque_times_time_and_torque_times_angle():
 
 
 def test_braking_is_work_too():
-    arm = Arm(ROD, servo="velocity")
+    arm = Arm(ROD, servo="torque")
     arm.reset([0.0], [3.0])
     with ServoWatch(arm, 1) as watch:
-        arm.command([0.0])
+        arm.command([-5.0])
         arm.step()
-    assert arm.joint_velocities[0] == pytest.approx(0, abs=0.01)
-    assert watch.impulses[0] == pytest.approx(3.0 / 3, rel=0.01)
-    assert watch.work[0] == pytest.approx(0.5 / 3 * 3.0**2, rel=0.01)
+    left = arm.joint_velocities[0]
+    assert left == pytest.approx(3.0 - 5.0 / (1 / 3) * 0.02, rel=1e-3)
+    assert watch.impulses[0] == pytest.approx(5.0 * 0.02)
+    assert watch.work[0] == pytest.approx(0.5 / 3 * (3.0**2 - left**2), rel=0.01)
 
 
 def test_an_arm_left_to_itself_costs_its_servos_nothing():
