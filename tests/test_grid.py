@@ -1,0 +1,323 @@
+"""A grid has the same results in one process, in several, and on a cluster that loses a node."""
+
+import gc
+import os
+import shutil
+import socket
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import cloudpickle
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym import _grid, make_agent
+from mmc_gym._grid import CellError, run_grid
+from mmc_gym.evaluation.rollout import episode_seeds, run_episodes
+
+# Workers cannot import this module.
+cloudpickle.register_pickle_by_value(sys.modules[__name__])
+
+PATIENCE = 60.0  # seconds
+OBJECT_STORE = 100 * 2**20  # bytes
+
+
+@dataclass(frozen=True)
+class Play:
+    """Episodes of the network; on a cluster, with notes on where they were played."""
+
+    seed: int
+    episodes: int
+    notes: Path | None = None
+
+
+def play(cell):
+    env = gym.make("MMCReach-v0")
+    if cell.notes is not None:
+        note_and_wait(cell.notes, cell.seed, "begun")
+    episodes = run_episodes(make_agent("mmc", env), env, episode_seeds(cell.seed, cell.episodes))
+    if cell.notes is not None:
+        note_and_wait(cell.notes, cell.seed, "done")
+    return {
+        name: np.stack([getattr(episode, name) for episode in episodes])
+        for name in ("hands", "distances", "rewards", "target")
+    }
+
+
+def note_and_wait(notes, seed, stage):
+    """Let the victim finish two cells and never its third, and the others none before that."""
+    import ray
+
+    node, victim = ray.get_runtime_context().get_node_id(), (notes / "victim").read_text()
+    if stage == "done" and node != victim:
+        wait_for(lambda: (notes / "held").exists())
+    note = f"{stage}-{seed}-{node}-{time.monotonic_ns()}"
+    (notes / note).touch()
+    if stage == "begun" and node == victim and len(list(notes.glob(f"done-*-{victim}-*"))) == 2:
+        (notes / "held").write_text(str(seed))
+        time.sleep(2 * PATIENCE)
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def square(number):
+    return number * number
+
+
+def square_slowest_first(number):
+    time.sleep(0.3 if number == 0 else 0)
+    return number * number
+
+
+def refuse_three(number):
+    if number == 3:
+        raise ValueError("three is refused")
+    return number
+
+
+class Unpicklable(Exception):
+    def __init__(self, one, two):
+        super().__init__("lost a half")
+
+
+def raise_unpicklable(number):
+    raise Unpicklable(1, 2)
+
+
+def end(number):
+    sys.exit(3)
+
+
+def threads(number):
+    import torch
+
+    return torch.get_num_threads(), os.environ.get("OMP_NUM_THREADS")
+
+
+def double_in_place(array):
+    array *= 2
+    return array
+
+
+def assert_same(results, expected):
+    assert len(results) == len(expected)
+    for result, other in zip(results, expected, strict=True):
+        assert result.keys() == other.keys()
+        for name in other:
+            np.testing.assert_array_equal(result[name], other[name])
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_come_in_the_order_of_the_cells(jobs):
+    seen = []
+    results = run_grid(
+        square_slowest_first,
+        range(6),
+        jobs=jobs,
+        on_result=lambda index, result: seen.append((index, result)),
+    )
+    assert results == [0, 1, 4, 9, 16, 25]
+    assert sorted(seen) == list(enumerate(results))
+    assert (seen[0] == (0, 0)) == (jobs == 1)  # handed over as they finish
+
+
+def test_an_empty_grid_needs_no_process():
+    assert run_grid(square, []) == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_error_names_its_cell_after_the_others_are_handed_over(jobs):
+    seen = {}
+    with pytest.raises(CellError, match="cell 1, 3, failed: ValueError: three is refused") as info:
+        run_grid(refuse_three, [0, 3, *range(4, 90)], jobs=jobs, on_result=seen.__setitem__)
+    assert (info.value.index, info.value.cell) == (1, 3)
+    assert isinstance(info.value.__cause__, ValueError)
+    assert seen[0] == 0
+    assert 1 not in seen
+    assert len(seen) < 80  # no more are begun
+
+
+@pytest.mark.parametrize(
+    ("function", "cell", "message"),
+    [
+        (raise_unpicklable, 1, "RuntimeError: Unpicklable: lost a half"),
+        (end, 1, "SystemExit: 3"),
+        (square, (n for n in ()), "TypeError: it cannot be pickled: .*generator"),
+    ],
+)
+def test_what_cannot_travel_is_an_error_of_its_cell(function, cell, message):
+    with pytest.raises(CellError, match=message):
+        run_grid(function, [cell, cell], jobs=2)
+
+
+def test_a_long_cell_is_named_in_short():
+    assert len(str(CellError(0, list(range(10_000)), "reason"))) < 300
+
+
+def test_an_error_of_on_result_ends_the_grid():
+    def interrupt(index, result):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_grid(square, range(4), jobs=2, on_result=interrupt)
+    assert run_grid(square, range(4), jobs=2) == [0, 1, 4, 9]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_worker_computes_on_one_thread(jobs, monkeypatch):
+    torch = pytest.importorskip("torch")
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        assert run_grid(threads, range(2), jobs=jobs) == [(1, "1")] * 2
+        assert torch.get_num_threads() == 2
+        assert "OMP_NUM_THREADS" not in os.environ
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_large_arrays_arrive_writable():
+    cells = [np.full(300_000, number) for number in (1.0, 2.0)]
+    results = run_grid(double_in_place, cells, jobs=2)
+    assert [result[0] for result in results] == [2.0, 4.0]
+    assert all(result.flags.writeable for result in results)
+
+
+def test_processes_give_what_one_process_gives():
+    cells = [Play(seed, 2) for seed in range(4)]
+    assert_same(run_grid(play, cells, jobs=2), run_grid(play, cells, jobs=1))
+
+
+@pytest.mark.parametrize(
+    "cluster", ["", "dask", "ray:", "ray://", "ray://host", "ray://:1", "ray:/h:1"]
+)
+def test_other_clusters_are_refused(cluster):
+    message = f"cluster must be 'ray' or 'ray://HOST:PORT', got '{cluster}'"
+    with pytest.raises(ValueError, match=message):
+        run_grid(square, [1], cluster=cluster)
+
+
+def test_no_jobs_are_refused():
+    with pytest.raises(ValueError, match="jobs must be at least 1, got 0"):
+        run_grid(square, [1], jobs=0)
+
+
+def test_without_ray_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr(_grid.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r'pip install "mmc-gym\[cluster\]"'):
+        run_grid(square, [1], cluster="ray")
+
+
+def uses_ray(test):
+    """Marks a test; Ray leaves some of its own files to be closed by the garbage collector."""
+    ignored = ("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+    return pytest.mark.slow(pytest.mark.filterwarnings(*ignored)(test))
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    """Ray, in a folder of its own, whose name is short enough for sockets; nothing is left."""
+    module = pytest.importorskip("ray")
+    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
+    monkeypatch.setenv("RAY_TMPDIR", folder)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    yield module
+    module.shutdown()
+    shutil.rmtree(folder, ignore_errors=True)
+    gc.collect()
+
+
+@pytest.fixture
+def cluster(ray):
+    from ray.cluster_utils import Cluster
+
+    started = Cluster()
+    yield started
+    ray.shutdown()
+    started.shutdown()
+
+
+def free_port():
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        return server.getsockname()[1]
+
+
+@uses_ray
+def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "local")
+    cells = [Play(seed, 2) for seed in range(4)]
+    assert_same(run_grid(play, cells, jobs=2, cluster="ray"), run_grid(play, cells, jobs=1))
+    assert not ray.is_initialized()  # what was begun is ended
+
+    ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=OBJECT_STORE)
+    array = run_grid(double_in_place, [np.ones(300_000)], cluster="ray")[0]
+    assert array.flags.writeable
+    assert run_grid(threads, range(2), cluster="ray") == [(1, "1")] * 2
+    seen = {}
+    with pytest.raises(CellError, match="cell 1, 3, failed: ValueError: three is refused"):
+        run_grid(refuse_three, [0, 3, *range(4, 90)], cluster="ray", on_result=seen.__setitem__)
+    assert seen[0] == 0
+    assert len(seen) < 80
+    with pytest.raises(CellError, match="cell 0, 1, failed: SystemExit: 3"):
+        run_grid(end, [1], cluster="ray")
+    monkeypatch.setattr(_grid, "_machine_and_sources", lambda: ("elsewhere", "others"))
+    with pytest.raises(CellError, match="has other sources than on elsewhere"):
+        run_grid(square, [1], cluster="ray")
+    assert ray.is_initialized()  # what was there stays
+
+
+@uses_ray
+def test_a_ray_cluster_that_loses_a_node_gives_what_one_process_gives(
+    ray, cluster, monkeypatch, tmp_path
+):
+    cluster.add_node(num_cpus=1, include_dashboard=False, object_store_memory=OBJECT_STORE)
+    victim = cluster.add_node(num_cpus=1, object_store_memory=OBJECT_STORE)
+    (tmp_path / "victim").write_text(victim.node_id)
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    killed = []
+
+    def kill(index, result):
+        if not killed:
+            wait_for((tmp_path / "held").exists)
+            cluster.remove_node(victim, allow_graceful=False)
+            killed.append(index)
+
+    # Results of this size stay on the node that made them until they are asked for.
+    cells = [Play(seed, 50, tmp_path) for seed in range(12)]
+    results = run_grid(play, cells, jobs=6, cluster="ray", on_result=kill)
+    assert sum(array.nbytes for array in results[0].values()) > 100_000
+
+    begun = [note.name.split("-")[1:3] for note in tmp_path.glob("begun-*")]
+    held = (tmp_path / "held").read_text()
+    nodes = [node for seed, node in begun if seed == held]
+    assert victim.node_id in nodes  # it was under way there,
+    assert len(set(nodes)) == 2  # and was begun again elsewhere
+    assert len([node for _, node in begun if node == victim.node_id]) == 3
+    print(f"{len(begun)} cells begun for {len(cells)}")
+
+    assert_same(results, run_grid(play, [Play(seed, 50) for seed in range(12)], jobs=1))
+
+
+@uses_ray
+def test_a_ray_client_gives_what_one_process_gives(ray, cluster):
+    port = free_port()
+    cluster.add_node(
+        num_cpus=2,
+        include_dashboard=False,
+        object_store_memory=OBJECT_STORE,
+        ray_client_server_port=port,
+    )
+    cells = [Play(seed, 2) for seed in range(4)]
+    results = run_grid(play, cells, cluster=f"ray://127.0.0.1:{port}")
+    assert_same(results, run_grid(play, cells, jobs=1))
