@@ -84,7 +84,7 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
         proposed[:, segment] -= self_term
         proposed[:, new] += self_term
     if dynamic:
-        gain, memory = _velocity_rule(network)
+        gain, memory = velocity_rule(network)
         operator[velocity] = gain * (proposed - identity[new]) + memory * identity[velocity]
         operator[new] = identity[new] + operator[velocity]  # L̂ = L + v
     else:
@@ -96,7 +96,7 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
     return operator
 
 
-def _velocity_rule(network: MMCNetwork) -> tuple[float, float]:
+def velocity_rule(network: MMCNetwork) -> tuple[float, float]:
     """Factors of (L̃ − L) and of the old velocity in the new velocity."""
     d_v, decay = network.velocity_damping, network.velocity_decay
     if network.dynamics == "paper":

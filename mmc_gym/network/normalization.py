@@ -39,7 +39,8 @@ class Normalizer(ABC):
 
         Args:
             rows: vectors with the batch last, shape (n, 2, batch).
-            lengths: lengths to bring them to, shape (n, 1), of the same dtype.
+            lengths: lengths to bring them to, shape (n, 1), or (n, batch) where each of the
+                batch has its own, of the same dtype.
         """
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:

@@ -1,0 +1,211 @@
+"""Iterations of the network for a body that is known as it is used: sensed, measured, or locked.
+
+Three things are added to an iteration with the end effector R held at the target.  Each may differ
+between the arms of a batch, and without them the iteration is `MMCNetwork.run`'s, bit for bit.
+
+**A sensed posture is one more computation in the mean.**  With L^s the sensed segments and w the
+weight of that computation, the mean of a segment becomes
+
+    L̃ = (Σ_{k≠i,j} (v_ik + v_kj) + (d − m) L + w L^s) / (d + w)
+      = L̃⁰ + w/(d + w) (L^s − L̃⁰),                  L̃⁰ the mean without it
+
+**Lengths of an arm's own.**  L ← ℓ · normalize(L̃/ℓ) with other ℓ for each arm.
+
+**A locked joint is a clamp on an angle.**  The segments about it are one rigid body, which can turn
+but not bend: segments ℓ_i R(c_i) u, where R(c_i) turns by what the locked joints add up to, and a
+span D = Σ ℓ_i R(c_i) u, the diagonal over them, of fixed length and at a fixed angle to each.  As a
+free segment is brought to the nearest vector of its length, a body is brought to where its proposed
+segments L̃_i and their sum fit best,
+
+    u = normalize(λ Σ ℓ_i R(c_i)ᵀ L̃_i + (Σ ℓ_i R(c_i))ᵀ Σ L̃_i),     L_i ← ℓ_i R(c_i) u
+
+The span decides (λ is small), as it does for a network of one segment less, in which the body is a
+segment.  With the segments alone, a folded body would turn slowly; with the span alone, one folded
+to nothing would have no direction.  A body of one segment is the free segment; a body that the
+locked first joint ties to the base cannot turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym.network.chain import Floats, triangle_incidence
+from mmc_gym.network.linear import compile_iteration, velocity_rule
+from mmc_gym.network.model import MMCNetwork, MMCState
+from mmc_gym.network.normalization import Normalizer
+
+SEGMENT_WEIGHT = 0.05
+"""λ: weight of the segments of a rigid body, beside its span."""
+
+
+@dataclass(frozen=True, eq=False)
+class Embodiment:
+    """What is known of the bodies of a batch of arms; None where nothing is.
+
+    Attributes:
+        segment_lengths: of each arm, (..., N), in place of the network's.
+        sensed: sensed segments, (..., N, 2).
+        weight: w, of the sensed posture in the mean; at least 0.
+        locked: whether each joint is locked, (..., N).
+        joint_angles: angles at which the locked joints are, radians, (..., N); those of the
+            others do not matter.
+    """
+
+    segment_lengths: Floats | None = None
+    sensed: Floats | None = None
+    weight: float = 0.0
+    locked: NDArray[np.bool_] | None = None
+    joint_angles: Floats | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.weight < np.inf:
+            raise ValueError(f"weight must be finite and not negative, got {self.weight!r}")
+        if self.weight and self.sensed is None:
+            raise ValueError("sensed must be given if it has a weight, got None")
+        if self.locked is not None and self.joint_angles is None:
+            raise ValueError("joint_angles must be given if joints are locked, got None")
+
+
+def embodied_run(
+    network: MMCNetwork, state: MMCState, target: ArrayLike, body: Embodiment, iterations: int = 1
+) -> MMCState:
+    """The state after `iterations` iterations towards a target.
+
+    Args:
+        network: of any dynamics, synchronous.
+        state: its state; stays as it is.
+        target: of the end effector, (..., 2).
+        body: what is known of the bodies; its arrays broadcast to the state's batch axes.
+        iterations: how many.
+
+    Raises:
+        ValueError: for another schedule.
+
+    >>> network = MMCNetwork()
+    >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    >>> locked = Embodiment(locked=np.array([False, True, False]), joint_angles=start.joint_angles)
+    >>> end = embodied_run(network, start, [-1.0, 1.5], locked, iterations=300)
+    >>> end.end_effector.round(2).tolist(), end.joint_angles[1].round(2).item()
+    ([-1.0, 1.5], 0.6)
+    """
+    if network.schedule != "synchronous":
+        raise ValueError(f"network must be synchronous, got schedule={network.schedule!r}")
+    clamps = network.inverse(target)
+    state = network.run(state, clamps, iterations=0)  # broadcasts, and sets R
+    values, count = state.values, network.segment_count
+    compiled = compile_iteration(network, clamps.rows, values.dtype.char)
+    rows = len(values)
+    current = values.reshape(rows, 2, -1)
+    told = compiled.lengths
+    lengths = (
+        told
+        if body.segment_lengths is None
+        else _batch_last(body.segment_lengths, values, (count,))
+    )
+    pull = _Pull.of(network, body, values)
+    rigid = _RigidBodies.of(body, lengths, values)
+    for _ in range(iterations):
+        following = compiled.operator.dot(current.reshape(rows, -1)).reshape(current.shape)
+        if pull is not None:
+            pull.apply(current, following)
+        if rigid is None:
+            network.normalizer.normalize_rows(following[:count], lengths)
+        else:
+            following[:count] = rigid.nearest(network.normalizer, following[:count])
+        current = following
+    return MMCState(current.reshape(values.shape), count)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pull:
+    """The sensed posture as one more computation: what it adds to an iteration without it."""
+
+    sensed: Floats  # (N, 2, batch)
+    mean: Floats  # (N, rows): makes L̃⁰ of the state
+    share: float  # w/(d + w)
+    gain: float  # of L̃ in the velocity, or in the segments of a kinematic network
+    is_dynamic: bool
+
+    @classmethod
+    def of(cls, network: MMCNetwork, body: Embodiment, values: Floats) -> _Pull | None:
+        if body.sensed is None or not body.weight:
+            return None
+        is_dynamic, count = network.dynamics != "kinematic", network.segment_count
+        mean = np.zeros((count, len(values)), dtype=values.dtype)
+        incidence = triangle_incidence(count)
+        linear = np.eye(len(incidence)) - incidence @ incidence.T / network.damping
+        mean[:, : len(incidence)] = linear[:count]
+        share = body.weight / (network.damping + body.weight)
+        gain = velocity_rule(network)[0] if is_dynamic else 1.0
+        return cls(_batch_last(body.sensed, values, (count, 2)), mean, share, gain, is_dynamic)
+
+    def apply(self, current: Floats, following: Floats) -> None:
+        """Add it to `following`, (rows, 2, batch), which is made of `current`."""
+        count = len(self.sensed)
+        mean = self.mean.dot(current.reshape(len(current), -1)).reshape(self.sensed.shape)
+        change = self.gain * self.share * (self.sensed - mean)
+        following[:count] += change
+        if self.is_dynamic:
+            following[-count:] += change
+
+
+@dataclass(frozen=True, eq=False)
+class _RigidBodies:
+    """Segments joined by locked joints; arrays (N, batch), complex numbers for vectors."""
+
+    lengths: Floats
+    starts: NDArray[np.bool_]  # whether a body begins with this segment
+    turned: NDArray[np.complexfloating]  # R(c_i), as a factor
+    is_tied: NDArray[np.bool_]  # whether it is tied to the base
+
+    @classmethod
+    def of(cls, body: Embodiment, lengths: Floats, values: Floats) -> _RigidBodies | None:
+        if body.locked is None or body.joint_angles is None or not body.locked.any():
+            return None
+        count = body.locked.shape[-1]
+        angles = _batch_last(body.joint_angles, values, (count,))
+        locked = _batch_last(body.locked, values, (count,)) > 0
+        turned = np.exp(1j * np.where(locked, angles, 0.0))
+        is_tied = locked.copy()
+        for joint in range(1, len(locked)):
+            turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
+            is_tied[joint] &= is_tied[joint - 1]
+        return cls(np.broadcast_to(lengths, locked.shape), ~locked, turned, is_tied)
+
+    def nearest(self, normalizer: Normalizer, segments: Floats) -> Floats:
+        """The nearest segments (N, 2, batch) of such bodies."""
+        proposed = segments[:, 0] + 1j * segments[:, 1]
+        own = self.lengths * self.turned  # R(c_i) ℓ_i
+        fit = _over_bodies(self.starts, SEGMENT_WEIGHT * own.conj() * proposed)
+        weight = _over_bodies(self.starts, SEGMENT_WEIGHT * self.lengths**2)
+        span = _over_bodies(self.starts, own)
+        fit = fit + span.conj() * _over_bodies(self.starts, proposed)
+        weight = weight + np.abs(span) ** 2
+        count = len(segments)
+        direction = np.stack([fit.real, fit.imag], axis=1) / weight[:, None]
+        normalizer.normalize_rows(direction, np.ones((count, 1), dtype=direction.dtype))
+        unit = np.where(self.is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
+        placed = self.lengths * self.turned * unit
+        return np.stack([placed.real, placed.imag], axis=1)
+
+
+def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
+    """Sums over each rigid body, handed to all its segments, (N, batch)."""
+    sums, count = values.copy(), len(values)
+    for joint in range(1, count):  # complete at the last segment of each body
+        sums[joint] += np.where(starts[joint], 0.0, sums[joint - 1])
+    for joint in range(count - 1, 0, -1):
+        sums[joint - 1] = np.where(starts[joint], sums[joint - 1], sums[joint])
+    return sums
+
+
+def _batch_last(array: NDArray[Any], values: Floats, trailing: tuple[int, ...]) -> Floats:
+    """An array (..., *trailing) with the batch last and flat, and the state's dtype."""
+    batch = values.ndim - 2
+    full = np.broadcast_to(np.asarray(array, values.dtype), (*values.shape[2:], *trailing))
+    moved = np.moveaxis(full, range(batch), range(-batch, 0))
+    return np.ascontiguousarray(moved).reshape(*trailing, -1)

@@ -1,0 +1,181 @@
+"""The network on a body that is sensed, measured, or locked."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mmc_gym.network import LearnedNormalizer, MMCNetwork
+from mmc_gym.network.chain import (
+    joint_angles_from_segments,
+    segments_from_joint_angles,
+    wrap_angle,
+)
+from mmc_gym.network.embodied import Embodiment, embodied_run
+
+DYNAMICS = ("kinematic", "paper", "reference")
+
+
+def postures(seed: int, batch: int, count: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-np.pi, np.pi, (batch, count))
+
+
+def targets(seed: int, batch: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.5, 1.5, (batch, 2))
+
+
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+@pytest.mark.parametrize("learned", [False, True])
+def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, learned):
+    normalizer = {"normalizer": LearnedNormalizer.shipped()} if learned else {}
+    network = MMCNetwork((1.0, 0.8, 1.2), dynamics=dynamics, **normalizer)
+    state = network.state_from_joint_angles(postures(0, 7))
+    target = targets(1, 7)
+    expected = network.run(state, network.inverse(target), 20)
+    told = Embodiment(segment_lengths=np.array(network.segment_lengths))
+    unlocked = Embodiment(locked=np.zeros(3, dtype=bool), joint_angles=np.zeros(3))
+    unweighted = Embodiment(sensed=np.ones((7, 3, 2)))
+    for body in (Embodiment(), told, unlocked, unweighted):
+        actual = embodied_run(network, state, target, body, 20)
+        np.testing.assert_array_equal(actual.values, expected.values)
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_each_arm_of_a_batch_may_have_lengths_of_its_own(learned):
+    normalizer = {"normalizer": LearnedNormalizer.shipped()} if learned else {}
+    lengths = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.5], [2.0, 0.5, 0.7]])
+    told = MMCNetwork(**normalizer)
+    state, target = told.state_from_joint_angles(postures(0, 3)), targets(1, 3)
+    together = embodied_run(told, state, target, Embodiment(segment_lengths=lengths), 30)
+    for index, own in enumerate(lengths):
+        network = MMCNetwork(tuple(own), **normalizer)
+        one = type(state)(state.values[..., index], 3)
+        alone = network.run(one, network.inverse(target[index]), 30)
+        np.testing.assert_allclose(together.values[..., index], alone.values, atol=1e-12)
+
+
+@pytest.mark.parametrize("weight", [0.5, 3.0])
+def test_a_sensed_posture_is_one_more_computation_in_the_mean(weight):
+    network = MMCNetwork(damping=4.0)
+    start, target = network.state_from_joint_angles([0.3, 0.6, 0.6]), np.array([-1.0, 1.5])
+    sensed = segments_from_joint_angles(np.array([0.1, 0.9, 0.2]), (1.0, 1.0, 1.0))
+    l_1, l_2, l_3 = start.segments
+    d_1, d_2, r = l_1 + l_2, l_2 + l_3, target
+    sums = np.array(
+        [
+            (d_1 - l_2) + (r - d_2) + 2 * l_1,
+            (d_1 - l_1) + (d_2 - l_3) + 2 * l_2,
+            (d_2 - l_2) + (r - d_1) + 2 * l_3,
+        ]
+    )
+    mean = (sums + weight * sensed) / (4.0 + weight)
+    body = Embodiment(sensed=sensed, weight=weight)
+    following = embodied_run(network, start, target, body)
+    expected = mean / np.linalg.norm(mean, axis=-1, keepdims=True)
+    np.testing.assert_allclose(following.segments, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("dynamics", DYNAMICS)
+def test_to_sense_the_posture_of_the_model_takes_the_place_of_as_much_damping(dynamics):
+    damped = MMCNetwork(damping=4.0, dynamics=dynamics)
+    sensing = MMCNetwork(damping=3.0, dynamics=dynamics)
+    state, target = damped.state_from_joint_angles(postures(2, 5)), targets(3, 5)
+    body = Embodiment(sensed=state.segments, weight=1.0)
+    expected = damped.run(state, damped.inverse(target))
+    np.testing.assert_allclose(
+        embodied_run(sensing, state, target, body).segments, expected.segments, atol=1e-12
+    )
+
+
+def test_the_greater_its_weight_the_nearer_the_model_stays_to_the_sensed_posture():
+    network = MMCNetwork(damping=4.0, dynamics="paper")
+    start = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    moved = [
+        np.linalg.norm(
+            embodied_run(
+                network,
+                start,
+                [-1.0, 1.5],
+                Embodiment(sensed=start.segments, weight=weight),
+                200,
+            ).end_effector
+            - start.end_effector
+        )
+        for weight in (0.0, 0.5, 2.0, 8.0)
+    ]
+    assert moved == sorted(moved, reverse=True)
+    assert moved[-1] < 0.9 * moved[0]
+
+
+@st.composite
+def locked_arms(draw):
+    count = draw(st.integers(2, 5))
+    locked = draw(st.lists(st.booleans(), min_size=count, max_size=count))
+    lengths = draw(st.lists(st.floats(0.3, 2.0), min_size=count, max_size=count))
+    return np.array(locked), tuple(lengths), draw(st.integers(0, 2**31))
+
+
+@given(locked_arms(), st.sampled_from(DYNAMICS))
+def test_locked_joints_stay_and_lengths_too_whatever_the_target(arm, dynamics):
+    locked, lengths, seed = arm
+    network = MMCNetwork(lengths, len(lengths) + 1, dynamics=dynamics)
+    start = network.state_from_joint_angles(postures(seed, 4, len(lengths)))
+    body = Embodiment(locked=locked, joint_angles=start.joint_angles)
+    end = embodied_run(network, start, targets(seed, 4), body, 10)
+    assert np.isfinite(end.values).all()
+    turned = wrap_angle(end.joint_angles - start.joint_angles)
+    np.testing.assert_allclose(turned[:, locked], 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(end.segments, axis=-1), np.broadcast_to(lengths, (4, len(lengths)))
+    )
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+def test_reaches_what_an_arm_with_a_locked_joint_can(joint):
+    rng = np.random.default_rng(5)
+    start, goal = postures(3, 300), postures(4, 300)
+    goal[:, joint] = start[:, joint]
+    # Postures that are nearly stretched out or folded are approached ever more slowly.
+    goal[:, 2] = rng.choice([-1, 1], 300) * rng.uniform(0.5, 2.6, 300)
+    start[:, 1] = goal[:, 1] = rng.choice([-1, 1], 300) * rng.uniform(0.5, 2.6, 300)
+    goal[:, joint] = start[:, joint]
+    target = segments_from_joint_angles(goal, (1.0, 1.0, 1.0)).sum(axis=-2)
+    network = MMCNetwork(damping=4.0, dynamics="paper")
+    body = Embodiment(locked=np.arange(3) == joint, joint_angles=start)
+    end = embodied_run(network, network.state_from_joint_angles(start), target, body, 300)
+    distance = np.linalg.norm(end.end_effector - target, axis=-1)
+    assert (distance < 0.05).mean() > 0.95
+
+
+def test_a_locked_arm_of_a_batch_does_not_touch_the_others():
+    network = MMCNetwork(damping=4.0, dynamics="paper")
+    start, target = network.state_from_joint_angles(postures(6, 2)), targets(7, 2)
+    locked = np.array([[False, True, False], [False, False, False]])
+    body = Embodiment(locked=locked, joint_angles=start.joint_angles)
+    free = network.run(start, network.inverse(target), 20)
+    mixed = embodied_run(network, start, target, body, 20)
+    np.testing.assert_allclose(mixed.values[..., 1], free.values[..., 1], atol=1e-9)
+    assert not np.allclose(mixed.values[..., 0], free.values[..., 0])
+
+
+def test_segments_folded_to_nothing_by_a_lock_stay_finite():
+    network = MMCNetwork(dynamics="paper")
+    start = network.state_from_joint_angles([0.5, np.pi, 0.4])
+    body = Embodiment(locked=np.array([False, True, False]), joint_angles=start.joint_angles)
+    end = embodied_run(network, start, [0.6, 0.8], body, 200)
+    assert np.isfinite(end.values).all()
+    np.testing.assert_allclose(
+        np.abs(joint_angles_from_segments(end.segments)[1]), np.pi, atol=1e-6
+    )
+
+
+def test_what_is_accepted():
+    network = MMCNetwork(schedule="delayed")
+    with pytest.raises(ValueError, match="network must be synchronous, got schedule='delayed'"):
+        embodied_run(network, network.state_from_joint_angles(np.zeros(3)), [1, 1], Embodiment())
+    with pytest.raises(ValueError, match=r"weight must be finite and not negative, got -1"):
+        Embodiment(weight=-1.0)
+    with pytest.raises(ValueError, match="sensed must be given if it has a weight"):
+        Embodiment(weight=1.0)
+    with pytest.raises(ValueError, match="joint_angles must be given if joints are locked"):
+        Embodiment(locked=np.ones(3, dtype=bool))
