@@ -13,9 +13,8 @@ from __future__ import annotations
 import hashlib
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._files import write_atomically
+from mmc_gym._grid import run_grid
 from mmc_gym.network.normalization import LearnedNormalizer, angle_errors, mean_squared_error
 from mmc_gym.network.training import PAPER, Recipe, train_normalizers
 from mmc_gym.paper.experiment import Progress, Settings, pack_arrays
@@ -42,7 +42,6 @@ QUICK_RUNS = 2
 QUICK_RECIPE = replace(PAPER, epochs=20)
 
 _NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest asks for
-_POLL_SECONDS = 0.2
 _FEW_EPOCHS = 500  # take no longer than to start a process, and torch in it
 
 
@@ -102,9 +101,26 @@ def trained_architectures(
     before = total - sum(task.recipe.epochs for task in missing)
     progress(before, total)
     parallel = settings.jobs > 1 and len(missing) > 1 and total - before > _FEW_EPOCHS
-    train = _train_in_processes if parallel else _train_in_turn
-    trained = train(missing, folder, settings.jobs, lambda done: progress(before + done, total))
-    results.update(zip(missing, trained, strict=True))
+
+    done = before
+
+    def report(epochs: int) -> None:
+        nonlocal done
+        done += epochs
+        progress(done, total)
+
+    def keep(index: int, arrays: _Arrays) -> None:
+        task = missing[index]
+        results[task] = arrays
+        if folder:
+            write_atomically(folder / task.file_name, pack_arrays(arrays))
+        if parallel:
+            report(task.recipe.epochs)
+
+    if parallel:
+        run_grid(_train, missing, jobs=settings.jobs, on_result=keep)
+    else:
+        run_grid(partial(_train, tick=partial(report, 1)), missing, jobs=1, on_result=keep)
     return {task.hidden_units: _unpacked(task, results[task]) for task in tasks}
 
 
@@ -123,8 +139,8 @@ class _Task:
         return f"{'x'.join(map(str, self.hidden_units))}-{digest}.npz"
 
 
-def _train(task: _Task, folder: Path | None, tick: Callable[[], None]) -> _Arrays:
-    """Train one architecture, measure it, and keep the result."""
+def _train(task: _Task, tick: Callable[[], None] = lambda: None) -> _Arrays:
+    """Train one architecture, and measure it."""
     trained = train_normalizers(
         task.hidden_units,
         task.recipe,
@@ -144,8 +160,6 @@ def _train(task: _Task, folder: Path | None, tick: Callable[[], None]) -> _Array
     for layer in range(len(task.hidden_units) + 1):
         arrays[f"weights_{layer}"] = np.stack([n.weights[layer] for n in normalizers])
         arrays[f"biases_{layer}"] = np.stack([n.biases[layer] for n in normalizers])
-    if folder:
-        write_atomically(folder / task.file_name, pack_arrays(arrays))
     return arrays
 
 
@@ -172,54 +186,3 @@ def _unpacked(task: _Task, arrays: Mapping[str, NDArray[Any]]) -> TrainedArchite
     )
     measured = ("training_mse", "validation_mse", "grid_mse", "angle_error")
     return TrainedArchitecture(task.hidden_units, normalizers, *(arrays[name] for name in measured))
-
-
-def _train_in_turn(
-    tasks: Sequence[_Task], folder: Path | None, jobs: int, report: Callable[[int], None]
-) -> list[_Arrays]:
-    done = 0
-
-    def tick() -> None:
-        nonlocal done
-        done += 1
-        report(done)
-
-    return [_train(task, folder, tick) for task in tasks]
-
-
-def _train_in_processes(
-    tasks: Sequence[_Task], folder: Path | None, jobs: int, report: Callable[[int], None]
-) -> list[_Arrays]:
-    # Spawned, because torch's threads do not survive a fork.
-    context = get_context("spawn")
-    counter = context.Value("q", 0)
-    with ProcessPoolExecutor(min(jobs, len(tasks)), context, _share_counter, (counter,)) as pool:
-        futures = [pool.submit(_train_and_count, task, folder) for task in tasks]
-        try:
-            while wait(futures, _POLL_SECONDS, FIRST_EXCEPTION).not_done:
-                report(counter.value)
-                for future in futures:
-                    if future.done():
-                        future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    report(counter.value)
-    return [future.result() for future in futures]
-
-
-_counter: Any = None  # epochs done by all processes, in a worker process
-
-
-def _share_counter(counter: Any) -> None:
-    global _counter
-    _counter = counter
-
-
-def _count() -> None:
-    with _counter.get_lock():
-        _counter.value += 1
-
-
-def _train_and_count(task: _Task, folder: Path | None) -> _Arrays:
-    return _train(task, folder, _count)
