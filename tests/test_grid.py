@@ -231,6 +231,8 @@ def ray(monkeypatch):
     folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
     monkeypatch.setenv("RAY_TMPDIR", folder)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    # Otherwise the client server dies at one start in ten or so (Ray's issue 63202).
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
     yield module
     module.shutdown()
     shutil.rmtree(folder, ignore_errors=True)
@@ -304,8 +306,6 @@ def test_a_ray_cluster_that_loses_a_node_gives_what_one_process_gives(
     assert victim.node_id in nodes  # it was under way there,
     assert len(set(nodes)) == 2  # and was begun again elsewhere
     assert len([node for _, node in begun if node == victim.node_id]) == 3
-    print(f"{len(begun)} cells begun for {len(cells)}")
-
     assert_same(results, run_grid(play, [Play(seed, 50) for seed in range(12)], jobs=1))
 
 
