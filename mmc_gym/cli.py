@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
 
 ENV_ID = "MMCReach-v0"
 
@@ -61,63 +64,118 @@ class Reproduce:
 class Train:
     """Train an agent by its YAML hyperparameters; a killed training goes on with --resume."""
 
-    algorithm: Annotated[str, tyro.conf.Positional]
-    """What to train: ppo."""
-    env: str = ENV_ID
-    """Environment id."""
+    name: Annotated[str, tyro.conf.Positional] = ""
+    """What to train, such as ppo, sac or tqc-her."""
+    all: bool = False
+    """Train every policy that ships with the package; goes on where it was interrupted."""
+    env: str | None = None
+    """Environment id (default: the one that the hyperparameters are for)."""
     seed: int = 0
     """Seed of everything random."""
     steps: int | None = None
     """Environment steps, instead of those in the YAML file."""
     out: Path | None = None
-    """Folder for checkpoint and policy (default: runs/ALGORITHM-SEED)."""
+    """Folder for checkpoint and policy (default: runs/NAME-SEED, or runs/train-all)."""
     resume: bool = False
     """Go on from the checkpoint in the folder, if there is one."""
+    tensorboard: Path | None = None
+    """Folder for TensorBoard's logs."""
+    device: str = "cpu"
+    """Device that PyTorch computes on, such as cuda."""
+    jobs: int | None = None
+    """With --all: how many trainings at once (default: one per core)."""
+    cluster: str | None = None
+    """With --all: "ray", or "ray://HOST:PORT", to train on a Ray cluster."""
 
     def run(self) -> None:
         """Train, with a progress bar."""
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-        from rich.progress import Progress as Bar
+        from mmc_gym.agents.hyperparameters import names
 
-        from mmc_gym.agents.training import Progress, Training, read_hyperparameters
+        if self.all == bool(self.name):
+            raise ValueError(f"name must be one of {', '.join(names())}, or else give --all")
+        with _progress_bar() as bar:
+            (self._train_all if self.all else self._train_one)(bar)
 
-        hyperparameters = read_hyperparameters(self.algorithm, self.env)
+    def _train_one(self, bar: Bar) -> None:
+        from mmc_gym.agents.hyperparameters import read_hyperparameters
+        from mmc_gym.agents.training import FINAL_EPISODES, Progress, Training
+
+        env_id, hyperparameters = read_hyperparameters(self.name, self.env)
         if self.steps is not None:
             hyperparameters["n_timesteps"] = self.steps
-        folder = self.out or Path("runs") / f"{self.algorithm}-{self.seed}"
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
+        folder = self.out or Path("runs") / f"{self.name}-{self.seed}"
+        task = bar.add_task(f"{self.name}, seed {self.seed}")
+
+        def report(progress: Progress) -> None:
+            bar.update(task, completed=progress.steps)
+            if scores := progress.evaluation:
+                bar.console.print(
+                    f"{progress.steps:>10,} steps  success {scores['success']:6.1%}  "
+                    f"final distance {scores['final_distance']:.3f}  {scores['seconds']:6.0f} s"
+                )
+
+        training = Training(
+            self.name,
+            hyperparameters,
+            env_id,
+            self.seed,
+            folder,
+            report,
+            device=self.device,
+            tensorboard=self.tensorboard,
         )
-        with Bar(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task(f"{self.algorithm}, seed {self.seed}")
-
-            def report(progress: Progress) -> None:
-                bar.update(task, completed=progress.steps)
-                if scores := progress.evaluation:
-                    bar.console.print(
-                        f"{progress.steps:>10,} steps  success {scores['success']:6.1%}  "
-                        f"final distance {scores['final_distance']:.3f}  "
-                        f"{scores['seconds']:6.0f} s"
-                    )
-
-            training = Training(hyperparameters, self.env, self.seed, folder, report)
-            bar.update(task, total=training.total_steps)
-            card = training.run(self.resume)
+        bar.update(task, total=training.total_steps)
+        card = training.run(self.resume)
+        bar.stop()
         print(
-            f"{folder / self.algorithm}.safetensors: success {card.scores['success']:.1%} over "
-            f"500 fixed episodes after {card.training_steps:,} steps in "
+            f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%} over "
+            f"{FINAL_EPISODES} fixed episodes after {card.training_steps:,} steps in "
             f"{card.training_seconds:.0f} s"
         )
+
+    def _train_all(self, bar: Bar) -> None:
+        from mmc_gym.agents.reinforcement import PolicyCard
+        from mmc_gym.agents.training_grid import shipped_cells, train_all
+
+        policies = shipped_cells()
+        task = bar.add_task("policies", total=len(policies))
+
+        def on_policy(card: PolicyCard) -> None:
+            bar.advance(task)
+            bar.console.print(
+                f"{card.file_stem:<16} success {card.scores['success']:6.1%}  "
+                f"{card.training_steps:>10,} steps  {card.training_seconds:6.0f} s"
+            )
+
+        train_all(
+            policies,
+            self.out or Path("runs/train-all"),
+            steps=self.steps,
+            device=self.device,
+            jobs=self.jobs,
+            cluster=self.cluster,
+            on_policy=on_policy,
+        )
+
+
+def _progress_bar() -> Bar:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=Console(stderr=True))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -22,28 +23,36 @@ from mmc_gym.agents.differential import (
 from mmc_gym.agents.geometric import cyclic_coordinate_descent, fabrik
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, Solver
 from mmc_gym.agents.minimum_jerk import MinimumJerkAgent
-from mmc_gym.agents.mmc import MMCAgent
+from mmc_gym.agents.mmc import MMCAgent, dynamic_mmc
 from mmc_gym.agents.passive_motion import PassiveMotionAgent
 from mmc_gym.agents.random import RandomAgent
 from mmc_gym.agents.timed_mmc import TimedMMCAgent
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, Normalizer
 
-__all__ = ["AGENTS", "Agent", "AgentEntry", "make_agent"]
+__all__ = ["AGENTS", "Agent", "AgentEntry", "agent_names", "find_agent", "make_agent"]
 
 
 @dataclass(frozen=True)
 class AgentEntry:
-    """A name's agent: what it is in a line, and how it is made for an environment."""
+    """A name's agent: what it is in a line, and how it is made for an environment.
+
+    Attributes:
+        description: what it is, in a line.
+        make: makes it for an environment; of trained agents, the one of training seed 0.
+        training_seeds: how many trainings of it ship with the package; 0: it is not trained.
+    """
 
     description: str
     make: Callable[[gym.Env[Any, Any]], Agent[Any]]
+    training_seeds: int = 0
 
 
 def make_agent(name: str, env: gym.Env[Any, Any]) -> Agent[Any]:
     """Make an agent for an environment, wrapped or not.
 
     Args:
-        name: a key of `AGENTS`.
+        name: a key of `AGENTS`; for trained agents also "NAME-SEED", such as "ppo-3", where NAME
+            alone is the training of seed 0.
         env: a reaching environment; the agent is told its segment lengths and control mode.
 
     Raises:
@@ -59,22 +68,33 @@ def make_agent(name: str, env: gym.Env[Any, Any]) -> Agent[Any]:
     >>> info["is_success"]
     True
     """
-    if name not in AGENTS:
-        raise ValueError(f"agent must be one of {', '.join(AGENTS)}, got {name!r}")
-    return AGENTS[name].make(env)
+    make = find_agent(name)
+    if make is None:
+        raise ValueError(f"agent must be one of {agent_names()}, got {name!r}")
+    return make(env)
+
+
+def find_agent(name: str) -> Callable[[gym.Env[Any, Any]], Agent[Any]] | None:
+    """What makes the agent of a name that `make_agent` accepts; None for any other name."""
+    if name in AGENTS:
+        return AGENTS[name].make
+    kind, _, seed = name.rpartition("-")
+    is_shipped = kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds))
+    return partial(_policy, kind, int(seed)) if is_shipped else None
+
+
+def agent_names() -> str:
+    """The names that `make_agent` accepts, for a message."""
+    return ", ".join(
+        f"{name} (or {name}-0 to {name}-{entry.training_seeds - 1})"
+        if entry.training_seeds > 1
+        else name
+        for name, entry in AGENTS.items()
+    )
 
 
 def _dynamic_mmc(env: gym.Env[Any, Any], normalizer: Normalizer) -> MMCAgent:
-    """The dynamic network at its best setting.
-
-    d = N + 1 is where the linear part converges fastest without oscillation; the rest are the
-    paper's constants.  With three iterations per control step all but about one in a thousand
-    random targets are reached within the 2 s of an episode.
-    """
-    interface = ReachInterface.of(env)
-    lengths = interface.segment_lengths
-    network = MMCNetwork(lengths, len(lengths) + 1, normalizer, dynamics="paper")
-    return MMCAgent(interface, network, iterations_per_step=3)
+    return dynamic_mmc(ReachInterface.of(env), normalizer)
 
 
 def _classical_mmc(env: gym.Env[Any, Any]) -> MMCAgent:
@@ -93,10 +113,15 @@ def _inverse_kinematics(
     return lambda env: InverseKinematicsAgent(ReachInterface.of(env), solver, iterations_per_step)
 
 
-def _ppo(env: gym.Env[Any, Any]) -> Agent[Any]:
-    from mmc_gym.agents.reinforcement import PolicyAgent  # imports torch
+def _policy(name: str, seed: int, env: gym.Env[Any, Any]) -> Agent[Any]:
+    from mmc_gym.agents.reinforcement import PolicyAgent
 
-    return PolicyAgent.shipped("ppo", ReachInterface.of(env))
+    return PolicyAgent.shipped(name, seed, ReachInterface.of(env))
+
+
+def _trained(name: str, description: str, training_seeds: int) -> AgentEntry:
+    made_by = f"{description}, trained by `mmc-gym train {name}`"
+    return AgentEntry(made_by, partial(_policy, name, 0), training_seeds)
 
 
 AGENTS: dict[str, AgentEntry] = {
@@ -116,7 +141,7 @@ AGENTS: dict[str, AgentEntry] = {
         "inverse kinematics by damped least squares",
         _inverse_kinematics(damped_least_squares, iterations_per_step=3),
     ),
-    "ppo": AgentEntry("PPO of stable-baselines3, trained by `mmc-gym train ppo`", _ppo),
+    "ppo": _trained("ppo", "PPO of stable-baselines3", 1),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
         lambda env: RandomAgent(len(ReachInterface.of(env).segment_lengths)),

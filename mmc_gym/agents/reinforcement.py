@@ -9,24 +9,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import safetensors.torch
-import torch
-from gymnasium import spaces
+import safetensors.numpy
 from numpy.typing import NDArray
 from safetensors import SafetensorError
-from stable_baselines3.common.policies import ActorCriticPolicy
 
 from mmc_gym._files import write_atomically
+from mmc_gym.agents.arm_frame import feature_count, in_arm_frame
 from mmc_gym.agents.base import Agent, Observation, ReachInterface
+from mmc_gym.agents.mmc import dynamic_mmc
+from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
+from mmc_gym.network import EuclideanNormalizer
 
-ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 
 
 @dataclass(frozen=True)
@@ -34,68 +35,66 @@ class PolicyCard:
     """What a trained policy is and how it came about.
 
     Attributes:
-        algorithm: such as "ppo".
+        name: of the hyperparameters, such as "ppo".
+        algorithm: "ppo", "sac" or "tqc".
         env_id: the environment that it was trained in.
         control: the meaning of its actions.
         segment_count: joints of its arm.
-        hidden_units: sizes of the hidden layers of policy and value function.
-        activation: a key of `ACTIVATIONS`.
+        activation: of the network, see `PolicyNetwork`.
+        distribution: of its actions, see `PolicyNetwork`.
+        base_agent: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none.
         hyperparameters: as in the YAML file.
         seed: of the training.
         training_steps: environment steps.
         training_seconds: wall time.
+        training_cpu_seconds: time of all cores, of this process alone.
         versions: of the libraries.
         scores: of the evaluation after training.
         learning_curve: one row per evaluation during training.
         sha256: of the weights file.
     """
 
+    name: str
     algorithm: str
     env_id: str
     control: str
     segment_count: int
-    hidden_units: list[int]
-    activation: str
+    activation: Activation
+    distribution: Distribution
+    base_agent: str
     hyperparameters: dict[str, Any]
     seed: int
     training_steps: int
     training_seconds: float
+    training_cpu_seconds: float
     versions: dict[str, str]
     scores: dict[str, float]
     learning_curve: list[dict[str, float]]
     sha256: str = ""
 
-
-def make_policy(card: PolicyCard) -> ActorCriticPolicy:
-    """An untrained policy of the card's shape, on the CPU.
-
-    Raises:
-        ValueError: if the card names an unknown activation.
-    """
-    if card.activation not in ACTIVATIONS:
-        raise ValueError(f"activation must be one of {list(ACTIVATIONS)}, got {card.activation!r}")
-    size = card.segment_count
-    with torch.random.fork_rng():  # its first weights are drawn, and overwritten by a loaded one's
-        return ActorCriticPolicy(
-            spaces.Box(-1.0, 1.0, (3 * size + 4,), np.float32),
-            spaces.Box(-1.0, 1.0, (size,), np.float32),
-            lambda _: 0.0,
-            net_arch=list(card.hidden_units),
-            activation_fn=ACTIVATIONS[card.activation],
-            use_sde=bool(card.hyperparameters.get("use_sde", False)),
-        )
+    @property
+    def file_stem(self) -> str:
+        """The name of its files, without suffix."""
+        return f"{self.name}-{self.seed}"
 
 
-def save_policy(policy: ActorCriticPolicy, card: PolicyCard, folder: Path) -> None:
-    """Write the policy's two files, named after its algorithm, into `folder`."""
-    tensors = {name: tensor.contiguous() for name, tensor in policy.state_dict().items()}
-    weights = safetensors.torch.save(tensors)
+def policy_files(network: PolicyNetwork, card: PolicyCard) -> dict[str, bytes]:
+    """The contents of a policy's two files by their names."""
+    weights = safetensors.numpy.save(dict(network.tensors))
     description = {**asdict(card), "sha256": hashlib.sha256(weights).hexdigest()}
-    write_atomically(folder / f"{card.algorithm}.safetensors", weights)
-    write_atomically(folder / f"{card.algorithm}.json", json.dumps(description, indent=1) + "\n")
+    return {
+        f"{card.file_stem}.safetensors": weights,
+        f"{card.file_stem}.json": (json.dumps(description, indent=1) + "\n").encode(),
+    }
 
 
-def load_policy(path: Path) -> tuple[ActorCriticPolicy, PolicyCard]:
+def save_policy(network: PolicyNetwork, card: PolicyCard, folder: Path) -> None:
+    """Write the policy's two files, named after it and its seed, into `folder`."""
+    for name, content in policy_files(network, card).items():
+        write_atomically(folder / name, content)
+
+
+def load_policy(path: Path) -> tuple[PolicyNetwork, PolicyCard]:
     """Read a policy.
 
     Args:
@@ -105,7 +104,7 @@ def load_policy(path: Path) -> tuple[ActorCriticPolicy, PolicyCard]:
         FileNotFoundError: if one of them is missing.
         ValueError: if one is damaged, or they do not belong together.
     """
-    text = path.with_suffix(".json").read_text()
+    text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
     try:
         values = json.loads(text)
@@ -115,62 +114,105 @@ def load_policy(path: Path) -> tuple[ActorCriticPolicy, PolicyCard]:
         card = PolicyCard(**values)
         if hashlib.sha256(weights).hexdigest() != card.sha256:
             raise ValueError("its weights are not those of its card")
-        policy = make_policy(card)
-        policy.load_state_dict(safetensors.torch.load(weights))
-    except (ValueError, TypeError, RuntimeError, SafetensorError) as error:
+        tensors = safetensors.numpy.load(weights)
+        network = PolicyNetwork(tensors, card.activation, card.distribution)
+        if network.action_size != card.segment_count:
+            raise ValueError(
+                f"its card says {card.segment_count} joints, its weights {network.action_size}"
+            )
+    except (ValueError, TypeError, RecursionError, SafetensorError) as error:
         raise ValueError(f"{path.with_suffix('')} does not hold a policy: {error}") from error
-    policy.set_training_mode(False)
-    return policy, card
+    return network, card
 
 
-class PolicyAgent(Agent[None]):
-    """A trained stable-baselines3 policy; it has no state."""
+class PolicyAgent(Agent[Any]):
+    """A trained policy, alone or as the correction of another agent; the state is the other's."""
 
     def __init__(
-        self, policy: ActorCriticPolicy, card: PolicyCard, interface: ReachInterface
+        self, network: PolicyNetwork, card: PolicyCard, interface: ReachInterface, seed: int = 0
     ) -> None:
         """Make an agent.
 
         A policy that gives joint deltas also acts in an environment with position control,
         where the same servo is handed the same joint target.
 
+        Args:
+            network: the policy.
+            card: what it is.
+            interface: of the environment to act in.
+            seed: of its exploration, when it is asked for actions that are not deterministic.
+
         Raises:
             ValueError: if the arm has another number of joints than the policy's, or the
                 policy's actions have no meaning in the environment.
         """
-        if card.segment_count != len(interface.segment_lengths):
+        count = len(interface.segment_lengths)
+        if card.segment_count != count:
             raise ValueError(
-                f"env must have {card.segment_count} segments for this policy, "
-                f"got {len(interface.segment_lengths)}"
+                f"env must have {card.segment_count} segments for this policy, got {count}"
             )
         same = card.control == interface.control
         if not same and (card.control, interface.control) != ("joint_delta", "joint_position"):
             raise ValueError(
                 f"control must be {card.control!r} for this policy, got {interface.control!r}"
             )
+        if card.base_agent and card.base_agent not in BASE_AGENTS:
+            raise ValueError(
+                f"base_agent must be one of {list(BASE_AGENTS)}, got {card.base_agent!r}"
+            )
+        features = feature_count(count) + (count if card.base_agent else 0)
+        if network.input_size != features:
+            raise ValueError(f"network must take {features} features, got {network.input_size}")
         self.card = card
         self.training_steps = card.training_steps
-        self._policy = policy
+        self._network = network
         self._interface = interface
         self._convert = not same
+        self._random = np.random.default_rng(seed)
+        self._joint_count, self._reach = count, sum(interface.segment_lengths)
+        self._base = None
+        if card.base_agent:
+            self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
 
     @classmethod
-    def shipped(cls, name: str, interface: ReachInterface) -> PolicyAgent:
-        """The trained policy of that name that ships with the package."""
-        folder = Path(str(files("mmc_gym.agents") / "pretrained"))
-        return cls(*load_policy(folder / f"{name}.json"), interface)
+    def shipped(cls, name: str, seed: int, interface: ReachInterface) -> PolicyAgent:
+        """The trained policy of that name and training seed that ships with the package."""
+        return cls(*load_policy(PRETRAINED / f"{name}-{seed}.json"), interface)
 
     def predict(
         self,
         observation: Observation,
-        state: None = None,
+        state: Any = None,
         episode_start: Sequence[bool] | NDArray[np.bool_] | None = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], None]:
+    ) -> tuple[NDArray[np.float32], Any]:
         """See `Agent.predict`."""
-        action, _ = self._policy.predict(observation, None, None, deterministic)  # type: ignore[arg-type]
+        features = in_arm_frame(np, observation, self._joint_count, self._reach)
+        features = features.astype(np.float32, copy=False)
+        random = None if deterministic else self._random
+        if self._base is None:
+            action = self._network.act(features, random)
+        else:
+            proposal, state = self._base.predict(observation, state, episode_start)
+            features = np.concatenate((features, proposal), axis=-1)
+            action = corrected(proposal, self._network.act(features, random))
         if self._convert:
             sensed = self._interface.sense(observation)
             ahead = self._interface.max_joint_delta * action
             action = self._interface.act(sensed.joint_angles + ahead, sensed)
-        return action, None
+        return action, state
+
+
+BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {
+    "mmc": lambda interface: dynamic_mmc(interface, EuclideanNormalizer()),
+}
+_CORRECTION = 0.5  # of the range of an action: enough to brake or hurry any joint
+
+
+def corrected(proposal: Float32, correction: Float32) -> Float32:
+    """A base agent's action, and a policy's correction of it, both within −1 and 1, added.
+
+    Source: residual policy learning, Silver et al. (2018), https://arxiv.org/abs/1812.06298.
+    """
+    action: Float32 = np.clip(proposal + _CORRECTION * correction, -1.0, 1.0, dtype=np.float32)
+    return action

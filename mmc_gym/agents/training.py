@@ -1,44 +1,47 @@
 """Training reinforcement-learning agents with stable-baselines3, resumable bit for bit.
 
 A training is cut into legs.  At the start of each leg the environments are reset and all
-random generators are seeded anew, from the training's seed and the leg's number, and the
-policy, its optimizer and the step count are written to a checkpoint.  A training that was
-killed therefore goes on from its last leg to the very policy that it would have reached.
+random generators are seeded anew, from the training's seed and the leg's number, and the state of
+the training is written to a checkpoint (see `checkpoints`).  A training that was killed therefore
+goes on from its last leg to the very policy that it would have reached.
 
 All environments are one native vector environment.
 """
 
 from __future__ import annotations
 
-import json
+import math
 import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import safetensors.torch
-import yaml
-from safetensors import SafetensorError
-from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecNormalize
 
-from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import ReachInterface
-from mmc_gym.agents.ppo import make_model, plain_weights, schedule
-from mmc_gym.agents.reinforcement import PolicyCard, make_policy, save_policy
+from mmc_gym.agents.base import Agent, ReachInterface
+from mmc_gym.agents.checkpoints import begin_episodes, load_checkpoint, read_head, save_checkpoint
+from mmc_gym.agents.export import export_policy
+from mmc_gym.agents.hyperparameters import (
+    Hyperparameters,
+    algorithm_of,
+    make_callbacks,
+    make_model,
+)
+from mmc_gym.agents.policy_network import PolicyNetwork
+from mmc_gym.agents.reinforcement import PolicyAgent, PolicyCard, save_policy
 from mmc_gym.agents.vec_env import GymnasiumVecEnv
 from mmc_gym.network.training import one_thread
 
 CHECKPOINT = "checkpoint.safetensors"
+EVALUATIONS = 25
+EVALUATION_EPISODES = 200
+FINAL_EPISODES = 500
 EVALUATION_SEED = 1_000_000  # far from the seeds that a comparison starts from
 
 
@@ -53,30 +56,42 @@ class Progress:
 
 @dataclass
 class Training:
-    """A training of PPO in one environment, by the hyperparameters of a YAML file.
+    """A training in one environment, by the hyperparameters of a YAML file.
 
     Attributes:
+        name: of the hyperparameters; begins with the algorithm's.
         hyperparameters: an entry of the YAML file (see `read_hyperparameters`).
         env_id: the environment.
         seed: of everything random.
         folder: where the checkpoint and the trained policy are written.
         report: called after every rollout and every evaluation.
+        evaluations: how often the policy is evaluated and a checkpoint written, about.
+        device: that torch computes on.
+        tensorboard: folder for TensorBoard's logs; None for none.
     """
 
-    hyperparameters: dict[str, Any]
+    name: str
+    hyperparameters: Hyperparameters
     env_id: str
     seed: int
     folder: Path
     report: Callable[[Progress], None] = lambda progress: None
+    evaluations: int = EVALUATIONS
+    device: str = "cpu"
+    tensorboard: Path | None = None
     curve: list[dict[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         h = self.hyperparameters
-        self.steps_per_leg = h["rollouts_per_leg"] * h["n_envs"] * h["n_steps"]
+        self.algorithm = algorithm_of(self.name)
+        steps_per_rollout = h["n_envs"] * h.get("n_steps", h.get("train_freq", 1))
+        rollouts = math.ceil(int(h["n_timesteps"]) / steps_per_rollout / self.evaluations)
         # Whole legs, so that every leg starts where a rollout does.
-        self.total_steps = -(-int(h["n_timesteps"]) // self.steps_per_leg) * self.steps_per_leg
-        self.entropy_bonus = schedule(h["ent_coef"])
-        self._seconds_before = 0.0
+        self.steps_per_leg = rollouts * steps_per_rollout
+        self.total_steps = (
+            math.ceil(int(h["n_timesteps"]) / self.steps_per_leg) * self.steps_per_leg
+        )
+        self._before = {"seconds": 0.0, "cpu_seconds": 0.0}
 
     def run(self, resume: bool = False) -> PolicyCard:
         """Train, or go on training, and write the policy.
@@ -91,121 +106,121 @@ class Training:
                 f"{checkpoint} exists already: resume it, or choose another folder"
             )
         with one_thread():
-            model = self._make_model()
+            env = make_vec_env(self.env_id, self.hyperparameters["n_envs"], self._env_kwargs)
+            logs = str(self.tensorboard) if self.tensorboard else None
+            model = make_model(
+                self.algorithm, self.hyperparameters, env, self.seed, self.device, logs
+            )
             if checkpoint.exists():
                 self._load(model, checkpoint)
-            self._started = time.perf_counter()
+            self._started = {"seconds": time.perf_counter(), "cpu_seconds": time.process_time()}
             remaining = self.total_steps - model.num_timesteps
             if remaining > 0:
-                model.learn(remaining, callback=_Legs(self), reset_num_timesteps=False)
+                callbacks = [_Legs(self), *make_callbacks(self.hyperparameters)]
+                model.learn(
+                    remaining,
+                    callback=callbacks,
+                    reset_num_timesteps=False,
+                    tb_log_name=f"{self.name}-{self.seed}",
+                )
                 self.save(model)
+            env.close()
             return self._finish(model)
 
-    def save(self, model: PPO) -> None:
+    def save(self, model: BaseAlgorithm) -> None:
         """Evaluate the policy and write the checkpoint."""
-        scores = evaluate(model.policy, self.env_id, self.hyperparameters)
-        self.curve.append(
-            {"steps": model.num_timesteps, "seconds": round(self._seconds(), 1), **scores}
-        )
-        state = model.policy.optimizer.state_dict()["state"]
-        tensors = {f"policy.{name}": value for name, value in model.policy.state_dict().items()}
-        for index, moments in state.items():
-            tensors |= {f"optimizer.{index}.{name}": value for name, value in moments.items()}
-        tensors = {name: tensor.contiguous() for name, tensor in tensors.items()}
-        head = {
-            **self._identity(),
-            "steps": model.num_timesteps,
-            "updates": model._n_updates,
-            "seconds": self._seconds(),
-            "curve": self.curve,
-            "reward_statistics": _reward_statistics(model),
-        }
-        content = safetensors.torch.save(tensors, metadata={"training": json.dumps(head)})
-        write_atomically(self.folder / CHECKPOINT, content)
+        network, card = self._policy(model)
+        scores = evaluate(network, card, EVALUATION_EPISODES)
+        self.curve.append({"steps": model.num_timesteps, **self._times(), **scores})
+        if self.tensorboard is not None:
+            for name, value in scores.items():
+                model.logger.record(f"evaluation/{name}", value)
+            model.logger.dump(model.num_timesteps)
+        head = {**self._identity(), **self._times(), "curve": self.curve}
+        save_checkpoint(model, head, self.folder / CHECKPOINT)
         self.report(Progress(model.num_timesteps, self.total_steps, self.curve[-1]))
 
-    def begin_leg(self, model: PPO) -> None:
+    def begin_leg(self, model: BaseAlgorithm) -> None:
         """Reset the environments and seed everything random from the seed and the step count."""
         leg = model.num_timesteps // self.steps_per_leg
         seed = int(np.random.SeedSequence([self.seed, leg]).generate_state(1)[0])
-        set_random_seed(seed)
         env = model.get_env()
         assert env is not None
-        env.seed(seed)
+        model.set_random_seed(seed)
         model._last_obs = env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+        begin_episodes(model)
 
-    def _make_model(self) -> PPO:
-        h = self.hyperparameters
-        env = make_vec_env(self.env_id, h["n_envs"], h.get("env_kwargs", {}))
-        return make_model(h, env, self.seed)
+    @property
+    def _env_kwargs(self) -> dict[str, Any]:
+        return dict(self.hyperparameters.get("env_kwargs", {}))
 
     def _identity(self) -> dict[str, Any]:
         """What must be equal for a checkpoint to belong to this training."""
         return {
+            "name": self.name,
             "env_id": self.env_id,
             "seed": self.seed,
+            "evaluations": self.evaluations,
+            "device": self.device,
             "hyperparameters": self.hyperparameters,
             "versions": library_versions(),
         }
 
-    def _load(self, model: PPO, checkpoint: Path) -> None:
-        try:
-            with safetensors.safe_open(checkpoint, framework="pt") as file:
-                head = json.loads(file.metadata()["training"])
-                tensors = {name: file.get_tensor(name) for name in file.keys()}
-        except (SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{checkpoint} does not hold a training: {error}") from error
+    def _load(self, model: BaseAlgorithm, checkpoint: Path) -> None:
+        head = read_head(checkpoint)
         for name, value in self._identity().items():
-            if head[name] != value:
+            if head.get(name) != value:
                 raise ValueError(
                     f"{checkpoint} must have the same {name} to be resumed: "
-                    f"it has {head[name]}, this training {value}"
+                    f"it has {head.get(name)}, this training {value}"
                 )
-        policy, optimizer = {}, model.policy.optimizer.state_dict()
-        for name, tensor in tensors.items():
-            kind, _, rest = name.partition(".")
-            if kind == "policy":
-                policy[rest] = tensor
-            else:
-                index, _, moment = rest.partition(".")
-                optimizer["state"].setdefault(int(index), {})[moment] = tensor
-        model.policy.load_state_dict(policy)
-        model.policy.optimizer.load_state_dict(optimizer)
-        model.num_timesteps = head["steps"]
-        model._n_updates = head["updates"]
-        if isinstance(model.env, VecNormalize):
-            statistics = model.env.ret_rms
-            statistics.mean, statistics.var, statistics.count = head["reward_statistics"]
+        load_checkpoint(model, checkpoint)
         self.curve = head["curve"]
-        self._seconds_before = head["seconds"]
+        self._before = {name: head[name] for name in self._before}
 
-    def _seconds(self) -> float:
-        return self._seconds_before + time.perf_counter() - self._started
+    def _times(self) -> dict[str, float]:
+        now = {"seconds": time.perf_counter(), "cpu_seconds": time.process_time()}
+        return {
+            name: round(self._before[name] + now[name] - self._started[name], 1) for name in now
+        }
 
-    def _finish(self, model: PPO) -> PolicyCard:
-        h = self.hyperparameters
-        env = gym.make(self.env_id, **h.get("env_kwargs", {}))
+    def _policy(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, PolicyCard]:
+        """The policy as it is now, with a card that has no scores yet."""
+        env = gym.make(self.env_id, **self._env_kwargs)
         interface = ReachInterface.of(env)
+        env.close()
+        network = export_policy(model.policy)
         card = PolicyCard(
-            algorithm="ppo",
+            name=self.name,
+            algorithm=self.algorithm,
             env_id=self.env_id,
             control=interface.control,
             segment_count=len(interface.segment_lengths),
-            hidden_units=h["policy_kwargs"]["net_arch"],
-            activation=h["policy_kwargs"]["activation_fn"],
-            hyperparameters=h,
+            activation=network.activation,
+            distribution=network.distribution,
+            base_agent="mmc" if "vec_env_wrapper" in self.hyperparameters else "",
+            hyperparameters=self.hyperparameters,
             seed=self.seed,
             training_steps=model.num_timesteps,
-            training_seconds=round(self.curve[-1]["seconds"], 1),
+            training_seconds=0.0,
+            training_cpu_seconds=0.0,
             versions=library_versions(),
             scores={},
+            learning_curve=[],
+        )
+        return network, card
+
+    def _finish(self, model: BaseAlgorithm) -> PolicyCard:
+        network, card = self._policy(model)
+        card = replace(
+            card,
+            training_seconds=self.curve[-1]["seconds"],
+            training_cpu_seconds=self.curve[-1]["cpu_seconds"],
+            scores=evaluate(network, card, FINAL_EPISODES),
             learning_curve=self.curve,
         )
-        policy = make_policy(card)
-        policy.load_state_dict(plain_weights(model))
-        card = replace(card, scores=evaluate(policy, self.env_id, h, episodes=500))
-        save_policy(policy, card, self.folder)
+        save_policy(network, card, self.folder)
         return card
 
 
@@ -218,13 +233,12 @@ class _Legs(BaseCallback):
         self._first = True
 
     def _on_rollout_start(self) -> None:
-        model, training = cast(PPO, self.model), self._training
+        model, training = self.model, self._training
         if model.num_timesteps % training.steps_per_leg == 0:
             if not self._first:  # where a training starts or goes on, nothing is new to save
                 training.save(model)
             training.begin_leg(model)
             self._first = False
-        model.ent_coef = training.entropy_bonus(1 - model.num_timesteps / training.total_steps)
 
     def _on_rollout_end(self) -> None:
         training = self._training
@@ -234,42 +248,65 @@ class _Legs(BaseCallback):
         return True
 
 
-def read_hyperparameters(algorithm: str, env_id: str) -> dict[str, Any]:
-    """The shipped hyperparameters of an algorithm in an environment.
+def evaluate(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
+    """How the deterministic policy does over fixed episodes; see `evaluate_agent`."""
 
-    Raises:
-        ValueError: if there are none.
-    """
-    path = files("mmc_gym.agents") / "hyperparams" / f"{algorithm}.yml"
-    if not path.is_file():
-        raise ValueError(f"algorithm must be 'ppo', got {algorithm!r}")
-    entries = yaml.safe_load(path.read_text())
-    if env_id not in entries:
-        raise ValueError(f"env must be one of {', '.join(entries)} for {algorithm}, got {env_id!r}")
-    return cast("dict[str, Any]", entries[env_id])
+    def make(interface: ReachInterface) -> Agent[Any]:
+        return PolicyAgent(network, card, interface)
+
+    arguments = card.hyperparameters.get("env_kwargs", {})
+    return evaluate_agent(make, card.env_id, arguments, episodes, EVALUATION_SEED)
 
 
-def evaluate(
-    policy: BasePolicy, env_id: str, hyperparameters: dict[str, Any], episodes: int = 100
+def evaluate_agent(
+    make: Callable[[ReachInterface], Agent[Any]],
+    env_id: str,
+    arguments: dict[str, Any],
+    episodes: int,
+    seed: int,
 ) -> dict[str, float]:
-    """Success and mean final distance of the deterministic policy over fixed episodes.
+    """How an agent does over episodes that are played at once, each with an arm of its own.
 
-    All episodes run at once, each with an arm of its own.
+    Args:
+        make: makes the agent.
+        env_id: environment that it acts in.
+        arguments: of the environment.
+        episodes: how many.
+        seed: of the first episode; the others have the next ones.
+
+    Returns:
+        success: part of the episodes that end at the target.
+        final_distance: mean, segment lengths.
+        episode_return: mean.
+        time_at_target: part of the time that is spent at the target.
+        time_to_target: median over the successes, until the hand is there to stay, seconds; there
+            is none without a success.
     """
-    env = make_vec_env(env_id, episodes, hyperparameters.get("env_kwargs", {}))
-    env.seed(EVALUATION_SEED)
-    observations = env.reset()
-    running = np.ones(episodes, dtype=bool)
-    success, distance = np.zeros(episodes), np.zeros(episodes)
-    while running.any():
-        actions, _ = policy.predict(observations, deterministic=True)  # type: ignore[arg-type]
-        observations, _, dones, infos = env.step(actions)
-        for index in np.flatnonzero(running & dones):
-            success[index] = infos[index]["is_success"]
-            distance[index] = infos[index]["distance"]
-        running &= ~dones
+    env = gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)
+    interface = ReachInterface.of(env)
+    agent = make(interface)
+    observations, infos = env.reset(seed=seed)
+    state, over, step = None, np.zeros(episodes, dtype=bool), 0
+    returns, at_target, last_away = (np.zeros(episodes) for _ in range(3))
+    while not over.all():
+        actions, state = agent.predict(observations, state, deterministic=True)
+        observations, rewards, _, over, infos = env.step(actions)
+        step += 1
+        returns += rewards
+        at_target += infos["is_success"]
+        last_away[~infos["is_success"]] = step
     env.close()
-    return {"success": float(success.mean()), "final_distance": float(distance.mean())}
+    success = infos["is_success"]
+    scores = {
+        "success": float(success.mean()),
+        "final_distance": float(infos["distance"].mean()),
+        "episode_return": float(returns.mean()),
+        "time_at_target": float(at_target.mean()) / step,
+    }
+    if success.any():
+        steps = float(np.median(last_away[success])) + 1
+        scores["time_to_target"] = round(steps * interface.control_step, 3)
+    return scores
 
 
 def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> GymnasiumVecEnv:
@@ -280,13 +317,5 @@ def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> Gymnasiu
 
 def library_versions() -> dict[str, str]:
     """Versions of what a trained policy depends on, for its card."""
-    names = ("mmc-gym", "gymnasium", "numpy", "pymunk", "stable-baselines3", "torch")
+    names = ("mmc-gym", "gymnasium", "numpy", "pymunk", "stable-baselines3", "sb3-contrib", "torch")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
-
-
-def _reward_statistics(model: PPO) -> list[float] | None:
-    """Mean, variance and count that the rewards are scaled by, if they are."""
-    if not isinstance(model.env, VecNormalize):
-        return None
-    statistics = model.env.ret_rms
-    return [float(statistics.mean), float(statistics.var), float(statistics.count)]

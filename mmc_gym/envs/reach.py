@@ -121,6 +121,7 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         self._arm = make_arm(setup.engine, setup.body, setup.servo)
         self._has_events = setup.path_length > 1 or bool(setup.lock_step)
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
+        self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._renderer: Renderer | None = None
         self._ghost: list[float] | None = None
         self._place([0.0] * setup.joint_count, [(self.reach, 0.0)])

@@ -5,13 +5,12 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import gymnasium as gym
 
-from mmc_gym.agents import AGENTS, make_agent
+from mmc_gym.agents import agent_names, find_agent
 from mmc_gym.evaluation.rollout import Predictor
 
 Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
@@ -21,7 +20,7 @@ AgentLike: TypeAlias = str | Predictor | Factory
 def entrants(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> dict[str, Factory]:
     """Label and factory of each agent, in the order given.
 
-    An agent is the name of one of `mmc_gym.agents.AGENTS`; `"module:function"`, where the
+    An agent is a name that `mmc_gym.make_agent` accepts; `"module:function"`, where the
     function is called with the environment and returns an object with stable-baselines3's
     `predict` (modules in the working directory are found); such a function; or such an object,
     for instance a stable-baselines3 model.  A mapping gives the labels; otherwise strings stand
@@ -37,7 +36,7 @@ def entrants(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> dict[str,
     else:
         labelled = [(_label(agent), agent) for agent in agents]
     if not labelled:
-        raise ValueError(f"agents must name at least one of {_known()}, got none")
+        raise ValueError(f"agents must name at least one of {agent_names()}, got none")
     labels = [label for label, _ in labelled]
     repeated = sorted({label for label in labels if labels.count(label) > 1})
     if repeated:
@@ -70,12 +69,12 @@ def _factory(agent: AgentLike) -> Factory:
             return lambda env: predictor
         if callable(agent):
             return agent
-    elif agent in AGENTS:
-        return cast(Factory, partial(make_agent, agent))
+    elif (make := find_agent(agent)) is not None:
+        return make
     elif ":" in agent:
         return _imported(agent)
     raise ValueError(
-        f"agents must be among {_known()}, or be given as 'module:function', got {agent!r}"
+        f"agents must be among {agent_names()}, or be given as 'module:function', got {agent!r}"
     )
 
 
@@ -92,7 +91,3 @@ def _imported(path: str) -> Factory:
     if not callable(function):
         raise ValueError(f"agent {path!r} must be a function of the environment, got {function!r}")
     return cast(Factory, function)
-
-
-def _known() -> str:
-    return ", ".join(AGENTS)

@@ -2,120 +2,190 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
+import numpy as np
 import pytest
+import safetensors.numpy
 
-from mmc_gym.agents.reinforcement import load_policy
-from mmc_gym.agents.training import CHECKPOINT, Training, read_hyperparameters
+from mmc_gym.agents.base import ReachInterface
+from mmc_gym.agents.hyperparameters import read_hyperparameters
+from mmc_gym.agents.reinforcement import PolicyAgent, load_policy
+from mmc_gym.agents.training import CHECKPOINT, Training
 
-ENV_ID = "MMCReach-v0"
-TINY = {
-    **read_hyperparameters("ppo", ENV_ID),
-    "n_timesteps": 1024,
-    "n_envs": 2,
-    "n_steps": 64,
-    "batch_size": 64,
-    "n_epochs": 2,
-    "rollouts_per_leg": 2,
+LEGS = 4
+SMALL = {"n_timesteps": 1600, "n_envs": 4}
+OFF_POLICY = {"learning_starts": 64, "batch_size": 32, "buffer_size": 1200}  # it overflows
+TINY: dict[str, dict[str, Any]] = {
+    "ppo": {"n_steps": 100, "batch_size": 100, "n_epochs": 2, "policy_kwargs": {"net_arch": [8]}},
+    "ppo-residual": {"n_steps": 50, "batch_size": 50, "policy_kwargs": {"net_arch": [8]}},
+    "sac": {**OFF_POLICY, "gradient_steps": 1, "policy_kwargs": {"net_arch": [8]}},
+    "tqc-her": {
+        **OFF_POLICY,
+        "learning_starts": 440,  # hindsight needs a finished episode
+        "gradient_steps": 1,
+        "policy_kwargs": {"net_arch": [8], "n_critics": 1},
+    },
 }
-TINY["policy_kwargs"] = {**TINY["policy_kwargs"], "net_arch": [8]}
 
 # What the killed process runs; it says after every checkpoint that it stands.
 SCRIPT = """
 import json, sys
 from pathlib import Path
 from mmc_gym.agents.training import Training
-hyperparameters, folder = json.loads(sys.argv[1]), Path(sys.argv[2])
+name, hyperparameters, env_id, folder = sys.argv[1], json.loads(sys.argv[2]), *sys.argv[3:]
 report = lambda progress: progress.evaluation and print(progress.steps, flush=True)
-Training(hyperparameters, "MMCReach-v0", 3, folder, report).run()
+Training(name, hyperparameters, env_id, 3, Path(folder), report, evaluations=4).run()
 """
+
+
+def tiny(name: str) -> tuple[str, dict[str, Any]]:
+    env_id, hyperparameters = read_hyperparameters(name)
+    return env_id, {**hyperparameters, **SMALL, **TINY[name]}
+
+
+def training(name: str, folder: Path, seed: int = 3, **changes: Any) -> Training:
+    env_id, hyperparameters = tiny(name)
+    return Training(name, {**hyperparameters, **changes}, env_id, seed, folder, evaluations=LEGS)
+
+
+def weights(folder: Path, name: str = "ppo", seed: int = 3) -> bytes:
+    return (folder / f"{name}-{seed}.safetensors").read_bytes()
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained")
-    Training(TINY, ENV_ID, 3, folder).run()
+    training("ppo", folder).run()
     return folder
 
 
-def weights(folder: Path) -> bytes:
-    return (folder / "ppo.safetensors").read_bytes()
+@pytest.mark.parametrize("name", TINY)
+def test_the_same_seed_gives_the_same_policy_and_another_seed_another(name, tmp_path):
+    for folder, seed in (("one", 3), ("again", 3), ("other", 4)):
+        training(name, tmp_path / folder, seed).run()
+    assert weights(tmp_path / "one", name) == weights(tmp_path / "again", name)
+    assert weights(tmp_path / "one", name) != weights(tmp_path / "other", name, 4)
 
 
-def test_the_same_seed_gives_the_same_policy_and_another_seed_another(trained, tmp_path):
-    Training(TINY, ENV_ID, 3, tmp_path / "again").run()
-    Training(TINY, ENV_ID, 4, tmp_path / "other").run()
-    assert weights(tmp_path / "again") == weights(trained)
-    assert weights(tmp_path / "other") != weights(trained)
-
-
-def test_a_killed_training_goes_on_to_the_policy_of_an_undisturbed_one(trained, tmp_path):
-    command = [sys.executable, "-c", SCRIPT, json.dumps(TINY), str(tmp_path)]
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TINY)
+@pytest.mark.parametrize("checkpoints", [1, 3])
+def test_a_killed_training_goes_on_to_the_policy_of_an_undisturbed_one(name, checkpoints, tmp_path):
+    env_id, hyperparameters = tiny(name)
+    killed, undisturbed = tmp_path / "killed", tmp_path / "undisturbed"
+    command = [sys.executable, "-c", SCRIPT, name, json.dumps(hyperparameters), env_id, str(killed)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        steps = int(process.stdout.readline())  # the first checkpoint stands
-        time.sleep(0.05)  # and the next leg has begun
+        for _ in range(checkpoints):
+            steps = int(process.stdout.readline())  # a checkpoint stands
+        time.sleep(0.02)  # and the next leg has begun
         os.kill(process.pid, signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
-    assert steps < TINY["n_timesteps"]
-    assert not (tmp_path / "ppo.safetensors").exists()
+    assert steps < hyperparameters["n_timesteps"]
+    assert not (killed / f"{name}-3.safetensors").exists()
+    resumed = training(name, killed)
     reports: list[int] = []
-    card = Training(TINY, ENV_ID, 3, tmp_path, lambda progress: reports.append(progress.steps)).run(
-        resume=True
-    )
+    resumed.report = lambda progress: reports.append(progress.steps)
+    card = resumed.run(resume=True)
     assert reports[0] > steps
-    assert card.training_steps == TINY["n_timesteps"]
-    assert weights(tmp_path) == weights(trained)
+    assert card.training_steps == hyperparameters["n_timesteps"]
+    training(name, undisturbed).run()
+    assert weights(killed, name) == weights(undisturbed, name)
+
+
+def test_a_training_killed_while_it_writes_has_its_last_checkpoint(trained, tmp_path):
+    shutil.copytree(trained, tmp_path / "copy")
+    (tmp_path / "copy" / f".{CHECKPOINT}.half").write_bytes(b"half a checkpoint")
+    training("ppo", tmp_path / "copy").run(resume=True)
+    assert weights(tmp_path / "copy") == weights(trained)
 
 
 def test_the_card_tells_the_whole_training(trained):
-    _, card = load_policy(trained / "ppo.json")
-    assert card.hyperparameters == TINY
+    env_id, hyperparameters = tiny("ppo")
+    _, card = load_policy(trained / "ppo-3.json")
+    assert (card.name, card.algorithm, card.env_id) == ("ppo", "ppo", env_id)
+    assert card.hyperparameters == hyperparameters
     assert card.seed == 3
-    assert [row["steps"] for row in card.learning_curve] == [256, 512, 768, 1024]
+    assert [row["steps"] for row in card.learning_curve] == [400, 800, 1200, 1600]
     assert card.training_seconds > 0
-    assert set(card.scores) == {"success", "final_distance"}
+    assert card.training_cpu_seconds > 0
+    assert {"success", "final_distance", "episode_return"} <= set(card.scores)
+
+
+def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(tmp_path):
+    one = training("ppo", tmp_path)
+    models: list[Any] = []
+    one.save = lambda model: (models.append(model), Training.save(one, model))  # type: ignore[method-assign, assignment]
+    one.run()
+    network, card = load_policy(tmp_path / "ppo-3.json")
+    envs = gym.make_vec(card.env_id, 5, control="joint_delta")
+    observations, _ = envs.reset(seed=0)
+    actions, _ = PolicyAgent(network, card, ReachInterface.of(envs)).predict(
+        observations, deterministic=True
+    )
+    expected, _ = models[-1].predict(observations, deterministic=True)
+    np.testing.assert_allclose(actions, expected, atol=1e-6)
+
+
+def test_tensorboard_gets_the_evaluations(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    one = training("ppo", tmp_path)
+    one.tensorboard = tmp_path / "logs"
+    card = one.run()
+    (run,) = (tmp_path / "logs").iterdir()
+    events = EventAccumulator(str(run)).Reload().Scalars("evaluation/final_distance")
+    assert [event.step for event in events] == [400, 800, 1200, 1600]
+    distances = [row["final_distance"] for row in card.learning_curve]
+    np.testing.assert_allclose([event.value for event in events], distances, rtol=1e-5)
 
 
 def test_steps_are_rounded_up_to_whole_legs(tmp_path):
-    assert Training({**TINY, "n_timesteps": 1025}, ENV_ID, 0, tmp_path).total_steps == 1280
+    assert training("ppo", tmp_path, n_timesteps=1601).total_steps == 3200
 
 
 def test_a_checkpoint_is_not_overwritten_unasked(trained):
     before = (trained / CHECKPOINT).read_bytes()
     with pytest.raises(FileExistsError, match="resume"):
-        Training(TINY, ENV_ID, 3, trained).run()
+        training("ppo", trained).run()
     assert (trained / CHECKPOINT).read_bytes() == before
 
 
 @pytest.mark.parametrize(("change", "name"), [({"gamma": 0.5}, "hyperparameters"), ({}, "seed")])
 def test_a_checkpoint_of_another_training_is_refused(trained, change, name):
     with pytest.raises(ValueError, match=f"must have the same {name}"):
-        Training({**TINY, **change}, ENV_ID, 3 if change else 4, trained).run(resume=True)
+        training("ppo", trained, 3 if change else 4, **change).run(resume=True)
 
 
-def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.999])
+def test_a_damaged_checkpoint_is_refused(trained, tmp_path, part):
     content = (trained / CHECKPOINT).read_bytes()
-    (tmp_path / CHECKPOINT).write_bytes(content[: len(content) // 2])
+    (tmp_path / CHECKPOINT).write_bytes(content[: int(part * len(content))])
     with pytest.raises(ValueError, match="does not hold a training"):
-        Training(TINY, ENV_ID, 3, tmp_path).run(resume=True)
+        training("ppo", tmp_path).run(resume=True)
 
 
-def test_unknown_algorithms_and_environments_are_errors():
-    with pytest.raises(ValueError, match="algorithm must be 'ppo', got 'dqn'"):
-        read_hyperparameters("dqn", ENV_ID)
-    with pytest.raises(ValueError, match="env must be one of MMCReach-v0 for ppo, got 'Pen"):
-        read_hyperparameters("ppo", "Pendulum-v1")
+def test_a_checkpoint_that_lacks_weights_is_refused(trained, tmp_path):
+    with safetensors.safe_open(trained / CHECKPOINT, framework="np") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}
+        metadata = file.metadata()
+    del tensors["module/policy/action_net.bias"]
+    safetensors.numpy.save_file(tensors, tmp_path / CHECKPOINT, metadata)
+    with pytest.raises(ValueError, match="does not hold a training of this kind"):
+        training("ppo", tmp_path).run(resume=True)
 
 
 @pytest.mark.slow
-def test_a_short_training_with_the_shipped_hyperparameters_learns(tmp_path):
-    hyperparameters = {**read_hyperparameters("ppo", ENV_ID), "n_timesteps": 280_000}
-    hyperparameters["rollouts_per_leg"] = 10
-    curve = Training(hyperparameters, ENV_ID, 0, tmp_path).run().learning_curve
-    assert curve[-1]["final_distance"] < 0.5 * curve[0]["final_distance"]
+def test_a_short_training_with_the_shipped_hyperparameters_reaches(tmp_path):
+    env_id, hyperparameters = read_hyperparameters("ppo")
+    hyperparameters["n_timesteps"] = 250_000
+    card = Training("ppo", hyperparameters, env_id, 0, tmp_path).run()
+    assert card.scores["success"] > 0.6

@@ -1,0 +1,134 @@
+"""The plain network acts as the stable-baselines3 policy that its weights are from."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+from mmc_gym.agents.arm_frame import in_arm_frame
+from mmc_gym.agents.base import ReachInterface
+from mmc_gym.agents.export import export_policy
+from mmc_gym.agents.policy_network import PolicyNetwork
+from mmc_gym.agents.torch_policies import POLICIES
+
+ENV_IDS = {"PPOPolicy": "MMCReach-v0", "SACPolicy": "MMCReach-v0", "TQCPolicy": "MMCReachGoal-v0"}
+
+
+def make_policy(name: str, env_id: str, **options: Any) -> Any:
+    env = gym.make(env_id)
+    torch.manual_seed(0)
+    policy = POLICIES[f"mmc_gym.agents.torch_policies.{name}"](
+        env.observation_space, env.action_space, lambda _: 1e-3, net_arch=[16, 8], **options
+    )
+    for parameter in policy.parameters():  # an untrained policy's actions are all but zero
+        parameter.data += 0.3 * torch.randn(parameter.shape)
+    policy.set_training_mode(False)
+    return policy
+
+
+def observations(env_id: str, count: int = 20) -> Any:
+    envs = gym.make_vec(env_id, count)
+    envs.reset(seed=0)
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        actions = random.uniform(-1, 1, (count, 3)).astype(np.float32)
+        observed = envs.step(actions)[0]
+    return observed
+
+
+def features(observed: Any) -> np.ndarray:
+    return in_arm_frame(np, observed, 3, 3.0).astype(np.float32)
+
+
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+@pytest.mark.parametrize(("name", "env_id"), ENV_IDS.items())
+def test_it_acts_as_the_policy_it_is_exported_from(name, env_id, activation):
+    policy = make_policy(name, env_id, activation_fn=activation)
+    observed = observations(env_id)
+    expected, _ = policy.predict(observed, deterministic=True)
+    actual = export_policy(policy).act(features(observed))
+    np.testing.assert_allclose(actual, expected, atol=2e-6)
+    assert np.abs(actual).max() <= 1.0
+    assert actual.dtype == np.float32
+
+
+@pytest.mark.parametrize(("name", "env_id"), ENV_IDS.items())
+def test_exploring_it_draws_from_the_same_distribution(name, env_id):
+    policy, network = make_policy(name, env_id), export_policy(make_policy(name, env_id))
+    observed = observations(env_id, 1)
+    many = (
+        {key: np.repeat(value, 20_000, axis=0) for key, value in observed.items()}
+        if isinstance(observed, dict)
+        else np.repeat(observed, 20_000, axis=0)
+    )
+    torch.manual_seed(0)
+    expected, _ = policy.predict(many, deterministic=False)
+    actual = network.act(features(many), np.random.default_rng(0))
+    np.testing.assert_allclose(actual.mean(0), expected.mean(0), atol=0.02)
+    np.testing.assert_allclose(actual.std(0), expected.std(0), atol=0.02)
+
+
+def test_turning_arm_and_target_about_the_base_changes_nothing_it_sees():
+    angle = 0.7
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    env = gym.make("MMCReach-v0")
+    posture, target = np.array([0.2, -1.0, 0.4]), np.array([1.0, -1.5])
+    one, _ = env.reset(options={"joint_angles": posture, "target": target})
+    turned = {"joint_angles": posture + np.array([angle, 0, 0]), "target": turn @ target}
+    other, _ = env.reset(options=turned)
+    np.testing.assert_allclose(features(one), features(other), atol=1e-6)
+    assert not np.allclose(one, other, atol=0.1)
+
+
+def test_a_goal_observation_shows_the_same_as_a_plain_one():
+    plain = gym.make("MMCReach-v0").reset(seed=3)[0]
+    goal = gym.make("MMCReachGoal-v0").reset(seed=3)[0]
+    np.testing.assert_allclose(features(plain), features(goal), atol=1e-6)
+
+
+def test_a_policy_that_sees_something_else_is_refused():
+    env = gym.make("MMCReach-v0")
+    policy = ActorCriticPolicy(env.observation_space, env.action_space, lambda _: 1e-3)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="policy must see the arm's frame"):
+        export_policy(policy)
+
+
+def test_the_layer_refuses_observations_of_another_arm():
+    env = gym.make("MMCReach-v0", segment_lengths=(1.0,))
+    two = gym.spaces.Box(-1, 1, (3,), np.float32)
+    with pytest.raises(ValueError, match="with 3 joints"):
+        POLICIES["mmc_gym.agents.torch_policies.PPOPolicy"](env.observation_space, two, lambda _: 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mean.weight": None}, "tensors must be"),
+        ({"hidden.1.weight": np.zeros((8, 9), np.float32)}, r"hidden.1.weight must be float32 of"),
+        ({"log_std": np.zeros(2, np.float32)}, r"log_std must be float32 of shape \(3,\)"),
+        ({"mean.bias": np.zeros(3)}, "mean.bias must be float32"),
+        ({"surplus": np.zeros(3, np.float32)}, "tensors must be"),
+    ],
+)
+def test_tensors_that_do_not_fit_are_errors(change, message):
+    tensors = dict(export_policy(make_policy("PPOPolicy", "MMCReach-v0")).tensors)
+    tensors |= change
+    tensors = {name: value for name, value in tensors.items() if value is not None}
+    with pytest.raises(ValueError, match=message):
+        PolicyNetwork(tensors, "relu", "gaussian")
+
+
+def test_unknown_activations_and_distributions_are_errors():
+    with pytest.raises(ValueError, match="activation must be one of"):
+        PolicyNetwork({}, "os.system", "gaussian")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="distribution must be one of"):
+        PolicyNetwork({}, "relu", "poisson")  # type: ignore[arg-type]
+
+
+def test_the_frame_needs_the_whole_reach_of_goals():
+    reach = sum(ReachInterface.of(gym.make("MMCReachGoal-v0")).segment_lengths)
+    high = gym.make("MMCReachGoal-v0").observation_space["desired_goal"].high  # type: ignore[index]
+    assert high[0] == pytest.approx(reach, rel=1e-6)
