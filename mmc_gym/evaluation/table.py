@@ -49,7 +49,6 @@ def print_table(
             columns, in this order.
         note: what must be known to read the numbers.
     """
-    plain = not console.is_terminal or not console.encoding.lower().startswith("utf")
     headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in measures]
     headings.append("training\n[env steps]")
     best = ["" if m.best == "neither" else m.best for m in measures] + [""]
@@ -61,14 +60,36 @@ def print_table(
         ]
         for agent, steps in training_steps.items()
     }
+    print_columns(console, {"": headings, "best": best}, columns, note)
+
+
+def print_columns(
+    console: Console,
+    labels: Mapping[str, Sequence[str]],
+    columns: Mapping[str, Sequence[str]],
+    note: str,
+) -> None:
+    """Print a column of cells for each agent, and `note` below them.
+
+    Plain ASCII where the console is no terminal, or has an encoding that lacks the signs.
+
+    Args:
+        console: where to.
+        labels: what the rows are called, repeated where the agents continue in a further table:
+            cells by the heading of their column.
+        columns: the agents' cells; as many for each as there are labels.
+        note: what must be known to read the numbers.
+    """
+    plain = not console.is_terminal or not console.encoding.lower().startswith("utf")
     widths = {
         agent: max(_width(cells), min(len(agent), _AGENT_WIDTH)) for agent, cells in columns.items()
     }
-    room = console.width - _width(headings) - len("best") - _GAP
+    taken = sum(max(_width(cells), len(heading)) for heading, cells in labels.items())
+    room = console.width - taken - _GAP * (len(labels) - 1)
     for agents in _side_by_side(widths, room):
         table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
-        table.add_column("", no_wrap=True)
-        table.add_column("best", no_wrap=True)
+        for heading in labels:
+            table.add_column(heading, no_wrap=True)
         for agent in agents:
             table.add_column(
                 _text(agent, plain),
@@ -77,9 +98,8 @@ def print_table(
                 width=widths[agent],
                 vertical="top",
             )
-        for row, heading in enumerate(headings):
-            cells = [heading, best[row], *(columns[agent][row] for agent in agents)]
-            table.add_row(*(_text(content, plain) for content in cells))
+        for row in zip(*labels.values(), *(columns[agent] for agent in agents), strict=True):
+            table.add_row(*(_text(content, plain) for content in row))
         console.print(Padding(table, (1, 0)))
     console.print(_text(note, plain))
 
