@@ -1,4 +1,4 @@
-"""The command line: `mmc-gym compare | reproduce | train | play`."""
+"""The command line: `mmc-gym compare | reproduce | train | tune | play`."""
 
 from __future__ import annotations
 
@@ -158,6 +158,37 @@ class Train:
         )
 
 
+@dataclass(frozen=True)
+class Tune:
+    """Let Optuna look for better constants; goes on where it stopped."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """What to tune: mmc, or what train takes."""
+    trials: int = 20
+    """Number of trials, those of earlier calls included."""
+    steps: int = 200_000
+    """Environment steps of each trial."""
+    out: Path = Path("runs/tune")
+    """Folder for trials and result."""
+
+    def run(self) -> None:
+        """Tune, with a progress bar."""
+        from mmc_gym.evaluation.tuning import tune
+
+        with _progress_bar() as bar:
+            task = bar.add_task(f"trials of {self.name}", total=self.trials)
+
+            def on_trial(number: int, value: float) -> None:
+                bar.update(task, completed=number + 1)
+                bar.console.print(f"trial {number:>3}  time at target {value:6.2%}")
+
+            result = tune(self.name, self.trials, self.steps, self.out, on_trial)
+        print(
+            f"{result['name']}: time at target {result['best_value']:.2%} with {result['best']}; "
+            f"{result['value_of_those_in_use']:.2%} with the constants in use"
+        )
+
+
 def _progress_bar() -> Bar:
     from rich.progress import (
         BarColumn,
@@ -200,13 +231,16 @@ Command = (
     Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Play, tyro.conf.subcommand("play")]
 )
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; a mistake of the user's ends with one line on stderr and status 2."""
-    command: Compare | Reproduce | Train | Play = tyro.cli(Command, prog="mmc-gym", args=arguments)
+    command: Compare | Reproduce | Train | Tune | Play = tyro.cli(
+        Command, prog="mmc-gym", args=arguments
+    )
     try:
         command.run()
     except (ValueError, FileExistsError, FileNotFoundError) as error:
