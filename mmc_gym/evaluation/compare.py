@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from mmc_gym._files import write_atomically
 from mmc_gym.evaluation.entrants import AgentLike, entrants, training_steps
 from mmc_gym.evaluation.measures import MEASURES
+from mmc_gym.evaluation.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.evaluation.rollout import (
     Episode,
     Predictor,
@@ -28,6 +29,9 @@ from mmc_gym.evaluation.rollout import (
 )
 from mmc_gym.evaluation.statistics import CONFIDENCE, RESAMPLES, summarize
 from mmc_gym.evaluation.table import make_console, print_table
+
+SHOWN = tuple(measure for measure in MEASURES if measure.shown)
+"""The measures that the table shows."""
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
 _REFRESH = 0.1  # seconds between two drawings of the progress bar
@@ -41,7 +45,8 @@ class Comparison:
         env: id of the environment.
         seed: that the episodes' seeds are derived from, see `rollout.episode_seeds`.
         reach: of the arm, segment lengths.
-        recorded: every agent's episodes; the i-th of each has the same start and target.
+        recorded: every agent's episodes, and those of `REFERENCE` if there are any; the i-th of
+            each has the same start and target.
         training_steps: environment steps spent in training each agent; None if unknown.
         episodes: one row per agent and episode: agent, episode, seed, start, target, measures.
         summary: one row per agent and measure, see `statistics.summarize`.
@@ -59,13 +64,19 @@ class Comparison:
     def note(self) -> str:
         """What must be known to read the numbers; stands below the table and in summary.json."""
         one = next(iter(self.recorded.values()))
-        means = ", ".join(measure.label for measure in MEASURES if measure.statistic == "mean")
+        means = ", ".join(measure.label for measure in SHOWN if measure.statistic == "mean")
+        reference = (
+            f"{REFERENCE}: a hand without an arm, through the same measures. "
+            if REFERENCE in self.recorded
+            else ""
+        )
         return (
             f"{self.env}, {len(one)} episodes, the same starts and targets for all agents. "
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
             f"segment lengths; at the target: within {one[0].tolerance:g}. "
             f"k of {len(one)}: the other episodes have no such value (never arrived to stay, or "
-            "started at the target). The intervals replicate over episodes (starts and targets), "
+            f"started at the target). {reference}Of {len(MEASURES)} measures {len(SHOWN)} are "
+            "shown; files hold all. The intervals replicate over episodes (starts and targets), "
             "NOT over training seeds: each agent is the result of one training, or of none."
         )
 
@@ -75,8 +86,11 @@ class Comparison:
         one = next(iter(self.recorded.values()))
         return {
             "environment": self.env,
-            "agents": list(self.recorded),
-            "training_steps": dict(self.training_steps),
+            "agents": [agent for agent in self.recorded if agent != REFERENCE],
+            "reference": REFERENCE if REFERENCE in self.recorded else None,
+            "training_steps": {
+                agent: steps for agent, steps in self.training_steps.items() if agent != REFERENCE
+            },
             "training_seeds_per_agent": 1,
             "episodes": len(one),
             "seed": self.seed,
@@ -118,6 +132,8 @@ def compare(
 ) -> Comparison:
     """Let agents play the same episodes, print a table, and write data and figure.
 
+    Beside them stands `REFERENCE`, an ideal hand that meets the same targets, where there is one.
+
     Agents, environment and `out` are checked, and the agents made, before the first episode.
 
     Args:
@@ -136,8 +152,8 @@ def compare(
         >>> comparison = compare(["random"], episodes=2)  # doctest: +ELLIPSIS
         <BLANKLINE>
         ...
-        >>> comparison.episodes[["agent", "episode", "success"]].shape
-        (2, 3)
+        >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
+        {'random': 2, 'minimum jerk (ideal)': 2}
     """
     factories = entrants(agents)
     seeds = episode_seeds(seed, episodes)
@@ -148,17 +164,21 @@ def compare(
         # All are made before the first one plays: a missing file should not cost the others' work.
         players = {label: factory(envs[label]) for label, factory in factories.items()}
         recorded = _play(players, envs, seeds)
+        if REFERENCE not in recorded and has_reference(next(iter(envs.values()))):
+            recorded[REFERENCE] = minimum_jerk_episodes(next(iter(recorded.values())))
         reach = float(next(iter(envs.values())).get_wrapper_attr("reach"))
     finally:
         for made in envs.values():
             made.close()
     table = tidy(recorded)
     steps = {label: training_steps(player) for label, player in players.items()}
+    if REFERENCE in recorded:
+        steps.setdefault(REFERENCE, 0)
     summary = summarize(table, MEASURES, seed)
     comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
     console = console or make_console()
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
-    print_table(console, summary, MEASURES, steps, comparison.note)
+    print_table(console, summary, SHOWN, steps, comparison.note)
     for path in written:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
         console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)

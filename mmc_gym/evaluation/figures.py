@@ -18,7 +18,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from mmc_gym._files import write_atomically
-from mmc_gym.evaluation.metrics import hand_speed
+from mmc_gym.evaluation.profiles import hand_speed
 from mmc_gym.evaluation.rollout import Episode
 
 EXAMPLES = 4  # paths shown per agent

@@ -1,7 +1,9 @@
 """The measures of an episode: names, units, and how tables show them.
 
-A new measure is a pure function in `metrics` and an entry in `MEASURES`; data, summary and table
-follow.
+A new measure is a pure function in `metrics`, `profiles` or `paths`, and an entry in `MEASURES`;
+data and summary follow, and the table if it is `shown`.  `episode_views` says what they look at.
+
+Measures that need many episodes of a certain kind are in `set_measures`.
 """
 
 from __future__ import annotations
@@ -10,7 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from mmc_gym.evaluation import metrics
+from mmc_gym.evaluation import metrics, paths, profiles
+from mmc_gym.evaluation.episode_views import (
+    PARTS_OF_REACH,
+    deviation,
+    final_jitter,
+    of_path,
+    of_shape,
+    speeds,
+    stays_within,
+)
 from mmc_gym.evaluation.rollout import Episode
 
 Statistic = Literal["mean", "median"]
@@ -29,6 +40,7 @@ class Measure:
         statistic: what a table says about many episodes.
         decimals: at most so many are shown.
         of: the measure of an episode; NaN where it has none.
+        shown: whether tables show it; files hold all.
     """
 
     name: str
@@ -38,10 +50,7 @@ class Measure:
     statistic: Statistic
     decimals: int
     of: Callable[[Episode], float]
-
-
-def _speeds(episode: Episode) -> metrics.Floats:
-    return metrics.hand_speed(episode.hands, episode.control_step)
+    shown: bool = False
 
 
 MEASURES: tuple[Measure, ...] = (
@@ -53,6 +62,20 @@ MEASURES: tuple[Measure, ...] = (
         statistic="mean",
         decimals=3,
         of=lambda e: metrics.success_at_end(e.distances, e.tolerance),
+        shown=True,
+    ),
+    *(
+        Measure(
+            name=f"success_{percent}_percent",
+            label=f"within {percent} % of reach",
+            unit="fraction",
+            best="high",
+            statistic="mean",
+            decimals=3,
+            of=stays_within(percent),
+            shown=percent == min(PARTS_OF_REACH),
+        )
+        for percent in PARTS_OF_REACH
     ),
     Measure(
         name="final_distance",
@@ -62,6 +85,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=3,
         of=lambda e: metrics.final_distance(e.distances),
+        shown=True,
     ),
     Measure(
         name="time_to_target",
@@ -71,6 +95,34 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=2,
         of=lambda e: metrics.time_to_target(e.distances, e.tolerance, e.control_step),
+        shown=True,
+    ),
+    Measure(
+        name="settling_time",
+        label="settling at the target",
+        unit="s",
+        best="low",
+        statistic="median",
+        decimals=2,
+        of=lambda e: metrics.settling_time(e.distances, e.tolerance, e.control_step),
+    ),
+    Measure(
+        name="overshoot",
+        label="overshoot",
+        unit="lengths",
+        best="low",
+        statistic="median",
+        decimals=3,
+        of=lambda e: metrics.overshoot(e.distances),
+    ),
+    Measure(
+        name="jitter",
+        label="jitter at the target",
+        unit="lengths",
+        best="low",
+        statistic="median",
+        decimals=4,
+        of=final_jitter,
     ),
     Measure(
         name="path_ratio",
@@ -79,7 +131,44 @@ MEASURES: tuple[Measure, ...] = (
         best="low",
         statistic="median",
         decimals=2,
-        of=lambda e: metrics.path_ratio(e.hands, e.target, e.tolerance),
+        of=lambda e: paths.path_ratio(e.hands, e.target, e.tolerance),
+        shown=True,
+    ),
+    Measure(
+        name="path_efficiency",
+        label="path efficiency",
+        unit="",
+        best="high",
+        statistic="median",
+        decimals=3,
+        of=of_path(lambda hands, _: paths.path_efficiency(hands)),
+    ),
+    Measure(
+        name="maximal_deviation",
+        label="largest deviation / direct line",
+        unit="",
+        best="low",
+        statistic="median",
+        decimals=3,
+        of=deviation,
+    ),
+    Measure(
+        name="joint_path_efficiency",
+        label="path efficiency of the joints",
+        unit="",
+        best="high",
+        statistic="median",
+        decimals=3,
+        of=of_path(lambda _, joints: paths.path_efficiency(joints)),
+    ),
+    Measure(
+        name="hand_over_joint_straightness",
+        label="straighter in hand than in joint space",
+        unit="",
+        best="neither",
+        statistic="median",
+        decimals=2,
+        of=of_path(paths.hand_over_joint_straightness),
     ),
     Measure(
         name="peak_speed",
@@ -88,7 +177,27 @@ MEASURES: tuple[Measure, ...] = (
         best="neither",
         statistic="median",
         decimals=2,
-        of=lambda e: metrics.peak_speed(_speeds(e)),
+        of=lambda e: profiles.peak_speed(speeds(e)),
+        shown=True,
+    ),
+    Measure(
+        name="peak_to_mean",
+        label="peak / mean speed",
+        unit="",
+        best="neither",
+        statistic="median",
+        decimals=2,
+        of=of_shape(lambda profile, _: profiles.peak_to_mean(profile)),
+    ),
+    Measure(
+        name="time_to_peak",
+        label="time to peak speed",
+        unit="of duration",
+        best="neither",
+        statistic="median",
+        decimals=2,
+        of=of_shape(lambda profile, _: profiles.time_to_peak(profile)),
+        shown=True,
     ),
     Measure(
         name="velocity_peaks",
@@ -97,7 +206,71 @@ MEASURES: tuple[Measure, ...] = (
         best="low",
         statistic="median",
         decimals=1,
-        of=lambda e: metrics.velocity_peaks(_speeds(e)),
+        of=lambda e: profiles.velocity_peaks(speeds(e)),
+        shown=True,
+    ),
+    Measure(
+        name="minimum_jerk_correlation",
+        label="like minimum jerk",
+        unit="correlation",
+        best="high",
+        statistic="median",
+        decimals=3,
+        of=of_shape(
+            lambda profile, _: profiles.minimum_jerk_correlation(
+                profile, profiles.MINIMUM_JERK_SPAN
+            )
+        ),
+        shown=True,
+    ),
+    Measure(
+        name="minimum_jerk_rmse",
+        label="unlike minimum jerk",
+        unit="mean speeds",
+        best="low",
+        statistic="median",
+        decimals=3,
+        of=of_shape(
+            lambda profile, _: profiles.minimum_jerk_rmse(profile, profiles.MINIMUM_JERK_SPAN)
+        ),
+    ),
+    Measure(
+        name="sparc",
+        label="smoothness",
+        unit="SPARC",
+        best="high",
+        statistic="median",
+        decimals=2,
+        of=of_shape(profiles.sparc),
+        shown=True,
+    ),
+    Measure(
+        name="log_dimensionless_jerk",
+        label="smoothness",
+        unit="log dimensionless jerk",
+        best="high",
+        statistic="median",
+        decimals=2,
+        of=of_shape(lambda profile, _: profiles.log_dimensionless_jerk(profile)),
+    ),
+    Measure(
+        name="joint_effort",
+        label="joint effort",
+        unit="mass len²/s",
+        best="low",
+        statistic="median",
+        decimals=1,
+        of=lambda e: metrics.joint_effort(e.servo_impulses),
+    ),
+    Measure(
+        name="joint_work",
+        label="joint work",
+        unit="mass len²/s²",
+        best="low",
+        statistic="median",
+        decimals=1,
+        of=lambda e: metrics.joint_work(e.servo_work),
+        shown=True,
     ),
     Measure(
         name="episode_return",
@@ -107,6 +280,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=0,
         of=lambda e: metrics.episode_return(e.rewards),
+        shown=True,
     ),
     Measure(
         name="action_time",
@@ -116,5 +290,15 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=1,
         of=lambda e: metrics.action_time(e.action_times * 1e6),
+        shown=True,
+    ),
+    Measure(
+        name="slow_action_time",
+        label="time per action, 99th percentile",
+        unit="µs",
+        best="low",
+        statistic="median",
+        decimals=1,
+        of=lambda e: metrics.slow_action_time(e.action_times * 1e6),
     ),
 )

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym.body.servo_watch import ServoWatch
 
 REQUIRED_INFO = ("distance", "end_effector", "target")
 MAX_STEPS = 100_000
@@ -35,27 +37,43 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What an agent did in one episode of n steps.
+    """What an agent did in one episode of n steps, with an arm of N joints.
+
+    A hand without an arm has N = 0; what an environment does not tell is NaN.
 
     Attributes:
         seed: that the environment was reset with.
         hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
         distances: from hand to target, segment lengths, (n + 1,).
-        target: its position at the start, segment lengths, (2,).
+        targets: positions of the target, segment lengths, (n + 1, 2).
+        joint_angles: relative, not wrapped, radians, (n + 1, N).
+        servo_impulses: ∫ |τ| dt of each step and joint, (n, N), see `ServoWatch`.
+        servo_work: ∫ |τ q̇| dt of each step and joint, (n, N).
         rewards: of each step, (n,).
         action_times: that `predict` took in each step, seconds, (n,).
         control_step: duration of a step, seconds.
         tolerance: distance within which the environment counts the target as reached.
+        reach: of the arm that agents are told of, segment lengths.
     """
 
     seed: int
     hands: NDArray[np.float64]
     distances: NDArray[np.float64]
-    target: NDArray[np.float64]
+    targets: NDArray[np.float64]
+    joint_angles: NDArray[np.float64]
+    servo_impulses: NDArray[np.float64]
+    servo_work: NDArray[np.float64]
     rewards: NDArray[np.float64]
     action_times: NDArray[np.float64]
     control_step: float
     tolerance: float
+    reach: float
+
+    @property
+    def target(self) -> NDArray[np.float64]:
+        """Position of the target at the start, segment lengths, (2,)."""
+        first: NDArray[np.float64] = self.targets[0]
+        return first
 
 
 def episode_seeds(seed: int, episodes: int) -> list[int]:
@@ -100,40 +118,58 @@ def run_episodes(
     env: gym.Env[Any, Any],
     seeds: Sequence[int],
     on_episode: Callable[[Episode], None] | None = None,
+    options: Sequence[Mapping[str, Any]] | None = None,
 ) -> tuple[Episode, ...]:
     """Let `agent` play one episode per seed, without exploration.
 
     Each episode begins with `env.reset(seed=...)`, and with `env.action_space` seeded from the
     same number, so that an episode depends on its own seed only, also for agents that sample
-    from that space.  PyTorch, if loaded, computes on one thread.
+    from that space.  PyTorch, if loaded, computes on one thread.  The arm's servos are watched
+    meanwhile; it moves as ever.
 
     Args:
         agent: whose actions are taken; it sees single observations.
         env: a single reaching environment, wrapped or not, that ends its episodes.
         seeds: one per episode, see `episode_seeds`.
         on_episode: is handed each episode when it is over, to show progress.
+        options: of the environment's reset, for each episode, such as `{"trial": 3}`.
 
     Raises:
-        ValueError: if the environment does not tell what the measures need.
+        ValueError: if the environment does not tell what the measures need, or there are not as
+            many options as seeds.
         RuntimeError: if an episode does not end.
     """
     check_environment(env)
+    asked: Sequence[Mapping[str, Any]] = [{}] * len(seeds) if options is None else options
+    if len(asked) != len(seeds):
+        raise ValueError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
     episodes = []
-    with _one_torch_thread():
-        for seed in seeds:
-            episodes.append(_run_episode(agent, env, seed))
+    # Senses may be noisy and late, so the posture is the arm's own and not the observed one.
+    arm: Any = getattr(env.unwrapped, "_arm", None)
+    joint_count = len(getattr(arm, "joint_angles", ()))
+    with _one_torch_thread(), ServoWatch(arm, joint_count) as watch:
+        for seed, option in zip(seeds, asked, strict=True):
+            episodes.append(_run_episode(agent, env, seed, dict(option), arm, watch))
             if on_episode is not None:
                 on_episode(episodes[-1])
     return tuple(episodes)
 
 
-def _run_episode(agent: Predictor, env: gym.Env[Any, Any], seed: int) -> Episode:
+def _run_episode(
+    agent: Predictor,
+    env: gym.Env[Any, Any],
+    seed: int,
+    options: dict[str, Any],
+    arm: Any,
+    watch: ServoWatch,
+) -> Episode:
     # Not `seed` itself: the space would draw the very numbers that the environment draws for its
     # starting state, and the first random action would be the posture the arm is in.
     env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
-    observation, info = env.reset(seed=seed)
-    target = np.array(info["target"], dtype=np.float64)
-    hands, distances = [info["end_effector"]], [info["distance"]]
+    observation, info = env.reset(seed=seed, options=options)
+    hands, distances, targets = [info["end_effector"]], [info["distance"]], [info["target"]]
+    postures = [getattr(arm, "joint_angles", ())]
+    impulses, work = [], []
     rewards: list[float] = []
     times: list[int] = []
     state, episode_start, over = None, np.ones(1, dtype=bool), False
@@ -146,19 +182,31 @@ def _run_episode(agent: Predictor, env: gym.Env[Any, Any], seed: int) -> Episode
         observation, reward, terminated, truncated, info = env.step(action)
         hands.append(info["end_effector"])
         distances.append(info["distance"])
+        targets.append(info["target"])
+        postures.append(getattr(arm, "joint_angles", ()))
+        impulses.append(watch.impulses)
+        work.append(watch.work)
         rewards.append(float(reward))
         episode_start, over = np.zeros(1, dtype=bool), terminated or truncated
     unwrapped: Any = env.unwrapped
     return Episode(
         seed=seed,
-        hands=np.array(hands, dtype=np.float64),
-        distances=np.array(distances, dtype=np.float64),
-        target=target,
-        rewards=np.array(rewards, dtype=np.float64),
-        action_times=np.array(times, dtype=np.float64) * 1e-9,
+        hands=_floats(hands),
+        distances=_floats(distances),
+        targets=_floats(targets),
+        joint_angles=_floats(postures),
+        servo_impulses=_floats(impulses),
+        servo_work=_floats(work),
+        rewards=_floats(rewards),
+        action_times=_floats(times) * 1e-9,
         control_step=float(unwrapped.parameters.control_step),
         tolerance=float(unwrapped.success_distance),
+        reach=float(unwrapped.reach),
     )
+
+
+def _floats(values: ArrayLike) -> NDArray[np.float64]:
+    return np.array(values, dtype=np.float64)
 
 
 @contextmanager

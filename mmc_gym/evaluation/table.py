@@ -21,7 +21,7 @@ from mmc_gym.evaluation.measures import Measure
 WIDTH = 120  # columns, where there is no terminal to ask
 _GAP = 2
 _AGENT_WIDTH = 16  # of a name; longer ones continue on the next line
-_ASCII = str.maketrans({"µ": "u", "–": "-", "−": "-"})
+_ASCII = str.maketrans({"µ": "u", "²": "2", "–": "-", "−": "-"})
 
 
 def make_console() -> Console:

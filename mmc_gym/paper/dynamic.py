@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmc_gym.evaluation import metrics
+from mmc_gym.evaluation import profiles
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalization import Normalizer
@@ -39,7 +39,6 @@ from mmc_gym.paper.published import (
 from mmc_gym.paper.summaries import (
     EUCLIDEAN,
     INNER,
-    MOVING,
     all_normalizers,
     bulk_shape,
     each,
@@ -142,9 +141,9 @@ def _shapes_of_movements(exact: Sequence[Normalizer], hidden: Sequence[Normalize
     return (
         "peak over mean, time to peak (and as in bell-shaped, over all of 40 iterations): "
         f"{found}. Medians between targets at radius 1 and 2 from the first to the last of "
-        f"{SHAPE_ITERATIONS} iterations with {100 * MOVING:g} % of the peak velocity or more. The "
-        "data came without a definition; this one was found by trial to give their numbers, with "
-        "the Euclidean normalization"
+        f"{SHAPE_ITERATIONS} iterations with {100 * profiles.MOVING:g} % of the peak velocity or "
+        "more. The data came without a definition; this one was found by trial to give their "
+        "numbers, with the Euclidean normalization"
     )
 
 
@@ -161,7 +160,8 @@ def _shape(network: MMCNetwork, normalizers: Sequence[Normalizer]) -> str:
     ratio, time = bulk_shape(velocity)
     whole = velocity[:, :ITERATIONS]
     whole_ratio, whole_time = (
-        np.median(each(measure, whole)) for measure in (metrics.peak_to_mean, metrics.time_to_peak)
+        np.median(each(measure, whole))
+        for measure in (profiles.peak_to_mean, profiles.time_to_peak)
     )
     return f"{ratio:.2f}, {time:.2f} ({whole_ratio:.2f}, {whole_time:.2f})"
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.evaluation import metrics
+from mmc_gym.evaluation import metrics, profiles
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalization import EuclideanNormalizer, LearnedNormalizer, Normalizer
@@ -28,9 +28,6 @@ OVERSHOOT = 0.01
 
 SECOND_PEAK = 0.05
 """A second velocity peak is a rise, after the peak, by more than this share of it."""
-
-MOVING = 0.05
-"""From this share of its peak velocity on the hand counts as moving (`bulk`)."""
 
 FAR = 0.1
 """Movements that end at a larger distance are counted."""
@@ -53,7 +50,7 @@ def summarize(recording: Recording) -> dict[str, float]:
     """
     distance, velocity = recording.distance, recording.velocity
     mean_distance, mean_velocity = distance.mean(axis=0), velocity.mean(axis=0)
-    rises = each(metrics.second_rise, velocity)
+    rises = each(profiles.second_rise, velocity)
     return {
         **{
             f"distance_{k}": float(mean_distance[k - 1])
@@ -71,13 +68,13 @@ def summarize(recording: Recording) -> dict[str, float]:
 
 
 def shapes(recording: Recording) -> dict[str, NDArray[np.float64]]:
-    """How bell-shaped each movement is, columns of (movements,): see `metrics` for each."""
+    """How bell-shaped each movement is, columns of (movements,): see `profiles` for each."""
     velocity = recording.velocity
     return {
-        "correlation": each(metrics.minimum_jerk_correlation, velocity),
-        "peak_to_mean": each(metrics.peak_to_mean, velocity),
-        "time_to_peak": each(metrics.time_to_peak, velocity),
-        "velocity_peaks": each(metrics.velocity_peaks, velocity),
+        "correlation": each(profiles.minimum_jerk_correlation, velocity),
+        "peak_to_mean": each(profiles.peak_to_mean, velocity),
+        "time_to_peak": each(profiles.time_to_peak, velocity),
+        "velocity_peaks": each(profiles.velocity_peaks, velocity),
         "overshoot": each(metrics.overshoot, recording.distance),
         "final": np.asarray(recording.distance[:, -1], dtype=np.float64),
     }
@@ -90,8 +87,7 @@ def bulk(velocity: ArrayLike) -> NDArray[np.float64]:
     [0.2, 1.0, 0.02, 0.1]
     """
     profile = np.asarray(velocity, dtype=np.float64)
-    fast = np.flatnonzero(profile >= MOVING * profile.max())
-    return profile[fast[0] : fast[-1] + 1]
+    return profile[profiles.moving_part(profile)]
 
 
 def bulk_shape(velocity: Floats) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mmc_gym  # noqa: F401  registers the environments
+from mmc_gym.evaluation.rollout import Episode
 
 
 class Oracle:
@@ -59,3 +60,31 @@ def env() -> Iterator[gym.Env[Any, Any]]:
     env = gym.make("MMCReach-v0")
     yield env
     env.close()
+
+
+def episode_of(hands, targets, control_step=0.02, joint_angles=None, **changes):
+    """An episode in which the hand and the target were there; the servos did nothing."""
+    hands = np.array(hands, dtype=np.float64)
+    targets = np.broadcast_to(np.array(targets, dtype=np.float64), hands.shape)
+    joint_angles = np.zeros((len(hands), 3)) if joint_angles is None else np.array(joint_angles)
+    nothing = np.zeros_like(joint_angles[1:])
+    values = {
+        "seed": 0,
+        "hands": hands,
+        "distances": np.linalg.norm(hands - targets, axis=-1),
+        "targets": targets,
+        "joint_angles": joint_angles,
+        "servo_impulses": nothing,
+        "servo_work": nothing,
+        "rewards": np.zeros(len(nothing)),
+        "action_times": np.full(len(nothing), 1e-5),
+        "control_step": control_step,
+        "tolerance": 0.05,
+        "reach": 3.0,
+    }
+    return Episode(**{**values, **changes})
+
+
+@pytest.fixture
+def make_episode():
+    return episode_of

@@ -69,7 +69,47 @@ def test_all_agents_see_bit_identical_starts_and_targets(env, oracle, frozen):
     ):
         assert np.array_equal(one.hands[0], other.hands[0])
         assert np.array_equal(one.target, other.target)
+        assert np.array_equal(one.joint_angles[0], other.joint_angles[0])
         assert not np.array_equal(one.hands[-1], other.hands[-1])
+
+
+def test_an_episode_records_postures_targets_and_servos(oracle):
+    env = gym.make("MMCReachDoubleStep100-v0")
+    (episode,) = run_episodes(oracle, env, [4])
+    segments = np.cumsum(episode.joint_angles, axis=-1)
+    hands = np.stack([np.cos(segments).sum(-1), np.sin(segments).sum(-1)], axis=-1)
+    assert episode.hands == pytest.approx(hands)
+    assert np.linalg.norm(episode.hands - episode.targets, axis=-1) == pytest.approx(
+        episode.distances
+    )
+    assert np.flatnonzero(np.diff(episode.targets[:, 0])).tolist() == [4]
+    assert episode.servo_impulses.shape == episode.servo_work.shape == (100, 3)
+    assert (episode.servo_impulses[:5] > 0).any() and (episode.servo_work >= 0).all()
+    assert episode.reach == 3.0
+
+
+def test_an_engine_that_tells_nothing_of_its_servos_leaves_them_unknown(frozen):
+    (episode,) = run_episodes(frozen, gym.make("MMCReach-v0", engine="analytic"), [1])
+    assert np.isnan(episode.servo_impulses).all() and np.isfinite(episode.joint_angles).all()
+
+
+def test_being_recorded_changes_nothing_and_leaves_the_arm_as_it_was(env, oracle):
+    step = env.unwrapped._arm.step
+    (episode,) = run_episodes(oracle, env, [11])
+    assert env.unwrapped._arm.step == step
+    observation, _ = env.reset(seed=11)
+    for k in range(100):
+        observation, _, _, _, info = env.step(oracle.predict(observation)[0])
+        assert np.array_equal(episode.hands[k + 1], info["end_effector"])
+
+
+def test_each_episode_may_have_options_of_its_own(frozen):
+    env = gym.make("MMCReachCentreOut-v0")
+    options = [{"trial": trial} for trial in range(8)]
+    episodes = run_episodes(frozen, env, [1] * 8, options=options)
+    assert len({tuple(episode.target) for episode in episodes}) == 8
+    with pytest.raises(ValueError, match="options must be 2, one per seed, got 8"):
+        run_episodes(frozen, env, [1, 2], options=options)
 
 
 def test_an_episode_depends_on_its_own_seed_only(env):
