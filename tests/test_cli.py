@@ -19,14 +19,14 @@ def test_compare_writes_data_and_figure(tmp_path, capsys):
 def test_train_and_resume(tmp_path, capsys):
     folder = str(tmp_path / "run")
     main(["train", "ppo", "--steps", "1", "--out", folder])
-    first = (Path(folder) / "ppo.safetensors").read_bytes()
+    first = (Path(folder) / "ppo-0.safetensors").read_bytes()
     assert "success" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stop:
         main(["train", "ppo", "--steps", "1", "--out", folder])
     assert stop.value.code == 2
     assert "resume" in capsys.readouterr().err
     main(["train", "ppo", "--steps", "1", "--out", folder, "--resume"])
-    assert (Path(folder) / "ppo.safetensors").read_bytes() == first
+    assert (Path(folder) / "ppo-0.safetensors").read_bytes() == first
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,12 @@ def test_train_and_resume(tmp_path, capsys):
     [
         (["compare", "--agents", "mcc"], "mcc"),
         (["compare", "--episodes", "0"], "episodes"),
-        (["train", "dqn"], "algorithm must be 'ppo', got 'dqn'"),
+        (["train", "dqn"], "name must be one of ppo, "),
+        (["train"], "or else give --all"),
+        (["train", "ppo", "--all"], "or else give --all"),
+        (["train", "ppo", "--env", "MMCReachGoal-v0"], "env must be one of MMCReach-v0"),
+        (["train", "--all", "--cluster", "slurm"], "cluster must be 'ray'"),
+        (["tune", "mmc", "--trials", "0"], "trials must be at least 1"),
         (["play", "--agent", "mcc"], "mcc"),
     ],
 )

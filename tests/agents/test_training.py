@@ -42,7 +42,8 @@ from pathlib import Path
 from mmc_gym.agents.training import Training
 name, hyperparameters, env_id, folder = sys.argv[1], json.loads(sys.argv[2]), *sys.argv[3:]
 report = lambda progress: progress.evaluation and print(progress.steps, flush=True)
-Training(name, hyperparameters, env_id, 3, Path(folder), report, evaluations=4).run()
+print("ready", flush=True)
+Training(name, hyperparameters, env_id, 3, Path(folder), report, evaluations=4).run(resume=True)
 """
 
 
@@ -84,6 +85,7 @@ def test_a_killed_training_goes_on_to_the_policy_of_an_undisturbed_one(name, che
     command = [sys.executable, "-c", SCRIPT, name, json.dumps(hyperparameters), env_id, str(killed)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
         for _ in range(checkpoints):
             steps = int(process.stdout.readline())  # a checkpoint stands
         time.sleep(0.02)  # and the next leg has begun
@@ -99,6 +101,30 @@ def test_a_killed_training_goes_on_to_the_policy_of_an_undisturbed_one(name, che
     assert card.training_steps == hyperparameters["n_timesteps"]
     training(name, undisturbed).run()
     assert weights(killed, name) == weights(undisturbed, name)
+
+
+@pytest.mark.slow
+def test_a_training_killed_at_any_moment_and_again_and_again_comes_to_the_same_policy(
+    trained, tmp_path
+):
+    env_id, hyperparameters = tiny("ppo")
+    command = [
+        sys.executable,
+        "-c",
+        SCRIPT,
+        "ppo",
+        json.dumps(hyperparameters),
+        env_id,
+        str(tmp_path),
+    ]
+    for delay in np.random.default_rng(0).uniform(0.0, 0.4, 5):
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+            time.sleep(delay)
+            os.kill(process.pid, signal.SIGKILL)
+    training("ppo", tmp_path).run(resume=True)
+    assert weights(tmp_path) == weights(trained)
 
 
 def test_a_training_killed_while_it_writes_has_its_last_checkpoint(trained, tmp_path):
