@@ -14,6 +14,12 @@ import gymnasium as gym
 
 from mmc_gym.agents.base import Agent, ReachInterface
 from mmc_gym.agents.closed_form import closed_form
+from mmc_gym.agents.closed_loop import (
+    LOOPS,
+    closed_loop_inverse_kinematics,
+    closed_loop_mmc,
+    told_lockable,
+)
 from mmc_gym.agents.differential import (
     damped_least_squares,
     jacobian_transpose,
@@ -124,6 +130,10 @@ def _trained(name: str, description: str, training_seeds: int) -> AgentEntry:
     return AgentEntry(made_by, partial(_policy, name, 0), training_seeds)
 
 
+def _closed_loop(name: str) -> Callable[[gym.Env[Any, Any]], Agent[Any]]:
+    return lambda env: closed_loop_mmc(ReachInterface.of(env), LOOPS[name], told_lockable(env))
+
+
 AGENTS: dict[str, AgentEntry] = {
     "mmc": AgentEntry(
         "dynamic MMC network, best setting",
@@ -181,5 +191,31 @@ AGENTS: dict[str, AgentEntry] = {
     "pmp": AgentEntry(
         "Passive Motion Paradigm with a terminal attractor",
         lambda env: PassiveMotionAgent(ReachInterface.of(env)),
+    ),
+    "mmc-feedback": AgentEntry(
+        "as mmc, with the sensed posture in the mean, and the seen hand correcting the clamp",
+        _closed_loop("feedback"),
+    ),
+    "mmc-delay": AgentEntry(
+        "as mmc-feedback, with the delay of the senses estimated and bridged",
+        _closed_loop("delay"),
+    ),
+    "mmc-lengths": AgentEntry(
+        "as mmc, with segment lengths identified on line",
+        _closed_loop("lengths"),
+    ),
+    "mmc-lock": AgentEntry(
+        "as mmc, with locked joints detected and clamped",
+        _closed_loop("lock"),
+    ),
+    "mmc-closed": AgentEntry(
+        "as mmc, with all loops closed: feedback, delay, lengths and locks",
+        _closed_loop("closed"),
+    ),
+    "ik-dls-feedback": AgentEntry(
+        "as ik-dls, with the feedback of mmc-feedback",
+        lambda env: closed_loop_inverse_kinematics(
+            ReachInterface.of(env), damped_least_squares, LOOPS["feedback"]
+        ),
     ),
 }
