@@ -1,4 +1,4 @@
-"""The command line: `mmc-gym compare | reproduce | train | tune | play`."""
+"""The command line: `mmc-gym compare | reproduce | train | tune | curves | play`."""
 
 from __future__ import annotations
 
@@ -210,6 +210,22 @@ def _progress_bar() -> Bar:
 
 
 @dataclass(frozen=True)
+class Curves:
+    """Learning curves over training seeds; print a table, write it with data and figure."""
+
+    folder: Path | None = None
+    """Folder of trained policies (default: those that ship with the package)."""
+    out: Path = Path("runs/curves")
+    """Folder for curves.csv, trainings.csv, the table and the figure."""
+
+    def run(self) -> None:
+        """Draw."""
+        from mmc_gym.evaluation.learning_curves import learning_curves
+
+        learning_curves(self.folder, self.out)
+
+
+@dataclass(frozen=True)
 class Play:
     """Open a window in which the mouse is the target of an agent's arm."""
 
@@ -232,13 +248,14 @@ Command = (
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Tune, tyro.conf.subcommand("tune")]
+    | Annotated[Curves, tyro.conf.subcommand("curves")]
     | Annotated[Play, tyro.conf.subcommand("play")]
 )
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; a mistake of the user's ends with one line on stderr and status 2."""
-    command: Compare | Reproduce | Train | Tune | Play = tyro.cli(
+    command: Compare | Reproduce | Train | Tune | Curves | Play = tyro.cli(
         Command, prog="mmc-gym", args=arguments
     )
     try:
