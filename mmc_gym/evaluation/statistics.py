@@ -1,7 +1,7 @@
 """Bootstrap intervals: how much a statistic would vary over other episodes of the same kind.
 
 They replicate over episodes, that is over starts and targets.  They say nothing about what
-training the agent anew, with another seed, would change.
+training the agent anew, with another seed, would change: for that there is `replication`.
 """
 
 from __future__ import annotations
