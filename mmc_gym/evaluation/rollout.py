@@ -147,7 +147,7 @@ def run_episodes(
     # Senses may be noisy and late, so the posture is the arm's own and not the observed one.
     arm: Any = getattr(env.unwrapped, "_arm", None)
     joint_count = len(getattr(arm, "joint_angles", ()))
-    with _one_torch_thread(), ServoWatch(arm, joint_count) as watch:
+    with one_torch_thread(), ServoWatch(arm, joint_count) as watch:
         for seed, option in zip(seeds, asked, strict=True):
             episodes.append(_run_episode(agent, env, seed, dict(option), arm, watch))
             if on_episode is not None:
@@ -210,7 +210,7 @@ def _floats(values: ArrayLike) -> NDArray[np.float64]:
 
 
 @contextmanager
-def _one_torch_thread() -> Iterator[None]:
+def one_torch_thread() -> Iterator[None]:
     """Small networks run slower on many threads, and times would depend on the machine's cores."""
     torch: Any = sys.modules.get("torch")  # who has not loaded it does not use it
     if torch is None:
