@@ -75,10 +75,25 @@ def stays_within(percent: int) -> Callable[[Episode], float]:
 
 
 def deviation(episode: Episode) -> float:
-    """Largest deviation from the line to the target; NaN where that is shorter than ε."""
-    if np.linalg.norm(episode.target - episode.hands[0]) < episode.tolerance:
+    """Largest deviation from the line between the ends of the moving part; NaN if shorter than ε.
+
+    Not from the line to the target: under a visuomotor rotation the hand is to go elsewhere.
+    """
+    part = profiles.moving_part(speeds(episode))
+    hands = episode.hands[part.start : part.stop + 1]
+    if np.linalg.norm(hands[-1] - hands[0]) < episode.tolerance:
         return math.nan
-    return paths.maximal_deviation(episode.hands, episode.hands[0], episode.target)
+    return paths.maximal_deviation(hands, hands[0], hands[-1])
+
+
+def where_target_stands(of: Callable[[Episode], float]) -> Callable[[Episode], float]:
+    """A measure that is about one target; NaN where it moves, or another follows."""
+
+    def measure(episode: Episode) -> float:
+        stands = bool((episode.targets == episode.targets[0]).all())
+        return of(episode) if stands else math.nan
+
+    return measure
 
 
 def final_jitter(episode: Episode) -> float:

@@ -21,6 +21,7 @@ from mmc_gym.evaluation.episode_views import (
     of_shape,
     speeds,
     stays_within,
+    where_target_stands,
 )
 from mmc_gym.evaluation.rollout import Episode
 
@@ -113,7 +114,7 @@ MEASURES: tuple[Measure, ...] = (
         best="low",
         statistic="median",
         decimals=3,
-        of=lambda e: metrics.overshoot(e.distances),
+        of=where_target_stands(lambda e: metrics.overshoot(e.distances)),
     ),
     Measure(
         name="jitter",
@@ -131,7 +132,7 @@ MEASURES: tuple[Measure, ...] = (
         best="low",
         statistic="median",
         decimals=2,
-        of=lambda e: paths.path_ratio(e.hands, e.target, e.tolerance),
+        of=where_target_stands(lambda e: paths.path_ratio(e.hands, e.target, e.tolerance)),
         shown=True,
     ),
     Measure(
@@ -145,7 +146,7 @@ MEASURES: tuple[Measure, ...] = (
     ),
     Measure(
         name="maximal_deviation",
-        label="largest deviation / direct line",
+        label="largest deviation / length",
         unit="",
         best="low",
         statistic="median",

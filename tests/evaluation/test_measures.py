@@ -120,3 +120,21 @@ def test_jitter_is_that_of_the_last_half_second_at_the_target(make_episode):
     circle = 0.02 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     assert all_of(make_episode(circle, [0.0, 0.0]))["jitter"] == pytest.approx(0.02)
     assert math.isnan(all_of(make_episode(circle, [0.1, 0.0]))["jitter"])
+
+
+def test_a_half_circle_deviates_by_half_of_the_line_between_its_ends(make_episode):
+    angles = np.linspace(0, math.pi, 101)
+    hands = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    assert all_of(make_episode(hands, [9.0, 9.0]))["maximal_deviation"] == pytest.approx(0.5)
+    there_and_back = np.concatenate([hands, hands[::-1]])
+    assert math.isnan(all_of(make_episode(there_and_back, [9.0, 9.0]))["maximal_deviation"])
+
+
+def test_where_the_target_moves_there_is_no_direct_line_and_no_overshoot(make_episode):
+    hands = np.linspace(0, 1, 101)[:, None] * [1.0, 0.0]
+    targets = np.tile([1.0, 0.0], (101, 1))
+    found = all_of(make_episode(hands, targets))
+    assert (found["path_ratio"], found["overshoot"]) == pytest.approx((1, 0))
+    targets[50:] = [2.0, 0.0]
+    found = all_of(make_episode(hands, targets))
+    assert math.isnan(found["path_ratio"]) and math.isnan(found["overshoot"])
