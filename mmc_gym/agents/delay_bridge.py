@@ -8,8 +8,7 @@ model takes the old posture q through those k commands c::
 The delay itself is estimated, not told.  A joint that is asked to move is expected to have turned
 by `MOVED` after some step a, and is seen to have after some step b; the delay is the least b − a of
 all joints.  Before a joint is seen to move, the delay is at least the time since it was expected
-to.  Each joint counts for itself, since one that is locked never moves.  Inertia makes b later by
-about a step, which does not count (`INERTIA`).
+to.  Each joint counts for itself, since one that is locked never moves.
 
 Literature: R. C. Miall, D. J. Weir, D. M. Wolpert, J. F. Stein (1993), Is the cerebellum a Smith
 predictor?, J. Motor Behavior 25, 203–216.
@@ -30,8 +29,6 @@ LONGEST = 25
 """The longest delay that is bridged, control steps."""
 MOVED = 0.1
 """A joint has moved if it has turned by this since the start, radians; noise turns it by less."""
-INERTIA = 1.0
-"""Control steps by which the arm sets out later than the servo model."""
 
 
 class Delay(NamedTuple):
@@ -83,8 +80,7 @@ def watch(delay: Delay, joint_angles: Floats, expected: Floats) -> Delay:
 def steps_late(delay: Delay) -> NDArray[np.intp]:
     """The estimated delay, control steps, (...)."""
     late = np.where(delay.waited > 0, delay.late, np.inf).min(axis=-1)
-    steps = np.where(np.isfinite(late), late, INERTIA) - INERTIA
-    return np.clip(steps, 0, LONGEST).astype(np.intp)
+    return np.clip(np.where(np.isfinite(late), late, 0.0), 0, LONGEST).astype(np.intp)
 
 
 def command_before(delay: Delay, steps: NDArray[np.intp]) -> Floats:

@@ -2,8 +2,8 @@
 
 For each joint, the turns that the servo model expects are summed up for as long as it stays where
 it is.  Asked for enough, it is taken as locked; seen elsewhere, it is free again.  Nothing counts
-before a joint of the arm is seen to move: senses that are late show an arm that does not move at
-all.
+before a joint of the arm is seen to move, for `PATIENCE` control steps at most: senses that are
+late show an arm that does not move at all.
 
 A load or an obstacle that holds a joint for long looks the same.
 """
@@ -24,6 +24,8 @@ STILL = 0.08
 """A joint within this of where it was is still, radians; noise seldom takes it out."""
 AVERAGED = 0.3
 """Share by which the place of a joint that is still is averaged in a control step."""
+PATIENCE = 25
+"""For so many control steps an arm of which nothing moves may be one that is seen late."""
 
 
 class Locks(NamedTuple):
@@ -34,7 +36,7 @@ class Locks(NamedTuple):
         place: where it has been since, averaged, radians.
         asked: what was asked of it there in all, radians.
         last: the posture last seen, radians.
-        is_awake: 1 where any joint of the arm has been seen to move.
+        watched: control steps for which the arm was seen; `PATIENCE` once any joint moved.
         is_locked: 1 where a joint is taken as locked, at its `place`.
     """
 
@@ -42,7 +44,7 @@ class Locks(NamedTuple):
     place: Floats
     asked: Floats
     last: Floats
-    is_awake: Floats
+    watched: Floats
     is_locked: Floats
 
 
@@ -68,8 +70,9 @@ def observe(
     was_locked = locks.is_locked > 0
     away = wrap_angle(joint_angles - np.where(was_locked, locks.place, locks.anchor))
     is_still = np.abs(away) < STILL
-    is_awake = (locks.is_awake > 0) | ~is_still.all(axis=-1, keepdims=True)
-    asked = np.where(is_still & is_awake, locks.asked + expected, 0.0)
+    any_moved = ~is_still.all(axis=-1, keepdims=True)
+    watched = np.where(any_moved, PATIENCE, np.minimum(locks.watched + 1, PATIENCE))
+    asked = np.where(is_still & (watched >= PATIENCE), locks.asked + expected, 0.0)
     is_locked = is_still & (was_locked | (np.abs(asked) > enough))
     average = locks.place + AVERAGED * wrap_angle(joint_angles - locks.place)
     return Locks(
@@ -77,6 +80,6 @@ def observe(
         np.where(is_still, average, joint_angles),
         asked,
         joint_angles,
-        is_awake.astype(float),
+        watched,
         is_locked.astype(float),
     )
