@@ -7,19 +7,20 @@ training the agent anew, with another seed, would change: for that there is `rep
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
-from scipy.stats import bootstrap
+from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.evaluation.measures import Measure, Statistic
 
 CONFIDENCE = 0.95
 RESAMPLES = 9_999
+_RANKS_AT_ONCE = 1_000_000  # bounds the memory
 
 
 @dataclass(frozen=True)
@@ -65,23 +66,40 @@ def bootstrap_interval(values: ArrayLike, statistic: Statistic, seed: int = 0) -
     count, missing = len(present), len(sample) - len(present)
     if count == 0:
         return Interval(math.nan, math.nan, math.nan, count, missing)
-    function: Any = {"mean": np.mean, "median": np.median}[statistic]
-    estimate = float(function(present))
+    estimate = float(np.mean(present) if statistic == "mean" else np.median(present))
     if count == 1:
         return Interval(estimate, math.nan, math.nan, count, missing)
     if np.all(present == present[0]):
         estimate = float(present[0])  # a mean may be a rounding error away
         return Interval(estimate, estimate, estimate, count, missing)
-    interval = bootstrap(
-        (present,),
-        function,
-        method="percentile",
-        confidence_level=CONFIDENCE,
-        n_resamples=RESAMPLES,
-        batch=1_000,  # bounds the memory at 1,000 resamples
-        random_state=np.random.default_rng(seed),
-    ).confidence_interval
-    return Interval(estimate, float(interval.low), float(interval.high), count, missing)
+    ordered = np.sort(present)
+    if statistic == "mean":
+        found = _resampled(count, RESAMPLES, seed, lambda ranks: ordered[ranks].mean(axis=-1))
+    else:
+        found = ordered[_middle(count, RESAMPLES, seed)].mean(axis=-1)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(found, (tail, 1 - tail)).tolist()
+    return Interval(estimate, low, high, count, missing)
+
+
+def _resampled(
+    count: int, resamples: int, seed: int, of: Callable[[NDArray[np.intp]], NDArray[np.generic]]
+) -> NDArray[Any]:
+    """What `of` makes of resamples (some, count) of ranks, for all of them."""
+    random = np.random.default_rng(seed)
+    batch = max(1, _RANKS_AT_ONCE // count)
+    sizes = [min(batch, resamples - first) for first in range(0, resamples, batch)]
+    return np.concatenate([of(random.integers(count, size=(size, count))) for size in sizes])
+
+
+@lru_cache(maxsize=8)
+def _middle(count: int, resamples: int, seed: int) -> NDArray[np.intp]:
+    """Ranks of the two values in the middle of each resample, (resamples, 2).
+
+    Samples of one size share them: to sort anew for each measure would take as long as to play.
+    """
+    middle = [(count - 1) // 2, count // 2]
+    return _resampled(count, resamples, seed, lambda ranks: np.sort(ranks, axis=-1)[:, middle])
 
 
 def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
