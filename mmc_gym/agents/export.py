@@ -8,31 +8,34 @@ import torch
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
-from mmc_gym.agents.torch_policies import ACTIVATIONS, ArmFrame
+from mmc_gym.agents.torch_policies import ACTIVATIONS, ViewLayer
+from mmc_gym.agents.views import View
 
 
-def export_policy(policy: BasePolicy) -> PolicyNetwork:
-    """The network of a policy that PPO, SAC or TQC trains; its weights are copies.
+def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
+    """The network of a policy that PPO, SAC or TQC trains, and what it sees.
+
+    Its weights are copies.
 
     Raises:
-        ValueError: if the policy has another kind of layers, or does not see the arm's frame.
+        ValueError: if the policy has another kind of layers, or none of our views.
     """
     parts: dict[str, Any]
     distribution: Distribution
     if isinstance(policy, ActorCriticPolicy):
-        frame, hidden = policy.features_extractor, policy.mlp_extractor.policy_net
+        layer, hidden = policy.features_extractor, policy.mlp_extractor.policy_net
         parts = {"mean": policy.action_net, "log_std": policy.log_std}
         distribution = "gaussian"
     else:
         actor: Any = policy.actor
-        frame, hidden = actor.features_extractor, actor.latent_pi
+        layer, hidden = actor.features_extractor, actor.latent_pi
         parts = {"mean": actor.mu, "log_std": actor.log_std}
         distribution = "squashed"
-    if not isinstance(frame, ArmFrame):
-        raise ValueError(f"policy must see the arm's frame, got one that sees {frame}")
-    linear = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)]
-    kinds = {type(layer) for layer in hidden} - {torch.nn.Linear}
-    parts |= {f"hidden.{index}": layer for index, layer in enumerate(linear)}
+    if not isinstance(layer, ViewLayer):
+        raise ValueError(f"policy must have one of the views here, got {layer}")
+    linear = [part for part in hidden if isinstance(part, torch.nn.Linear)]
+    kinds = {type(part) for part in hidden} - {torch.nn.Linear}
+    parts |= {f"hidden.{index}": part for index, part in enumerate(linear)}
     tensors: dict[str, Float32] = {}
     for name, part in parts.items():
         if isinstance(part, torch.nn.Linear):
@@ -41,7 +44,7 @@ def export_policy(policy: BasePolicy) -> PolicyNetwork:
             tensors[name] = _array(part)
         else:
             raise ValueError(f"policy must have linear layers, got {part} for {name}")
-    return PolicyNetwork(tensors, _activation(kinds), distribution)
+    return PolicyNetwork(tensors, _activation(kinds), distribution), layer.view
 
 
 def _activation(kinds: set[type]) -> Activation:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import safetensors.numpy
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.arm_frame import feature_count, in_arm_frame
 from mmc_gym.agents.base import Agent, Observation, ReachInterface
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
+from mmc_gym.agents.views import View, feature_count, features
 from mmc_gym.network import EuclideanNormalizer
 
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
@@ -40,6 +40,7 @@ class PolicyCard:
         env_id: the environment that it was trained in.
         control: the meaning of its actions.
         segment_count: joints of its arm.
+        view: what it sees, see `views`.
         activation: of the network, see `PolicyNetwork`.
         distribution: of its actions, see `PolicyNetwork`.
         base_agent: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none.
@@ -59,6 +60,7 @@ class PolicyCard:
     env_id: str
     control: str
     segment_count: int
+    view: View
     activation: Activation
     distribution: Distribution
     base_agent: str
@@ -116,6 +118,8 @@ def load_policy(path: Path) -> tuple[PolicyNetwork, PolicyCard]:
             raise ValueError("its weights are not those of its card")
         tensors = safetensors.numpy.load(weights)
         network = PolicyNetwork(tensors, card.activation, card.distribution)
+        if card.view not in get_args(View):
+            raise ValueError(f"view must be one of {get_args(View)}, got {card.view!r}")
         if network.action_size != card.segment_count:
             raise ValueError(
                 f"its card says {card.segment_count} joints, its weights {network.action_size}"
@@ -160,9 +164,9 @@ class PolicyAgent(Agent[Any]):
             raise ValueError(
                 f"base_agent must be one of {list(BASE_AGENTS)}, got {card.base_agent!r}"
             )
-        features = feature_count(count) + (count if card.base_agent else 0)
-        if network.input_size != features:
-            raise ValueError(f"network must take {features} features, got {network.input_size}")
+        inputs = feature_count(card.view, count) + (count if card.base_agent else 0)
+        if network.input_size != inputs:
+            raise ValueError(f"network must take {inputs} features, got {network.input_size}")
         self.card = card
         self.training_steps = card.training_steps
         self._network = network
@@ -187,15 +191,15 @@ class PolicyAgent(Agent[Any]):
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], Any]:
         """See `Agent.predict`."""
-        features = in_arm_frame(np, observation, self._joint_count, self._reach)
-        features = features.astype(np.float32, copy=False)
+        seen = features(np, self.card.view, observation, self._joint_count, self._reach)
+        seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random
         if self._base is None:
-            action = self._network.act(features, random)
+            action = self._network.act(seen, random)
         else:
             proposal, state = self._base.predict(observation, state, episode_start)
-            features = np.concatenate((features, proposal), axis=-1)
-            action = corrected(proposal, self._network.act(features, random))
+            seen = np.concatenate((seen, proposal), axis=-1)
+            action = corrected(proposal, self._network.act(seen, random))
         if self._convert:
             sensed = self._interface.sense(observation)
             ahead = self._interface.max_joint_delta * action

@@ -1,4 +1,4 @@
-"""Policies of stable-baselines3 and sb3-contrib that see the arm's frame (see `arm_frame`).
+"""Policies of stable-baselines3 and sb3-contrib that have one of our views (see `views`).
 
 They are named by their full names in the YAML files, so that rl_zoo3 finds them too.  Their
 layers are rectified linear, unless `policy_kwargs` says otherwise.
@@ -17,8 +17,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.sac import policies as sac
 
-from mmc_gym.agents.arm_frame import feature_count, in_arm_frame
 from mmc_gym.agents.policy_network import Activation
+from mmc_gym.agents.views import View, feature_count, features
 
 ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
     "relu": torch.nn.ReLU,
@@ -26,10 +26,14 @@ ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
 }
 
 
-class ArmFrame(BaseFeaturesExtractor):
-    """`in_arm_frame` as a layer without parameters."""
+class ViewLayer(BaseFeaturesExtractor):
+    """`features` as a layer without parameters.
 
-    def __init__(self, observation_space: spaces.Space[Any], joint_count: int) -> None:
+    Attributes:
+        view: which.
+    """
+
+    def __init__(self, observation_space: spaces.Space[Any], view: View, joint_count: int) -> None:
         """Make the layer for the observations of an arm with `joint_count` joints.
 
         Raises:
@@ -43,18 +47,23 @@ class ArmFrame(BaseFeaturesExtractor):
                 f"observation_space must be that of a reaching environment with {joint_count} "
                 f"joints, got {observation_space}"
             )
-        super().__init__(observation_space, feature_count(joint_count) + additions)
+        super().__init__(observation_space, feature_count(view, joint_count) + additions)
+        self.view: View = view
         self._joint_count = joint_count
         self._reach = float(goals["desired_goal"].high[0]) if goals else 1.0
 
     def forward(self, observations: torch.Tensor | Mapping[str, torch.Tensor]) -> torch.Tensor:
         """The features of observations, (batch, features)."""
-        features: torch.Tensor = in_arm_frame(torch, observations, self._joint_count, self._reach)
-        return features
+        seen: torch.Tensor = features(
+            torch, self.view, observations, self._joint_count, self._reach
+        )
+        return seen
 
 
-class _SeesArmFrame(BasePolicy):
+class _HasView(BasePolicy):
     """What the policies below have in common."""
+
+    view: View = "arm"
 
     def __init__(
         self,
@@ -69,23 +78,33 @@ class _SeesArmFrame(BasePolicy):
         """
         activation = options.get("activation_fn", "relu")
         options["activation_fn"] = ACTIVATIONS.get(activation, activation)
-        options["features_extractor_class"] = ArmFrame
-        options["features_extractor_kwargs"] = {"joint_count": action_space.shape[0]}
+        options["features_extractor_class"] = ViewLayer
+        options["features_extractor_kwargs"] = {
+            "view": self.view,
+            "joint_count": action_space.shape[0],
+        }
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
 
-class PPOPolicy(_SeesArmFrame, ActorCriticPolicy):
-    """`ActorCriticPolicy` that sees the arm's frame."""
+class PPOPolicy(_HasView, ActorCriticPolicy):
+    """`ActorCriticPolicy` with the arm's view."""
 
 
-class SACPolicy(_SeesArmFrame, sac.SACPolicy):
-    """`SACPolicy` that sees the arm's frame."""
+class PPOWorldPolicy(PPOPolicy):
+    """`ActorCriticPolicy` with the world's view."""
+
+    view = "world"
 
 
-class TQCPolicy(_SeesArmFrame, tqc.TQCPolicy):
-    """`TQCPolicy` that sees the arm's frame."""
+class SACPolicy(_HasView, sac.SACPolicy):
+    """`SACPolicy` with the arm's view."""
+
+
+class TQCPolicy(_HasView, tqc.TQCPolicy):
+    """`TQCPolicy` with the arm's view."""
 
 
 POLICIES: dict[str, type[BasePolicy]] = {
-    f"{__name__}.{policy.__name__}": policy for policy in (PPOPolicy, SACPolicy, TQCPolicy)
+    f"{__name__}.{policy.__name__}": policy
+    for policy in (PPOPolicy, PPOWorldPolicy, SACPolicy, TQCPolicy)
 }

@@ -190,13 +190,14 @@ class Training:
         env = gym.make(self.env_id, **self._env_kwargs)
         interface = ReachInterface.of(env)
         env.close()
-        network = export_policy(model.policy)
+        network, view = export_policy(model.policy)
         card = PolicyCard(
             name=self.name,
             algorithm=self.algorithm,
             env_id=self.env_id,
             control=interface.control,
             segment_count=len(interface.segment_lengths),
+            view=view,
             activation=network.activation,
             distribution=network.distribution,
             base_agent="mmc" if "vec_env_wrapper" in self.hyperparameters else "",

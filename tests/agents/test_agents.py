@@ -15,6 +15,7 @@ from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.network import MMCNetwork
 
 NETWORKS = ("mmc", "mmc-classical", "mmc-neural", "mmc-bell")
+CONTROLS = {"ppo-torque": "joint_torque"}  # of agents that act under no other
 INVERSE_KINEMATICS = tuple(name for name in AGENTS if name.startswith("ik-"))
 JOINT_TARGET_AGENTS = (*NETWORKS, *INVERSE_KINEMATICS, "minimum-jerk", "pmp")
 
@@ -46,7 +47,7 @@ def success_rate_together(name: str, episodes: int, **options: object) -> float:
 
 @pytest.mark.parametrize("name", AGENTS)
 def test_actions_lie_in_the_action_space_single_and_batched(name):
-    env = gym.make("MMCReach-v0")
+    env = gym.make("MMCReach-v0", control=CONTROLS.get(name, "joint_position"))
     observations = np.stack([env.reset(seed=seed)[0] for seed in range(5)])
     agent = make_agent(name, env)
     action, _ = agent.predict(observations[0])

@@ -8,13 +8,18 @@ import pytest
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from mmc_gym.agents.arm_frame import in_arm_frame
 from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.export import export_policy
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.agents.torch_policies import POLICIES
+from mmc_gym.agents.views import View, features
 
-ENV_IDS = {"PPOPolicy": "MMCReach-v0", "SACPolicy": "MMCReach-v0", "TQCPolicy": "MMCReachGoal-v0"}
+ENV_IDS = {
+    "PPOPolicy": "MMCReach-v0",
+    "PPOWorldPolicy": "MMCReach-v0",
+    "SACPolicy": "MMCReach-v0",
+    "TQCPolicy": "MMCReachGoal-v0",
+}
 
 
 def make_policy(name: str, env_id: str, **options: Any) -> Any:
@@ -39,8 +44,8 @@ def observations(env_id: str, count: int = 20) -> Any:
     return observed
 
 
-def features(observed: Any) -> np.ndarray:
-    return in_arm_frame(np, observed, 3, 3.0).astype(np.float32)
+def seen(observed: Any, view: View = "arm") -> np.ndarray:
+    return features(np, view, observed, 3, 3.0).astype(np.float32)
 
 
 @pytest.mark.parametrize("activation", ["relu", "tanh"])
@@ -49,7 +54,8 @@ def test_it_acts_as_the_policy_it_is_exported_from(name, env_id, activation):
     policy = make_policy(name, env_id, activation_fn=activation)
     observed = observations(env_id)
     expected, _ = policy.predict(observed, deterministic=True)
-    actual = export_policy(policy).act(features(observed))
+    network, view = export_policy(policy)
+    actual = network.act(seen(observed, view))
     np.testing.assert_allclose(actual, expected, atol=2e-6)
     assert np.abs(actual).max() <= 1.0
     assert actual.dtype == np.float32
@@ -57,7 +63,8 @@ def test_it_acts_as_the_policy_it_is_exported_from(name, env_id, activation):
 
 @pytest.mark.parametrize(("name", "env_id"), ENV_IDS.items())
 def test_exploring_it_draws_from_the_same_distribution(name, env_id):
-    policy, network = make_policy(name, env_id), export_policy(make_policy(name, env_id))
+    policy = make_policy(name, env_id)
+    network, view = export_policy(policy)
     observed = observations(env_id, 1)
     many = (
         {key: np.repeat(value, 20_000, axis=0) for key, value in observed.items()}
@@ -66,7 +73,7 @@ def test_exploring_it_draws_from_the_same_distribution(name, env_id):
     )
     torch.manual_seed(0)
     expected, _ = policy.predict(many, deterministic=False)
-    actual = network.act(features(many), np.random.default_rng(0))
+    actual = network.act(seen(many, view), np.random.default_rng(0))
     np.testing.assert_allclose(actual.mean(0), expected.mean(0), atol=0.02)
     np.testing.assert_allclose(actual.std(0), expected.std(0), atol=0.02)
 
@@ -79,20 +86,21 @@ def test_turning_arm_and_target_about_the_base_changes_nothing_it_sees():
     one, _ = env.reset(options={"joint_angles": posture, "target": target})
     turned = {"joint_angles": posture + np.array([angle, 0, 0]), "target": turn @ target}
     other, _ = env.reset(options=turned)
-    np.testing.assert_allclose(features(one), features(other), atol=1e-6)
+    np.testing.assert_allclose(seen(one), seen(other), atol=1e-6)
     assert not np.allclose(one, other, atol=0.1)
 
 
 def test_a_goal_observation_shows_the_same_as_a_plain_one():
     plain = gym.make("MMCReach-v0").reset(seed=3)[0]
     goal = gym.make("MMCReachGoal-v0").reset(seed=3)[0]
-    np.testing.assert_allclose(features(plain), features(goal), atol=1e-6)
+    np.testing.assert_allclose(seen(plain), seen(goal), atol=1e-6)
+    np.testing.assert_allclose(seen(plain, "world"), seen(goal, "world"), atol=1e-6)
 
 
 def test_a_policy_that_sees_something_else_is_refused():
     env = gym.make("MMCReach-v0")
     policy = ActorCriticPolicy(env.observation_space, env.action_space, lambda _: 1e-3)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="policy must see the arm's frame"):
+    with pytest.raises(ValueError, match="policy must have one of the views here"):
         export_policy(policy)
 
 
@@ -114,7 +122,7 @@ def test_the_layer_refuses_observations_of_another_arm():
     ],
 )
 def test_tensors_that_do_not_fit_are_errors(change, message):
-    tensors = dict(export_policy(make_policy("PPOPolicy", "MMCReach-v0")).tensors)
+    tensors = dict(export_policy(make_policy("PPOPolicy", "MMCReach-v0"))[0].tensors)
     tensors |= change
     tensors = {name: value for name, value in tensors.items() if value is not None}
     with pytest.raises(ValueError, match=message):
@@ -128,7 +136,7 @@ def test_unknown_activations_and_distributions_are_errors():
         PolicyNetwork({}, "relu", "poisson")  # type: ignore[arg-type]
 
 
-def test_the_frame_needs_the_whole_reach_of_goals():
+def test_the_view_needs_the_whole_reach_of_goals():
     reach = sum(ReachInterface.of(gym.make("MMCReachGoal-v0")).segment_lengths)
     high = gym.make("MMCReachGoal-v0").observation_space["desired_goal"].high  # type: ignore[index]
     assert high[0] == pytest.approx(reach, rel=1e-6)
