@@ -11,6 +11,27 @@ Four loops, each of which can be left open:
 - *delay*: `delay_bridge`.
 - *lengths*: `length_identification`.
 - *locks*: `lock_detection`.
+
+What they buy the network, in success of 200 episodes (`python benchmarks/closed_loop.py` prints
+a row for every perturbation, and the times):
+
+=================================  ========  ============  ===========  ========  ==========
+body                               mmc       mmc-feedback  mmc-lengths  mmc-lock  mmc-closed
+=================================  ========  ============  ===========  ========  ==========
+as told                            100 %     99.5 %        100 %        100 %     99.5 %
+last segment longer by half        0 %       99 %          100 %        0 %       98.5 %
+cursor turned by 30°               0 %       100 %         0.5 %        0 %       99.5 %
+cursor turned by 45°               0 %       95 %          0 %          0 %       95 %
+second joint locked                7.5 %     57 %          7.5 %        99.5 %    99.5 %
+it locks on the way                12.5 %    48 %          12.5 %       67 %      67 %
+force field                        98.5 %    99.5 %        98.5 %       97 %      96.5 %
+=================================  ========  ============  ===========  ========  ==========
+
+Position servos reach what they are sent to whatever the agent sees, so in open loop delays and
+noise do no harm; feedback then costs time (at a delay of 0.2 s it takes 0.75 s for 0.50 s), which
+bridging the delay wins back.  Velocity control needs the bridge: with `--control joint_velocity`
+and a delay of 0.1 s success is 6 % in open loop, 53 % with feedback, 99.5 % with the delay bridged.
+A force field that holds the arm up may be taken for a locked joint.
 """
 
 from __future__ import annotations

@@ -11,13 +11,14 @@ from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.body_observer import seen_hand
 from mmc_gym.agents.closed_loop import LOOPS, closed_loop_mmc, told_lockable
 from mmc_gym.agents.servo_model import expected_turn
+from mmc_gym.envs.perturbations import LockedJoint
 from mmc_gym.network.chain import segments_from_joint_angles
 
 SEED = 70_000
 EPISODES = 50
 
 
-def last_memory(steps=60, told=None, episodes=EPISODES, **options):
+def last_memory(steps=60, episodes=EPISODES, **options):
     """What mmc-closed remembers after a while, of arms with the perturbations."""
     env = gym.make("MMCReach-v0", **options)
     agent = closed_loop_mmc(ReachInterface.of(env), LOOPS["closed"], told_lockable(env))
@@ -81,8 +82,6 @@ def test_an_arm_at_rest_tells_its_lengths_once():
 
 @pytest.mark.parametrize(("joint", "time"), [(0, 0.0), (1, 0.0), (2, 0.0), (1, 0.2)])
 def test_the_joint_that_is_locked_is_found_and_no_other(joint, time):
-    from mmc_gym.envs.perturbations import LockedJoint
-
     memory = last_memory(perturbations=LockedJoint(joint=joint, time=time))
     found = (memory.locks.is_locked > 0).mean(axis=0)
     assert found[joint] >= 0.6  # elsewhere it is not asked for enough to matter

@@ -129,6 +129,13 @@ def test_velocity_control_under_delay_needs_the_delay_bridged():
     assert success("mmc-closed", **late) >= 0.95
 
 
+def test_all_loops_together_bear_with_all_troubles_together():
+    troubles = {"perturbations": ("longer-20", "locked", "delay-100", "joint-noise")}
+    assert success("mmc-closed", **troubles) >= 0.93
+    for name in ("mmc", "mmc-feedback", "mmc-lengths", "mmc-lock"):
+        assert success(name, **troubles) <= 0.65
+
+
 @pytest.mark.parametrize("lengths", [(1.0, 1.0), (2.0, 1.0, 0.5, 0.25), (0.5,) * 5])
 @pytest.mark.parametrize("perturbation", ["longer-20", "locked", "rotation-30"])
 def test_arms_of_other_segments(lengths, perturbation):
