@@ -85,7 +85,7 @@ def hand_over_joint_straightness(hands: ArrayLike, joint_angles: ArrayLike) -> f
 
     Source:
         The question whether movements are planned in hand or in joint space: Morasso (1981), Exp.
-        Brain Res. 42, 223–227; Hollerbach and Atkeson (1987).
+        Brain Res. 42, 223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
     """
     path, posture = np.asarray(hands, dtype=np.float64), np.asarray(joint_angles)
     if posture.shape[-1] == 0:

@@ -43,6 +43,7 @@ class Estimate:
         seeds: number of training seeds of the agent, or of each of two; 0 without training.
         instances: number of instances, the same for all agents.
         environments: in how many environments they are.
+        missing: number of episodes, of both of two agents, that have no score (NaN).
     """
 
     estimate: float
@@ -51,6 +52,7 @@ class Estimate:
     seeds: tuple[int, ...]
     instances: int
     environments: int
+    missing: int = 0
 
     @property
     def replication(self) -> str:
@@ -217,8 +219,7 @@ def performance_profile(
         seed: of the resampling.
 
     Returns:
-        A row per agent and τ: agent, threshold, estimate, low, high, seeds, instances,
-        environments.
+        A row per agent and τ: agent, threshold, and the fields of `Estimate`, seeds a number.
     """
     scores = arrange(frame, value)
     draws = draw(scores, resamples, seed)
@@ -271,4 +272,9 @@ def _estimate(distribution: Floats, scores: Scores, *agents: str) -> Estimate:
         seeds=tuple(scores.seeds[agent] for agent in agents),
         instances=sum(scores.instances),
         environments=len(scores.environments),
+        missing=sum(
+            int(np.isnan(table).sum())
+            for agent in dict.fromkeys(agents)
+            for table in scores.values[agent]
+        ),
     )

@@ -47,8 +47,8 @@ def posture_variability(joint_angles: ArrayLike) -> float:
         joint_angles: when the hand is there, radians, (movements, N).
 
     Source:
-        Angular deviation: Batschelet (1981), Circular Statistics in Biology, section 2.3.  Donders'
-        law for the arm: Soechting, Buneo, Herrmann & Flanders (1995), J. Neurosci. 15, 6271–6280.
+        Angular deviation: Batschelet (1981), Circular Statistics in Biology.  Donders' law for the
+        arm: Soechting, Buneo, Herrmann & Flanders (1995), J. Neurosci. 15, 6271–6280.
 
     Example:
         >>> posture_variability([[0.1, 3.2], [0.1, 3.2 - 2 * np.pi]])

@@ -148,7 +148,9 @@ def test_missing_scores_are_left_out_of_comparisons_and_beat_no_threshold():
     assert probability_of_improvement(frame, "a", "b").estimate == 1.0
     profile = performance_profile(frame, [0.0]).set_index("agent")["estimate"]
     assert profile.to_dict() == pytest.approx({"a": 2 / 3, "b": 2 / 3})
-    assert stratified_bootstrap(frame)["a"].estimate == pytest.approx(2.0)
+    found = stratified_bootstrap(frame)["a"]
+    assert (found.estimate, found.missing) == (pytest.approx(2.0), 1)
+    assert paired_difference(frame, "a", "b").missing == 2
 
 
 def test_a_profile_is_the_share_of_episodes_beyond_each_threshold():
