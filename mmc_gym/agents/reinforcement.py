@@ -210,7 +210,6 @@ class PolicyAgent(Agent[Any]):
 BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {
     "mmc": lambda interface: dynamic_mmc(interface, EuclideanNormalizer()),
 }
-_CORRECTION = 0.5  # of the range of an action: enough to brake or hurry any joint
 
 
 def corrected(proposal: Float32, correction: Float32) -> Float32:
@@ -218,5 +217,5 @@ def corrected(proposal: Float32, correction: Float32) -> Float32:
 
     Source: residual policy learning, Silver et al. (2018), https://arxiv.org/abs/1812.06298.
     """
-    action: Float32 = np.clip(proposal + _CORRECTION * correction, -1.0, 1.0, dtype=np.float32)
+    action: Float32 = np.clip(proposal + correction, -1.0, 1.0, dtype=np.float32)
     return action
