@@ -1,0 +1,97 @@
+"""The table that a benchmark ends with: the ranking of its agents, and what went wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from mmc_gym.evaluation.benchmark import Manifest, not_played, untrained
+from mmc_gym.evaluation.ranking import BASELINE_AGENT, summarize_battery
+from mmc_gym.evaluation.store import read_episodes, read_manifest
+
+_PLAIN = str.maketrans({"–": "-", "−": "-", "½": "1/2"})
+
+
+def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
+    """Rank the agents of a store, print the table, and return it.
+
+    Raises:
+        ValueError: if the folder holds no store, or nothing was played in it.
+    """
+    manifest = read_manifest(folder)
+    ranking = summarize_battery(read_episodes(folder), not_played(manifest), untrained(manifest))
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="bold")
+    rows = ranking.to_dict("records")
+    for heading in _cells(rows[0]):
+        justify: Any = "left" if heading == "agent" else "right"
+        table.add_column(_text(console, heading), justify=justify, vertical="top")
+    for row in rows:
+        table.add_row(*(_text(console, content) for content in _cells(row).values()))
+    console.print(Padding(table, (1, 0)))
+    console.print(_text(console, _note(manifest, ranking)))
+    for status in ("skipped", "failed"):
+        for line, count in _reasons(manifest, status).items():
+            console.print(_text(console, f"{status}, {count} cells: {line}"))
+    return ranking
+
+
+def _cells(row: Mapping[Hashable, Any]) -> dict[str, str]:
+    return {
+        "rank": str(row["rank"]),
+        "agent": str(row["agent"]),
+        "success": _interval(row, "success"),
+        "settled": _interval(row, "settled"),
+        f"better than {BASELINE_AGENT}": _interval(row, "improvement"),
+        "time to target [s]": _number(row["time_to_target"], 2),
+        "seeds": str(row["training_seeds"] or "-"),
+        "not played": str(row["not_played"] or "-"),
+    }
+
+
+def _interval(row: Mapping[Hashable, Any], name: str) -> str:
+    low, high = (_number(row[f"{name}_{end}"], 3) for end in ("low", "high"))
+    return f"{_number(row[name], 3)} [{low}, {high}]"
+
+
+def _number(value: float, decimals: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{decimals}f}"
+
+
+def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
+    one = ranking.iloc[0]
+    left_out = len(manifest["environments"]) - int(one["environments"])
+    partly = f" ({left_out} more have not been attempted by all)" if left_out else ""
+    return (
+        f"{one['environments']} environments{partly}, {one['instances']} instances for each "
+        "agent and training seed, the same for all. Ranked by success: the fraction of episodes "
+        "that end at the target, each environment weighing the same; then by time to target (mean "
+        "of medians). settled: interquartile mean of the part of an episode after which the hand "
+        f"stays at the target. better than {BASELINE_AGENT}: probability of being settled for "
+        "longer in the same episode, ½ if equal. Intervals: 95 % bootstrap over training seeds and "
+        "instances; without several training seeds over instances alone. Cells that were not "
+        "played count as without success. All cells took "
+        f"{sum(manifest['cpu_seconds'].values()):.0f} s of one processor's time."
+    )
+
+
+def _reasons(manifest: Manifest, status: str) -> dict[str, int]:
+    """How many cells of an agent have come to nothing for the same reason."""
+    counts: dict[str, int] = {}
+    for entry in manifest[status]:
+        line = f"{entry['agent']}: {entry['reason']}"
+        counts[line] = counts.get(line, 0) + 1
+    return counts
+
+
+def _text(console: Console, content: str) -> Text:
+    if not console.is_terminal or not console.encoding.lower().startswith("utf"):
+        content = content.translate(_PLAIN).encode("ascii", "replace").decode()
+    return Text(content)
