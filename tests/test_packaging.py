@@ -24,6 +24,9 @@ SHIPPED = {
     "mmc_gym/agents/hyperparams/*.yml",
     "mmc_gym/agents/pretrained/*.json",
     "mmc_gym/agents/pretrained/*.safetensors",
+    "mmc_gym/evaluation/report/templates/*.css",
+    "mmc_gym/evaluation/report/templates/*.html.j2",
+    "mmc_gym/evaluation/report/templates/*.js",
 }
 
 HEAVY = {"matplotlib", "numba", "pygame", "stable_baselines3", "torch"}
