@@ -228,7 +228,7 @@ PERTURBATIONS: dict[str, Perturbation] = {
     "joint-noise-speed": JointNoise(std=0.0, speed_std=0.01),
     "vision-noise": VisionNoise(),
     "vision-noise-distance": VisionNoise(std=0.0, distance_std=0.05),
-    "delay-50": SensoryDelay(0.05),
+    "delay-40": SensoryDelay(0.04),
     "delay-100": SensoryDelay(0.1),
     "delay-200": SensoryDelay(0.2),
     "obstacles": Obstacles(),

@@ -33,7 +33,7 @@ _ELSEWHERE = (
     ),
     *("locked", "locked-told", "locks", "locks-told"),
     *("joint-noise", "joint-noise-speed", "vision-noise", "vision-noise-distance"),
-    *("delay-50", "delay-100", "delay-200"),
+    *("delay-40", "delay-100", "delay-200"),
     "obstacles",
 )
 

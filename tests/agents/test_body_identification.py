@@ -125,7 +125,7 @@ def test_a_locked_joint_that_is_seen_elsewhere_is_free_again():
 
 
 @pytest.mark.parametrize(
-    ("perturbation", "steps"), [((), 0), ("delay-50", 2), ("delay-100", 5), ("delay-200", 10)]
+    ("perturbation", "steps"), [((), 0), ("delay-40", 2), ("delay-100", 5), ("delay-200", 10)]
 )
 def test_the_delay_is_found(perturbation, steps):
     memory = last_memory(perturbations=perturbation)

@@ -167,7 +167,7 @@ def test_a_target_that_moves_is_pursued_as_closely_as_in_open_loop(name):
 
 @pytest.mark.parametrize("name", CLOSED)
 def test_a_batch_acts_as_its_members_do_alone(name):
-    options = {"perturbations": ("longer-20", "locked", "delay-50")}
+    options = {"perturbations": ("longer-20", "locked", "delay-40")}
     env = gym.make("MMCReach-v0", **options)
     agent = make_agent(name, env)
     envs = gym.make_vec("MMCReach-v0", num_envs=4, **options)
@@ -183,7 +183,7 @@ def test_a_batch_acts_as_its_members_do_alone(name):
 
 @pytest.mark.parametrize("name", CLOSED)
 def test_a_new_episode_knows_nothing_of_the_last(name):
-    options = {"perturbations": ("shorter-20", "locked", "delay-50")}
+    options = {"perturbations": ("shorter-20", "locked", "delay-40")}
     agent = make_agent(name, gym.make("MMCReach-v0", **options))
     envs = gym.make_vec("MMCReach-v0", num_envs=3, max_episode_steps=15, **options)
     (observations, _), state = envs.reset(seed=SEED), None

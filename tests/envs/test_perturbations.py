@@ -292,7 +292,7 @@ def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name: str) -> No
 # --- Delay
 
 
-@pytest.mark.parametrize(("name", "steps"), [("delay-50", 2), ("delay-100", 5), ("delay-200", 10)])
+@pytest.mark.parametrize(("name", "steps"), [("delay-40", 2), ("delay-100", 5), ("delay-200", 10)])
 def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
     name: str, steps: int
 ) -> None:
@@ -311,7 +311,7 @@ def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
 
 
 def test_delays_add_and_no_delay_is_none() -> None:
-    assert MMCReachEnv(perturbations=["delay-50", "delay-200"]).setup.delay == 12
+    assert MMCReachEnv(perturbations=["delay-40", "delay-200"]).setup.delay == 12
     assert MMCReachEnv(perturbations=SensoryDelay(0.0)).setup.delay == 0
     for seconds in (-0.1, math.inf, math.nan):
         with pytest.raises(ValueError, match="seconds of a delay"):
@@ -425,7 +425,7 @@ def test_starts_and_targets_are_clear_of_obstacles() -> None:
     [
         ["force-field", "hand-mass", "longer-20", "delay-100", "vision-noise"],
         ["locked", "shorter-20-told", "rotation-30", "joint-noise-speed"],
-        ["obstacles", "rotation-45", "locks", "joint-noise", "vision-noise-distance", "delay-50"],
+        ["obstacles", "rotation-45", "locks", "joint-noise", "vision-noise-distance", "delay-40"],
     ],
 )
 def test_perturbations_can_be_combined(names: list[str]) -> None:

@@ -43,7 +43,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "locked": {"perturbations": ("locked",)},
     "locks": {"perturbations": ("locks",)},
     "noise": {"perturbations": ("joint-noise-speed", "vision-noise-distance")},
-    "late": {"perturbations": ("delay-50",)},
+    "late": {"perturbations": ("delay-40",)},
     "obstacles": {"perturbations": ("obstacles",)},
     "all at once": {
         "task": "double-step-200",
