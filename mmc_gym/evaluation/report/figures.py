@@ -48,7 +48,7 @@ def dots(estimates: Estimates, measures: tuple[Measure, ...], look: Mapping[str,
                     markersize=5 if own else 6,
                     markerfacecolor="white",
                 )
-            axes.set_yticks(range(len(figures)), [shortened(agent) for agent in figures])
+            axes.set_yticks(range(len(figures)), [shortened(agent, 20) for agent in figures])
             axes.set_ylim(len(figures) - 0.4, -0.6)
             axes.grid(axis="y", color="0.92", linewidth=0.6)
             axes.set_axisbelow(True)

@@ -13,6 +13,7 @@ from mmc_gym.evaluation.learning_curve_table import EVALUATION_EPISODES
 from mmc_gym.evaluation.learning_curves import Axis, curve_rows, mean_curves
 from mmc_gym.evaluation.report.estimates import Estimates
 from mmc_gym.evaluation.report.figures import INTERVALS
+from mmc_gym.evaluation.report.knowledge import kind_of
 from mmc_gym.evaluation.report.panels import Block, Look, Panel, drawn, line_panel, name_lines
 from mmc_gym.evaluation.report.svg import to_svg
 from mmc_gym.evaluation.report.wording import instances_of, quantity, seeds_of
@@ -69,7 +70,9 @@ def frontier(estimates: Estimates, look: Mapping[str, Look]) -> Block:
     results = estimates.results
     environment = base_of(results)
     figures = estimates.of(environment, SUCCESS)
-    steps = {agent: 0.0 for agent in look if results.seeds(agent) == 0}
+    steps = {
+        agent: 0.0 for agent in look if results.seeds(agent) == 0 and kind_of(agent) != "yours"
+    }
     for name, cards in results.cards.items():
         steps[name] = float(np.median([card.training_steps for card in cards]))
     steps = {agent: steps[agent] for agent in look if agent in steps and agent in figures}
@@ -98,6 +101,7 @@ def frontier(estimates: Estimates, look: Mapping[str, Look]) -> Block:
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlim(left=-2e3)
+        axes.set_ylim(bottom=min(axes.get_ylim()[0], 90), top=101)
         ends = {agent: ([cost], [100 * figures[agent].estimate]) for agent, cost in steps.items()}
         name_lines(axes, ends, look)
     said = "; ".join(

@@ -64,9 +64,9 @@ def looks(agents: Sequence[str]) -> dict[str, Look]:
     }
 
 
-def shortened(name: str) -> str:
+def shortened(name: str, length: int = _NAME_LENGTH) -> str:
     """A name that fits into a figure."""
-    return name if len(name) <= _NAME_LENGTH else f"{name[: _NAME_LENGTH - 1]}…"
+    return name if len(name) <= length else f"{name[: length - 1]}…"
 
 
 @contextmanager
@@ -149,7 +149,13 @@ def name_lines(
             va="center",
             fontsize=8,
             color=look[agent].colour,
-            arrowprops={"arrowstyle": "-", "color": look[agent].colour, "linewidth": 0.5},
+            arrowprops={
+                "arrowstyle": "-",
+                "color": look[agent].colour,
+                "linewidth": 0.5,
+                "relpos": (0, 0.5),  # from before the name, so that no line crosses another
+                "shrinkA": 1,
+            },
             annotation_clip=False,
         )
 

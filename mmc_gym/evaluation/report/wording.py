@@ -9,6 +9,14 @@ from mmc_gym.evaluation.measures import Measure
 from mmc_gym.evaluation.replication import Estimate
 from mmc_gym.evaluation.report.data import Results
 
+_KINDS = ("correlation", "SPARC", "log dimensionless jerk")
+"""What measures have instead of a unit: it says what was computed, and stands with the label."""
+
+
+def label(measure: Measure) -> str:
+    """What a measure is called in a sentence."""
+    return f"{measure.label} ({measure.unit})" if measure.unit in _KINDS else measure.label
+
 
 def unit(measure: Measure) -> str:
     """The unit that values are shown in: fractions as percents."""
@@ -35,9 +43,10 @@ def number(measure: Measure, value: float) -> str:
 
 
 def quantity(measure: Measure, value: float) -> str:
-    """A value of a measure with its unit."""
+    """A value of a measure with its unit, if it has one."""
     text = number(measure, value)
-    return f"{text} {unit(measure)}" if unit(measure) and text != "–" else text
+    has_unit = unit(measure) and measure.unit not in _KINDS
+    return f"{text} {unit(measure)}" if has_unit and text != "–" else text
 
 
 def interval(measure: Measure, estimate: Estimate) -> str:

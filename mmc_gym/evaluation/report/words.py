@@ -16,7 +16,7 @@ from mmc_gym.evaluation.measures import MEASURES, Measure
 from mmc_gym.evaluation.report.data import Results
 from mmc_gym.evaluation.report.estimates import Comparison, Estimates, Outcome
 from mmc_gym.evaluation.report.knowledge import kind_of
-from mmc_gym.evaluation.report.wording import count, interval, listed, number, quantity
+from mmc_gym.evaluation.report.wording import count, interval, label, listed, number, quantity
 
 EXAMPLES = 3
 """Environments that a sentence names, those of the largest differences."""
@@ -109,9 +109,8 @@ def _sentences(board: Sequence[Comparison], outcome: Outcome) -> list[str]:
             for entry in found[:EXAMPLES]
         ]
         more = [f"{len(found) - EXAMPLES} more"] if len(found) > EXAMPLES else []
-        name = measure.label if measure.label != "smoothness" else f"smoothness, {measure.unit}"
         sentences.append(
-            f"{name}: in {len(found)} of {count(len(compared), 'environment')}: "
+            f"{label(measure)}: in {len(found)} of {count(len(compared), 'environment')}: "
             f"{listed([*examples, *more])}"
         )
     return sentences
@@ -152,7 +151,7 @@ def _detail(measure: Measure, entry: Comparison) -> str:
         "equal": "no difference",
     }[entry.outcome]
     return (
-        f"{measure.label} {number(measure, entry.mine.estimate)} against "
+        f"{label(measure)} {number(measure, entry.mine.estimate)} against "
         f"{quantity(measure, entry.theirs.estimate)}, {outcome}"
     )
 
@@ -185,7 +184,7 @@ def sample_cost(results: Results) -> list[str]:
             steps = median(first_reached(card, level, "steps") for card in cards)
             minutes = median(first_reached(card, level, "cpu_seconds") for card in cards) / 60
             when = "never" if math.isinf(steps) else f"after {steps:,.0f} steps ({minutes:.1f} min)"
-            parts.append(f"{level:.0%} success {when}")
+            parts.append(f"{100 * level:.0f} % success {when}")
         sentences.append(f"{name}: {listed(parts)}; median of {count(len(cards), 'training seed')}")
     return sentences
 

@@ -146,7 +146,7 @@ def test_wins_and_losses_are_told_in_the_same_form(estimates):
     standing = words.standing(board, "mmc")
     assert standing.total == len(board)
     assert any(line.startswith("time to target") for line in standing.better)
-    assert any("rotation-60 (0.0 against 100.0 % of ppo" in line for line in standing.worse)
+    assert any("rotation-15 (0.0 against 100.0 % of ppo" in line for line in standing.worse)
 
 
 def test_the_page_gives_wins_and_losses_the_same_place(text):
