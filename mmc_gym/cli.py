@@ -20,7 +20,16 @@ ENV_ID = "MMCReach-v0"
 class Compare:
     """Run agents over the same starts and targets; print a table, write data and figure."""
 
-    agents: tuple[str, ...] = ("mmc", "mmc-classical", "mmc-neural", "ik-dls", "ppo", "random")
+    agents: tuple[str, ...] = (
+        "mmc",
+        "mmc-classical",
+        "mmc-neural",
+        "ik-dls",
+        "ppo",
+        "sac",
+        "tqc-her",
+        "random",
+    )
     """Names of agents, or module:function, called with the environment."""
     env: str = ENV_ID
     """Environment id."""
@@ -226,6 +235,67 @@ class Curves:
 
 
 @dataclass(frozen=True)
+class Benchmark:
+    """Let agents play a battery of environments; keep all in a store, and print a ranking."""
+
+    agents: tuple[str, ...] = ()
+    """Names (ppo: all its training seeds; ppo-3: one), module:function, or LABEL=NAME."""
+    environments: tuple[str, ...] = ()
+    """Names of environments of the battery (default: all)."""
+    episodes: int = 100
+    """Episodes in each environment; numbered trials are played once each."""
+    seed: int = 0
+    """Seed of the starts and targets."""
+    out: Path = Path("runs/benchmark")
+    """Folder of the store; a benchmark that is there goes on, or is added to."""
+    jobs: int | None = None
+    """How many cells at once (default: one per core)."""
+    cluster: str | None = None
+    """Where, if not here: "ray", or "ray://HOST:PORT", to play on a Ray cluster."""
+
+    def run(self) -> None:
+        """Play, with a progress bar, and print the ranking."""
+        from mmc_gym.evaluation.benchmark import Progress, benchmark
+        from mmc_gym.evaluation.contestants import default_agents
+        from mmc_gym.evaluation.ranking_table import print_ranking
+        from mmc_gym.evaluation.table import make_console
+
+        with _progress_bar() as bar:
+            task = bar.add_task("cells")
+
+            def report(progress: Progress) -> None:
+                bar.update(task, completed=progress.done, total=progress.total)
+
+            benchmark(
+                self.agents or default_agents(),
+                self.out,
+                self.environments,
+                self.episodes,
+                self.seed,
+                jobs=self.jobs,
+                cluster=self.cluster,
+                on_progress=report,
+            )
+        print_ranking(make_console(), self.out)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write the report of a benchmark: one HTML file that needs nothing beside it."""
+
+    store: Path = Path("runs/benchmark")
+    """Folder of the benchmark."""
+    out: Path = Path("runs/benchmark/report.html")
+    """The file to write."""
+
+    def run(self) -> None:
+        """Write."""
+        from mmc_gym.evaluation.report import write_report
+
+        print(f"wrote {write_report(self.store, self.out)}")
+
+
+@dataclass(frozen=True)
 class Play:
     """Open a window in which the mouse is the target of an agent's arm."""
 
@@ -249,13 +319,15 @@ Command = (
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Tune, tyro.conf.subcommand("tune")]
     | Annotated[Curves, tyro.conf.subcommand("curves")]
+    | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Play, tyro.conf.subcommand("play")]
 )
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; a mistake of the user's ends with one line on stderr and status 2."""
-    command: Compare | Reproduce | Train | Tune | Curves | Play = tyro.cli(
+    command: Compare | Reproduce | Train | Tune | Curves | Benchmark | Report | Play = tyro.cli(
         Command, prog="mmc-gym", args=arguments
     )
     try:
