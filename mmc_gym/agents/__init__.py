@@ -111,8 +111,8 @@ def _classical_mmc(env: gym.Env[Any, Any]) -> MMCAgent:
 def _tuned_mmc(env: gym.Env[Any, Any]) -> MMCAgent:
     """The dynamic network with constants from `mmc-gym tune mmc`, 20 trials of 200,000 steps.
 
-    They bring 77.2 % of the time at the target, those of `mmc` 75.7 %.  d is just above (N + 1) / 2,
-    where the network no longer converges.
+    They bring 77.2 % of the time at the target, those of `mmc` 75.7 %.  d is just above
+    (N + 1) / 2, where the network no longer converges.
     """
     interface = ReachInterface.of(env)
     lengths = interface.segment_lengths
