@@ -194,7 +194,9 @@ def test_differences_are_those_of_the_paired_bootstrap(estimates):
     expected = paired_difference(rows, "mmc", "ppo", value=measure.name, resamples=200)
     assert found.estimate == pytest.approx(expected.estimate)
     assert found.seeds == expected.seeds == (0, 2)
-    assert found.low == pytest.approx(expected.low, rel=0.05)
+    width = expected.high - expected.low  # other draws of training seeds
+    assert found.low == pytest.approx(expected.low, abs=0.3 * width)
+    assert found.high == pytest.approx(expected.high, abs=0.3 * width)
 
 
 def test_an_agent_that_hardly_ever_arrives_wins_no_race(estimates):
