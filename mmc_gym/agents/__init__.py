@@ -177,7 +177,7 @@ AGENTS: dict[str, AgentEntry] = {
     "tqc-her": _trained("tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", 5),
     "ppo-residual": _trained("ppo-residual", "PPO on top of mmc: it corrects its actions", 5),
     "ppo-smooth": _trained("ppo-smooth", "PPO that is also rewarded for smoothness", 3),
-    "ppo-position": _trained("ppo-position", "PPO whose actions are joint angles", 2),
+    "ppo-position": _trained("ppo-position", "PPO whose actions are joint angles", 3),
     "ppo-torque": _trained("ppo-torque", "PPO whose actions are torques", 3),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
