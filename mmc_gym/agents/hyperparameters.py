@@ -6,6 +6,7 @@ What the files may name is looked up in the tables here; nothing is imported or 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from importlib.resources import files
 from typing import Any, cast
 
@@ -114,7 +115,7 @@ def make_model(
     Raises:
         ValueError: if the hyperparameters name something that is not in the tables here.
     """
-    h = dict(hyperparameters)
+    h = deepcopy(dict(hyperparameters))  # stable-baselines3 adds to what it is given
     if "vec_env_wrapper" in h:
         env = _named("vec_env_wrapper", h, _WRAPPERS)(env)
     if "normalize" in h:

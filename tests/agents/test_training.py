@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,13 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained")
     training("ppo", folder).run()
     return folder
+
+
+@pytest.mark.parametrize("name", TINY)
+def test_a_training_leaves_its_hyperparameters_as_they_were(name, tmp_path):
+    one = training(name, tmp_path)
+    before = deepcopy(one.hyperparameters)
+    assert one.run().hyperparameters == before == one.hyperparameters
 
 
 @pytest.mark.parametrize("name", TINY)
@@ -175,7 +183,7 @@ def test_tensorboard_gets_the_evaluations(tmp_path):
 
 
 def test_steps_are_rounded_up_to_whole_legs(tmp_path):
-    assert training("ppo", tmp_path, n_timesteps=1601).total_steps == 3200
+    assert training("ppo", tmp_path, n_timesteps=1601).total_steps == 2400
 
 
 def test_a_checkpoint_is_not_overwritten_unasked(trained):
