@@ -13,7 +13,7 @@ from mmc_gym.agents.minimum_jerk import HandPlan, MinimumJerkAgent, minimum_jerk
 from mmc_gym.agents.movement import AVERAGE_SPEED, HORIZON, JUMP, SHORTEST, begin, follow, step
 from mmc_gym.agents.passive_motion import PassiveMotionAgent, passive_motion_step
 from mmc_gym.agents.timed_mmc import TimedMMCAgent
-from mmc_gym.evaluation.metrics import minimum_jerk_correlation, time_to_peak, velocity_peaks
+from mmc_gym.evaluation.profiles import minimum_jerk_correlation, time_to_peak, velocity_peaks
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk, share
 

@@ -46,7 +46,9 @@ def test_without_a_correction_it_is_the_base_agent():
 
 def test_a_correction_is_added_and_bounded():
     proposal = np.array([0.0, 0.9, -0.9], np.float32)
-    np.testing.assert_allclose(corrected(proposal, np.ones(3, np.float32)), [1.0, 1.0, 0.1])
+    np.testing.assert_allclose(
+        corrected(proposal, np.ones(3, np.float32)), [1.0, 1.0, 0.1], rtol=1e-6
+    )
     np.testing.assert_array_equal(corrected(proposal, np.zeros(3, np.float32)), proposal)
 
 

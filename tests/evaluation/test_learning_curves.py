@@ -73,6 +73,7 @@ def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) 
         segment_count=3,
         activation="tanh",
         distribution="gaussian",
+        view="arm",
         base_agent="",
         hyperparameters={"n_timesteps": 5_000, "gamma": 0.9},
         seed=seed,

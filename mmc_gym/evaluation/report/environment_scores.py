@@ -61,7 +61,7 @@ class EnvironmentScores:
         self.agents = tuple(self._tables)
         shapes = {agent: (table[0],) for agent, table in self._tables.items()}
         self._draws = draw(Scores(("",), (instances,), shapes, self._seeds), resamples, seed=0)
-        self._known: dict[tuple[str, str], Floats] = {}
+        self._known: dict[tuple[str, str, str], Floats] = {}
 
     def values(self, agent: str, measure: Measure) -> Floats:
         """Scores (policies, instances); NaN where there is none."""
@@ -70,7 +70,7 @@ class EnvironmentScores:
 
     def distribution(self, agent: str, measure: Measure) -> Floats:
         """A measure's statistic in the data themselves, and in all resamples, (R + 1,)."""
-        key = (agent, measure.name)
+        key = (agent, measure.name, measure.statistic)
         if key not in self._known:
             self._known[key] = self._resampled(agent, measure, self.values(agent, measure))
         return self._known[key]
