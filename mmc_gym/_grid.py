@@ -14,7 +14,6 @@ import logging
 import os
 import pickle
 import socket
-import sys
 import traceback
 import warnings
 from collections import Counter, deque
@@ -27,6 +26,8 @@ from typing import Any, TypeAlias, TypeVar, cast
 
 import cloudpickle
 from joblib import Parallel, cpu_count, delayed, parallel_config
+
+from mmc_gym._threads import one_torch_thread, set_torch_threads
 
 Cell = TypeVar("Cell")
 Value = TypeVar("Value")
@@ -206,7 +207,7 @@ def _work(packed: bytes) -> bytes:
     """In a worker: the packed outcome of a packed call, whatever goes wrong."""
     try:
         function, cell = pickle.loads(packed)
-        _set_torch_threads(1)
+        set_torch_threads(1)
         return _dumps(_Success(function(cell)))
     except (Exception, SystemExit) as error:
         text = traceback.format_exc()
@@ -347,23 +348,11 @@ def _one_thread_here() -> Iterator[None]:
     """Torch on one thread, as in a worker, whether it is loaded already or will be."""
     before = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = "1"
-    threads = _set_torch_threads(1)
     try:
-        yield
+        with one_torch_thread():
+            yield
     finally:
         if before is None:
             del os.environ["OMP_NUM_THREADS"]
         else:
             os.environ["OMP_NUM_THREADS"] = before
-        if threads is not None:
-            _set_torch_threads(threads)
-
-
-def _set_torch_threads(threads: int) -> int | None:
-    """Set the number of torch's threads, if it is loaded, and return what it was."""
-    torch: Any = sys.modules.get("torch")  # who has not loaded it does not use it
-    if torch is None:
-        return None
-    before: int = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    return before

@@ -107,7 +107,8 @@ class Train:
 
     def _train_one(self, bar: Bar) -> None:
         from mmc_gym.agents.hyperparameters import read_hyperparameters
-        from mmc_gym.agents.training import FINAL_EPISODES, Progress, Training
+        from mmc_gym.agents.reinforcement import FINAL_EPISODES
+        from mmc_gym.agents.training import Progress, Training
 
         env_id, hyperparameters = read_hyperparameters(self.name, self.env)
         if self.steps is not None:

@@ -27,6 +27,8 @@ from mmc_gym.agents.policy_network import Activation, Distribution, Float32, Pol
 from mmc_gym.agents.views import View, feature_count, features
 from mmc_gym.network import EuclideanNormalizer
 
+EVALUATION_EPISODES = 200  # of every evaluation during a training
+FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
+from mmc_gym._threads import one_torch_thread
 from mmc_gym.agents.base import Agent, ReachInterface
 from mmc_gym.agents.checkpoints import begin_episodes, load_checkpoint, read_head, save_checkpoint
 from mmc_gym.agents.export import export_policy
@@ -34,14 +35,17 @@ from mmc_gym.agents.hyperparameters import (
     make_model,
 )
 from mmc_gym.agents.policy_network import PolicyNetwork
-from mmc_gym.agents.reinforcement import PolicyAgent, PolicyCard, save_policy
+from mmc_gym.agents.reinforcement import (
+    EVALUATION_EPISODES,
+    FINAL_EPISODES,
+    PolicyAgent,
+    PolicyCard,
+    save_policy,
+)
 from mmc_gym.agents.vec_env import GymnasiumVecEnv
-from mmc_gym.network.training import one_thread
 
 CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = 25
-EVALUATION_EPISODES = 200
-FINAL_EPISODES = 500
 EVALUATION_SEED = 1_000_000  # far from the seeds that a comparison starts from
 
 
@@ -105,8 +109,9 @@ class Training:
             raise FileExistsError(
                 f"{checkpoint} exists already: resume it, or choose another folder"
             )
-        with one_thread():
+        with one_torch_thread():
             env = make_vec_env(self.env_id, self.hyperparameters["n_envs"], self._env_kwargs)
+            self._interface = ReachInterface.of(env.vector_env)
             logs = str(self.tensorboard) if self.tensorboard else None
             model = make_model(
                 self.algorithm, self.hyperparameters, env, self.seed, self.device, logs
@@ -187,9 +192,7 @@ class Training:
 
     def _policy(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, PolicyCard]:
         """The policy as it is now, with a card that has no scores yet."""
-        env = gym.make(self.env_id, **self._env_kwargs)
-        interface = ReachInterface.of(env)
-        env.close()
+        interface = self._interface
         network, view = export_policy(model.policy)
         card = PolicyCard(
             name=self.name,

@@ -11,8 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 
+from mmc_gym.agents.reinforcement import EVALUATION_EPISODES
 from mmc_gym.evaluation.figures import LINES, STYLE
-from mmc_gym.evaluation.learning_curve_table import EVALUATION_EPISODES, LEVELS
+from mmc_gym.evaluation.learning_curve_table import LEVELS
 
 # Okabe and Ito's, but for yellow: seven, and four kinds of lines, so that no two curves share both.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")

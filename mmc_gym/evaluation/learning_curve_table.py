@@ -17,13 +17,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mmc_gym.agents.reinforcement import PolicyCard
+from mmc_gym.agents.reinforcement import EVALUATION_EPISODES, FINAL_EPISODES, PolicyCard
 from mmc_gym.evaluation.measures import Direction, Statistic
 from mmc_gym.evaluation.statistics import CONFIDENCE, Interval, bootstrap_interval
 from mmc_gym.evaluation.table import cell, print_columns
 
-EVALUATION_EPISODES = 200  # of every evaluation during a training, see `agents.training`,
-FINAL_EPISODES = 500  # and of the one after it; importing them from there would load PyTorch
 LEVELS = (0.95, 0.98)
 
 NOTE = (

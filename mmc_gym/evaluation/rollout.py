@@ -5,10 +5,8 @@ Episodes may differ in length, so they are a tuple of `Episode`, and nothing is 
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -16,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._threads import one_torch_thread
 from mmc_gym.body.servo_watch import ServoWatch
 
 REQUIRED_INFO = ("distance", "end_effector", "target")
@@ -207,18 +206,3 @@ def _run_episode(
 
 def _floats(values: ArrayLike) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Small networks run slower on many threads, and times would depend on the machine's cores."""
-    torch: Any = sys.modules.get("torch")  # who has not loaded it does not use it
-    if torch is None:
-        yield
-        return
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

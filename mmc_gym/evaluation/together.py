@@ -16,9 +16,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._threads import one_torch_thread
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.evaluation.batch_servo_watch import BatchServoWatch
-from mmc_gym.evaluation.rollout import Episode, Predictor, one_torch_thread
+from mmc_gym.evaluation.rollout import Episode, Predictor
 
 Floats = NDArray[np.float64]
 

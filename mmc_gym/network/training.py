@@ -26,8 +26,7 @@ What the package ships was trained, in about a minute, by
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, pi, sqrt
@@ -39,6 +38,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mmc_gym._threads import one_torch_thread
 from mmc_gym.network.normalization import LearnedNormalizer, angle_errors, mean_squared_error
 from mmc_gym.network.refinement import Refinement, refine
 
@@ -179,7 +179,7 @@ def train_normalizers(
         if progress:
             progress(done, total)
 
-    with one_thread():
+    with one_torch_thread():
         generators = [_generator(seed, run) for run in range(runs)]
         samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
         parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
@@ -343,17 +343,6 @@ def _generator(seed: int, run: int) -> torch.Generator:
     # CPU gives every device the same samples.
     state = np.random.SeedSequence((seed, run)).generate_state(1, np.uint64)
     return torch.Generator().manual_seed(int(state[0]))
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Torch on one thread: small networks train faster so, and to the same bits at every run."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -11,8 +11,13 @@ import pytest
 from mmc_gym import make_agent
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.hyperparameters import read_hyperparameters
-from mmc_gym.agents.reinforcement import PRETRAINED, load_policy, save_policy
-from mmc_gym.agents.training import EVALUATION_EPISODES, evaluate
+from mmc_gym.agents.reinforcement import (
+    EVALUATION_EPISODES,
+    PRETRAINED,
+    load_policy,
+    save_policy,
+)
+from mmc_gym.agents.training import evaluate
 from mmc_gym.agents.training_grid import shipped_cells
 
 MEBIBYTE = 2**20

@@ -318,8 +318,8 @@ def test_all_files_are_written_and_the_table_is_printed(tmp_path):
 
 
 def test_a_table_and_the_captions_tell_the_true_numbers_of_episodes():
-    assert learning_curve_table.EVALUATION_EPISODES == EVALUATION_EPISODES
-    assert learning_curve_table.FINAL_EPISODES == FINAL_EPISODES
+    assert f"time to target: {FINAL_EPISODES} fixed episodes" in learning_curve_table.NOTE
+    assert f"in the training, {EVALUATION_EPISODES} fixed episodes" in learning_curve_table.NOTE
 
 
 def test_the_command_draws_the_policies_of_a_folder(tmp_path, capsys):

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter, FuncFormatter, NullFormatter
 
-from mmc_gym.evaluation.learning_curve_table import EVALUATION_EPISODES
+from mmc_gym.agents.reinforcement import EVALUATION_EPISODES
 from mmc_gym.evaluation.learning_curves import Axis, curve_rows, mean_curves
 from mmc_gym.evaluation.report.estimates import Estimates
 from mmc_gym.evaluation.report.figures import INTERVALS

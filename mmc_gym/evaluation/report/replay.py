@@ -49,11 +49,6 @@ def replay(results: Results, environments: Sequence[str], agents: Sequence[str])
     return data
 
 
-def _present(agents: Sequence[str], scenes: dict[str, list[dict[str, Any]]]) -> list[str]:
-    recorded = {agent for found in scenes.values() for scene in found for agent in scene["agents"]}
-    return [agent for agent in agents if agent in recorded]
-
-
 def _scenes(
     results: Results, environment: str, agents: Sequence[str], instances: int
 ) -> list[dict[str, Any]]:
