@@ -14,6 +14,7 @@ import logging
 import os
 import pickle
 import socket
+import time
 import traceback
 import warnings
 from collections import Counter, deque
@@ -34,6 +35,7 @@ Value = TypeVar("Value")
 
 ATTEMPTS = 5  # that a cell has on Ray: four nodes or workers may die under it
 _LOCAL_OBJECT_STORE = 256 * 2**20  # bytes; larger results overflow to the disk
+_HANDOVER_SECONDS = 0.2  # a thread of this process needs to pass on a call; microseconds, if idle
 _GROWTH_SECONDS = 5.0  # after which a cluster may have got more nodes
 _LONGEST_REPR = 200
 
@@ -193,6 +195,12 @@ def _outcomes_of_processes(
     try:
         for index, outcome in packed:
             yield index, _unpacked(outcome)
+    except GeneratorExit:  # of the caller, who wants no more
+        # loky (in joblib 1.6) kills its workers, and then its thread dies of a KeyError if it has
+        # a call in hand that it has not yet passed on: let it have none.
+        pending.clear()
+        time.sleep(_HANDOVER_SECONDS)
+        raise
     finally:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that cells under way are cancelled is what is meant

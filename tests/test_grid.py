@@ -14,6 +14,7 @@ import cloudpickle
 import gymnasium as gym
 import numpy as np
 import pytest
+from joblib.externals.loky import process_executor
 
 from mmc_gym import _grid, make_agent
 from mmc_gym._grid import CellError, run_grid
@@ -170,6 +171,23 @@ def test_an_error_of_on_result_ends_the_grid():
     with pytest.raises(KeyboardInterrupt):
         run_grid(square, range(4), jobs=2, on_result=interrupt)
     assert run_grid(square, range(4), jobs=2) == [0, 1, 4, 9]
+
+
+def test_nothing_dies_where_a_grid_ends_while_a_call_is_handed_over(monkeypatch):
+    # Between the end of one cell and the start of the next, joblib's thread is made to pause: an
+    # error in that thread is a warning of pytest's, and so an error of this test.
+    manager = process_executor._ExecutorManagerThread
+    process = manager.process_result_item
+
+    def process_and_pause(thread, result):
+        process(thread, result)
+        time.sleep(0.02)
+
+    monkeypatch.setattr(manager, "process_result_item", process_and_pause)
+    for _ in range(3):
+        with pytest.raises(ZeroDivisionError):
+            run_grid(square, range(6), jobs=2, on_result=lambda index, result: 1 / 0)
+        assert run_grid(square, range(4), jobs=2) == [0, 1, 4, 9]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
