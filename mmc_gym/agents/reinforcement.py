@@ -24,7 +24,7 @@ from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent, Observation, ReachInterface
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
-from mmc_gym.agents.views import View, feature_count, features
+from mmc_gym.agents.views import View, feature_count, features, turned_actions
 from mmc_gym.network import EuclideanNormalizer
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
@@ -166,6 +166,11 @@ class PolicyAgent(Agent[Any]):
             raise ValueError(
                 f"base_agent must be one of {list(BASE_AGENTS)}, got {card.base_agent!r}"
             )
+        if card.view == "target" and (card.control != "joint_position" or card.base_agent):
+            raise ValueError(
+                "view 'target' is for policies that act alone, by joint positions, got control "
+                f"{card.control!r} and base_agent {card.base_agent!r}"
+            )
         inputs = feature_count(card.view, count) + (count if card.base_agent else 0)
         if network.input_size != inputs:
             raise ValueError(f"network must take {inputs} features, got {network.input_size}")
@@ -198,6 +203,8 @@ class PolicyAgent(Agent[Any]):
         random = None if deterministic else self._random
         if self._base is None:
             action = self._network.act(seen, random)
+            if self.card.view == "target":
+                action = turned_actions(np, action, observation, self._joint_count)
         else:
             proposal, state = self._base.predict(observation, state, episode_start)
             seen = np.concatenate((seen, proposal), axis=-1)

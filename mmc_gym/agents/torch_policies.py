@@ -14,11 +14,11 @@ from gymnasium import spaces
 from sb3_contrib.tqc import policies as tqc
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.sac import policies as sac
 
 from mmc_gym.agents.policy_network import Activation
-from mmc_gym.agents.views import View, feature_count, features
+from mmc_gym.agents.views import View, feature_count, features, turned_actions
 
 ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
     "relu": torch.nn.ReLU,
@@ -96,6 +96,40 @@ class PPOWorldPolicy(PPOPolicy):
     view = "world"
 
 
+class PPOTargetPolicy(PPOPolicy):
+    """`ActorCriticPolicy` with the target's view, for joint positions.
+
+    Its distribution is that of the actions in this view; they are turned as they go out, and
+    turned back where their probability is asked for.
+    """
+
+    view = "target"
+
+    def forward(
+        self, obs: torch.Tensor, deterministic: bool = False
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Actions, their values and the logarithms of their probabilities."""
+        actions, values, log_probabilities = super().forward(obs, deterministic)
+        return self._turned(actions, obs), values, log_probabilities
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:
+        return self._turned(super()._predict(observation, deterministic), observation)
+
+    def evaluate_actions(
+        self, obs: PyTorchObs, actions: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Values, logarithms of the actions' probabilities, and the distribution's entropy."""
+        return super().evaluate_actions(obs, self._turned(actions, obs, back=True))
+
+    def _turned(
+        self, actions: torch.Tensor, observation: PyTorchObs, back: bool = False
+    ) -> torch.Tensor:
+        turned: torch.Tensor = turned_actions(
+            torch, actions, observation, actions.shape[-1], back=back
+        )
+        return turned
+
+
 class SACPolicy(_HasView, sac.SACPolicy):
     """`SACPolicy` with the arm's view."""
 
@@ -106,5 +140,5 @@ class TQCPolicy(_HasView, tqc.TQCPolicy):
 
 POLICIES: dict[str, type[BasePolicy]] = {
     f"{__name__}.{policy.__name__}": policy
-    for policy in (PPOPolicy, PPOWorldPolicy, SACPolicy, TQCPolicy)
+    for policy in (PPOPolicy, PPOTargetPolicy, PPOWorldPolicy, SACPolicy, TQCPolicy)
 }

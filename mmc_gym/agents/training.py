@@ -88,10 +88,12 @@ class Training:
     def __post_init__(self) -> None:
         h = self.hyperparameters
         self.algorithm = algorithm_of(self.name)
-        steps_per_rollout = h["n_envs"] * h.get("n_steps", h.get("train_freq", 1))
-        rollouts = math.ceil(int(h["n_timesteps"]) / steps_per_rollout / self.evaluations)
-        # Whole legs, so that every leg starts where a rollout does.
-        self.steps_per_leg = rollouts * steps_per_rollout
+        # Every leg starts where a rollout does; and where episodes do, if they are learned from
+        # only when they are complete, as in hindsight.
+        unit = h["n_envs"] * h.get("n_steps", h.get("train_freq", 1))
+        if "replay_buffer_class" in h:
+            unit = math.lcm(unit, h["n_envs"] * (gym.spec(self.env_id).max_episode_steps or 1))
+        self.steps_per_leg = math.ceil(int(h["n_timesteps"]) / unit / self.evaluations) * unit
         self.total_steps = (
             math.ceil(int(h["n_timesteps"]) / self.steps_per_leg) * self.steps_per_leg
         )
@@ -116,6 +118,7 @@ class Training:
             model = make_model(
                 self.algorithm, self.hyperparameters, env, self.seed, self.device, logs
             )
+            PolicyAgent(*self._policy(model), self._interface)  # what cannot act is not trained
             if checkpoint.exists():
                 self._load(model, checkpoint)
             self._started = {"seconds": time.perf_counter(), "cpu_seconds": time.process_time()}

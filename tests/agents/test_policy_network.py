@@ -1,6 +1,6 @@
 """The plain network acts as the stable-baselines3 policy that its weights are from."""
 
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -12,10 +12,11 @@ from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.export import export_policy
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.agents.torch_policies import POLICIES
-from mmc_gym.agents.views import View, features
+from mmc_gym.agents.views import View, features, turned_actions
 
 ENV_IDS = {
     "PPOPolicy": "MMCReach-v0",
+    "PPOTargetPolicy": "MMCReach-v0",
     "PPOWorldPolicy": "MMCReach-v0",
     "SACPolicy": "MMCReach-v0",
     "TQCPolicy": "MMCReachGoal-v0",
@@ -44,6 +45,11 @@ def observations(env_id: str, count: int = 20) -> Any:
     return observed
 
 
+def act(network: PolicyNetwork, view: View, observed: Any, random: Any = None) -> np.ndarray:
+    action = network.act(seen(observed, view), random)
+    return turned_actions(np, action, observed, 3) if view == "target" else action
+
+
 def seen(observed: Any, view: View = "arm") -> np.ndarray:
     return features(np, view, observed, 3, 3.0).astype(np.float32)
 
@@ -55,7 +61,7 @@ def test_it_acts_as_the_policy_it_is_exported_from(name, env_id, activation):
     observed = observations(env_id)
     expected, _ = policy.predict(observed, deterministic=True)
     network, view = export_policy(policy)
-    actual = network.act(seen(observed, view))
+    actual = act(network, view, observed)
     np.testing.assert_allclose(actual, expected, atol=2e-6)
     assert np.abs(actual).max() <= 1.0
     assert actual.dtype == np.float32
@@ -73,12 +79,13 @@ def test_exploring_it_draws_from_the_same_distribution(name, env_id):
     )
     torch.manual_seed(0)
     expected, _ = policy.predict(many, deterministic=False)
-    actual = network.act(seen(many, view), np.random.default_rng(0))
+    actual = act(network, view, many, np.random.default_rng(0))
     np.testing.assert_allclose(actual.mean(0), expected.mean(0), atol=0.02)
     np.testing.assert_allclose(actual.std(0), expected.std(0), atol=0.02)
 
 
-def test_turning_arm_and_target_about_the_base_changes_nothing_it_sees():
+@pytest.mark.parametrize("view", ["arm", "target"])
+def test_turning_arm_and_target_about_the_base_changes_nothing_it_sees(view):
     angle = 0.7
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     env = gym.make("MMCReach-v0")
@@ -86,15 +93,55 @@ def test_turning_arm_and_target_about_the_base_changes_nothing_it_sees():
     one, _ = env.reset(options={"joint_angles": posture, "target": target})
     turned = {"joint_angles": posture + np.array([angle, 0, 0]), "target": turn @ target}
     other, _ = env.reset(options=turned)
-    np.testing.assert_allclose(seen(one), seen(other), atol=1e-6)
+    np.testing.assert_allclose(seen(one, view), seen(other, view), atol=1e-6)
     assert not np.allclose(one, other, atol=0.1)
 
 
 def test_a_goal_observation_shows_the_same_as_a_plain_one():
     plain = gym.make("MMCReach-v0").reset(seed=3)[0]
     goal = gym.make("MMCReachGoal-v0").reset(seed=3)[0]
-    np.testing.assert_allclose(seen(plain), seen(goal), atol=1e-6)
-    np.testing.assert_allclose(seen(plain, "world"), seen(goal, "world"), atol=1e-6)
+    for view in get_args(View):
+        np.testing.assert_allclose(seen(plain, view), seen(goal, view), atol=1e-6)
+
+
+def test_in_the_targets_view_the_posture_0_points_at_the_target():
+    env = gym.make("MMCReach-v0", control="joint_position")
+    observed, info = env.reset(seed=4)
+    for _ in range(99):
+        action = turned_actions(np, np.zeros(3, np.float32), observed, 3)
+        observed, _, _, _, info = env.step(action)
+    hand, target = info["end_effector"], info["target"]
+    np.testing.assert_allclose(hand / np.hypot(*hand), target / np.hypot(*target), atol=0.01)
+
+
+def test_actions_turned_and_turned_back_are_what_they_were():
+    observed = observations("MMCReach-v0")
+    actions = np.random.default_rng(1).uniform(-1, 1, (20, 3)).astype(np.float32)
+    turned = turned_actions(np, actions, observed, 3)
+    assert np.abs(turned).max() <= 1
+    assert not np.allclose(turned, actions, atol=0.1)
+    back = turned_actions(np, turned, observed, 3, back=True)
+    np.testing.assert_allclose(back, actions, atol=1e-6)
+    tensors = torch.from_numpy(actions), torch.from_numpy(observed)
+    np.testing.assert_allclose(turned_actions(torch, *tensors, 3), turned, atol=1e-6)
+
+
+def test_a_target_at_the_base_has_any_direction():
+    observed = gym.make("MMCReach-v0").reset(seed=0)[0]
+    observed[9:11] = 0.0
+    assert np.isfinite(seen(observed, "target")).all()
+    assert np.isfinite(turned_actions(np, np.zeros(3, np.float32), observed, 3)).all()
+
+
+def test_probabilities_are_those_of_the_actions_before_they_were_turned():
+    policy = make_policy("PPOTargetPolicy", "MMCReach-v0", log_std_init=-3.0)
+    observed = torch.from_numpy(observations("MMCReach-v0"))
+    actions, values, expected = policy(observed)
+    again, actual, _ = policy.evaluate_actions(observed, actions)
+    within = policy.get_distribution(observed).distribution.mean[:, 0].abs() < 0.8
+    assert within.sum() > 5
+    torch.testing.assert_close(actual[within], expected[within], atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(again, values)
 
 
 def test_a_policy_that_sees_something_else_is_refused():

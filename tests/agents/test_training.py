@@ -76,6 +76,12 @@ def test_a_training_leaves_its_hyperparameters_as_they_were(name, tmp_path):
     assert one.run().hyperparameters == before == one.hyperparameters
 
 
+def test_hindsight_loses_no_episode_to_a_checkpoint(tmp_path):
+    legs = training("tqc-her", tmp_path, n_timesteps=2000).steps_per_leg
+    assert legs % (SMALL["n_envs"] * 100) == 0
+    assert training("sac", tmp_path, n_timesteps=2000).steps_per_leg == 2000 / LEGS
+
+
 @pytest.mark.parametrize("name", TINY)
 def test_the_same_seed_gives_the_same_policy_and_another_seed_another(name, tmp_path):
     for folder, seed in (("one", 3), ("again", 3), ("other", 4)):
