@@ -173,7 +173,7 @@ class Tune:
     """Let Optuna look for better constants; goes on where it stopped."""
 
     name: Annotated[str, tyro.conf.Positional]
-    """What to tune: mmc, or what train takes."""
+    """What to tune: mmc, mmc-feedback, or what train takes."""
     trials: int = 20
     """Number of trials, those of earlier calls included."""
     steps: int = 200_000
