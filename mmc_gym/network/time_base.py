@@ -185,7 +185,8 @@ def _solve(
         high, high_value = np.where(below, high, guess), np.where(below, high_value, value)
         rise = np.where(bracketed, high_value - low_value, 1.0)
         secant = low + (wanted - low_value) * (high - low) / np.maximum(rise, tiny)
-        proportional = guess * np.minimum(wanted / np.maximum(value, tiny), 1e6)
+        least = np.maximum(wanted * 1e-6, tiny)  # the quotient is 1e6 at most, and never 0/0
+        proportional = guess * (wanted / np.maximum(value, least))
         guess = np.clip(np.where(bracketed, secant, proportional), low, high)
     return guess
 
