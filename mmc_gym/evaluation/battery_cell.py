@@ -22,7 +22,10 @@ TIMED = 3
 """Episodes that are played one by one as well: what an action takes is known of them."""
 
 DRAWN = 12
-"""Instances whose paths are kept, of training seed 0."""
+"""Instances whose paths are kept, of the lowest training seed that takes part."""
+
+RECORDING = 2
+"""Raised whenever the same episodes would be recorded or measured otherwise: all is played anew."""
 
 _SAME = 1e-3  # segment lengths between two rollouts of one episode
 
@@ -38,6 +41,7 @@ class BatteryCell:
         episodes: how many, where the environment does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
         weights: which ones a policy of this package consists of (SHA-256); empty for others.
+        keeps_paths: whether its first paths are kept.
     """
 
     contestant: Contestant
@@ -46,6 +50,7 @@ class BatteryCell:
     episodes: int
     seed: int
     weights: str = ""
+    keeps_paths: bool = True
 
     @property
     def key(self) -> CellKey:
@@ -56,6 +61,7 @@ class BatteryCell:
     def settings(self) -> dict[str, Any]:
         """What its results depend on, as far as it can be told, ready for JSON."""
         return {
+            "recording": RECORDING,
             "source": self.contestant.source,
             "weights": self.weights,
             "environment": self.environment.settings,
@@ -72,7 +78,7 @@ class CellOutcome:
         status: "skipped" if the agent cannot act in the environment, "failed" if it raised.
         reason: why it was skipped or failed.
         episodes: content of its file of episodes; empty unless played.
-        paths: content of its file of paths; None for other training seeds than 0.
+        paths: content of its file of paths; None if it keeps none.
         facts: kept with it: wall_seconds, cpu_seconds, control (the meaning of actions), together
             (whether its episodes were played at once), has_paths.
     """
@@ -98,7 +104,7 @@ def run_cell(cell: BatteryCell) -> CellOutcome:
     except Exception as error:
         return CellOutcome("failed", f"{type(error).__name__}: {error}")
     paths = None
-    if cell.contestant.training_seed == 0:
+    if cell.keeps_paths:
         paths = paths_file(cell.key, recorded.episodes[:DRAWN], recorded.joint_count)
     facts = {
         "wall_seconds": round(time.perf_counter() - begin, 3),

@@ -88,8 +88,14 @@ def benchmark(
     check_cluster(cluster)
     manifest = _joined_manifest(out, found, players, episodes, seed)
     weights = {one: card.sha256 if (card := one.card) else "" for one in players}
+    lowest: dict[str, int] = {}
+    for one in players:
+        lowest[one.agent] = min(one.training_seed, lowest.get(one.agent, one.training_seed))
     cells = [
-        BatteryCell(one, name, environment, episodes, seed, weights[one])
+        BatteryCell(
+            *(one, name, environment, episodes, seed, weights[one]),
+            keeps_paths=one.training_seed == lowest[one.agent],
+        )
         for one in players
         for name, environment in found.items()
         if not (one.is_reference and environment.family)  # no perturbation touches it

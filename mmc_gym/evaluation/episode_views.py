@@ -101,4 +101,4 @@ def final_jitter(episode: Episode) -> float:
     steps = _steps(REST, episode)
     if not metrics.success_with_dwell(episode.distances, episode.tolerance, steps):
         return math.nan
-    return metrics.jitter(episode.hands, episode.targets, steps)
+    return metrics.jitter(episode.seen_hands, episode.targets, steps)

@@ -87,11 +87,11 @@ def _draw_paths(axes: Axes, episodes: Sequence[Episode], reach: float) -> None:
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
     for number, episode in enumerate(episodes):
         colour, target = COLOURS[number], tuple(episode.target)
-        axes.plot(*episode.hands.T, color=colour, linestyle=LINES[number], linewidth=1.1)
+        axes.plot(*episode.seen_hands.T, color=colour, linestyle=LINES[number], linewidth=1.1)
         axes.plot(*target, "+", color="black", markersize=8, markeredgewidth=0.6)
         axes.add_patch(Circle(target, episode.tolerance, fill=False, linewidth=0.8))
-        axes.plot(*episode.hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
-        axes.plot(*episode.hands[-1], "o", color=colour, markersize=2.5)
+        axes.plot(*episode.seen_hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
+        axes.plot(*episode.seen_hands[-1], "o", color=colour, markersize=2.5)
         axes.annotate(
             str(number + 1),
             target,

@@ -132,7 +132,7 @@ MEASURES: tuple[Measure, ...] = (
         best="low",
         statistic="median",
         decimals=2,
-        of=where_target_stands(lambda e: paths.path_ratio(e.hands, e.target, e.tolerance)),
+        of=where_target_stands(lambda e: paths.path_ratio(e.seen_hands, e.target, e.tolerance)),
         shown=True,
     ),
     Measure(

@@ -14,11 +14,12 @@ def path_ratio(hands: ArrayLike, target: ArrayLike, tolerance: float) -> float:
     """Length of the hand's path over the straight line from start to target; 1 is straight.
 
     Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, corrections and tremor at the
-    target included.  Below 1 only if the hand stops short.  NaN where the straight line is
+    target included.  Below 1 only if the hand stops short.  Under a visuomotor rotation both are
+    the cursor's: the target is not where the hand is to go.  NaN where the straight line is
     shorter than ε: there is no movement to make, and the ratio would blow up.
 
     Args:
-        hands: positions, segment lengths, (steps + 1, 2).
+        hands: positions of the hand, or of the cursor, segment lengths, (steps + 1, 2).
         target: segment lengths, (2,).
         tolerance: ε, segment lengths.
     """

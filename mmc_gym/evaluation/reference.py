@@ -55,7 +55,7 @@ def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
         ],
         axis=1,
     )
-    starts = np.stack([episode.hands[0] for episode in episodes])
+    starts = np.stack([episode.seen_hands[0] for episode in episodes])
     hands = np.stack(_follow(starts, targets, episodes[0].control_step), axis=1)
     return tuple(
         _episode(episode, hand[: len(episode.hands)])

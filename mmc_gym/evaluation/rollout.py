@@ -43,7 +43,7 @@ class Episode:
     Attributes:
         seed: that the environment was reset with.
         hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
-        distances: from hand to target, segment lengths, (n + 1,).
+        distances: from hand (or cursor) to target, segment lengths, (n + 1,).
         targets: positions of the target, segment lengths, (n + 1, 2).
         joint_angles: relative, not wrapped, radians, (n + 1, N).
         servo_impulses: ∫ |τ| dt of each step and joint, (n, N), see `ServoWatch`.
@@ -53,6 +53,8 @@ class Episode:
         control_step: duration of a step, seconds.
         tolerance: distance within which the environment counts the target as reached.
         reach: of the arm that agents are told of, segment lengths.
+        cursors: positions of what stands for the hand under a visuomotor rotation, and what
+            distances and success are about, (n + 1, 2); None where that is the hand itself.
     """
 
     seed: int
@@ -67,6 +69,15 @@ class Episode:
     control_step: float
     tolerance: float
     reach: float
+    cursors: NDArray[np.float64] | None = None
+
+    @property
+    def seen_hands(self) -> NDArray[np.float64]:
+        """Positions of what is to reach the target, the cursor or the hand, (n + 1, 2).
+
+        The hand's own path has the same length and shape; only beside the target is it elsewhere.
+        """
+        return self.hands if self.cursors is None else self.cursors
 
     @property
     def target(self) -> NDArray[np.float64]:
@@ -167,6 +178,7 @@ def _run_episode(
     env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
     observation, info = env.reset(seed=seed, options=options)
     hands, distances, targets = [info["end_effector"]], [info["distance"]], [info["target"]]
+    cursors = [info["cursor"]] if "cursor" in info else []
     postures = [getattr(arm, "joint_angles", ())]
     impulses, work = [], []
     rewards: list[float] = []
@@ -182,6 +194,8 @@ def _run_episode(
         hands.append(info["end_effector"])
         distances.append(info["distance"])
         targets.append(info["target"])
+        if cursors:
+            cursors.append(info["cursor"])
         postures.append(getattr(arm, "joint_angles", ()))
         impulses.append(watch.impulses)
         work.append(watch.work)
@@ -201,6 +215,7 @@ def _run_episode(
         control_step=float(unwrapped.parameters.control_step),
         tolerance=float(unwrapped.success_distance),
         reach=float(unwrapped.reach),
+        cursors=_floats(cursors) if cursors else None,
     )
 
 

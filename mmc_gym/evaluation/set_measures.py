@@ -163,8 +163,7 @@ def fitts_line(episodes: Sequence[Episode]) -> Line:
     """
     groups = defaultdict(list)
     for episode in episodes:
-        distance = float(np.linalg.norm(episode.target - episode.hands[0]))
-        groups[round(distance, 3)].append(episode)
+        groups[round(float(episode.distances[0]), 3)].append(episode)
     conditions = [
         (
             distance,

@@ -33,6 +33,7 @@ SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
 EPISODES, PATHS = "episodes", "paths"
 _METADATA = b"mmc_gym"
+_CURSOR = ("cursor_x", "cursor_y")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
 
 
@@ -67,8 +68,8 @@ def episodes_file(
     """The content of a cell's file of episodes.
 
     Columns agent, training_seed, environment, instance (0, 1, …), seed (of the episode), start_x,
-    start_y, target_x, target_y (both when the episode starts), duration (s), and one for each of
-    `MEASURES`, NaN where an episode has no such value.
+    start_y (of the hand), target_x, target_y (both when the episode starts), duration (s), and one
+    for each of `MEASURES`, NaN where an episode has no such value.
 
     Args:
         key: of the cell.
@@ -99,13 +100,16 @@ def paths_file(key: CellKey, episodes: Sequence[Episode], joint_count: int) -> b
 
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
     joint_angle_N (radians, not wrapped; NaN for a hand without an arm), hand_x, hand_y, target_x,
-    target_y (segment lengths); all numbers but the first three float32.
+    target_y (segment lengths); all numbers but the first three float32.  Under a visuomotor
+    rotation also cursor_x, cursor_y: distance and success are the cursor's; elsewhere it is the
+    hand itself and not written twice, and `read_paths` repeats it.
     """
     hands = np.concatenate([episode.hands for episode in episodes])
     targets = np.concatenate([episode.targets for episode in episodes])
     postures = np.full((len(hands), joint_count), np.nan)
     if all(episode.joint_angles.shape[-1] == joint_count for episode in episodes):
         postures = np.concatenate([episode.joint_angles for episode in episodes])
+    cursors = [episode.cursors for episode in episodes if episode.cursors is not None]
     counts = [len(episode.hands) for episode in episodes]
     columns: dict[str, Any] = {
         **_key_columns(key, len(hands)),
@@ -117,6 +121,7 @@ def paths_file(key: CellKey, episodes: Sequence[Episode], joint_count: int) -> b
                 *((f"joint_angle_{joint + 1}", postures[:, joint]) for joint in range(joint_count)),
                 *zip(("hand_x", "hand_y"), hands.T),
                 *zip(("target_x", "target_y"), targets.T),
+                *zip(_CURSOR, np.concatenate(cursors).T if cursors else ()),
             )
         },
     }
@@ -171,12 +176,15 @@ def read_episodes(folder: Path | str) -> pd.DataFrame:
 
 
 def read_paths(folder: Path | str) -> pd.DataFrame:
-    """All paths of a store; the columns stand at `paths_file`.
+    """All paths of a store; the columns stand at `paths_file`, cursor_x and cursor_y everywhere.
 
     Raises:
         ValueError: if there are none, or a file is damaged.
     """
-    return _read_all(Path(folder), PATHS)
+    frame = _read_all(Path(folder), PATHS)
+    for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
+        frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
+    return frame
 
 
 def read_manifest(folder: Path | str) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def run_episodes_together(
     shape = (len(seeds), native.setup.joint_count)
     with one_torch_thread(), BatchServoWatch(body, shape) as watch:
         observation, seen = _reset(native, seeds, asked)
-        hands, distances, targets = ([seen[name]] for name in _SEEN)
+        seen_at = {name: [values] for name, values in seen.items()}
         postures = [body.joint_angles.copy()]
         impulses: list[Floats] = []
         work: list[Floats] = []
@@ -71,7 +71,7 @@ def run_episodes_together(
             action, state = agent.predict(observation, state, episode_start, deterministic=True)
             _check_actions(action, shape)
             observation, reward, _, _, info = native.step(action)
-            for record, name in zip((hands, distances, targets), _SEEN):
+            for name, record in seen_at.items():
                 record.append(info[name])
             postures.append(body.joint_angles.copy())
             impulses.append(watch.impulses.copy())
@@ -79,9 +79,7 @@ def run_episodes_together(
             rewards.append(reward)
             episode_start = np.zeros(len(seeds), dtype=bool)
     records = {
-        "hands": _by_episode(hands),
-        "distances": _by_episode(distances),
-        "targets": _by_episode(targets),
+        **{_SEEN[name]: _by_episode(record) for name, record in seen_at.items()},
         "joint_angles": _by_episode(postures),
         "servo_impulses": _by_episode(impulses),
         "servo_work": _by_episode(work),
@@ -100,7 +98,12 @@ def run_episodes_together(
     )
 
 
-_SEEN = ("end_effector", "distance", "target")
+_SEEN = {
+    "end_effector": "hands",
+    "distance": "distances",
+    "target": "targets",
+    "cursor": "cursors",  # under a visuomotor rotation only
+}
 
 
 def _checked(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MMCReachVectorEnv:
@@ -126,7 +129,7 @@ def _reset(
         mask[group] = True
         asked = {**options[group[0]], "reset_mask": mask}
         observation, info = env.reset(seed=list(seeds), options=asked)
-        for name in _SEEN:
+        for name in _SEEN.keys() & info.keys():
             values = seen.setdefault(name, np.zeros(info[name].shape))
             values[group] = info[name][group]
     return observation, seen

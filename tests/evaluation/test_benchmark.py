@@ -117,6 +117,21 @@ def test_a_store_holds_the_episodes_of_rollouts(tmp_path):
     }
 
 
+def test_paths_tell_the_distance_that_success_is_about(tmp_path):
+    play(["mmc"], tmp_path, ["random", "rotation-30"])
+    last = read_paths(tmp_path).query("step == 100").set_index(["environment", "instance"])
+    away = np.hypot(last["cursor_x"] - last["target_x"], last["cursor_y"] - last["target_y"])
+    found = read_episodes(tmp_path).set_index(["environment", "instance"])["final_distance"]
+    np.testing.assert_allclose(away[found.index], found, atol=1e-6)
+    assert found["rotation-30"].min() > 0.05
+
+
+def test_the_lowest_training_seed_that_takes_part_keeps_paths(tmp_path, outside):
+    play([f"x@{seed}={outside}:constant" for seed in (5, 3)], tmp_path, ["random"])
+    assert set(read_episodes(tmp_path)["training_seed"]) == {3, 5}
+    assert set(read_paths(tmp_path)["training_seed"]) == {3}
+
+
 def test_cells_that_are_there_are_not_played_again(tmp_path):
     seen = []
     play(["mmc"], tmp_path / "grown", ["random"])

@@ -2,10 +2,14 @@ from __future__ import annotations
 
 import math
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
+from mmc_gym import make_agent
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.evaluation.measures import MEASURES
+from mmc_gym.evaluation.rollout import episode_seeds, run_episodes
 
 
 def all_of(episode):
@@ -138,3 +142,14 @@ def test_where_the_target_moves_there_is_no_direct_line_and_no_overshoot(make_ep
     targets[50:] = [2.0, 0.0]
     found = all_of(make_episode(hands, targets))
     assert math.isnan(found["path_ratio"]) and math.isnan(found["overshoot"])
+
+
+def test_a_path_under_a_rotation_is_no_shorter_than_the_direct_line():
+    env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
+    played = run_episodes(make_agent("ik-dls-feedback", env), env, episode_seeds(0, 12))
+    there = [episode for episode in played if episode.distances[-1] <= episode.tolerance]
+    assert len(there) > 2
+    for episode in there:
+        path = np.linalg.norm(np.diff(episode.hands, axis=0), axis=-1).sum()
+        assert path > episode.distances[0] - episode.tolerance
+        assert all_of(episode)["path_ratio"] == pytest.approx(path / episode.distances[0])

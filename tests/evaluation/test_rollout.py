@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit
 
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.evaluation import rollout
 from mmc_gym.evaluation.rollout import check_environment, episode_seeds, run_episodes
 
@@ -41,6 +42,14 @@ def test_seeds_are_all_different_and_more_episodes_only_add_to_them():
 def test_seeds_that_make_no_sense_are_refused(seed, episodes, name):
     with pytest.raises(ValueError, match=name):
         episode_seeds(seed, episodes)
+
+
+def test_under_a_rotation_the_distance_is_the_cursors(oracle):
+    env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
+    (episode,) = run_episodes(oracle, env, [11])
+    away = np.linalg.norm(episode.seen_hands - episode.targets, axis=-1)
+    np.testing.assert_allclose(away, episode.distances, atol=1e-12)
+    assert np.linalg.norm(episode.hands[-1] - episode.target) < 0.05 < away[-1]  # it is blind to it
 
 
 def test_an_episode_records_what_the_environment_told(env, oracle):

@@ -65,14 +65,25 @@ def test_paths_are_read_back(store, episodes):
     assert list(frame.columns) == [
         *("agent", "training_seed", "environment", "instance", "step"),
         *("joint_angle_1", "joint_angle_2", "joint_angle_3"),
-        *("hand_x", "hand_y", "target_x", "target_y"),
+        *("hand_x", "hand_y", "target_x", "target_y", "cursor_x", "cursor_y"),
     ]
+    np.testing.assert_array_equal(frame[["cursor_x", "cursor_y"]], frame[["hand_x", "hand_y"]])
     assert frame["step"].tolist() == list(range(41))
     assert frame["hand_x"].dtype == np.float32
     np.testing.assert_array_equal(frame[["hand_x", "hand_y"]], episodes[0].hands.astype(np.float32))
     np.testing.assert_array_equal(
         frame["joint_angle_2"], episodes[0].joint_angles[:, 1].astype(np.float32)
     )
+
+
+def test_a_cursor_is_read_back_beside_hands_without_one(store, make_episode):
+    hands = np.linspace([0.0, 1.0], [2.0, 1.0], 5)
+    turned = make_episode(hands, [2.0, 2.0], cursors=hands + 1.0)
+    key = KEY._replace(environment="rotation-30")
+    write_cell(store, key, episodes_file(key, [turned], {}, {}), paths_file(key, [turned], 3))
+    frame = read_paths(store).set_index("environment")
+    away = frame[["cursor_x", "cursor_y"]].to_numpy() - frame[["hand_x", "hand_y"]].to_numpy()
+    np.testing.assert_array_equal(away, np.repeat([0.0, 1.0], [41, 5])[:, None] * [1.0, 1.0])
 
 
 def test_a_hand_without_an_arm_has_no_joint_angles(tmp_path, make_episode):

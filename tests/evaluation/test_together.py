@@ -14,7 +14,7 @@ from mmc_gym.evaluation.together import run_episodes_together
 
 RECORDS = (
     *("hands", "distances", "targets", "joint_angles"),
-    *("servo_impulses", "servo_work", "rewards"),
+    *("servo_impulses", "servo_work", "rewards", "seen_hands"),
 )
 SETTINGS = {
     "random": ("MMCReach-v0", {}),
@@ -51,6 +51,7 @@ def test_episodes_together_are_those_one_by_one(setting, name):
     vector = gym.make_vec(env_id, num_envs=len(seeds), **arguments)
     alone = run_episodes(mmc_gym.make_agent(name, env), env, seeds)
     assert_same(run_episodes_together(mmc_gym.make_agent(name, vector), vector, seeds), alone)
+    assert all((one.cursors is None) == (setting != "rotation") for one in alone)
 
 
 def test_every_episode_has_its_own_options():
