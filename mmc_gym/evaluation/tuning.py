@@ -1,78 +1,27 @@
 """`mmc-gym tune`: Optuna looks for constants, of learning and of the network, by one objective.
 
-A trial is worth the part of the time that the agent spends at the target, over episodes that serve
-for nothing else: it counts arriving, arriving soon, and staying.  Each trial has the same number
-of environment steps, for learning agents those of a short training, for the network, which learns
-nothing, those of the episodes that it is judged by.  Trainings use seeds from `TUNING_SEED` on, so
-that what ships and what is compared is trained and played with fresh ones.
+What can be tuned, and what a set of constants is worth, is in `tuning_targets`.  A tuning is kept
+after each trial, and a trial depends on nothing but the complete ones before it: what it samples is
+seeded by their number.  So a tuning in parts, or one that was killed at any moment, is the tuning
+at once.
 """
 
 from __future__ import annotations
 
 import json
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, ReachInterface
-from mmc_gym.agents.hyperparameters import algorithm_of, read_hyperparameters
-from mmc_gym.agents.mmc import MMCAgent
-from mmc_gym.agents.reinforcement import PolicyAgent, load_policy
-from mmc_gym.agents.training import Training, evaluate_agent
-from mmc_gym.network import MMCNetwork
+from mmc_gym.evaluation.tuning_targets import TUNING_SEED, Constants, Target, find_target
 
 if TYPE_CHECKING:
     import optuna
 
-TUNING_SEED = 2_000_000  # of episodes and trainings: far from all others
-EPISODES = 500
-EPISODE_STEPS = 100
-
-Constants = dict[str, Any]
-
-
-def _network(trial: optuna.Trial) -> Constants:
-    return {
-        "damping": trial.suggest_float("damping", 2.1, 10.0),
-        "velocity_damping": trial.suggest_float("velocity_damping", 1.0, 10.0),
-        "velocity_decay": trial.suggest_float("velocity_decay", 0.3, 1.0),
-        "iterations_per_step": trial.suggest_int("iterations_per_step", 1, 5),
-    }
-
-
-def _ppo(trial: optuna.Trial) -> Constants:
-    rate = trial.suggest_float("learning_rate", 3e-4, 3e-3, log=True)
-    return {
-        "learning_rate": f"lin_{rate:.2g}",
-        "ent_coef": trial.suggest_float("ent_coef", 1e-3, 0.1, log=True),
-        "gamma": trial.suggest_categorical("gamma", [0.8, 0.9, 0.95]),
-        "gae_lambda": trial.suggest_categorical("gae_lambda", [0.8, 0.9, 0.95]),
-        "batch_size": trial.suggest_categorical("batch_size", [256, 512, 1024]),
-        "n_epochs": trial.suggest_int("n_epochs", 3, 10),
-    }
-
-
-def _off_policy(trial: optuna.Trial) -> Constants:
-    rate = trial.suggest_float("learning_rate", 3e-4, 3e-3, log=True)
-    return {
-        "learning_rate": f"lin_{rate:.2g}",
-        "gamma": trial.suggest_categorical("gamma", [0.8, 0.9, 0.95]),
-        "tau": trial.suggest_categorical("tau", [0.005, 0.01, 0.03]),
-        "batch_size": trial.suggest_categorical("batch_size", [128, 256, 512]),
-        "ent_coef": trial.suggest_categorical("ent_coef", ["auto", "auto_0.05"]),
-        "target_entropy": trial.suggest_categorical("target_entropy", [-3.0, -6.0]),
-    }
-
-
-NETWORK = "mmc"
-SPACES: Mapping[str, Callable[[optuna.Trial], Constants]] = {
-    NETWORK: _network,
-    "ppo": _ppo,
-    "sac": _off_policy,
-    "tqc": _off_policy,
-}
+_STEPS, _CONSTANTS = "steps per trial", "constants"  # attributes of a study, and of a trial
 
 
 def tune(
@@ -84,122 +33,129 @@ def tune(
 ) -> dict[str, Any]:
     """Look for constants; go on where an earlier call with the same folder stopped.
 
-    The first trial has the constants in use.  Trials and their values are kept in
-    `out/NAME.journal`, the best in `out/NAME.json`.
+    The first trial has the constants in use; one more has them if they were others then.  Trials
+    and their values are kept in `out/NAME.journal`, the best in `out/NAME.json`.  No two processes
+    may tune the same in the same folder at a time.
 
     Args:
-        name: "mmc", or a name that there are hyperparameters for.
+        name: "mmc", "mmc-feedback", or a name that there are hyperparameters for.
         trials: how many, those of earlier calls included.
         steps: environment steps of each trial.
         out: folder.
         on_trial: called with the number and the value of each trial.
 
     Returns:
-        What `out/NAME.json` holds: name, trials, steps per trial, objective, the first value, the
-        best value and constants.
+        What `out/NAME.json` holds: name, trials, steps per trial, objective, episodes that it is
+        taken over, value and constants of those in use, and of the best.
 
     Raises:
-        ValueError: if there is no such name, or Optuna is not installed.
+        ValueError: if there is no such name, the trials in the folder have another number of steps,
+            or Optuna is not installed.
+    """
+    for argument, count in (("trials", trials), ("steps", steps)):
+        if count < 1:
+            raise ValueError(f"{argument} must be at least 1, got {count}")
+    target = find_target(name)
+    study = _open_study(name, steps, out)
+    in_use = _in_use(target)
+    _end_interrupted(study)
+    while (done := len(_complete(study))) < trials or _trial_of(study, in_use) is None:
+        if _trial_of(study, in_use) is None and not _waiting(study):
+            study.enqueue_trial(in_use)
+        number, value = _run_trial(study, target, steps, done)
+        on_trial(number, value)
+    first, best = _trial_of(study, in_use), study.best_trial
+    assert first is not None
+    result = {
+        "name": name,
+        "trials": len(_complete(study)),
+        "steps_per_trial": steps,
+        "objective": target.objective,
+        "episodes": target.episodes(steps),
+        "value_of_those_in_use": first.value,
+        "in_use": first.user_attrs[_CONSTANTS],
+        "best_value": best.value,
+        "best": best.user_attrs[_CONSTANTS],
+    }
+    write_atomically(out / f"{name}.json", json.dumps(result, indent=1) + "\n")
+    return result
+
+
+def _open_study(name: str, steps: int, out: Path) -> optuna.Study:
+    """The study of that name in the folder, or a new one.
+
+    Raises:
+        ValueError: if its trials have another number of steps, or Optuna is not installed.
     """
     try:
         import optuna
         from optuna.storages.journal import JournalFileBackend
     except ImportError as error:
         raise ValueError('tune needs Optuna: pip install "mmc-gym[training]"') from error
-    for argument, value in (("trials", trials), ("steps", steps)):
-        if value < 1:
-            raise ValueError(f"{argument} must be at least 1, got {value}")
-    kind = NETWORK if name == NETWORK else algorithm_of(name)
-    in_use = _in_use(name)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     out.mkdir(parents=True, exist_ok=True)
-    journal = JournalFileBackend(str(out / f"{name}.journal"))
+    journal = out / f"{name}.journal"
     study = optuna.create_study(
-        storage=optuna.storages.JournalStorage(journal),
+        storage=optuna.storages.JournalStorage(JournalFileBackend(str(journal))),
         study_name=name,
-        sampler=optuna.samplers.TPESampler(seed=TUNING_SEED),
         direction="maximize",
         load_if_exists=True,
     )
     if not study.trials:
-        study.enqueue_trial(in_use)
-
-    def objective(trial: optuna.Trial) -> float:
-        constants = SPACES[kind](trial)
-        if name == NETWORK:
-            return _judge_network(constants, steps)
-        return _judge_training(name, constants, steps)
-
-    while (done := _complete(study)) < trials:
-        study.optimize(objective, n_trials=1)
-        on_trial(done, float(study.trials[-1].value or 0.0))
-    first = next(trial for trial in study.trials if trial.state.is_finished())
-    result = {
-        "name": name,
-        "trials": _complete(study),
-        "steps_per_trial": steps,
-        "objective": "part of the time at the target",
-        "episodes": steps // EPISODE_STEPS if name == NETWORK else EPISODES,
-        "value_of_those_in_use": first.value,
-        "best_value": study.best_value,
-        "best": study.best_params,
-    }
-    write_atomically(out / f"{name}.json", json.dumps(result, indent=1) + "\n")
-    return result
-
-
-def _complete(study: optuna.Study) -> int:
-    return sum(trial.value is not None for trial in study.trials)
-
-
-def _in_use(name: str) -> Constants:
-    """The constants in use, as the search spaces have them."""
-    if name == NETWORK:
-        return {
-            "damping": 4.0,
-            "velocity_damping": 5.0,
-            "velocity_decay": 0.92,
-            "iterations_per_step": 3,
-        }
-    _, hyperparameters = read_hyperparameters(name)
-    constants = dict(hyperparameters)
-    if isinstance(constants["learning_rate"], str):
-        constants["learning_rate"] = float(constants["learning_rate"].removeprefix("lin_"))
-    return constants
-
-
-def _judge_network(constants: Constants, steps: int) -> float:
-    """How an MMC agent with the constants does."""
-
-    def make(interface: ReachInterface) -> Agent[Any]:
-        network = MMCNetwork(
-            interface.segment_lengths,
-            constants["damping"],
-            dynamics="paper",
-            velocity_damping=constants["velocity_damping"],
-            velocity_decay=constants["velocity_decay"],
+        study.set_user_attr(_STEPS, steps)
+    known = study.user_attrs.get(_STEPS)
+    if known != steps:
+        raise ValueError(
+            f"steps must be those of the trials in {journal}, {known or 'which are not known'}, "
+            f"for their values to be comparable, got {steps}: choose another folder"
         )
-        return MMCAgent(interface, network, constants["iterations_per_step"])
-
-    episodes = max(1, steps // EPISODE_STEPS)
-    return _time_at_target(make, "MMCReach-v0", {}, episodes)
+    return study
 
 
-def _judge_training(name: str, constants: Constants, steps: int) -> float:
-    """How an agent does after a short training with the constants."""
-    env_id, hyperparameters = read_hyperparameters(name)
-    hyperparameters |= {**constants, "n_timesteps": steps}
-    with tempfile.TemporaryDirectory() as folder:
-        training = Training(name, hyperparameters, env_id, TUNING_SEED, Path(folder), evaluations=1)
-        card = training.run()
-        network, _ = load_policy(Path(folder) / f"{card.file_stem}.json")
-    arguments = hyperparameters.get("env_kwargs", {})
-    return _time_at_target(
-        lambda interface: PolicyAgent(network, card, interface), env_id, arguments, EPISODES
-    )
+def _run_trial(study: optuna.Study, target: Target, steps: int, done: int) -> tuple[int, float]:
+    """Run the trial after `done` complete ones; its number among these, and its value."""
+    import optuna
+
+    seed = int(np.random.SeedSequence([TUNING_SEED, done]).generate_state(1)[0])
+    study.sampler = optuna.samplers.TPESampler(seed=seed)
+    trial = study.ask()
+    constants = target.space(trial)
+    trial.set_user_attr(_CONSTANTS, constants)
+    value = target.judge(constants, steps)
+    study.tell(trial, value)
+    return done, value
 
 
-def _time_at_target(
-    make: Callable[[ReachInterface], Agent[Any]], env_id: str, arguments: Constants, episodes: int
-) -> float:
-    return evaluate_agent(make, env_id, arguments, episodes, TUNING_SEED)["time_at_target"]
+def _end_interrupted(study: optuna.Study) -> None:
+    """Mark trials as failed that a process left when it was killed; they are run again."""
+    from optuna.trial import TrialState
+
+    for trial in study.get_trials(states=(TrialState.RUNNING,)):
+        study.tell(trial.number, state=TrialState.FAIL)
+
+
+def _complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
+    from optuna.trial import TrialState
+
+    return study.get_trials(states=(TrialState.COMPLETE,))
+
+
+def _waiting(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
+    from optuna.trial import TrialState
+
+    return study.get_trials(states=(TrialState.WAITING,))
+
+
+def _trial_of(study: optuna.Study, parameters: Constants) -> optuna.trial.FrozenTrial | None:
+    """The complete trial of these parameters, if there is one."""
+    found = (trial for trial in _complete(study) if trial.params == parameters)
+    return next(found, None)
+
+
+def _in_use(target: Target) -> Constants:
+    """The parameters of the trial that has the constants in use."""
+    from optuna.trial import FixedTrial
+
+    trial = FixedTrial(target.in_use)
+    target.space(trial)
+    return trial.params
