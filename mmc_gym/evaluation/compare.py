@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mmc_gym._files import write_atomically
 from mmc_gym.evaluation.entrants import AgentLike, entrants, training_steps
-from mmc_gym.evaluation.measures import MEASURES
+from mmc_gym.evaluation.measures import MEASURES, leave_out_failures
 from mmc_gym.evaluation.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.evaluation.rollout import (
     Episode,
@@ -49,7 +49,8 @@ class Comparison:
             each has the same start and target.
         training_steps: environment steps spent in training each agent; None if unknown.
         episodes: one row per agent and episode: agent, episode, seed, start, target, measures.
-        summary: one row per agent and measure, see `statistics.summarize`.
+        summary: one row per agent and measure, see `statistics.summarize`; of the episodes that
+            ended at the target, for measures of `successes_only`.
     """
 
     env: str
@@ -65,6 +66,7 @@ class Comparison:
         """What must be known to read the numbers; stands below the table and in summary.json."""
         one = next(iter(self.recorded.values()))
         means = ", ".join(measure.label for measure in SHOWN if measure.statistic == "mean")
+        all_told = ", ".join(measure.label for measure in SHOWN if not measure.successes_only)
         reference = (
             f"{REFERENCE}: a hand without an arm, through the same measures. "
             if REFERENCE in self.recorded
@@ -74,9 +76,9 @@ class Comparison:
             f"{self.env}, {len(one)} episodes, the same starts and targets for all agents. "
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
             f"segment lengths; at the target: within {one[0].tolerance:g}. "
-            f"k of {len(one)}: the other episodes have no such value (never arrived to stay, or "
-            f"started at the target). {reference}Of {len(MEASURES)} measures {len(SHOWN)} are "
-            "shown; files hold all. The intervals replicate over episodes (starts and targets), "
+            f"{all_told}: of all episodes; the others: of those that ended at the target, and k of "
+            f"{len(one)} have a value (none where the hand started there). {reference}"
+            f"Of {len(MEASURES)} measures {len(SHOWN)} are shown; files hold all. The intervals replicate over episodes (starts and targets), "
             "NOT over training seeds: each agent is the result of one training, or of none."
         )
 
@@ -174,7 +176,7 @@ def compare(
     steps = {label: training_steps(player) for label, player in players.items()}
     if REFERENCE in recorded:
         steps.setdefault(REFERENCE, 0)
-    summary = summarize(table, MEASURES, seed)
+    summary = summarize(leave_out_failures(table), MEASURES, seed)
     comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
     console = console or make_console()
     written = comparison.write(out) if out is not None else []  # safe before anything is printed

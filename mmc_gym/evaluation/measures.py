@@ -3,6 +3,12 @@
 A new measure is a pure function in `metrics`, `profiles` or `paths`, and an entry in `MEASURES`;
 data and summary follow, and the table if it is `shown`.  `episode_views` says what they look at.
 
+Of a movement that did not arrive, path, shape and cost tell nothing: a hand that never moves has
+the shortest path, the least work and no overshoot, and one that ignores where it is wrong moves the
+more smoothly for it.  So, as is the custom for movements of people, such measures are told of the
+episodes that ended at the target, with the fraction of these beside them (`successes_only`).  Data
+hold them for all episodes, and `leave_out_failures` is what tables and comparisons see.
+
 Measures that need many episodes of a certain kind are in `set_measures`.
 """
 
@@ -11,6 +17,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
+import pandas as pd
 
 from mmc_gym.evaluation import metrics, paths, profiles
 from mmc_gym.evaluation.episode_views import (
@@ -42,6 +51,7 @@ class Measure:
         decimals: at most so many are shown.
         of: the measure of an episode; NaN where it has none.
         shown: whether tables show it; files hold all.
+        successes_only: whether it tells something only of episodes that ended at the target.
     """
 
     name: str
@@ -52,6 +62,7 @@ class Measure:
     decimals: int
     of: Callable[[Episode], float]
     shown: bool = False
+    successes_only: bool = False
 
 
 MEASURES: tuple[Measure, ...] = (
@@ -97,6 +108,7 @@ MEASURES: tuple[Measure, ...] = (
         decimals=2,
         of=lambda e: metrics.time_to_target(e.distances, e.tolerance, e.control_step),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="settling_time",
@@ -106,6 +118,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=2,
         of=lambda e: metrics.settling_time(e.distances, e.tolerance, e.control_step),
+        successes_only=True,
     ),
     Measure(
         name="overshoot",
@@ -115,6 +128,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=3,
         of=where_target_stands(lambda e: metrics.overshoot(e.distances)),
+        successes_only=True,
     ),
     Measure(
         name="jitter",
@@ -124,6 +138,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=4,
         of=final_jitter,
+        successes_only=True,
     ),
     Measure(
         name="path_ratio",
@@ -134,6 +149,7 @@ MEASURES: tuple[Measure, ...] = (
         decimals=2,
         of=where_target_stands(lambda e: paths.path_ratio(e.seen_hands, e.target, e.tolerance)),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="path_efficiency",
@@ -143,6 +159,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=3,
         of=of_path(lambda hands, _: paths.path_efficiency(hands)),
+        successes_only=True,
     ),
     Measure(
         name="maximal_deviation",
@@ -152,6 +169,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=3,
         of=deviation,
+        successes_only=True,
     ),
     Measure(
         name="joint_path_efficiency",
@@ -161,6 +179,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=3,
         of=of_path(lambda _, joints: paths.path_efficiency(joints)),
+        successes_only=True,
     ),
     Measure(
         name="hand_over_joint_straightness",
@@ -170,6 +189,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=2,
         of=of_path(paths.hand_over_joint_straightness),
+        successes_only=True,
     ),
     Measure(
         name="peak_speed",
@@ -180,6 +200,7 @@ MEASURES: tuple[Measure, ...] = (
         decimals=2,
         of=lambda e: profiles.peak_speed(speeds(e)),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="peak_to_mean",
@@ -189,6 +210,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=2,
         of=of_shape(lambda profile, _: profiles.peak_to_mean(profile)),
+        successes_only=True,
     ),
     Measure(
         name="time_to_peak",
@@ -199,6 +221,7 @@ MEASURES: tuple[Measure, ...] = (
         decimals=2,
         of=of_shape(lambda profile, _: profiles.time_to_peak(profile)),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="velocity_peaks",
@@ -209,6 +232,7 @@ MEASURES: tuple[Measure, ...] = (
         decimals=1,
         of=lambda e: profiles.velocity_peaks(speeds(e)),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="minimum_jerk_correlation",
@@ -223,6 +247,7 @@ MEASURES: tuple[Measure, ...] = (
             )
         ),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="minimum_jerk_rmse",
@@ -234,6 +259,7 @@ MEASURES: tuple[Measure, ...] = (
         of=of_shape(
             lambda profile, _: profiles.minimum_jerk_rmse(profile, profiles.MINIMUM_JERK_SPAN)
         ),
+        successes_only=True,
     ),
     Measure(
         name="sparc",
@@ -244,6 +270,7 @@ MEASURES: tuple[Measure, ...] = (
         decimals=2,
         of=of_shape(profiles.sparc),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="log_dimensionless_jerk",
@@ -253,6 +280,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=2,
         of=of_shape(lambda profile, _: profiles.log_dimensionless_jerk(profile)),
+        successes_only=True,
     ),
     Measure(
         name="joint_effort",
@@ -262,6 +290,7 @@ MEASURES: tuple[Measure, ...] = (
         statistic="median",
         decimals=1,
         of=lambda e: metrics.joint_effort(e.servo_impulses),
+        successes_only=True,
     ),
     Measure(
         name="joint_work",
@@ -272,6 +301,7 @@ MEASURES: tuple[Measure, ...] = (
         decimals=1,
         of=lambda e: metrics.joint_work(e.servo_work),
         shown=True,
+        successes_only=True,
     ),
     Measure(
         name="episode_return",
@@ -303,3 +333,19 @@ MEASURES: tuple[Measure, ...] = (
         of=lambda e: metrics.slow_action_time(e.action_times * 1e6),
     ),
 )
+
+
+def leave_out_failures(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Episodes as tables and comparisons see them: no value where it tells nothing.
+
+    Args:
+        episodes: a row each, with columns of `MEASURES`, "success" among them.
+
+    Returns:
+        The same with NaN for measures of `successes_only` wherever success is not 1.
+    """
+    names = [one.name for one in MEASURES if one.successes_only and one.name in episodes]
+    arrived = episodes["success"].to_numpy() == 1.0
+    return episodes.assign(
+        **{name: np.where(arrived, episodes[name].to_numpy(np.float64), np.nan) for name in names}
+    )

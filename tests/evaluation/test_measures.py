@@ -4,11 +4,12 @@ import math
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import pytest
 
 from mmc_gym import make_agent
 from mmc_gym.envs.perturbations import VisuomotorRotation
-from mmc_gym.evaluation.measures import MEASURES
+from mmc_gym.evaluation.measures import MEASURES, leave_out_failures
 from mmc_gym.evaluation.rollout import episode_seeds, run_episodes
 
 
@@ -153,3 +154,17 @@ def test_a_path_under_a_rotation_is_no_shorter_than_the_direct_line():
         path = np.linalg.norm(np.diff(episode.hands, axis=0), axis=-1).sum()
         assert path > episode.distances[0] - episode.tolerance
         assert all_of(episode)["path_ratio"] == pytest.approx(path / episode.distances[0])
+
+
+def test_who_never_arrives_wins_no_measure_of_how_it_moves(make_episode):
+    line = np.linspace([0.0, 0.0], [1.0, 0.0], 51)
+    stays = np.zeros((51, 2))
+    episodes = {"arrives": make_episode(line, line[-1]), "stays": make_episode(stays, line[-1])}
+    frame = pd.DataFrame([all_of(episode) for episode in episodes.values()], index=episodes)
+    assert frame.loc["stays", "path_ratio"] == 0  # the data keep it
+    seen = leave_out_failures(frame)
+    of_all = [measure.name for measure in MEASURES if not measure.successes_only]
+    assert seen.drop(columns=of_all).loc["stays"].isna().all()
+    pd.testing.assert_frame_equal(seen[of_all], frame[of_all])
+    pd.testing.assert_series_equal(seen.loc["arrives"], frame.loc["arrives"])
+    assert {"success", "final_distance", "episode_return", "action_time"} < set(of_all)
