@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mmc_gym.agents.inverse_kinematics import SegmentLengths, nearest_reachable
+from mmc_gym.agents.dead_end import SegmentLengths, nearest_reachable
 from mmc_gym.network.chain import Floats, wrap_angle
 
 ORIENTATIONS = 90

@@ -34,7 +34,7 @@ from mmc_gym.agents import body_observer
 from mmc_gym.agents.base import Agent, Observation, ReachInterface, Sensed
 from mmc_gym.agents.body_observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, Solver
-from mmc_gym.agents.mmc import restarted
+from mmc_gym.agents.mmc import out_of_line, restarted
 from mmc_gym.network import MMCNetwork, MMCState
 from mmc_gym.network.chain import Floats, segments_from_joint_angles
 from mmc_gym.network.embodied import Embodiment, embodied_run
@@ -156,6 +156,8 @@ class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
 
     def advance(self, model: MMCState, belief: Belief) -> tuple[Floats, MMCState]:
         """Joint angles of the networks after the iterations of one control step."""
+        target = belief.sensed.target + belief.offset
+        model = out_of_line(self.network, model, target)
         lengths, weight = belief.segment_lengths, self.observer.loops.posture_weight
         sensed = None
         if weight:
@@ -163,7 +165,6 @@ class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
             sensed = segments_from_joint_angles(model.joint_angles + belief.deviation, known)
         posture = belief.sensed.joint_angles
         body = Embodiment(lengths, sensed, weight, belief.locked, posture)
-        target = belief.sensed.target + belief.offset
         model = embodied_run(self.network, model, target, body, self.iterations_per_step)
         return model.joint_angles, model
 

@@ -23,7 +23,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mmc_gym.agents.inverse_kinematics import SegmentLengths, jacobian
+from mmc_gym.agents.dead_end import SegmentLengths
+from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.network.chain import Floats, wrap_angle
 
 _TINY = np.finfo(np.float64).tiny

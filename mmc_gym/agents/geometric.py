@@ -24,7 +24,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.inverse_kinematics import SegmentLengths
+from mmc_gym.agents.dead_end import SegmentLengths
 from mmc_gym.network.chain import Floats, wrap_angle
 
 Points: TypeAlias = NDArray[np.complex128]

@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import JointTargetAgent, Sensed
+from mmc_gym.agents.dead_end import hand_position
 from mmc_gym.agents.differential import damped_least_squares
-from mmc_gym.agents.inverse_kinematics import hand_position, iterate
+from mmc_gym.agents.inverse_kinematics import iterate
 from mmc_gym.agents.movement import Movement, begin, follow, step, where
 from mmc_gym.network.chain import Floats
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed, State
+from mmc_gym.agents.dead_end import leave_line, nearest_reachable
 from mmc_gym.network import MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import Floats
 
@@ -51,6 +52,7 @@ class MMCAgent(NetworkAgent[MMCState]):
 
     def advance(self, state: MMCState, sensed: Sensed) -> tuple[Floats, MMCState]:
         """Joint angles of the networks after the iterations of one control step."""
+        state = out_of_line(self.network, state, sensed.target)
         clamps = self.network.inverse(sensed.target)
         state = self.network.run(state, clamps, self.iterations_per_step)
         return state.joint_angles, state
@@ -59,6 +61,21 @@ class MMCAgent(NetworkAgent[MMCState]):
 def restarted(state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
     """The networks of `state`, or of `fresh` where an episode `started` (batch axes)."""
     return MMCState(np.where(started, fresh.values, state.values), state.segment_count)
+
+
+def out_of_line(network: MMCNetwork, state: MMCState, target: Floats) -> MMCState:
+    """The networks of `state`, bent a little where they could not get to their targets (..., 2).
+
+    An arm gets into such a dead end (see `dead_end`) with its target, so it is looked for only
+    where that is another one than the end effector of `state` was held at last.
+    """
+    held = state.values[network.segment_count * (network.segment_count + 1) // 2 - 1]
+    if np.moveaxis(target, -1, 0).tobytes() == held.tobytes():
+        return state
+    lengths, joint_angles = network.segment_lengths, state.joint_angles
+    bent = leave_line(joint_angles, nearest_reachable(target, lengths), lengths)
+    is_stuck = (bent != joint_angles).any(axis=-1)
+    return restarted(state, network.state_from_joint_angles(bent), is_stuck)
 
 
 def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer) -> MMCAgent:

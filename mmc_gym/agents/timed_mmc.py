@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import Sensed
-from mmc_gym.agents.mmc import NetworkAgent, restarted
+from mmc_gym.agents.mmc import NetworkAgent, out_of_line, restarted
 from mmc_gym.agents.movement import Movement, begin, follow, step, where
 from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
@@ -50,6 +50,7 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         network, count = state.network, self.iterations_per_step
         hand = network.segments.sum(axis=-2)
         movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
+        network = out_of_line(self.network, network, movement.target)
         for part in range(1, count + 1):
             way = share(count * movement.elapsed + part, count * movement.duration)
             network = timed_step(self.network, network, movement.target, way)

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym.agents.closed_form import closed_form, solutions
+from mmc_gym.agents.dead_end import hand_position, leave_line
 from mmc_gym.agents.differential import (
     damped_least_squares,
     jacobian_transpose,
@@ -13,12 +14,7 @@ from mmc_gym.agents.differential import (
     pseudo_inverse,
 )
 from mmc_gym.agents.geometric import cyclic_coordinate_descent, fabrik
-from mmc_gym.agents.inverse_kinematics import (
-    hand_position,
-    iterate,
-    jacobian,
-    leave_line,
-)
+from mmc_gym.agents.inverse_kinematics import iterate, jacobian
 from mmc_gym.network.chain import reachable_radii, wrap_angle
 
 SOLVERS = {

@@ -143,12 +143,12 @@ def test_what_is_out_of_range_is_refused():
         timed_step(network, start(network), [1.0, 1.0], 1.5)
 
 
-def test_an_arm_that_hardly_moves_is_no_division_by_next_to_nothing():
-    """Nearly in line with its target, the hand does not get anywhere, by 1e-300 at first."""
-    network = MMCNetwork()
-    for angle in (0.0, 1e-160, 1e-80, 1e-20):
+def test_a_hand_that_does_not_get_anywhere_is_no_division_by_next_to_nothing():
+    network = MMCNetwork((2.0, 0.5, 0.5))
+    for angle in (0.0, 1e-160, 1e-20):
         state = network.state_from_joint_angles([0.0, angle, 0.0])
         for target in ([-3.0, 0.0], [2.0, 0.0], state.end_effector):
             with np.errstate(all="raise", under="ignore"):
-                after = timed_step(network, state, target, 1.0)
-            assert np.isfinite(after.values).all()
+                for _ in range(3):
+                    state = timed_step(network, state, target, 1.0)
+            assert np.isfinite(state.values).all()
