@@ -78,8 +78,9 @@ class Comparison:
             f"segment lengths; at the target: within {one[0].tolerance:g}. "
             f"{all_told}: of all episodes; the others: of those that ended at the target, and k of "
             f"{len(one)} have a value (none where the hand started there). {reference}"
-            f"Of {len(MEASURES)} measures {len(SHOWN)} are shown; files hold all. The intervals replicate over episodes (starts and targets), "
-            "NOT over training seeds: each agent is the result of one training, or of none."
+            f"Of {len(MEASURES)} measures {len(SHOWN)} are shown; files hold all. "
+            "The intervals replicate over episodes (starts and targets), NOT over training seeds: "
+            "each agent is the result of one training, or of none."
         )
 
     @property

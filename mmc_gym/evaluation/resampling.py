@@ -5,15 +5,19 @@
     training seed 2                ·   ·   ·         w_2
                                   u_1 u_2 u_3                    u_i: how often instance i is drawn
 
-A resample draws as many training seeds of each agent as it has, and as many instances of each
-environment as there are, both with replacement; the score of seed s at instance i then counts
-w_s u_i times.  So the interval covers both that training again gives another policy, and that other
-starts and targets are easier or harder.  Episodes of one policy are never drawn as if each came
-from a training of its own.
+A resample draws as many training seeds of each agent as it has, and as many instances as there
+are, both with replacement; the score of seed s at instance i then counts w_s u_i times.  So the
+interval covers both that training again gives another policy, and that other starts and targets are
+easier or harder.  Episodes of one policy are never drawn as if each came from its own training.
 
     paired        The u_i are the same for all agents: what makes an instance hard for all of them
                   drops out of their differences.
-    stratified    Instances are drawn within each environment; each environment counts equally.
+    stratified    Each environment counts equally, whatever its number of instances.
+    shared        The u_i are the same for all environments with as many instances.  The battery
+                  draws the i-th start and target from the same seed everywhere: what is hard
+                  without perturbation is hard under all of them, and drawn for each on its own it
+                  would seem to average out (95 % intervals would cover 50 to 70 %).  Sets that
+                  have nothing in common but their size lose nothing: they vary independently.
     seeds         A seed is one policy: it is drawn in all environments or in none.
     no training   An agent that was not trained has one policy, and only instances are drawn.  A
                   single trained policy is treated alike: its interval cannot tell what training
@@ -33,6 +37,7 @@ from mmc_gym.evaluation.metrics import Floats
 
 COLUMNS = ("agent", "training_seed", "environment", "instance")
 _UNTRAINED = "no training"
+_INSTANCES, _POLICIES = 0, 1  # streams of random numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +47,7 @@ class Scores:
     Attributes:
         environments: their names, E of them.
         instances: the number of instances in each.
-        values: by agent, E arrays (policies, instances).
+        values: by agent, E arrays (policies, instances), the instances in the order of their names.
         seeds: by agent, its number of training seeds; 0 for one policy without training.
     """
 
@@ -97,7 +102,7 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
         raise ValueError(f"frame must have each episode once, got {twice} repeatedly")
     environments = tuple(dict.fromkeys(table["environment"]))
     instances = {
-        environment: list(dict.fromkeys(group["instance"]))
+        environment: sorted(set(group["instance"]))
         for environment, group in table.groupby("environment", sort=False)
     }
     values, count = {}, {}
@@ -123,21 +128,23 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
 
 
 def draw(scores: Scores, resamples: int, seed: int) -> Draws:
-    """Draw policies and instances; the instances depend on the seed alone, not on the agents."""
-    streams = np.random.SeedSequence(seed).spawn(len(scores.instances) + len(scores.values))
-    of_instances = [
-        _counts(np.random.default_rng(stream), count, resamples)
-        for stream, count in zip(streams, scores.instances)
-    ]
-    of_policies = {
-        agent: _counts(np.random.default_rng(stream), len(values[0]), resamples)
-        for stream, (agent, values) in zip(streams[len(of_instances) :], scores.values.items())
+    """Draw policies, and instances: one draw for all environments with as many of them.
+
+    Instances depend on the seed and their number alone, neither on agents nor on environments.
+    """
+    of_instances = {
+        count: _counts((seed, _INSTANCES, count), count, resamples)
+        for count in set(scores.instances)
     }
-    return Draws(of_policies, tuple(of_instances))
+    of_policies = {
+        agent: _counts((seed, _POLICIES, number), len(values[0]), resamples)
+        for number, (agent, values) in enumerate(scores.values.items())
+    }
+    return Draws(of_policies, tuple(of_instances[count] for count in scores.instances))
 
 
-def _counts(random: np.random.Generator, count: int, resamples: int) -> Floats:
-    drawn = random.integers(count, size=(resamples, count))
+def _counts(seed: tuple[int, ...], count: int, resamples: int) -> Floats:
+    drawn = np.random.default_rng(seed).integers(count, size=(resamples, count))
     cells: NDArray[np.intp] = drawn + np.arange(resamples)[:, None] * count
     times = np.bincount(cells.ravel(), minlength=resamples * count).reshape(resamples, count)
     return np.concatenate([np.ones((1, count)), times])

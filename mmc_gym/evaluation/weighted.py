@@ -68,5 +68,6 @@ def _between(values: Floats, weights: Floats, low: float, high: float) -> Floats
     steps = np.diff(values, append=0.0)
     summed = -(inside @ steps) - values[0] * low * whole[:, 0]
     with np.errstate(invalid="ignore"):
-        mean: Floats = summed / ((high - low) * whole[:, 0])
-    return mean
+        mean = summed / ((high - low) * whole[:, 0])
+    clipped: Floats = np.clip(mean, values[0], values[-1])  # rounding leads a hair beyond
+    return clipped

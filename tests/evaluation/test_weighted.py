@@ -26,6 +26,12 @@ def test_outliers_and_missing_values_do_not_move_the_interquartile_mean():
     assert interquartile_mean([7.0]) == 7.0
 
 
+def test_the_interquartile_mean_is_within_the_values():
+    values = np.array([0.0] * 40 + [0.1, 0.7])
+    weights = np.random.default_rng(0).integers(0, 4, size=(500, 42)) / 3
+    assert weighted_iqm(values, weights).min() >= 0
+
+
 @pytest.mark.parametrize("count", range(1, 14))
 @pytest.mark.parametrize(
     ("statistic", "plain"),
