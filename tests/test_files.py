@@ -1,0 +1,72 @@
+"""A file is written whole or not at all, and a killed writer leaves nothing for ever."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from mmc_gym._files import check_folder, write_atomically
+
+# Writes again and again, and is killed in the middle of it.
+SCRIPT = """
+import os, sys
+from mmc_gym import _files
+def killed(number):
+    print("writing", flush=True)
+    sys.stdin.read()
+os.fsync = killed
+_files.write_atomically(sys.argv[1], b"new")
+"""
+
+
+def start_writing(path):
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "writing\n"
+    return process
+
+
+def test_what_a_killed_writer_left_goes_with_the_next_write(tmp_path):
+    path = tmp_path / "checkpoint.safetensors"
+    write_atomically(path, b"old")
+    other = write_atomically(tmp_path / "checkpoint.safetensors.txt", "not the same file")
+    with start_writing(path) as process:
+        os.kill(process.pid, signal.SIGKILL)
+    assert path.read_bytes() == b"old"
+    assert len(list(tmp_path.iterdir())) == 3
+    write_atomically(path, b"newer")
+    assert path.read_bytes() == b"newer"
+    assert set(tmp_path.iterdir()) == {path, other}
+
+
+def test_two_writers_of_one_file_leave_each_other_alone(tmp_path):
+    path = tmp_path / "result.json"
+    with start_writing(path) as process:
+        write_atomically(path, b"old")
+        process.communicate("go on")
+    assert process.returncode == 0
+    assert path.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "result").mkdir()
+    with pytest.raises(OSError):
+        write_atomically(tmp_path / "result", b"new")
+    assert list(tmp_path.iterdir()) == [tmp_path / "result"]
+
+
+def test_a_file_is_no_folder(tmp_path):
+    file = write_atomically(tmp_path / "file", b"")
+    check_folder(tmp_path, "out")
+    check_folder(tmp_path / "new" / "folder", "out")
+    for path in (file, file / "below"):
+        with pytest.raises(ValueError, match=r"out must be a folder, got the file '.*file'"):
+            check_folder(path, "out")
