@@ -113,8 +113,8 @@ def test_constants_in_use_are_those_of_the_agent_of_that_name(name):
 
 
 def test_feedback_is_tuned_where_it_matters(tmp_path):
-    result = tune("mmc-feedback", 2, 4_000, tmp_path)
-    assert result["episodes"] == 40
+    result = tune("mmc-feedback", 1, 2_000, tmp_path)
+    assert result["episodes"] == 20
     assert result["in_use"] == {
         "damping": 3.75,
         "velocity_damping": 5.0,
@@ -125,7 +125,7 @@ def test_feedback_is_tuned_where_it_matters(tmp_path):
     }
     target = tuning_targets.find_target("mmc-feedback")
     without = {**result["in_use"], "damping": 4.0, "posture_weight": 0.0, "hand_rate": 0.0}
-    assert target.judge(without, 4_000) < result["value_of_those_in_use"] - 0.1
+    assert target.judge(without, 2_000) < result["value_of_those_in_use"] - 0.1
 
 
 def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
