@@ -157,7 +157,7 @@ class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
     def advance(self, model: MMCState, belief: Belief) -> tuple[Floats, MMCState]:
         """Joint angles of the networks after the iterations of one control step."""
         target = belief.sensed.target + belief.offset
-        model = out_of_line(self.network, model, target)
+        model = out_of_line(self.network, model, self.network.inverse(target))
         lengths, weight = belief.segment_lengths, self.observer.loops.posture_weight
         sensed = None
         if weight:

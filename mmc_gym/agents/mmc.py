@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed, State
-from mmc_gym.agents.dead_end import leave_line, nearest_reachable
-from mmc_gym.network import MMCNetwork, MMCState, Normalizer
+from mmc_gym.agents.dead_end import STRAIGHT, leave_line, nearest_reachable
+from mmc_gym.network import Clamps, MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import Floats
 
 
@@ -52,8 +52,8 @@ class MMCAgent(NetworkAgent[MMCState]):
 
     def advance(self, state: MMCState, sensed: Sensed) -> tuple[Floats, MMCState]:
         """Joint angles of the networks after the iterations of one control step."""
-        state = out_of_line(self.network, state, sensed.target)
         clamps = self.network.inverse(sensed.target)
+        state = out_of_line(self.network, state, clamps)
         state = self.network.run(state, clamps, self.iterations_per_step)
         return state.joint_angles, state
 
@@ -63,16 +63,23 @@ def restarted(state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> M
     return MMCState(np.where(started, fresh.values, state.values), state.segment_count)
 
 
-def out_of_line(network: MMCNetwork, state: MMCState, target: Floats) -> MMCState:
-    """The networks of `state`, bent a little where they could not get to their targets (..., 2).
+def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
+    """The networks of `state`, bent a little where they could not get to their targets.
 
-    An arm gets into such a dead end (see `dead_end`) with its target, so it is looked for only
-    where that is another one than the end effector of `state` was held at last.
+    An arm gets into such a dead end (see `dead_end`) when its target becomes another one: `held`,
+    where the end effector is to be held, is compared with where it was held last.  Then a look at
+    the segments says whether any arm is nearly straight.  Both are quick.
     """
-    held = state.values[network.segment_count * (network.segment_count + 1) // 2 - 1]
-    if np.moveaxis(target, -1, 0).tobytes() == held.tobytes():
+    (row,), count = held.rows, network.segment_count
+    if held.values.tobytes() == state.values[row].tobytes():
         return state
-    lengths, joint_angles = network.segment_lengths, state.joint_angles
+    x, y = state.values[:count].swapaxes(0, 1)
+    areas = x[:-1] * y[1:] - y[:-1] * x[1:]
+    lengths = network.segment_lengths
+    if np.abs(areas).max(axis=0).min() > STRAIGHT * max(lengths) ** 2:
+        return state
+    target = np.moveaxis(held.values[0], 0, -1)
+    joint_angles = state.joint_angles
     bent = leave_line(joint_angles, nearest_reachable(target, lengths), lengths)
     is_stuck = (bent != joint_angles).any(axis=-1)
     return restarted(state, network.state_from_joint_angles(bent), is_stuck)

@@ -50,7 +50,7 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         network, count = state.network, self.iterations_per_step
         hand = network.segments.sum(axis=-2)
         movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
-        network = out_of_line(self.network, network, movement.target)
+        network = out_of_line(self.network, network, self.network.inverse(movement.target))
         for part in range(1, count + 1):
             way = share(count * movement.elapsed + part, count * movement.duration)
             network = timed_step(self.network, network, movement.target, way)

@@ -137,10 +137,10 @@ def test_only_arms_that_are_stuck_are_bent():
         ([0.0, 0.1, 0.0], [2.0, 0.0]),
     ):
         state = network.state_from_joint_angles(posture)
-        after = out_of_line(network, state, np.array(target))
+        after = out_of_line(network, state, network.inverse(target))
         np.testing.assert_array_equal(after.values, state.values)
     both = network.state_from_joint_angles([straight, [0.5, 1.0, 0.5]])
-    after = out_of_line(network, both, np.array([[2.0, 0.0], [2.0, 0.0]]))
+    after = out_of_line(network, both, network.inverse([[2.0, 0.0], [2.0, 0.0]]))
     assert np.any(after.values[..., 0] != both.values[..., 0])
     np.testing.assert_array_equal(after.values[..., 1], both.values[..., 1])
 

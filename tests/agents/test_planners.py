@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from mmc_gym import make_agent
 from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
-from mmc_gym.agents.dead_end import hand_position, jacobian
+from mmc_gym.agents.dead_end import hand_position
+from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.agents.minimum_jerk import HandPlan, MinimumJerkAgent, minimum_jerk_step
 from mmc_gym.agents.movement import AVERAGE_SPEED, HORIZON, JUMP, SHORTEST, begin, follow, step
 from mmc_gym.agents.passive_motion import PassiveMotionAgent, passive_motion_step
