@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import platform
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -27,6 +29,9 @@ DRAWN = 12
 RECORDING = 2
 """Raised whenever the same episodes would be recorded or measured otherwise: all is played anew."""
 
+PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
+"""Those that results may depend on."""
+
 _SAME = 1e-3  # segment lengths between two rollouts of one episode
 
 
@@ -40,7 +45,7 @@ class BatteryCell:
         environment: itself.
         episodes: how many, where the environment does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
-        weights: which ones a policy of this package consists of (SHA-256); empty for others.
+        fingerprint: of the contestant, which it takes long to find.
         keeps_paths: whether its first paths are kept.
     """
 
@@ -49,7 +54,7 @@ class BatteryCell:
     environment: BatteryEnvironment
     episodes: int
     seed: int
-    weights: str = ""
+    fingerprint: str = ""
     keeps_paths: bool = True
 
     @property
@@ -63,7 +68,7 @@ class BatteryCell:
         return {
             "recording": RECORDING,
             "source": self.contestant.source,
-            "weights": self.weights,
+            "fingerprint": self.fingerprint,
             "environment": self.environment.settings,
             "episodes": self.episodes,
             "seed": self.seed,
@@ -80,7 +85,8 @@ class CellOutcome:
         episodes: content of its file of episodes; empty unless played.
         paths: content of its file of paths; None if it keeps none.
         facts: kept with it: wall_seconds, cpu_seconds, control (the meaning of actions), together
-            (whether its episodes were played at once), has_paths.
+            (whether its episodes were played at once), has_paths, software (versions, by name, and
+            the machine).
     """
 
     status: Literal["played", "skipped", "failed"]
@@ -112,6 +118,11 @@ def run_cell(cell: BatteryCell) -> CellOutcome:
         "control": recorded.control,
         "together": recorded.together,
         "has_paths": paths is not None,
+        "software": {
+            **{package: version(package) for package in PACKAGES},
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+        },
     }
     content = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
     return CellOutcome("played", "", content, paths, facts)

@@ -3,16 +3,16 @@
     cells of the grid  ->  run_grid  ->  store  ->  ranking
 
 Cells that are in the store already, made with the same settings, are not played again, so that an
-interrupted run goes on, and agents and environments can be added.
+interrupted run goes on, and agents and environments can be added.  An agent whose weights, or whose
+module's file, have changed is another one.  Other versions of libraries are no reason to play
+again: the manifest names all of them.
 """
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -25,13 +25,12 @@ from mmc_gym.evaluation.rollout import episode_seeds
 from mmc_gym.evaluation.store import (
     MANIFEST,
     CellKey,
+    all_software,
     cell_facts,
     read_manifest,
     write_cell,
     write_manifest,
 )
-
-_PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
 
 Manifest: TypeAlias = dict[str, Any]
 
@@ -87,13 +86,13 @@ def benchmark(
     episode_seeds(seed, episodes)
     check_cluster(cluster)
     manifest = _joined_manifest(out, found, players, episodes, seed)
-    weights = {one: card.sha256 if (card := one.card) else "" for one in players}
+    fingerprints = {one: one.fingerprint for one in players}
     lowest: dict[str, int] = {}
     for one in players:
         lowest[one.agent] = min(one.training_seed, lowest.get(one.agent, one.training_seed))
     cells = [
         BatteryCell(
-            *(one, name, environment, episodes, seed, weights[one]),
+            *(one, name, environment, episodes, seed, fingerprints[one]),
             keeps_paths=one.training_seed == lowest[one.agent],
         )
         for one in players
@@ -108,7 +107,7 @@ def benchmark(
             missing.append(cell)
         else:
             _note(manifest, cell.key, CellOutcome("played", facts=facts))
-    done = len(cells) - len(missing)
+    manifest["reused"] = done = len(cells) - len(missing)
     on_progress(Progress(done, len(cells)))
 
     def keep(index: int, outcome: CellOutcome) -> None:
@@ -124,6 +123,9 @@ def benchmark(
         run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep)
     finally:
         manifest["elapsed_seconds"] += round(time.perf_counter() - begin, 1)
+        manifest["versions"] = {
+            name: ", ".join(versions) for name, versions in all_software(out).items()
+        }
         write_manifest(out, manifest)
     return read_manifest(out)
 
@@ -151,8 +153,9 @@ def _joined_manifest(
     """The manifest of the store, with these environments and agents added."""
     if out.exists() and not out.is_dir():
         raise ValueError(f"out must be a folder, got the file {str(out)!r}")
-    fresh = _fresh_manifest(episodes, seed)
-    manifest = {**fresh, **read_manifest(out)} if (out / MANIFEST).exists() else fresh
+    manifest = fresh = _fresh_manifest(episodes, seed)
+    if (out / MANIFEST).exists():
+        manifest = {**fresh, **read_manifest(out), "measures": fresh["measures"]}
     _require_same(out, "episodes", manifest["episodes"], episodes)
     _require_same(out, "seed", manifest["seed"], seed)
     for name, environment in environments.items():
@@ -164,7 +167,7 @@ def _joined_manifest(
         kept = entry["sources"].setdefault(str(one.training_seed), one.source)
         _require_same(out, f"agent {one.agent}", kept, one.source)
         entry["trained"] |= one.is_trained
-    return {**manifest, **{name: fresh[name] for name in ("versions", "python", "machine")}}
+    return manifest
 
 
 def _fresh_manifest(episodes: int, seed: int) -> Manifest:
@@ -179,15 +182,13 @@ def _fresh_manifest(episodes: int, seed: int) -> Manifest:
         "measures": {measure.name: measure.unit for measure in MEASURES},
         "environments": {},
         "agents": {},
-        "controls": {},
         "skipped": [],
         "failed": [],
         "wall_seconds": {},
         "cpu_seconds": {},
         "elapsed_seconds": 0.0,
-        "versions": {package: version(package) for package in _PACKAGES},
-        "python": platform.python_version(),
-        "machine": f"{platform.system()} {platform.machine()}",
+        "reused": 0,
+        "versions": {},
     }
 
 
@@ -213,5 +214,3 @@ def _note(manifest: Manifest, key: CellKey, outcome: CellOutcome) -> None:
     assert outcome.facts is not None
     for name in ("wall_seconds", "cpu_seconds"):
         manifest[name][key.file_name.removesuffix(".parquet")] = outcome.facts[name]
-    if outcome.facts["control"] != manifest["control"]:
-        manifest["controls"][key.agent] = outcome.facts["control"]

@@ -8,8 +8,11 @@ training seeds of an agent from outside.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
 
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.reinforcement import PRETRAINED, PolicyCard, load_policy
@@ -64,6 +67,19 @@ class Contestant:
             return load_policy(PRETRAINED / f"{self.source}.json")[1]
         except (FileNotFoundError, ValueError):
             return None
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of a policy's weights, or of the file that an agent's module is written in.
+
+        Another one is another agent, whatever its name.  Of a module it is that file alone: what it
+        imports, or reads, may change unnoticed.  Empty if there is none.
+        """
+        if self.is_own:
+            return self.card.sha256 if self.card else ""
+        spec = find_spec(self.source.partition(":")[0])
+        file = Path(spec.origin) if spec is not None and spec.origin else Path()
+        return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 def default_agents() -> tuple[str, ...]:

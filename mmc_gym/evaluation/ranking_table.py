@@ -1,4 +1,4 @@
-"""The table that a benchmark ends with: the ranking of its agents, and what went wrong."""
+"""What a benchmark ends with: the ranking of its agents as a table, and what went wrong."""
 
 from __future__ import annotations
 
@@ -13,21 +13,45 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from mmc_gym._files import write_atomically
 from mmc_gym.evaluation.benchmark import Manifest, not_played, untrained
 from mmc_gym.evaluation.ranking import BASELINE_AGENT, summarize_battery
+from mmc_gym.evaluation.reference import REFERENCE
 from mmc_gym.evaluation.store import read_episodes, read_manifest
+
+RANKING = "ranking.csv"
+"""The ranking in a store's folder, as `summarize_battery` returns it, for other programs."""
 
 _PLAIN = str.maketrans({"–": "-", "−": "-", "½": "1/2"})
 
 
 def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
-    """Rank the agents of a store, print the table, and return it.
+    """Rank the agents of a store, print the table, write it to `RANKING`, and return it.
+
+    Where nothing can be ranked it prints why, and returns no rows.
 
     Raises:
-        ValueError: if the folder holds no store, or nothing was played in it.
+        ValueError: if the folder holds no store, or no agent could play.
     """
     manifest = read_manifest(folder)
-    ranking = summarize_battery(read_episodes(folder), not_played(manifest), untrained(manifest))
+    if set(manifest["agents"]) == {REFERENCE}:
+        console.print(_text(console, f"nothing to rank: {REFERENCE} is a hand without an arm"))
+        return pd.DataFrame()
+    try:
+        ranking = summarize_battery(
+            read_episodes(folder), not_played(manifest), untrained(manifest)
+        )
+    except ValueError:
+        _print_reasons(console, manifest)
+        raise
+    write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
+    _print_table(console, ranking)
+    console.print(_text(console, _note(manifest, ranking)))
+    _print_reasons(console, manifest)
+    return ranking
+
+
+def _print_table(console: Console, ranking: pd.DataFrame) -> None:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="bold")
     rows = ranking.to_dict("records")
     for heading in _cells(rows[0]):
@@ -36,11 +60,13 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     for row in rows:
         table.add_row(*(_text(console, content) for content in _cells(row).values()))
     console.print(Padding(table, (1, 0)))
-    console.print(_text(console, _note(manifest, ranking)))
+
+
+def _print_reasons(console: Console, manifest: Manifest) -> None:
     for status in ("skipped", "failed"):
         for line, count in _reasons(manifest, status).items():
-            console.print(_text(console, f"{status}, {count} cells: {line}"))
-    return ranking
+            cells = f"{count} cell{'s' * (count != 1)}"
+            console.print(_text(console, f"{status}, {cells}: {line}"))
 
 
 def _cells(row: Mapping[Hashable, Any]) -> dict[str, str]:
@@ -78,8 +104,15 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         "longer in the same episode, ½ if equal. Intervals: 95 % bootstrap over training seeds and "
         "instances; without several training seeds over instances alone. Cells that were not "
         "played count as without success. All cells took "
-        f"{sum(manifest['cpu_seconds'].values()):.0f} s of one processor's time."
+        f"{sum(manifest['cpu_seconds'].values()):.0f} s of one processor's time; "
+        f"{manifest['reused']} were there already and not played again.{_mixed(manifest)}"
     )
+
+
+def _mixed(manifest: Manifest) -> str:
+    """Which versions differ among the cells of a store that came about over time."""
+    mixed = [f"{name} {found}" for name, found in manifest["versions"].items() if ", " in found]
+    return f" They were played with several versions: {'; '.join(mixed)}." if mixed else ""
 
 
 def _reasons(manifest: Manifest, status: str) -> dict[str, int]:

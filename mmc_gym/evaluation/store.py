@@ -166,6 +166,20 @@ def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> dict[
     return facts if fine else None
 
 
+def all_software(folder: Path) -> dict[str, tuple[str, ...]]:
+    """What the cells of a store were played with: all versions of each package, and machines."""
+    found: dict[str, set[str]] = {}
+    for path in _files(folder, EPISODES):
+        try:
+            kept = json.loads((pq.read_schema(path).metadata or {})[_METADATA])
+            software = kept["facts"]["software"]
+        except (OSError, pa.ArrowException, ValueError, KeyError, TypeError):
+            continue  # damaged, or not of the benchmark's
+        for name, version in software.items():
+            found.setdefault(name, set()).add(version)
+    return {name: tuple(sorted(versions)) for name, versions in found.items()}
+
+
 def read_episodes(folder: Path | str) -> pd.DataFrame:
     """All episodes of a store; the columns stand at `episodes_file`.
 
@@ -216,8 +230,12 @@ def _read(path: Path) -> pa.Table:
     return pq.ParquetFile(path, page_checksum_verification=True).read()
 
 
+def _files(folder: Path, kind: str) -> list[Path]:
+    return sorted((folder / kind).glob("[!.]*.parquet"))
+
+
 def _read_all(folder: Path, kind: str) -> pd.DataFrame:
-    files = sorted((folder / kind).glob("[!.]*.parquet"))
+    files = _files(folder, kind)
     if not files:
         raise ValueError(f"folder must hold a benchmark's {kind}, got {str(folder)!r}")
     tables = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -17,6 +18,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
 import mmc_gym
 from mmc_gym import cli
@@ -24,6 +26,7 @@ from mmc_gym.evaluation import battery_cell, contestants
 from mmc_gym.evaluation.battery import ENVIRONMENTS, BatteryEnvironment, find_environments
 from mmc_gym.evaluation.benchmark import benchmark, not_played, untrained
 from mmc_gym.evaluation.ranking import summarize_battery
+from mmc_gym.evaluation.ranking_table import RANKING, print_ranking
 from mmc_gym.evaluation.reference import REFERENCE
 from mmc_gym.evaluation.rollout import episode_seeds, run_episodes
 from mmc_gym.evaluation.store import CellKey, read_episodes, read_manifest, read_paths
@@ -231,6 +234,39 @@ def test_who_cannot_act_is_skipped_and_who_crashes_has_failed(tmp_path, outside)
     assert len(again["skipped"]) == 1
 
 
+def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
+    agents, seen = [f"{outside}:constant", "mmc"], []
+    play(agents, tmp_path / "out", ["random"])
+    (tmp_path / "outside_agents.py").write_text(AGENTS_FROM_OUTSIDE + "# changed\n")
+    assert play(agents, tmp_path / "out", ["random"], on_progress=seen.append)["reused"] == 1
+    assert [progress.key.agent for progress in seen[1:]] == [f"{outside}:constant"]
+
+
+def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
+    now = battery_cell.version
+    monkeypatch.setattr(battery_cell, "version", lambda package: "0.0.1")
+    play(["mmc"], tmp_path, ["random"])
+    monkeypatch.setattr(battery_cell, "version", now)
+    manifest = play(["mmc", "ik-dls"], tmp_path, ["random"])
+    assert manifest["versions"]["numpy"] == ", ".join(sorted(["0.0.1", now("numpy")]))
+    assert manifest["versions"]["python"] == platform.python_version()
+    print_ranking(Console(width=1000), tmp_path)
+    said = capsys.readouterr().out
+    assert "1 were there already and not played again" in said
+    assert f"numpy {manifest['versions']['numpy']}" in said and "python" not in said
+
+
+def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
+    play([f"{outside}:crashing"], tmp_path / "one", ["random"])
+    with pytest.raises(ValueError, match="folder must hold a benchmark's episodes"):
+        print_ranking(Console(width=1000), tmp_path / "one")
+    play([REFERENCE], tmp_path / "other", ["random"])
+    assert print_ranking(Console(width=1000), tmp_path / "other").empty
+    said = capsys.readouterr().out
+    assert f"failed, 1 cell: {outside}:crashing: ZeroDivisionError: oh" in said
+    assert "nothing to rank" in said
+
+
 @pytest.mark.parametrize("name", ["one_by_one", "forgetful"])
 def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside, name):
     outcomes = []
@@ -344,6 +380,9 @@ def test_the_command_prints_the_ranking(tmp_path, capsys):
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     rows = [line[:2] for line in lines if line and line[0].isdecimal()]
     assert rows[:3] == [["1", "mmc"], ["1", "twin"], ["3", "random"]]
+    ranking = pd.read_csv(tmp_path / "out" / RANKING)
+    assert ranking["agent"].tolist() == ["mmc", "twin", "random"]
+    assert ranking["success"][0] == read_episodes(tmp_path / "out")["success"][:3].mean()
     with pytest.raises(SystemExit):
         cli.main(["benchmark", "--agents", "nobody", "--out", str(tmp_path / "out")])
 
