@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from math import cos, sin, tau
 from typing import Any
 
 import gymnasium as gym
@@ -25,6 +26,7 @@ from mmc_gym.envs.perturbations import (
     VisionNoise,
     VisuomotorRotation,
 )
+from mmc_gym.envs.tasks import PointToPoint, Task
 from mmc_gym.envs.vector import MMCReachVectorEnv
 
 BASELINE = "random"
@@ -109,7 +111,7 @@ def find_environments(names: Iterable[str]) -> dict[str, BatteryEnvironment]:
 
 def _plain(value: Any) -> Any:
     """A value as JSON would bring it back."""
-    if isinstance(value, Perturbation):
+    if isinstance(value, Perturbation | Task):
         fields: dict[str, Any] = asdict(value)  # type: ignore[call-overload]
         return {"name": type(value).__name__, **_plain(fields)}
     if isinstance(value, Mapping):
@@ -117,6 +119,17 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_plain(one) for one in value]
     return value
+
+
+def _outward() -> PointToPoint:
+    """From one point outward, to all distances in all directions."""
+    turns = [tau * direction / _DIRECTIONS for direction in range(_DIRECTIONS)]
+    circles = [
+        (distance * cos(turn), 0.5 + distance * sin(turn))
+        for distance in _DISTANCES
+        for turn in turns
+    ]
+    return PointToPoint(((0.0, 0.5), *circles), tuple((0, k + 1) for k in range(len(circles))))
 
 
 def _task(description: str, env_id: str) -> BatteryEnvironment:
@@ -157,12 +170,17 @@ def _locked(family: str, when: str, time: float, joints: Sequence[int]) -> dict[
     return _family(family, "joint", described, of)
 
 
+_DISTANCES = (0.1, 0.2, 0.3, 0.4)  # from start to target, in reaches
+_DIRECTIONS = 8
 _DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
 
 ENVIRONMENTS: dict[str, BatteryEnvironment] = {
     "random": _task("random starts and targets", "MMCReach-v0"),
     "paper": _task("the paper's 420 movements between 21 targets", "MMCReachPaper-v0"),
     "centre-out": _task("eight targets around a point", "MMCReachCentreOut-v0"),
+    "distances": BatteryEnvironment(
+        "eight directions at each of four distances", arguments={"task": _outward()}
+    ),
     "double-step-100": _task("target jumps after 0.1 s", "MMCReachDoubleStep100-v0"),
     "double-step-200": _task("target jumps after 0.2 s", "MMCReachDoubleStep200-v0"),
     "pursuit": _task("target moves along sums of sines", "MMCReachPursuit-v0"),

@@ -17,7 +17,7 @@ from mmc_gym.evaluation.battery import BatteryEnvironment
 from mmc_gym.evaluation.contestants import Contestant
 from mmc_gym.evaluation.reference import has_reference, minimum_jerk_episodes
 from mmc_gym.evaluation.rollout import Episode, Predictor, episode_seeds, run_episodes
-from mmc_gym.evaluation.store import CellKey, episodes_file, paths_file
+from mmc_gym.evaluation.store import CellKey, episodes_file, paths_file, sets_file
 from mmc_gym.evaluation.together import run_episodes_together
 
 TIMED = 3
@@ -84,15 +84,17 @@ class CellOutcome:
         reason: why it was skipped or failed.
         episodes: content of its file of episodes; empty unless played.
         paths: content of its file of paths; None if it keeps none.
+        sets: content of its file of set measures; None if none is taken in its environment.
         facts: kept with it: wall_seconds, cpu_seconds, control (the meaning of actions), together
-            (whether its episodes were played at once), has_paths, software (versions, by name, and
-            the machine).
+            (whether its episodes were played at once), has_paths, has_sets, software (versions, by
+            name, and the machine).
     """
 
     status: Literal["played", "skipped", "failed"]
     reason: str = ""
     episodes: bytes = b""
     paths: bytes | None = None
+    sets: bytes | None = None
     facts: Mapping[str, Any] | None = None
 
 
@@ -112,12 +114,14 @@ def run_cell(cell: BatteryCell) -> CellOutcome:
     paths = None
     if cell.keeps_paths:
         paths = paths_file(cell.key, recorded.episodes[:DRAWN], recorded.joint_count)
+    sets = sets_file(cell.key, recorded.episodes)
     facts = {
         "wall_seconds": round(time.perf_counter() - begin, 3),
         "cpu_seconds": round(time.process_time() - processor_begin, 3),
         "control": recorded.control,
         "together": recorded.together,
         "has_paths": paths is not None,
+        "has_sets": sets is not None,
         "software": {
             **{package: version(package) for package in PACKAGES},
             "python": platform.python_version(),
@@ -125,7 +129,7 @@ def run_cell(cell: BatteryCell) -> CellOutcome:
         },
     }
     content = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
-    return CellOutcome("played", "", content, paths, facts)
+    return CellOutcome("played", "", content, paths, sets, facts)
 
 
 @dataclass(frozen=True)

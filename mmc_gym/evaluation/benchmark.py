@@ -114,7 +114,7 @@ def benchmark(
         nonlocal done
         key = missing[index].key
         if outcome.status == "played":
-            write_cell(out, key, outcome.episodes, outcome.paths)
+            write_cell(out, key, outcome.episodes, outcome.paths, outcome.sets)
         _note(manifest, key, outcome)
         done += 1
         on_progress(Progress(done, len(cells), key, outcome))

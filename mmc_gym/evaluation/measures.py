@@ -9,7 +9,7 @@ more smoothly for it.  So, as is the custom for movements of people, such measur
 episodes that ended at the target, with the fraction of these beside them (`successes_only`).  Data
 hold them for all episodes, and `leave_out_failures` is what tables and comparisons see.
 
-Measures that need many episodes of a certain kind are in `set_measures`.
+Measures of all episodes of a certain kind together are in `set_measures`.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
     episodes/AGENT--SEED--ENVIRONMENT.parquet    a row per episode: who, where, measures
     paths/AGENT--SEED--ENVIRONMENT.parquet       a row per step of the first episodes, for pictures
+    sets/AGENT--SEED--ENVIRONMENT.parquet        a row per measure of all episodes together
     manifest.json                                what all of it was made with
 
 A cell is an agent, a training seed of it (0 if it is not trained) and an environment.  Every file
@@ -28,10 +29,12 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from mmc_gym._files import write_atomically
 from mmc_gym.evaluation.measures import MEASURES
 from mmc_gym.evaluation.rollout import Episode
+from mmc_gym.evaluation.set_measures import set_measures_in
 
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
-EPISODES, PATHS = "episodes", "paths"
+EPISODES, PATHS, SETS = "episodes", "paths", "sets"
+SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
 _METADATA = b"mmc_gym"
 _CURSOR = ("cursor_x", "cursor_y")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
@@ -128,6 +131,25 @@ def paths_file(key: CellKey, episodes: Sequence[Episode], joint_count: int) -> b
     return _parquet(columns, {})
 
 
+def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
+    """The content of a cell's file of set measures; None where the environment suits none.
+
+    A row for each of `SET_MEASURES` that is taken in this environment: agent, training_seed,
+    environment, measure, unit, episodes (their number), value (NaN if they have none).
+    """
+    measures = set_measures_in(key.environment)
+    if not measures:
+        return None
+    columns = {
+        **_key_columns(key, len(measures)),
+        "measure": [measure.name for measure in measures],
+        "unit": [measure.unit for measure in measures],
+        "episodes": np.full(len(measures), len(episodes), dtype=np.int32),
+        "value": np.array([measure.of(episodes) for measure in measures], np.float64),
+    }
+    return _parquet(columns, {})
+
+
 def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
     return {
         "agent": pa.array([key.agent] * rows, pa.string()),
@@ -143,10 +165,13 @@ def _parquet(columns: Mapping[str, Any], metadata: Mapping[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def write_cell(folder: Path, key: CellKey, episodes: bytes, paths: bytes | None) -> None:
+def write_cell(
+    folder: Path, key: CellKey, episodes: bytes, paths: bytes | None, sets: bytes | None = None
+) -> None:
     """Write a cell's files; that of its episodes, which says that it is there, is the last."""
-    if paths is not None:
-        write_atomically(folder / PATHS / key.file_name, paths)
+    for kind, content in ((PATHS, paths), (SETS, sets)):
+        if content is not None:
+            write_atomically(folder / kind / key.file_name, content)
     write_atomically(folder / EPISODES / key.file_name, episodes)
 
 
@@ -161,6 +186,8 @@ def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> dict[
         fine &= {measure.name for measure in MEASURES} <= set(table.column_names)
         if facts["has_paths"]:
             _read(folder / PATHS / key.file_name)
+        if facts.get("has_sets"):
+            _read(folder / SETS / key.file_name)
     except (OSError, pa.ArrowException, ValueError, KeyError, TypeError):
         return None
     return facts if fine else None
@@ -199,6 +226,19 @@ def read_paths(folder: Path | str) -> pd.DataFrame:
     for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
         frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
     return frame
+
+
+def read_sets(folder: Path | str) -> pd.DataFrame:
+    """All set measures of a store, in a row each; the columns stand at `sets_file`.
+
+    No rows if no agent was in an environment that suits any.
+
+    Raises:
+        ValueError: if a file is damaged.
+    """
+    if not _files(Path(folder), SETS):
+        return pd.DataFrame(columns=SET_COLUMNS)
+    return _read_all(Path(folder), SETS)
 
 
 def read_manifest(folder: Path | str) -> dict[str, Any]:

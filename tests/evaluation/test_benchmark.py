@@ -29,7 +29,14 @@ from mmc_gym.evaluation.ranking import summarize_battery
 from mmc_gym.evaluation.ranking_table import RANKING, print_ranking
 from mmc_gym.evaluation.reference import REFERENCE
 from mmc_gym.evaluation.rollout import episode_seeds, run_episodes
-from mmc_gym.evaluation.store import CellKey, read_episodes, read_manifest, read_paths
+from mmc_gym.evaluation.store import (
+    SET_COLUMNS,
+    CellKey,
+    read_episodes,
+    read_manifest,
+    read_paths,
+    read_sets,
+)
 
 ENVS = ("random", "centre-out")
 TIMES = ["action_time", "slow_action_time"]  # the only columns that are not the same at every run
@@ -118,6 +125,24 @@ def test_a_store_holds_the_episodes_of_rollouts(tmp_path):
         *("mmc--0--random", "mmc--0--centre-out"),
         *(CellKey(REFERENCE, 0, name).file_name.removesuffix(".parquet") for name in ENVS),
     }
+
+
+def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
+    play(["mmc", REFERENCE], tmp_path, ["random", "distances"])
+    assert (tmp_path / "episodes" / "mmc--0--random.parquet").exists()
+    path = tmp_path / "sets" / "mmc--0--distances.parquet"
+    found = read_sets(tmp_path)
+    assert list(found.columns) == list(SET_COLUMNS)
+    values = found.set_index(["agent", "measure"])
+    assert set(values.loc["mmc"].index) == {"fitts_slope", "fitts_intercept", "fitts_r_squared"}
+    assert 0 < values.loc[("mmc", "fitts_slope"), "value"] < 1
+    assert 0 < values.loc[(REFERENCE, "fitts_slope"), "value"] < 1
+    assert (values["episodes"] == 32).all() and (values["environment"] == "distances").all()
+    path.unlink()
+    seen = []
+    play(["mmc"], tmp_path, ["random", "distances"], on_progress=seen.append)
+    assert len(seen) == 2 and path.exists()
+    assert read_sets(tmp_path / "none").empty
 
 
 def test_paths_tell_the_distance_that_success_is_about(tmp_path):
