@@ -1,7 +1,9 @@
 """The data of the replay: a few movements of the main agents, as compact JSON.
 
-Positions and angles are in thousandths, and every value but the first of a series is the
-difference from the one before, so that most are of one to three digits.
+Positions and angles are in thousandths, distances from the target in ten-thousandths, and every
+value but the first of a series is the difference from the one before, so that most are of one to
+three digits.  Where a cursor stands for the hand, under a visuomotor rotation, both are there; the
+distance is that of the cursor, as it is in success and in all measures.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ ENVIRONMENTS = 5
 BUDGET = 1_500_000  # bytes
 
 _FITS = 0.02  # by which an arm may miss its hand, segment lengths
+_SEEN_APART = 0.001  # segment lengths between a hand and a cursor
+_COARSE, _FINE = 1_000, 10_000  # parts of one
 
 
 def replay(results: Results, environments: Sequence[str], agents: Sequence[str]) -> dict[str, Any]:
@@ -80,46 +84,48 @@ def _scenes(
 
 
 def _movement(steps: pd.DataFrame, told: Sequence[float]) -> dict[str, Any]:
-    hand = steps[["hand_x", "hand_y"]].to_numpy(np.float64)
+    hand, cursor, target = (
+        steps[[f"{name}_x", f"{name}_y"]].to_numpy(np.float64)
+        for name in ("hand", "cursor", "target")
+    )
     names = [name for name in steps.columns if name.startswith("joint_angle_")]
     angles = steps[names].to_numpy(np.float64)
-    known = not np.isnan(angles).any() and angles.size > 0
-    movement: dict[str, Any] = {"hand": [_compact(column) for column in hand.T]}
-    if known:
-        lengths, fits = _lengths(angles, hand, told)
+    distance = np.linalg.norm(cursor - target, axis=-1)
+    movement: dict[str, Any] = {
+        "hand": [_compact(column) for column in hand.T],
+        "distance": _compact(distance, _FINE),
+    }
+    if np.abs(cursor - hand).max() > _SEEN_APART:
+        movement["cursor"] = [_compact(column) for column in cursor.T]
+    if angles.size > 0 and not np.isnan(angles).any():
         movement["angles"] = [_compact(column) for column in angles.T]
-        movement["lengths"] = [round(length, 3) for length in lengths]
-        if not fits:
-            movement["cursor"] = True  # what is seen is not the hand
+        movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, told)]
     return movement
 
 
 def _lengths(
     angles: NDArray[np.float64], hand: NDArray[np.float64], told: Sequence[float]
-) -> tuple[list[float], bool]:
-    """Segment lengths with which the postures lead to the hand, and whether any do.
+) -> list[float]:
+    """Segment lengths with which the postures lead to the hand, as near as can be to the told.
 
-    The body may have other lengths than agents are told, and what is seen may not be the hand.
+    The body may have other lengths than agents are told.
     """
     turned = np.cumsum(angles, axis=1)
     design = np.concatenate([np.cos(turned), np.sin(turned)])
-    seen = np.concatenate([hand[:, 0], hand[:, 1]])
-    if np.abs(design @ np.asarray(told) - seen).max() <= _FITS:
-        return list(told), True
-    found, _, rank, _ = np.linalg.lstsq(design, seen, rcond=None)
-    close = np.abs(design @ found - seen).max() <= _FITS
-    if rank == len(told) and close and (found > 0).all():
-        return [float(length) for length in found], True
-    return list(told), False
+    missed = np.concatenate([hand[:, 0], hand[:, 1]]) - design @ np.asarray(told)
+    if np.abs(missed).max() <= _FITS:
+        return list(told)
+    change, *_ = np.linalg.lstsq(design, missed, rcond=None)
+    return [max(float(length), 0.0) for length in np.asarray(told) + change]
 
 
-def _compact(values: ArrayLike) -> list[int]:
-    """In thousandths, the first and then the differences.
+def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:
+    """In parts of one, such as thousandths, the first and then the differences.
 
     Example:
         >>> _compact([1.0, 1.002, 0.9995])
         [1000, 2, -2]
     """
-    thousandths = np.rint(1000 * np.asarray(values, dtype=np.float64)).astype(int)
-    compact: list[int] = np.diff(thousandths, prepend=0).tolist()
+    whole = np.rint(parts * np.asarray(values, dtype=np.float64)).astype(int)
+    compact: list[int] = np.diff(whole, prepend=0).tolist()
     return compact

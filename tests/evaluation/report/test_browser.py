@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -54,6 +55,17 @@ def browser(report_file, tmp_path_factory):
     browser.set_script_timeout(PATIENCE)
     yield browser
     browser.quit()
+
+
+@pytest.fixture(scope="module")
+def rotated(tmp_path_factory):
+    """A benchmark that was played, with a cursor in place of the hand, and its report."""
+    from mmc_gym.evaluation.benchmark import benchmark
+    from mmc_gym.evaluation.report import write_report
+
+    store = tmp_path_factory.mktemp("rotated")
+    benchmark(["mmc", "mmc-closed"], store, ["random", "rotation-30"], episodes=3, jobs=1)
+    return store, write_report(store, store / "report.html", resamples=20)
 
 
 @pytest.fixture
@@ -152,6 +164,33 @@ def test_keys_step_through_the_replay(page):
     assert page.find_element(By.ID, "replay-clock").text == "0.00 s"
     stage.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
     assert page.find_element(By.ID, "replay-clock").text == "0.04 s"
+
+
+def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
+    from selenium.webdriver.common.by import By
+
+    from mmc_gym.evaluation.store import read_episodes
+
+    store, report = rotated
+    episodes = read_episodes(store).set_index(["environment", "instance", "agent"])
+    resize(browser, 1200, 900)
+    browser.get(report.as_uri())
+    apart = []
+    for environment in ("random", "rotation-30"):
+        choose(browser, "environment", environment)
+        for instance in range(3):
+            choose(browser, "instance", str(instance + 1))
+            for view in browser.find_elements(By.CLASS_NAME, "view"):
+                name = view.find_element(By.TAG_NAME, "figcaption").text
+                said = view.find_element(By.CLASS_NAME, "readout").text
+                row = episodes.loc[(environment, instance, name)]
+                shown = float(re.search(r"\d+\.\d+", said)[0])
+                assert shown == pytest.approx(row["final_distance"], abs=6e-4)
+                assert ("there" in said) == bool(row["success"])
+                assert ("cursor" in said) == (environment != "random")
+                apart.append(row["success"])
+    assert len(apart) == 12
+    assert 0 < sum(apart) < 12  # the cursor of one is there where that of the other is not
 
 
 def test_environment_instance_and_agents_can_be_chosen(page):

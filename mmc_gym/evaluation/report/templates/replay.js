@@ -16,8 +16,8 @@
   const clock = byId("clock"), stage = byId("stage"), note = byId("note");
   const still = matchMedia("(prefers-reduced-motion: reduce)");
 
-  // Thousandths, the first and then the differences.
-  const decode = (series) => { let sum = 0; return series.map((change) => (sum += change) / 1000); };
+  // Thousandths, of distances a tenth of these; the first and then the differences.
+  const decode = (series, parts = 1000) => { let sum = 0; return series.map((change) => (sum += change) / parts); };
   const element = (tag, className, text) => {
     const made = document.createElement(tag);
     if (className) made.className = className;
@@ -31,9 +31,12 @@
   const scene = () => data.scenes[environment.value][instance.selectedIndex];
 
   function movementOf(recorded) {
-    const [x, y] = recorded.hand.map(decode);
+    const [x, y] = recorded.hand.map((series) => decode(series));
     const speed = x.slice(1).map((value, k) => Math.hypot(value - x[k], y[k + 1] - y[k]) / data.step);
-    return { x, y, speed, angles: (recorded.angles || []).map(decode), lengths: recorded.lengths || [], cursor: recorded.cursor };
+    return {
+      x, y, speed, distance: decode(recorded.distance, 10000), cursor: recorded.cursor && recorded.cursor.map((series) => decode(series)),
+      angles: (recorded.angles || []).map((series) => decode(series)), lengths: recorded.lengths || [],
+    };
   }
 
   function fillInstances() {
@@ -43,7 +46,7 @@
   function build(atEnd) {
     const shown = scene();
     const chosen = [...agents.querySelectorAll("input")].filter((box) => box.checked).map((box) => box.value);
-    target = shown.target.map(decode);
+    target = shown.target.map((series) => decode(series));
     views = chosen.filter((name) => Object.hasOwn(shown.agents, name)).map((name) => {
       const figure = element("figure", "view"), arm = element("canvas", "arm"), speed = element("canvas", "speed");
       const readout = element("p", "readout");
@@ -63,7 +66,7 @@
     time = atEnd ? last : Math.min(time, last);
     const turned = views.filter((view) => view.movement.cursor).map((view) => view.name);
     note.textContent = views.length === 0 ? "Choose an agent." : turned.length
-      ? "Here what is seen, and drawn as the way of the hand, is a cursor: the arm itself is elsewhere." : "";
+      ? "Here a cursor, the square with the dashed way, is seen in place of the hand: distance and success are the cursor's." : "";
     draw();
   }
 
@@ -123,10 +126,18 @@
     way.forEach((point) => disc(point, 1.7 * unit, colours.trace));
     disc(way[0], 4 * unit, colours.reachable, colours.outline, 1.4 * unit);
     disc(hand, 4 * unit, colours.outline, colours.reachable, 1.2 * unit);
+    if (movement.cursor) {
+      const [cx, cy] = movement.cursor, now = place(at(cx, moment), at(cy, moment)), half = 4.5 * unit, side = 2 * half;
+      pen.setLineDash([5 * unit, 3 * unit]);
+      stroke([...cx.slice(0, past + 1).map((x, k) => place(x, cy[k])), now], colours.outline, 1.3 * unit);
+      pen.setLineDash([]);
+      pen.fillStyle = colours.reachable; pen.fillRect(now[0] - half, now[1] - half, side, side);
+      pen.strokeStyle = colours.outline; pen.lineWidth = 2 * unit; pen.strokeRect(now[0] - half, now[1] - half, side, side);
+    }
 
     const goal = target.map((series) => at(series, Math.min(moment, series.length - 1)));
     const centre = place(...goal), radius = Math.max(data.tolerance * scale, 3 * unit);
-    const distance = Math.hypot(at(movement.x, moment) - goal[0], at(movement.y, moment) - goal[1]);
+    const distance = at(movement.distance, moment);
     for (const [colour, line] of [[colours.reachable, 4 * unit], [colours.target, 2 * unit]]) {
       for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
         const [near, far] = [radius + 2 * unit, radius + 9 * unit];
@@ -135,7 +146,7 @@
       disc(centre, radius, null, colour, line);
       if (distance <= data.tolerance) disc(centre, radius + 5.5 * unit, null, colour, line);
     }
-    view.readout.textContent = `distance ${distance.toFixed(3)}${distance <= data.tolerance ? " ✓ there" : ""}`;
+    view.readout.textContent = `distance ${movement.cursor ? "of the cursor " : ""}${distance.toFixed(3)}${distance <= data.tolerance ? " ✓ there" : ""}`;
   }
 
   function drawSpeed(view) {
