@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,11 @@ from mmc_gym.agents.reinforcement import PRETRAINED, PolicyCard
 from mmc_gym.evaluation.battery import BASELINE
 from mmc_gym.evaluation.benchmark import untrained
 from mmc_gym.evaluation.learning_curves import read_cards
-from mmc_gym.evaluation.measures import MEASURES, Measure
-from mmc_gym.evaluation.report.knowledge import agent_order
-from mmc_gym.evaluation.store import read_episodes, read_manifest, read_paths
+from mmc_gym.evaluation.measures import MEASURES, Measure, leave_out_failures
+from mmc_gym.evaluation.ranking_table import RANKING
+from mmc_gym.evaluation.report.identity import Identity, agent_order, identify, labelled
+from mmc_gym.evaluation.report.knowledge import Kind
+from mmc_gym.evaluation.store import MANIFEST, CellKey, read_episodes, read_manifest, read_paths
 
 
 @dataclass(frozen=True)
@@ -49,41 +52,78 @@ class Results:
 
     Attributes:
         episodes: columns agent, training_seed (missing without training), environment, instance,
-            and those of `MEASURES`.
+            and those of `MEASURES`, NaN where `leave_out_failures` says so.
         paths: columns agent, training_seed, environment, instance, step, joint_angle_1 to _N,
-            hand_x, hand_y, target_x, target_y; empty if none were kept.
+            hand_x, hand_y, cursor_x, cursor_y, target_x, target_y; empty if none were kept.
         environments: by key, in the order of the manifest.
+        identities: who each agent is.
         agents: in the order of the report.
         control_step: seconds.
         segment_lengths: of the arm that agents are told of.
         tolerance: distance that counts as reached, segment lengths.
         versions: of the libraries.
         cell_seconds: that all cells together took.
-        not_played: agent, environment and reason of the cells without episodes.
-        cards: of the trained policies, by the name of the agent.
+        not_played: the cells without episodes, with the reason.
+        ranking: of the agents, as `summarize_battery` returns it; empty if the store has none that
+            is as new as itself.
     """
 
     episodes: pd.DataFrame
     paths: pd.DataFrame
     environments: Mapping[str, Environment]
+    identities: Mapping[str, Identity]
     agents: tuple[str, ...]
     control_step: float
     segment_lengths: tuple[float, ...]
     tolerance: float
     versions: Mapping[str, str]
     cell_seconds: float
-    not_played: tuple[tuple[str, str, str], ...]
-    cards: Mapping[str, Sequence[PolicyCard]]
+    not_played: tuple[tuple[CellKey, str], ...]
+    ranking: pd.DataFrame
 
-    def seeds(self, agent: str) -> int:
-        """Number of training seeds of an agent; 0 without training."""
-        rows = self.episodes.loc[self.episodes["agent"] == agent, "training_seed"]
-        return int(rows.nunique(dropna=True))
+    def kind(self, agent: str) -> Kind:
+        """What sort of agent it is."""
+        return self.identities[agent].kind
+
+    def labelled(self, name: str) -> str | None:
+        """What an agent of this package is called here; None if it did not take part."""
+        return labelled(self.identities, name)
+
+    @property
+    def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
+        """Cards of the policies that took part, by agent; only of agents whose cards are known."""
+        return {agent: one.cards for agent, one in self.identities.items() if one.cards}
+
+    def seeds(self, agent: str, environments: Iterable[str] = ()) -> tuple[int, int] | None:
+        """The least and the most training seeds of an agent in any one of some environments.
+
+        Args:
+            agent: its name; (0, 0) is the answer for one without training.
+            environments: keys; all by default.
+
+        Returns:
+            None if it was in none of them.
+        """
+        keys = tuple(environments) or tuple(self.environments)
+        counts = [found for key in keys if (found := self._seeds.get((agent, key))) is not None]
+        return (min(counts), max(counts)) if counts else None
 
     def instances(self, environment: str) -> int:
         """Number of starts and targets in an environment."""
-        rows = self.episodes["environment"] == environment
-        return int(self.episodes.loc[rows, "instance"].nunique())
+        return self._instances.get(environment, 0)
+
+    @cached_property
+    def _seeds(self) -> dict[tuple[str, str], int]:
+        rows = self.episodes[["agent", "environment", "training_seed"]].drop_duplicates()
+        counts = dict.fromkeys(zip(rows["agent"], rows["environment"]), 0)
+        for agent, key, seed in rows.itertuples(index=False):
+            counts[agent, key] += not math.isnan(seed)
+        return counts
+
+    @cached_property
+    def _instances(self) -> dict[str, int]:
+        counts = self.episodes.groupby("environment")["instance"].nunique()
+        return {str(key): int(number) for key, number in counts.items()}
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -102,16 +142,20 @@ def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
 
     Args:
         store: its folder.
-        cards: folder of the policies that took part, for their learning curves.
+        cards: folder of this package's policies, for what they learned from.
 
     Raises:
         ValueError: if there is no store, or it is damaged.
     """
     manifest = read_manifest(store)
     not_trained = untrained(manifest)
-    episodes = _without_seeds(read_episodes(store), not_trained)
+    episodes = leave_out_failures(_without_seeds(read_episodes(store), not_trained))
     present = set(episodes["environment"])
-    agents = agent_order(map(str, dict.fromkeys(episodes["agent"])))
+    shipped = _cards(cards)
+    identities = {
+        agent: identify(manifest["agents"][agent]["sources"].values(), shipped)
+        for agent in map(str, dict.fromkeys(episodes["agent"]))
+    }
     missing = (*manifest["skipped"], *manifest["failed"])
     return Results(
         episodes=episodes,
@@ -121,14 +165,18 @@ def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
             for key, entry in manifest["environments"].items()
             if key in present
         },
-        agents=agents,
+        identities=identities,
+        agents=agent_order(identities),
         control_step=float(manifest["control_step"]),
         segment_lengths=tuple(map(float, manifest["segment_lengths"])),
         tolerance=float(manifest["tolerance"]),
         versions=manifest["versions"],
         cell_seconds=float(sum(manifest["wall_seconds"].values())),
-        not_played=tuple((e["agent"], e["environment"], e["reason"]) for e in missing),
-        cards=_cards(cards, agents),
+        not_played=tuple(
+            (CellKey(e["agent"], e["training_seed"], e["environment"]), e["reason"])
+            for e in missing
+        ),
+        ranking=_ranking(store),
     )
 
 
@@ -153,12 +201,21 @@ def _paths(store: Path, not_trained: Collection[str]) -> pd.DataFrame:
         return pd.DataFrame()  # the report can do without
 
 
-def _cards(folder: Path, agents: Collection[str]) -> dict[str, Sequence[PolicyCard]]:
+def _ranking(store: Path) -> pd.DataFrame:
+    file = store / RANKING
     try:
-        cards = read_cards(folder)
+        if file.stat().st_mtime < (store / MANIFEST).stat().st_mtime:
+            return pd.DataFrame()  # of a benchmark that went on
+        return pd.read_csv(file)
+    except (OSError, ValueError):
+        return pd.DataFrame()
+
+
+def _cards(folder: Path) -> Mapping[str, Sequence[PolicyCard]]:
+    try:
+        return read_cards(folder)
     except ValueError:
         return {}  # nothing was trained
-    return {name: group for name, group in cards.items() if name in agents}
 
 
 def _without_seeds(frame: pd.DataFrame, not_trained: Collection[str]) -> pd.DataFrame:

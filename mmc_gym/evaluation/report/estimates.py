@@ -1,7 +1,8 @@
 """Estimates of the report: every agent's figure in every environment, and who is clearly better.
 
-An agent takes part in a measure where at least half of its episodes have a value: of an agent that
-hardly ever arrives, the few quick arrivals tell nothing.  It is compared with the strongest of its
+An agent takes part in a measure where at least half of its episodes have a value; measures of time,
+path, shape and cost have one only where the episode ended at the target.  So an agent that hardly
+ever arrives, by what little it then moved, beats nobody.  It is compared with the strongest of its
 rivals, the one with the best figure, on the instances where both have a value, by the paired
 bootstrap of `resampling`: clearly better or worse where the 95 % interval of the difference
 excludes 0.
@@ -20,7 +21,6 @@ from mmc_gym.evaluation.measures import Measure
 from mmc_gym.evaluation.replication import Estimate
 from mmc_gym.evaluation.report.data import Results
 from mmc_gym.evaluation.report.environment_scores import EnvironmentScores
-from mmc_gym.evaluation.report.knowledge import kind_of
 
 Outcome = Literal["better", "worse", "unclear", "equal"]
 
@@ -137,16 +137,16 @@ def judge(difference: Estimate, measure: Measure) -> Outcome:
     return "better" if low > 0 else "worse" if high < 0 else "unclear"
 
 
-def rivals_of(agent: str, agents: Iterable[str]) -> tuple[str, ...]:
+def rivals_of(results: Results, agent: str) -> tuple[str, ...]:
     """Agents of other kinds; neither the random one nor the ideal hand without an arm."""
-    apart = {kind_of(agent), "baseline", "ideal"}
-    return tuple(other for other in agents if kind_of(other) not in apart)
+    apart = {results.kind(agent), "baseline", "ideal"}
+    return tuple(other for other in results.agents if results.kind(other) not in apart)
 
 
 def scoreboard(estimates: Estimates, agent: str) -> list[Comparison]:
     """An agent beside the strongest of its rivals: all environments, all measures."""
     results = estimates.results
-    rivals = rivals_of(agent, results.agents)
+    rivals = rivals_of(results, agent)
     compared = (
         estimates.against(environment, measure, agent, rivals)
         for environment in results.environments

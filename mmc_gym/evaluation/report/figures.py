@@ -15,11 +15,11 @@ from mmc_gym.evaluation.report.data import Results
 from mmc_gym.evaluation.report.estimates import Estimates
 from mmc_gym.evaluation.report.panels import Block, Look, Panel, drawn, line_panel, shortened
 from mmc_gym.evaluation.report.svg import to_svg
-from mmc_gym.evaluation.report.wording import instances_of, quantity, seeds_of, unit
-from mmc_gym.evaluation.report.words import SUCCESS, base_of, families
+from mmc_gym.evaluation.report.wording import count, instances_of, quantity, seeds_of, unit
+from mmc_gym.evaluation.report.words import SUCCESS, base_of, base_title, families
 
 INTERVALS = "Bands and bars: 95 % bootstrap intervals over instances and training seeds."
-_RESAMPLES = 300  # of the bands of performance profiles, which are over thousands of episodes
+PROFILE_RESAMPLES = 300  # of the bands of profiles, which are over thousands of episodes
 _POINTS = 41  # of a performance profile
 _UNPERTURBED = 0.0
 
@@ -72,7 +72,8 @@ def dots(estimates: Estimates, measures: tuple[Measure, ...], look: Mapping[str,
         tuple(panels),
         f"Environment: {environment}. Marks: means of shares, medians of the others. {INTERVALS} "
         "Agents are missing where fewer than half of their episodes have a value. "
-        f"{instances_of(results, [environment])} {seeds_of(results, results.agents)}",
+        f"{instances_of(results, [environment])} "
+        f"{seeds_of(results, results.agents, [environment])}",
     )
 
 
@@ -80,19 +81,22 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
     """The share of episodes that end within τ of the target, for all τ."""
     results = estimates.results
     taus = np.geomspace(0.001, 1.0, _POINTS)
-    panels = []
+    panels, used, left_out = [], [], 0
     base = base_of(results)
-    perturbed = [key for keys in families(results).values() for key in keys]
+    perturbed = [key for keys in families(results).values() for key in keys if key != base]
     for key, title, chosen in (
-        ("base", f"Without perturbation ({base})", [base]),
-        ("perturbed", f"All {len(perturbed)} perturbed environments", perturbed),
+        ("base", base_title(results), [base]),
+        ("perturbed", "", perturbed),
     ):
         rows = results.episodes["environment"].isin(chosen)
         rows &= results.episodes["agent"].isin(list(look))
-        frame = _complete(results.episodes[rows])
-        if frame.empty:
+        frame = _met_by_all(results.episodes[rows])
+        met = [name for name in chosen if name in set(frame["environment"])]
+        left_out += len(chosen) - len(met)
+        if not met:
             continue
-        curves = performance_profile(frame, taus, "low", "final_distance", _RESAMPLES)
+        used += met
+        curves = performance_profile(frame, taus, "low", "final_distance", PROFILE_RESAMPLES)
         groups = {str(agent): curve for agent, curve in curves.groupby("agent", sort=False)}
         groups = {agent: groups[agent] for agent in look if agent in groups}
 
@@ -104,11 +108,12 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
             axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
+        named = title or count(len(met), "perturbed environment")
         panels.append(
             line_panel(
                 f"profile-{key}",
-                title,
-                f"Share of episodes that end within a distance, {title}",
+                named,
+                f"Share of episodes that end within a distance, {named}",
                 {a: (c["threshold"], c["estimate"]) for a, c in groups.items()},
                 {a: (c["low"], c["high"]) for a, c in groups.items()},
                 look,
@@ -116,11 +121,16 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
                 markers=False,
             )
         )
+    partly = (
+        f"Left out: {count(left_out, 'environment')} that not all these agents have met with all "
+        "their training seeds. "
+    )
     return Block(
         tuple(panels),
         "Performance profiles: a curve further to the left and higher is better everywhere. "
-        f"Dotted: the distance that counts as success, {results.tolerance:g}. {INTERVALS} "
-        f"{instances_of(results, [base, *perturbed])} {seeds_of(results, look)}",
+        f"Dotted: the distance that counts as success, {results.tolerance:g}. "
+        f"{partly if left_out else ''}{INTERVALS} {instances_of(results, used)} "
+        f"{seeds_of(results, look, used)}",
     )
 
 
@@ -170,7 +180,7 @@ def degradation(estimates: Estimates, look: Mapping[str, Look]) -> Block:
         tuple(panels),
         "Success at the end of the episode against the strength of the perturbation; at 0, the "
         f"same task without it. {_untrained_for(results)}{INTERVALS} "
-        f"{instances_of(results, used)} {seeds_of(results, look)}",
+        f"{instances_of(results, used)} {seeds_of(results, look, used)}",
     )
 
 
@@ -181,7 +191,9 @@ def _untrained_for(results: Results) -> str:
     return "No policy was trained under these perturbations. " if met and met <= plain else ""
 
 
-def _complete(frame: pd.DataFrame) -> pd.DataFrame:
-    """Only environments that every agent met, as profiles ask for."""
-    met = frame.groupby("environment")["agent"].nunique()
-    return frame[frame["environment"].isin(met.index[met == frame["agent"].nunique()])]
+def _met_by_all(frame: pd.DataFrame) -> pd.DataFrame:
+    """Only environments that every policy in the frame has met, as profiles ask for."""
+    policies = frame[["agent", "training_seed"]].drop_duplicates()
+    cells = frame[["agent", "training_seed", "environment"]].drop_duplicates()
+    met = cells["environment"].value_counts()
+    return frame[frame["environment"].isin(met.index[met == len(policies)])]

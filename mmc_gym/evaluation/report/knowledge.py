@@ -6,11 +6,10 @@ body; one that learned both by trial and error was told nothing, but was given a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from mmc_gym.agents import AGENTS
+from mmc_gym.agents.reinforcement import PolicyCard
 from mmc_gym.evaluation.reference import REFERENCE
 
 Kind = Literal["network", "inverse kinematics", "planner", "learned", "yours", "baseline", "ideal"]
@@ -53,7 +52,6 @@ ARM_VIEW = (
     "from the arm's first segment"
 )
 WORLD_VIEW = "all joint angles, joint speeds, target, and offset from hand to target"
-_ARM_FRAME = f"{ARM_VIEW}, in every step"
 
 
 def _told(kind: Kind, senses: str = _ONCE) -> Knowledge:
@@ -63,7 +61,15 @@ def _told(kind: Kind, senses: str = _ONCE) -> Knowledge:
 _MMC = _told("network")
 _IK = _told("inverse kinematics")
 _PLANNER = _told("planner")
-_LEARNED = Knowledge("learned", _NOT_TOLD, _NOT_TOLD, _ARM_FRAME)
+_LEARNED = Knowledge("learned", _NOT_TOLD, _NOT_TOLD, f"{ARM_VIEW}, in every step")
+
+
+def _correcting(learned: Knowledge, base: str) -> Knowledge:
+    told = f"told to {base}, which it corrects"
+    senses = f"{learned.senses}; and what {base} proposes"
+    return replace(learned, lengths=told, actions=told, senses=senses)
+
+
 _KNOWN: dict[str, Knowledge] = {
     "mmc-feedback": _told("network", _LOOP),
     "mmc-delay": _told("network", f"{_LOOP}; estimates their delay"),
@@ -75,66 +81,28 @@ _KNOWN: dict[str, Knowledge] = {
     "ik-dls-feedback": _told("inverse kinematics", _LOOP),
     "minimum-jerk": _PLANNER,
     "pmp": _PLANNER,
-    "ppo-residual": Knowledge(
-        "learned",
-        "told to mmc, which it corrects",
-        "told to mmc, which it corrects",
-        f"{_ARM_FRAME}; and what mmc proposes",
-    ),
+    "ppo-residual": _correcting(_LEARNED, "mmc"),
     "random": Knowledge("baseline", "not told", "not told", "nothing"),
     REFERENCE: Knowledge("ideal", "has no arm", "has no arm", "start and target"),
 }
 _FAMILIES = {"mmc": _MMC, "ik": _IK, "ppo": _LEARNED, "sac": _LEARNED, "tqc": _LEARNED}
-_UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
+UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
 
 
-def knowledge(agent: str) -> Knowledge:
-    """What an agent of this name is told.
+def knowledge_of(name: str) -> Knowledge:
+    """What an agent of this package is told, by its name in `AGENTS`.
 
     Example:
-        >>> knowledge("mmc").lengths, knowledge("sac").lengths
+        >>> knowledge_of("mmc").lengths, knowledge_of("sac").lengths
         ('told', 'not told: had to learn')
     """
-    if agent in _KNOWN:
-        return _KNOWN[agent]
-    return _FAMILIES.get(agent.partition("-")[0], _UNKNOWN) if ":" not in agent else _UNKNOWN
+    if name in _KNOWN:
+        return _KNOWN[name]
+    return _FAMILIES.get(name.partition("-")[0], UNKNOWN)
 
 
-def kind_of(agent: str) -> Kind:
-    """What sort of agent it is."""
-    return knowledge(agent).kind
-
-
-def agent_order(agents: Iterable[str]) -> tuple[str, ...]:
-    """Agents by kind, and within a kind as `AGENTS` lists them."""
-    listed = list(AGENTS)
-
-    def place(agent: str) -> tuple[int, int, str]:
-        position = listed.index(agent) if agent in AGENTS else len(listed)
-        return KINDS.index(kind_of(agent)), position, agent
-
-    return tuple(sorted(agents, key=place))
-
-
-_PREFERRED = (
-    "mmc",
-    "mmc-closed",
-    "mmc-bell",
-    "ik-dls",
-    "ppo",
-    "ppo-smooth",
-    "sac",
-    "tqc-her",
-    "minimum-jerk",
-)
-SHOWN_AT_MOST = 7
-
-
-def main_agents(agents: Iterable[str]) -> tuple[str, ...]:
-    """The few that figures show: the reader's own, the preferred ones, then what is left."""
-    present = agent_order(agents)
-    yours = [agent for agent in present if kind_of(agent) == "yours"]
-    preferred = [agent for agent in _PREFERRED if agent in present]
-    others = [agent for agent in present if kind_of(agent) not in ("baseline", "ideal")]
-    chosen = list(dict.fromkeys([*yours, *preferred, *others]))[:SHOWN_AT_MOST]
-    return tuple(agent for agent in present if agent in chosen)
+def knowledge_of_policy(card: PolicyCard) -> Knowledge:
+    """What a policy was told, and sees, as its card has it."""
+    view = WORLD_VIEW if card.view == "world" else ARM_VIEW
+    learned = replace(_LEARNED, senses=f"{view}, in every step")
+    return _correcting(learned, card.base_agent) if card.base_agent else learned

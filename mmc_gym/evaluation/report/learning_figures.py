@@ -13,7 +13,6 @@ from mmc_gym.agents.reinforcement import EVALUATION_EPISODES
 from mmc_gym.evaluation.learning_curves import Axis, curve_rows, mean_curves
 from mmc_gym.evaluation.report.estimates import Estimates
 from mmc_gym.evaluation.report.figures import INTERVALS
-from mmc_gym.evaluation.report.knowledge import kind_of
 from mmc_gym.evaluation.report.panels import Block, Look, Panel, drawn, line_panel, name_lines
 from mmc_gym.evaluation.report.svg import to_svg
 from mmc_gym.evaluation.report.wording import instances_of, quantity, seeds_of
@@ -71,7 +70,9 @@ def frontier(estimates: Estimates, look: Mapping[str, Look]) -> Block:
     environment = base_of(results)
     figures = estimates.of(environment, SUCCESS)
     steps = {
-        agent: 0.0 for agent in look if results.seeds(agent) == 0 and kind_of(agent) != "yours"
+        agent: 0.0
+        for agent in look
+        if results.seeds(agent) == (0, 0) and results.kind(agent) != "yours"
     }
     for name, cards in results.cards.items():
         steps[name] = float(np.median([card.training_steps for card in cards]))
@@ -113,5 +114,5 @@ def frontier(estimates: Estimates, look: Mapping[str, Look]) -> Block:
         "Sample cost: success after training against the environment steps of one training. Grey: "
         "the frontier, the most success for at most so many steps. Agents at 0 are told their "
         f"body instead. {INTERVALS} {instances_of(results, [environment])} "
-        f"{seeds_of(results, steps)}",
+        f"{seeds_of(results, steps, [environment])}",
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ from mmc_gym.evaluation.profiles import hand_speed
 from mmc_gym.evaluation.report.data import Results
 from mmc_gym.evaluation.report.panels import Block, Look, Panel, drawn
 from mmc_gym.evaluation.report.svg import to_svg
-from mmc_gym.evaluation.report.wording import count, seeds_of
+from mmc_gym.evaluation.report.wording import count, listed
 
 _SIZE = (2.6, 4.3)  # inches
 
@@ -27,10 +27,14 @@ def movements(results: Results, environment: str, look: Mapping[str, Look]) -> B
     if results.paths.empty:
         return Block((), "")
     rows = results.paths[results.paths["environment"] == environment]
-    fastest, shown = 0.0, {}
+    fastest, shown, seeds = 0.0, {}, []
     for agent in look:
         mine = rows[rows["agent"] == agent]
         if not mine.empty:
+            lowest = mine["training_seed"].min()  # missing without training
+            if not np.isnan(lowest):
+                mine = mine[mine["training_seed"] == lowest]
+                seeds.append(f"{agent} seed {lowest:.0f}")
             shown[agent] = mine
             speeds = _quartiles(mine, results.control_step)
             fastest = max(fastest, float(np.nanmax(speeds[2])))
@@ -42,12 +46,18 @@ def movements(results: Results, environment: str, look: Mapping[str, Look]) -> B
     return Block(
         panels,
         f"Environment: {environment}. Above: hand paths in instances 1 to "
-        f"{min(instances, EXAMPLES)} (of trained agents, the first training seed), from the open "
+        f"{min(instances, EXAMPLES)}, from the open "
         "circle to the dot; the cross is the target, the ring around it the distance that counts "
         "as success; dotted: reach. Below: hand speed, median (line) and quartiles (grey) over "
-        f"{count(instances, 'instance')} and all training seeds; all panels have the same scales. "
-        f"{seeds_of(results, shown)}",
+        f"{count(instances, 'instance')}; all panels have the same scales. {_trainings(seeds)}",
     )
+
+
+def _trainings(seeds: Sequence[str]) -> str:
+    """Of which training the movements are, where there may be several."""
+    if not seeds:
+        return "Not trained: all of these agents."
+    return f"Training seeds: of trained agents, one training: {listed(seeds)}."
 
 
 def _alt(agent: str) -> str:
@@ -71,10 +81,9 @@ def _draw(rows: pd.DataFrame, results: Results, fastest: float) -> Figure:
 def _draw_paths(axes: Axes, rows: pd.DataFrame, results: Results) -> None:
     reach = sum(results.segment_lengths)
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
-    first = rows[rows["training_seed"].fillna(0) == rows["training_seed"].fillna(0).min()]
-    numbers = sorted(first["instance"].unique())[:EXAMPLES]
+    numbers = sorted(rows["instance"].unique())[:EXAMPLES]
     for number, instance in enumerate(numbers):
-        steps = first[first["instance"] == instance].sort_values("step")
+        steps = rows[rows["instance"] == instance].sort_values("step")
         hands = steps[["hand_x", "hand_y"]].to_numpy(np.float64)
         target = steps[["target_x", "target_y"]].to_numpy(np.float64)[-1]
         colour = COLOURS[number]
@@ -97,7 +106,7 @@ def _quartiles(rows: pd.DataFrame, control_step: float) -> NDArray[np.float64]:
     """Speed over time, the quartiles over all movements, (3, steps)."""
     speeds = [
         hand_speed(steps.sort_values("step")[["hand_x", "hand_y"]].to_numpy(), control_step)
-        for _, steps in rows.groupby(["training_seed", "instance"], dropna=False)
+        for _, steps in rows.groupby("instance")
     ]
     padded = np.full((len(speeds), max(map(len, speeds))), np.nan)
     for line, speed in zip(padded, speeds, strict=True):

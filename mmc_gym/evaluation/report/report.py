@@ -11,13 +11,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.reinforcement import PRETRAINED
 from mmc_gym.envs import drawing
-from mmc_gym.evaluation.report import words
+from mmc_gym.evaluation.report import human, words
 from mmc_gym.evaluation.report.data import Results, read_results
 from mmc_gym.evaluation.report.estimates import RESAMPLES, Estimates, scoreboard
-from mmc_gym.evaluation.report.figures import degradation, dots, profiles
-from mmc_gym.evaluation.report.knowledge import kind_of, main_agents
+from mmc_gym.evaluation.report.figures import PROFILE_RESAMPLES, degradation, dots, profiles
+from mmc_gym.evaluation.report.identity import main_agents
 from mmc_gym.evaluation.report.learning_figures import frontier, learning
 from mmc_gym.evaluation.report.movement_figures import movements
+from mmc_gym.evaluation.report.overall import heat_table, ranking_table
 from mmc_gym.evaluation.report.panels import looks
 from mmc_gym.evaluation.report.replay import replay
 from mmc_gym.evaluation.report.tables import SIGNS, board_table, score_table, told_rows
@@ -40,15 +41,14 @@ def write_report(
     Args:
         store: folder of the benchmark, see `data`.
         out: the HTML file.
-        cards: folder of the policies that took part, for their learning curves.
+        cards: folder of this package's policies, for what they learned from.
         resamples: of each bootstrap.
 
     Returns:
         The file.
 
     Raises:
-        FileNotFoundError: if there is no store.
-        ValueError: if it is damaged, or `out` is a folder.
+        ValueError: if there is no store, or it is damaged, or `out` is a folder.
     """
     out = Path(out)
     if out.is_dir():
@@ -73,33 +73,39 @@ def render(estimates: Estimates) -> str:
 def context(estimates: Estimates) -> dict[str, Any]:
     """What the template shows."""
     results = estimates.results
-    main = main_agents(results.agents)
+    main = main_agents(results.identities)
     look = looks(main)
     base = words.base_of(results)
-    focus = [agent for agent in FOCUS if agent in results.agents]
+    focus = [agent for name in FOCUS if (agent := results.labelled(name)) is not None]
     boards = {agent: scoreboard(estimates, agent) for agent in focus}
     boards = {agent: board for agent, board in boards.items() if board}
-    human = tuple(measure for measure in words.HUMAN if measure in results.measures)
-    others = tuple(measure for measure in results.measures if measure not in human)
+    ranking = ranking_table(estimates)
+    ranked = [row[1] for row in ranking.rows] if ranking else []
+    human_measures = tuple(measure for measure in human.HUMAN if measure in results.measures)
+    others = tuple(measure for measure in results.measures if measure not in human_measures)
     return {
         "results": results,
         "base": base,
         "scope": words.scope(results),
         "overview": words.overview(estimates),
+        "ranking": ranking,
+        "heat": heat_table(results, list(dict.fromkeys([*ranked, *results.agents]))),
         "standings": [words.standing(board, agent) for agent, board in boards.items()],
-        "human_likeness": words.human_likeness(estimates),
+        "human_likeness": human.human_likeness(estimates),
+        "margins": human.margins(),
         "sample_cost": words.sample_cost(results),
         "robustness": [s for agent in focus[:1] for s in words.robustness(estimates, agent)],
         "told": told_rows(results),
         "signs": SIGNS,
+        "no_boards": words.nothing_compared(results, focus),
         "boards": [board_table(results, board, agent) for agent, board in boards.items()],
         "replay": {
             **replay(results, _replayed(results, base), main),
-            "chosen": _one_of_each_kind(main),
+            "chosen": _one_of_each_kind(results, main),
             "colours": _colours(),
         },
         "movements": movements(results, base, look),
-        "human": dots(estimates, human, look),
+        "human": dots(estimates, human_measures, look),
         "at_a_glance": dots(estimates, others, look),
         "learning": learning(estimates, look),
         "frontier": frontier(estimates, look),
@@ -108,6 +114,8 @@ def context(estimates: Estimates) -> dict[str, Any]:
         "tables": [score_table(estimates, key) for key in results.environments],
         "main": main,
         "resamples": estimates.resamples,
+        "profile_resamples": PROFILE_RESAMPLES,
+        "not_played": words.not_played(results),
         "instances": {
             key: count(results.instances(key), "instance") for key in results.environments
         },
@@ -125,8 +133,8 @@ def _replayed(results: Results, base: str) -> list[str]:
     return [key for key in (base, *plain[:1], *strongest, *plain[1:]) if key in recorded]
 
 
-def _one_of_each_kind(agents: tuple[str, ...]) -> list[str]:
-    first = list({kind_of(agent): agent for agent in reversed(agents)}.values())
+def _one_of_each_kind(results: Results, agents: tuple[str, ...]) -> list[str]:
+    first = list({results.kind(agent): agent for agent in reversed(agents)}.values())
     chosen = list(dict.fromkeys([*reversed(first), *agents]))[:_SIDE_BY_SIDE]
     return [agent for agent in agents if agent in chosen]
 

@@ -6,12 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from mmc_gym.agents import AGENTS
 from mmc_gym.evaluation.measures import Measure
 from mmc_gym.evaluation.report.data import Environment, Results
 from mmc_gym.evaluation.report.estimates import PRESENT, Comparison, Estimates, Outcome
-from mmc_gym.evaluation.report.knowledge import ARM_VIEW, WORLD_VIEW, kind_of, knowledge
-from mmc_gym.evaluation.report.wording import count, instances_of, interval, number, seeds_of, unit
+from mmc_gym.evaluation.report.wording import (
+    count,
+    decimals_apart,
+    instances_of,
+    interval,
+    number,
+    seeds_of,
+    unit,
+)
 
 SIGNS: dict[Outcome, tuple[str, str]] = {
     "better": ("▲", "clearly better"),
@@ -82,28 +88,13 @@ def told_rows(results: Results) -> list[tuple[str, ...]]:
     """Agent, kind, description; what it is told of lengths and actions, sees, and learned from."""
     rows: list[tuple[str, ...]] = []
     for agent in results.agents:
-        known = knowledge(agent)
-        about = AGENTS[agent].description if agent in AGENTS else ""
+        one = results.identities[agent]
+        known = one.knowledge
+        name = f"{one.own}: " if one.description and one.own != agent else ""
+        about = f"{name}{one.description}"
         learned = _learned_from(results, agent)
-        rows.append(
-            (
-                agent,
-                known.kind,
-                about,
-                known.lengths,
-                known.actions,
-                _senses(results, agent),
-                learned,
-            )
-        )
+        rows.append((agent, known.kind, about, known.lengths, known.actions, known.senses, learned))
     return rows
-
-
-def _senses(results: Results, agent: str) -> str:
-    """What an agent looks at; of a policy its card tells from where."""
-    if agent in results.cards and results.cards[agent][0].view == "world":
-        return knowledge(agent).senses.replace(ARM_VIEW, WORLD_VIEW)
-    return knowledge(agent).senses
 
 
 def _learned_from(results: Results, agent: str) -> str:
@@ -113,7 +104,8 @@ def _learned_from(results: Results, agent: str) -> str:
         minutes = median(card.training_cpu_seconds for card in cards) / 60
         seeds = count(len(cards), "training seed")
         return f"{steps:,.0f} environment steps ({minutes:.1f} min on one core) in each of {seeds}"
-    return {"learned": "unknown", "yours": "unknown"}.get(kind_of(agent), "nothing: not trained")
+    unknown = results.kind(agent) in ("learned", "yours")
+    return "unknown" if unknown else "nothing: not trained"
 
 
 def score_table(estimates: Estimates, environment: str) -> ScoreTable:
@@ -126,13 +118,14 @@ def score_table(estimates: Estimates, environment: str) -> ScoreTable:
         results.environments[environment],
         _headings(measures),
         tuple(
-            (agent, kind_of(agent), tuple(column[agent] for column in columns)) for agent in present
+            (agent, results.kind(agent), tuple(column[agent] for column in columns))
+            for agent in present
         ),
         "Means of shares, medians of the others, with 95 % bootstrap intervals over instances and "
         "training seeds; bold and underlined: the best value, among agents that have one in at "
-        f"least {PRESENT:.0%} of their episodes; n %: so many of the episodes have a value (the "
-        "others never arrived to stay, or did not move). "
-        f"{instances_of(results, [environment])} {seeds_of(results, present)}",
+        f"least {PRESENT:.0%} of their episodes; n %: so many of the episodes have a value. "
+        "Time, path, shape and cost are told of the episodes that ended at the target. "
+        f"{instances_of(results, [environment])} {seeds_of(results, present, [environment])}",
     )
 
 
@@ -143,7 +136,7 @@ def _column(estimates: Estimates, environment: str, measure: Measure) -> dict[st
     racing = [
         agent
         for agent in figures
-        if present[agent] >= PRESENT and kind_of(agent) not in ("ideal", "baseline")
+        if present[agent] >= PRESENT and estimates.results.kind(agent) not in ("ideal", "baseline")
     ]
     best = ""
     if measure.best != "neither" and racing:
@@ -176,18 +169,17 @@ def board_table(results: Results, board: Sequence[Comparison], agent: str) -> Bo
         f"{agent} against the strongest of its rivals in each cell. Above: {agent}; below: the "
         "rival with the best value and its name. The rival is picked by its value, which favours "
         "the rival; of comparisons without any true difference about 1 in 20 is called clear. "
-        f"{instances_of(results, environments)} {seeds_of(results, [agent, *rivals])}",
+        f"{instances_of(results, environments)} "
+        f"{seeds_of(results, [agent, *rivals], environments)}",
     )
 
 
 def _board_cell(entry: Comparison) -> BoardCell:
-    return BoardCell(
-        entry.outcome,
-        *SIGNS[entry.outcome],
-        number(entry.measure, entry.mine.estimate),
-        number(entry.measure, entry.theirs.estimate),
-        entry.rival,
-    )
+    figures = (entry.mine.estimate, entry.theirs.estimate)
+    clear = entry.outcome in ("better", "worse")
+    more = decimals_apart(entry.measure, *figures) if clear else 0
+    mine, theirs = (number(entry.measure, value, more) for value in figures)
+    return BoardCell(entry.outcome, *SIGNS[entry.outcome], mine, theirs, entry.rival)
 
 
 def _headings(measures: Sequence[Measure]) -> tuple[tuple[str, str, str], ...]:

@@ -12,6 +12,8 @@ from mmc_gym.evaluation.report.data import Results
 _KINDS = ("correlation", "SPARC", "log dimensionless jerk")
 """What measures have instead of a unit: it says what was computed, and stands with the label."""
 
+_MOST_DECIMALS = 5  # more than usual
+
 
 def label(measure: Measure) -> str:
     """What a measure is called in a sentence."""
@@ -23,8 +25,13 @@ def unit(measure: Measure) -> str:
     return "%" if measure.unit == "fraction" else measure.unit
 
 
-def number(measure: Measure, value: float) -> str:
+def number(measure: Measure, value: float, more: int = 0) -> str:
     """A value of a measure without its unit; always as many decimals, so that columns align.
+
+    Args:
+        measure: whose it is.
+        value: in the measure's unit.
+        more: decimals than usual.
 
     Example:
         >>> from mmc_gym.evaluation.measures import MEASURES
@@ -34,6 +41,7 @@ def number(measure: Measure, value: float) -> str:
     if not math.isfinite(value):
         return "–"
     scale, decimals = (100, 1) if measure.unit == "fraction" else (1, measure.decimals)
+    decimals += more
     text = f"{scale * value:.{decimals}f}"
     if float(text) == 0:
         text = text.removeprefix("-")
@@ -42,11 +50,25 @@ def number(measure: Measure, value: float) -> str:
     return text.replace("-", "−")
 
 
-def quantity(measure: Measure, value: float) -> str:
-    """A value of a measure with its unit, if it has one."""
-    text = number(measure, value)
+def quantity(measure: Measure, value: float, more: int = 0) -> str:
+    """A value of a measure with its unit, if it has one; arguments as `number` has them."""
+    text = number(measure, value, more)
     has_unit = unit(measure) and measure.unit not in _KINDS
     return f"{text} {unit(measure)}" if has_unit and text != "–" else text
+
+
+def decimals_apart(measure: Measure, one: float, other: float) -> int:
+    """How many more decimals than usual it takes to see that two values are not the same.
+
+    Example:
+        >>> from mmc_gym.evaluation.measures import MEASURES
+        >>> decimals_apart(MEASURES[0], 0.97501, 0.97504), decimals_apart(MEASURES[0], 0.9, 0.8)
+        (2, 0)
+    """
+    for more in range(_MOST_DECIMALS):
+        if number(measure, one, more) != number(measure, other, more):
+            return more
+    return 0  # nobody would see it
 
 
 def interval(measure: Measure, estimate: Estimate) -> str:
@@ -76,18 +98,34 @@ def listed(items: Sequence[str]) -> str:
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
-def seeds_of(results: Results, agents: Iterable[str]) -> str:
-    """Over how many training seeds the figures of agents are, for captions."""
-    by_count: dict[int, list[str]] = {}
+def seeds_of(results: Results, agents: Iterable[str], environments: Iterable[str] = ()) -> str:
+    """Over how many training seeds the figures of agents are, for captions.
+
+    Args:
+        results: of the benchmark.
+        agents: in the figure; those that were in none of the environments are left out.
+        environments: in the figure; all by default.
+    """
+    keys = tuple(environments)
+    by_count: dict[tuple[int, int], list[str]] = {}
     for agent in agents:
-        by_count.setdefault(results.seeds(agent), []).append(agent)
+        if (found := results.seeds(agent, keys)) is not None:
+            by_count.setdefault(found, []).append(agent)
     trained = [
-        f"{listed(names)} {number_of}" for number_of, names in sorted(by_count.items()) if number_of
+        f"{listed(names)} {low if low == high else f'{low} to {high}'}"
+        for (low, high), names in sorted(by_count.items())
+        if high
     ]
     parts = [f"Training seeds: {'; '.join(trained)}"] if trained else []
-    if 0 in by_count:
-        parts.append(f"{'not trained' if trained else 'Not trained'}: {listed(by_count[0])}")
-    return "; ".join(parts) + "."
+    if (0, 0) in by_count:
+        parts.append(f"{'not trained' if trained else 'Not trained'}: {listed(by_count[0, 0])}")
+    return f"{'; '.join(parts)}." if parts else ""
+
+
+def seeds_in_words(results: Results, agent: str, environment: str) -> str:
+    """Over how many training seeds the figure of an agent is, in a sentence."""
+    _, number_of = results.seeds(agent, [environment]) or (0, 0)
+    return count(number_of, "training seed") if number_of else "not trained"
 
 
 def instances_of(results: Results, environments: Iterable[str]) -> str:

@@ -12,19 +12,25 @@ from statistics import median
 
 from mmc_gym.evaluation.battery import BASELINE
 from mmc_gym.evaluation.learning_curve_table import LEVELS, first_reached
-from mmc_gym.evaluation.measures import MEASURES, Measure
+from mmc_gym.evaluation.measures import MEASURES
 from mmc_gym.evaluation.report.data import Results
-from mmc_gym.evaluation.report.estimates import Comparison, Estimates, Outcome
-from mmc_gym.evaluation.report.knowledge import kind_of
-from mmc_gym.evaluation.report.wording import count, interval, label, listed, number, quantity
+from mmc_gym.evaluation.report.environment_scores import COMMON
+from mmc_gym.evaluation.report.estimates import Comparison, Estimates, Outcome, rivals_of
+from mmc_gym.evaluation.report.wording import (
+    count,
+    decimals_apart,
+    interval,
+    label,
+    listed,
+    number,
+    quantity,
+    seeds_in_words,
+)
 
 EXAMPLES = 3
 """Environments that a sentence names, those of the largest differences."""
 
-_BY_NAME = {measure.name: measure for measure in MEASURES}
-SUCCESS = _BY_NAME["success"]
-HUMAN = tuple(_BY_NAME[name] for name in ("minimum_jerk_correlation", "velocity_peaks", "sparc"))
-"""Measures of being like people's movements: bell-shaped, of one stroke, smooth."""
+SUCCESS = next(measure for measure in MEASURES if measure.name == "success")
 
 
 @dataclass(frozen=True)
@@ -51,9 +57,9 @@ class Standing:
 
 def scope(results: Results) -> str:
     """How much was played."""
-    trained = sum(max(results.seeds(agent), 1) for agent in results.agents)
+    policies = results.episodes[["agent", "training_seed"]].drop_duplicates()
     return (
-        f"{count(len(results.agents), 'agent')}, {trained:,} policies "
+        f"{count(len(results.agents), 'agent')}, {len(policies):,} policies "
         f"with all training seeds, {count(len(results.environments), 'environment')}, "
         f"{count(len(results.episodes), 'episode')}."
     )
@@ -66,7 +72,7 @@ def overview(estimates: Estimates) -> list[str]:
     figures = estimates.taking_part(environment, SUCCESS, results.agents)
     best: dict[str, str] = {}
     for agent in figures:
-        kind = kind_of(agent)
+        kind = results.kind(agent)
         if kind in ("ideal", "baseline"):
             continue
         if kind not in best or figures[agent].estimate > figures[best[kind]].estimate:
@@ -74,8 +80,8 @@ def overview(estimates: Estimates) -> list[str]:
     if not best:
         return []
     parts = [
-        f"{agent} ({kind}) {quantity(SUCCESS, figures[agent].estimate)} "
-        f"{interval(SUCCESS, figures[agent])}"
+        f"{agent} ({kind}, {seeds_in_words(results, agent, environment)}) "
+        f"{quantity(SUCCESS, figures[agent].estimate)} {interval(SUCCESS, figures[agent])}"
         for kind, agent in best.items()
     ]
     instances = count(results.instances(environment), "instance")
@@ -104,8 +110,7 @@ def _sentences(board: Sequence[Comparison], outcome: Outcome) -> list[str]:
         if not found:
             continue
         examples = [
-            f"{entry.environment} ({number(measure, entry.mine.estimate)} against "
-            f"{quantity(measure, entry.theirs.estimate)} of {entry.rival})"
+            f"{entry.environment} ({' against '.join(_both(entry))} of {entry.rival})"
             for entry in found[:EXAMPLES]
         ]
         more = [f"{len(found) - EXAMPLES} more"] if len(found) > EXAMPLES else []
@@ -116,63 +121,16 @@ def _sentences(board: Sequence[Comparison], outcome: Outcome) -> list[str]:
     return sentences
 
 
+def _both(entry: Comparison) -> tuple[str, str]:
+    """The two figures, with as many decimals as it takes to tell them apart."""
+    mine, theirs = entry.mine.estimate, entry.theirs.estimate
+    more = decimals_apart(entry.measure, mine, theirs)
+    return number(entry.measure, mine, more), quantity(entry.measure, theirs, more)
+
+
 def _gap(entry: Comparison) -> float:
     mine, theirs = entry.mine.estimate, entry.theirs.estimate
     return abs(mine - theirs) / max(abs(mine), abs(theirs), 1e-12)
-
-
-def human_likeness(estimates: Estimates) -> list[str]:
-    """Whether learning with a reward for smoothness moves as people do, beside the network."""
-    results = estimates.results
-    environment = base_of(results)
-    learned = "ppo-smooth"
-    if learned not in results.agents:
-        return ["No agent that was trained with a reward for smoothness took part."]
-    measures = [measure for measure in HUMAN if measure in results.measures]
-    sentences = []
-    for network in ("mmc", "mmc-bell"):
-        compared = [
-            (measure, entry)
-            for measure in measures
-            if (entry := estimates.against(environment, measure, learned, [network])) is not None
-        ]
-        if compared:
-            details = "; ".join(_detail(measure, entry) for measure, entry in compared)
-            verdict = _verdict([entry.outcome for _, entry in compared], network)
-            sentences.append(f"{verdict} ({environment}: {details})")
-    return sentences or ["There are too few movements to compare ppo-smooth and the network by."]
-
-
-def _detail(measure: Measure, entry: Comparison) -> str:
-    outcome = {
-        "better": "clearly more human-like",
-        "worse": "clearly less human-like",
-        "unclear": "no clear difference",
-        "equal": "no difference",
-    }[entry.outcome]
-    return (
-        f"{label(measure)} {number(measure, entry.mine.estimate)} against "
-        f"{quantity(measure, entry.theirs.estimate)}, {outcome}"
-    )
-
-
-def _verdict(outcomes: Sequence[Outcome], network: str) -> str:
-    better, worse = outcomes.count("better"), outcomes.count("worse")
-    learned = "Reinforcement learning with a reward for smoothness (ppo-smooth)"
-    if better and worse:
-        return (
-            f"{learned} is neither as human-like as {network} nor less so: of "
-            f"{count(len(outcomes), 'measure')} {better} speak for it and {worse} against it"
-        )
-    if better:
-        return f"{learned} is as human-like as {network}, and clearly more by {better} of " + count(
-            len(outcomes), "measure"
-        )
-    if worse:
-        return f"{learned} is less human-like than {network} by {worse} of " + count(
-            len(outcomes), "measure"
-        )
-    return f"{learned} is as human-like as {network}: no measure clearly tells them apart"
 
 
 def sample_cost(results: Results) -> list[str]:
@@ -202,20 +160,22 @@ def robustness(estimates: Estimates, agent: str) -> list[str]:
         own = quantity(SUCCESS, figures[agent].estimate)
         most = quantity(SUCCESS, figures[best].estimate)
         equal = figures[best].estimate == figures[agent].estimate
-        who = "none more" if equal else f"{best}, the most of all, in {most}"
+        seeds = seeds_in_words(results, best, key)
+        who = "none more" if equal else f"{best} ({seeds}), the most of all, in {most}"
         about = results.environments[key].description or family
-        sentences.append(f"{key} ({about}): {agent} succeeds in {own}; {who}")
+        instances = count(results.instances(key), "instance")
+        sentences.append(f"{key} ({about}; {instances}): {agent} succeeds in {own}; {who}")
     return sentences
 
 
 def hardest(estimates: Estimates, keys: Sequence[str]) -> str:
-    """The environment with the least success over all agents."""
+    """The environment with the least success over all agents; of equal ones the last."""
 
     def success(key: str) -> float:
         figures = estimates.of(key, SUCCESS).values()
         return sum(estimate.estimate for estimate in figures) / len(figures)
 
-    return min(keys, key=success)
+    return min(reversed(keys), key=success)
 
 
 def families(results: Results) -> dict[str, list[str]]:
@@ -228,6 +188,33 @@ def families(results: Results) -> dict[str, list[str]]:
     return {family: sorted(keys, key=lambda key: strength[key]) for family, keys in found.items()}
 
 
+def nothing_compared(results: Results, networks: Sequence[str]) -> str:
+    """Why there are no comparisons, if there are none."""
+    if not networks:
+        return "The network did not take part in this benchmark."
+    if not any(rivals_of(results, agent) for agent in networks):
+        return "The network has no rival in this benchmark."
+    return f"There are fewer than {COMMON} instances in common to compare agents on."
+
+
+def not_played(results: Results) -> list[str]:
+    """What could not be played, by agent and reason."""
+    groups: dict[tuple[str, str], dict[str, None]] = {}
+    for cell, reason in results.not_played:
+        groups.setdefault((cell.agent, reason), {})[cell.environment] = None
+    return [
+        f"{agent} in {listed(list(environments))}: {reason}"
+        for (agent, reason), environments in groups.items()
+    ]
+
+
 def base_of(results: Results) -> str:
-    """The environment without perturbation, or else the first."""
-    return BASELINE if BASELINE in results.environments else next(iter(results.environments))
+    """The environment without perturbation, or another task without any, or else the first."""
+    plain = [key for key, one in results.environments.items() if not one.family]
+    return BASELINE if BASELINE in plain else next(iter([*plain, *results.environments]))
+
+
+def base_title(results: Results) -> str:
+    """What to call `base_of`: it is perturbed itself where nothing else was played."""
+    base = base_of(results)
+    return f"Only {base}" if results.environments[base].family else f"Without perturbation ({base})"

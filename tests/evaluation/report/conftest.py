@@ -65,45 +65,74 @@ def episode(instance, duration, trembling, error, seed=0):
     )
 
 
-def write_store(folder):
-    environments = {key: ENVIRONMENTS[key].settings for key in KEYS}
-    for name, (seeds, duration, trembling, lost) in AGENTS.items():
+def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), sources=None, instances=INSTANCES):
+    """Write a store.
+
+    Args:
+        folder: of it.
+        agents: what is made up of each, as in `AGENTS`.
+        keys: of the environments.
+        missing: (agent, training seed, environment) of cells that were not played.
+        sources: what agents were made of, where it is not what they are called.
+        instances: in each environment.
+    """
+    environments = {key: ENVIRONMENTS[key].settings for key in keys}
+    for name, (seeds, duration, trembling, lost) in agents.items():
         for key, settings in environments.items():
             error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)
             for seed in seeds:
                 episodes = [
                     episode(instance, duration, trembling, error, seed)
-                    for instance in range(INSTANCES)
+                    for instance in range(instances)
                 ]
-                write(folder, CellKey(name, seed, key), episodes)
-    like = [episode(instance, 30, 0.0, 0.0) for instance in range(INSTANCES)]
-    write(folder, CellKey(REFERENCE, 0, "random"), minimum_jerk_episodes(like))
+                if (name, seed, key) not in missing:
+                    write(folder, CellKey(name, seed, key), episodes, seed == min(seeds))
+    if "random" in keys:
+        like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
+        write(folder, CellKey(REFERENCE, 0, "random"), minimum_jerk_episodes(like))
     skipped = {"agent": "mmc", "training_seed": 0, "environment": "pursuit", "reason": "<b>no</b>"}
+    made_of = {name: sources_of(name, seeds) for name, (seeds, *_) in agents.items()}
+    made_of |= {REFERENCE: {"0": REFERENCE}} | (sources or {})
     write_manifest(
         folder,
         {
-            "episodes": INSTANCES,
+            "episodes": instances,
             "control_step": CONTROL_STEP,
             "segment_lengths": [1.0, 1.0, 1.0],
             "tolerance": 0.05,
             "environments": environments,
             "agents": {
-                name: {"trained": name in TRAINED, "sources": {}} for name in (*AGENTS, REFERENCE)
+                name: {"trained": "1" in one or "3" in one, "sources": one}
+                for name, one in made_of.items()
             },
-            "skipped": [skipped],
+            "skipped": [skipped] if "mmc" in agents else [],
             "failed": [],
             "wall_seconds": {"a cell": 60.0},
+            "cpu_seconds": {"a cell": 50.0},
             "versions": {"mmc-gym": "0.1.0"},
         },
     )
 
 
-def write(folder, key, episodes):
-    paths = paths_file(key, episodes[:12], 3) if key.training_seed == 0 else None
+def sources_of(name, seeds):
+    """What an agent was made of, by training seed."""
+    if name == HOSTILE:
+        return {"0": "hostile:make"}
+    return {str(seed): f"{name}-{seed}" if name in TRAINED else name for seed in seeds}
+
+
+def write(folder, key, episodes, keeps_paths=True):
+    paths = paths_file(key, episodes[:12], 3) if keeps_paths else None
     write_cell(folder, key, episodes_file(key, episodes, {}, {}), paths)
 
 
 def write_cards(folder):
+    for name in TRAINED:
+        for seed in (0, 1, 2):
+            save_policy(policy(), card(name, seed), folder)
+
+
+def policy():
     shapes = {
         "hidden.0.weight": (4, 13),
         "hidden.0.bias": (4,),
@@ -112,10 +141,7 @@ def write_cards(folder):
         "log_std": (3,),
     }
     tensors = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
-    network = PolicyNetwork(tensors, "tanh", "gaussian")
-    for name in TRAINED:
-        for seed in (0, 1):
-            save_policy(network, card(name, seed), folder)
+    return PolicyNetwork(tensors, "tanh", "gaussian")
 
 
 def card(name, seed):
@@ -158,6 +184,24 @@ def benchmark_store(tmp_path_factory):
     write_store(folder / "store")
     write_cards(folder / "cards")
     return folder / "store", folder / "cards"
+
+
+@pytest.fixture(scope="session")
+def make_store():
+    """`write_store`, for other stores."""
+    return write_store
+
+
+@pytest.fixture(scope="session")
+def make_card():
+    """`card`, for other policies."""
+    return card
+
+
+@pytest.fixture(scope="session")
+def save_card():
+    """Saves a policy of a card into a folder."""
+    return lambda card, folder: save_policy(policy(), card, folder)
 
 
 @pytest.fixture(scope="session")
