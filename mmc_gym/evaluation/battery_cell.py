@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import version
 from typing import Any, Literal
 
@@ -29,9 +30,7 @@ DRAWN = 12
 RECORDING = 2
 """Raised whenever the same episodes would be recorded or measured otherwise: all is played anew."""
 
-PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
-"""Those that results may depend on."""
-
+_PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
 _SAME = 1e-3  # segment lengths between two rollouts of one episode
 
 
@@ -86,8 +85,7 @@ class CellOutcome:
         paths: content of its file of paths; None if it keeps none.
         sets: content of its file of set measures; None if none is taken in its environment.
         facts: kept with it: wall_seconds, cpu_seconds, control (the meaning of actions), together
-            (whether its episodes were played at once), has_paths, has_sets, software (versions, by
-            name, and the machine).
+            (whether its episodes were played at once), has_paths, has_sets, `software`.
     """
 
     status: Literal["played", "skipped", "failed"]
@@ -122,14 +120,20 @@ def run_cell(cell: BatteryCell) -> CellOutcome:
         "together": recorded.together,
         "has_paths": paths is not None,
         "has_sets": sets is not None,
-        "software": {
-            **{package: version(package) for package in PACKAGES},
-            "python": platform.python_version(),
-            "machine": f"{platform.system()} {platform.machine()}",
-        },
+        "software": software(),
     }
     content = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
     return CellOutcome("played", "", content, paths, sets, facts)
+
+
+@cache
+def software() -> dict[str, str]:
+    """What results may depend on: versions, by name, and the machine."""
+    return {
+        **{package: version(package) for package in _PACKAGES},
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
 
 
 @dataclass(frozen=True)

@@ -268,12 +268,12 @@ def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
 
 
 def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
-    now = battery_cell.version
-    monkeypatch.setattr(battery_cell, "version", lambda package: "0.0.1")
-    play(["mmc"], tmp_path, ["random"])
-    monkeypatch.setattr(battery_cell, "version", now)
+    now = battery_cell.software()
+    with monkeypatch.context() as earlier:
+        earlier.setattr(battery_cell, "software", lambda: {**now, "numpy": "0.0.1"})
+        play(["mmc"], tmp_path, ["random"])
     manifest = play(["mmc", "ik-dls"], tmp_path, ["random"])
-    assert manifest["versions"]["numpy"] == ", ".join(sorted(["0.0.1", now("numpy")]))
+    assert manifest["versions"]["numpy"] == f"0.0.1, {now['numpy']}"
     assert manifest["versions"]["python"] == platform.python_version()
     print_ranking(Console(width=1000), tmp_path)
     said = capsys.readouterr().out
