@@ -13,7 +13,6 @@ are resampled too, and agents are paired by them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -54,30 +53,6 @@ class Estimate:
     environments: int
     missing: int = 0
 
-    @property
-    def replication(self) -> str:
-        """What the interval is over, for captions.
-
-        Example:
-            >>> Estimate(0.5, 0.4, 0.6, seeds=(10, 0), instances=500, environments=1).replication
-            '10 training seeds against no training, 500 instances'
-        """
-        return in_words(self.seeds, self.instances, self.environments)
-
-
-def in_words(seeds: Sequence[int], instances: int, environments: int) -> str:
-    """In words: the training seeds of one agent or of several, the instances, and where.
-
-    Example:
-        >>> in_words([1], 200, 3)
-        '1 training seed, 200 instances in 3 environments'
-    """
-    trained = [
-        f"{count} training seed{'s' * (count != 1)}" if count else "no training" for count in seeds
-    ]
-    where = f" in {environments} environments" if environments > 1 else ""
-    return f"{' against '.join(trained)}, {instances} instance{'s' * (instances != 1)}{where}"
-
 
 def stratified_bootstrap(
     frame: pd.DataFrame,
@@ -109,13 +84,13 @@ def stratified_bootstrap(
         ...     }
         ... )
         >>> found = stratified_bootstrap(frame)["network"]
-        >>> found.estimate, found.replication
-        (1.5, 'no training, 4 instances')
+        >>> found.estimate, found.seeds, found.instances
+        (1.5, (0,), 4)
     """
     scores = arrange(frame, value)
     draws = draw(scores, resamples, seed)
     return {
-        agent: _estimate(_distribution(scores, draws, agent, statistic), scores, agent)
+        agent: estimate(distribution(scores, draws, agent, statistic), scores, agent)
         for agent in scores.values
     }
 
@@ -148,8 +123,8 @@ def paired_difference(
     """
     scores = arrange(frame, value)
     draws = draw(scores, resamples, seed)
-    one, less = (_distribution(scores, draws, name, statistic) for name in (agent, other))
-    return _estimate(one - less, scores, agent, other)
+    one, less = (distribution(scores, draws, name, statistic) for name in (agent, other))
+    return estimate(one - less, scores, agent, other)
 
 
 def probability_of_improvement(
@@ -194,7 +169,7 @@ def probability_of_improvement(
         ]
         with np.errstate(invalid="ignore"):
             chances.append(sums[0] / sums[1])
-    return _estimate(np.mean(chances, axis=0), scores, agent, other)
+    return estimate(np.mean(chances, axis=0), scores, agent, other)
 
 
 def performance_profile(
@@ -233,13 +208,16 @@ def performance_profile(
                 above = instances @ beyond.T.astype(np.float64)
                 shares += weight[:, None] * above / (policy.size * len(table) * len(values))
         for level, column in zip(levels.tolist(), shares.T):
-            found = vars(_estimate(column, scores, agent))
+            found = vars(estimate(column, scores, agent))
             rows.append({"agent": agent, "threshold": level, **found, "seeds": found["seeds"][0]})
     return pd.DataFrame(rows)
 
 
-def _distribution(scores: Scores, draws: Draws, agent: str, statistic: WeightedStatistic) -> Floats:
-    """The statistic of an agent in the data themselves and in all resamples, (R + 1,)."""
+def distribution(scores: Scores, draws: Draws, agent: str, statistic: WeightedStatistic) -> Floats:
+    """The statistic of an agent in the data themselves and in all resamples, (R + 1,).
+
+    What the functions of frames are made of, for whoever has many statistics of the same draws.
+    """
     tables, policies = scores.of(agent), draws.policies[agent]
     values = np.concatenate([table.ravel() for table in tables])
     order = np.argsort(values, kind="stable")
@@ -259,7 +237,8 @@ def _distribution(scores: Scores, draws: Draws, agent: str, statistic: WeightedS
     return np.concatenate(found)
 
 
-def _estimate(distribution: Floats, scores: Scores, *agents: str) -> Estimate:
+def estimate(distribution: Floats, scores: Scores, *agents: str) -> Estimate:
+    """What a `distribution`, or a difference of two, says of one agent, or of two."""
     resampled = distribution[1:][~np.isnan(distribution[1:])]
     low, high = math.nan, math.nan
     if resampled.size:

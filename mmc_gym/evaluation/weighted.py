@@ -6,29 +6,11 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mmc_gym.evaluation.metrics import Floats
 
 WeightedStatistic: TypeAlias = Callable[[Floats, Floats], Floats]
 """Of values (k,), in order, and how much each counts in R resamples, (R, k): (R,)."""
-
-
-def interquartile_mean(values: ArrayLike) -> float:
-    """Mean of the middle half of `values` (n,): what lies between the quartiles.
-
-    Values at the quartiles count in part if n is no multiple of 4; NaNs are left out.  Nearly as
-    robust as the median, and nearly as precise as the mean.
-
-    Example:
-        >>> interquartile_mean([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0])
-        3.5
-        >>> interquartile_mean([1.0, 2.0, 9.0])  # (0.25 · 1 + 1 · 2 + 0.25 · 9) / 1.5
-        3.0
-    """
-    sample = np.asarray(values, dtype=np.float64)
-    present = np.sort(sample[~np.isnan(sample)])
-    return float(weighted_iqm(present, np.ones((1, present.size)))[0])
 
 
 def weighted_mean(values: Floats, weights: Floats) -> Floats:
@@ -39,7 +21,17 @@ def weighted_mean(values: Floats, weights: Floats) -> Floats:
 
 
 def weighted_iqm(values: Floats, weights: Floats) -> Floats:
-    """A `WeightedStatistic`: the interquartile mean."""
+    """A `WeightedStatistic`: the interquartile mean, of the middle half of the weight.
+
+    Values at the quartiles count in part.  Nearly as robust as the median, and nearly as precise as
+    the mean.
+
+    Example:
+        >>> weighted_iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]), np.ones((1, 8)))
+        array([3.5])
+        >>> weighted_iqm(np.array([1.0, 2.0, 9.0]), np.ones((1, 3)))  # (¼ · 1 + 2 + ¼ · 9) / 1½
+        array([3.])
+    """
     return _between(values, weights, 0.25, 0.75)
 
 

@@ -1,22 +1,20 @@
 """The scores of one environment as arrays, and the bootstrap of all its measures by the same draws.
 
-As `replication` does it for one measure of a frame: there are hundreds of figures in a report, and
-what takes time is to arrange the scores and to draw, which is done once here.
+There are hundreds of figures in a report, and what takes time is to arrange the scores and to draw,
+which is done once here; all else is as in `replication`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
 from mmc_gym.evaluation.measures import Measure
 from mmc_gym.evaluation.metrics import Floats
-from mmc_gym.evaluation.replication import Estimate
+from mmc_gym.evaluation.replication import Estimate, distribution, estimate
 from mmc_gym.evaluation.resampling import Scores, draw
-from mmc_gym.evaluation.statistics import CONFIDENCE
 from mmc_gym.evaluation.weighted import WeightedStatistic, weighted_mean, weighted_median
 
 COMMON = 5
@@ -59,8 +57,9 @@ class EnvironmentScores:
             self._tables[str(agent)] = values.T.reshape(len(measures), policies, instances)
             self._seeds[str(agent)] = int(rows["training_seed"].nunique())
         self.agents = tuple(self._tables)
-        shapes = {agent: (table[0],) for agent, table in self._tables.items()}
-        self._draws = draw(Scores(("",), (instances,), shapes, self._seeds), resamples, seed=0)
+        self._instances = instances
+        shapes = {agent: table[0] for agent, table in self._tables.items()}
+        self._draws = draw(self._scores(shapes), resamples, seed=0)
         self._known: dict[tuple[str, str, str], Floats] = {}
 
     def values(self, agent: str, measure: Measure) -> Floats:
@@ -72,39 +71,35 @@ class EnvironmentScores:
         """A measure's statistic in the data themselves, and in all resamples, (R + 1,)."""
         key = (agent, measure.name, measure.statistic)
         if key not in self._known:
-            self._known[key] = self._resampled(agent, measure, self.values(agent, measure))
+            scores = self._scores({agent: self.values(agent, measure)})
+            statistic = _STATISTICS[measure.statistic]
+            self._known[key] = distribution(scores, self._draws, agent, statistic)
         return self._known[key]
 
-    def estimate(self, distribution: Floats, *agents: str) -> Estimate:
-        """The statistic of the data, with its interval."""
-        resampled = distribution[1:][~np.isnan(distribution[1:])]
-        low, high = math.nan, math.nan
-        if resampled.size:
-            tail = (1 - CONFIDENCE) / 2
-            low, high = np.quantile(resampled, (tail, 1 - tail)).tolist()
-        seeds = tuple(self._seeds[agent] for agent in agents)
-        instances = next(iter(self._tables.values())).shape[-1]
-        return Estimate(float(distribution[0]), low, high, seeds, instances, 1)
+    def estimate(self, agent: str, measure: Measure) -> Estimate:
+        """A measure's statistic, with its interval."""
+        scores = self._scores({agent: self.values(agent, measure)})
+        return estimate(self.distribution(agent, measure), scores, agent)
 
     def difference(self, agent: str, other: str, measure: Measure) -> Estimate | None:
         """One agent less the other, on the instances where both have a value; None if few."""
-        tables = [self.values(name, measure) for name in (agent, other)]
-        common = np.all([(~np.isnan(table)).any(axis=0) for table in tables], axis=0)
+        tables = {name: self.values(name, measure) for name in (agent, other)}
+        common = np.all([(~np.isnan(table)).any(axis=0) for table in tables.values()], axis=0)
         if common.sum() < COMMON:
             return None
+        scores = self._scores(
+            {name: np.where(common, table, np.nan) for name, table in tables.items()}
+        )
         if common.all():
             one, less = (self.distribution(name, measure) for name in (agent, other))
         else:
+            statistic = _STATISTICS[measure.statistic]
             one, less = (
-                self._resampled(name, measure, np.where(common, table, np.nan))
-                for name, table in zip((agent, other), tables, strict=True)
+                distribution(scores, self._draws, name, statistic) for name in (agent, other)
             )
-        return self.estimate(one - less, agent, other)
+        return estimate(one - less, scores, agent, other)
 
-    def _resampled(self, agent: str, measure: Measure, table: Floats) -> Floats:
-        values = table.ravel()
-        order = np.argsort(values, kind="stable")
-        order = order[: values.size - int(np.isnan(values).sum())]  # NaNs are the last
-        policy, instance = np.divmod(order, table.shape[1])
-        weights = self._draws.policies[agent][:, policy] * self._draws.instances[0][:, instance]
-        return _STATISTICS[measure.statistic](values[order], weights)
+    def _scores(self, tables: Mapping[str, Floats]) -> Scores:
+        """Scores of a measure, (policies, instances) by agent."""
+        values = {agent: (table,) for agent, table in tables.items()}
+        return Scores(("",), (self._instances,), values, self._seeds)

@@ -79,7 +79,7 @@ class Estimates:
         if key not in self._known:
             scores = self.scores(environment)
             self._known[key] = {
-                agent: scores.estimate(scores.distribution(agent, measure), agent)
+                agent: scores.estimate(agent, measure)
                 for agent in self.results.agents
                 if agent in scores.agents
             }
