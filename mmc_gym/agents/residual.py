@@ -20,7 +20,11 @@ from mmc_gym.agents.reinforcement import BASE_AGENTS, corrected
 
 
 class Residual(VecEnvWrapper):
-    """An environment whose actions are corrections of a base agent's."""
+    """An environment whose actions are corrections of a base agent's.
+
+    Attributes:
+        base_agent: which agent, a key of `BASE_AGENTS`.
+    """
 
     def __init__(self, venv: VecEnv, base_agent: str = "mmc") -> None:
         """Wrap an environment with `Box` observations.
@@ -41,6 +45,7 @@ class Residual(VecEnvWrapper):
             np.concatenate(pair) for pair in zip((space.low, space.high), (action.low, action.high))
         )
         super().__init__(venv, spaces.Box(low, high, dtype=np.float32))
+        self.base_agent = base_agent
         body, control = venv.get_attr("parameters")[0], venv.get_attr("control")[0]
         self._base = BASE_AGENTS[base_agent](ReachInterface.told(body, control))
 

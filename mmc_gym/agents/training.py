@@ -10,10 +10,9 @@ All environments are one native vector environment.
 
 from __future__ import annotations
 
-import math
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -21,19 +20,17 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecMonitor, unwrap_vec_wrapper
 
+from mmc_gym._files import check_folder
 from mmc_gym._threads import one_torch_thread
-from mmc_gym.agents.base import Agent, ReachInterface
+from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.checkpoints import begin_episodes, load_checkpoint, read_head, save_checkpoint
 from mmc_gym.agents.export import export_policy
-from mmc_gym.agents.hyperparameters import (
-    Hyperparameters,
-    algorithm_of,
-    make_callbacks,
-    make_model,
-)
+from mmc_gym.agents.hyperparameters import Hyperparameters, algorithm_of
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.agents.reinforcement import (
     EVALUATION_EPISODES,
@@ -42,11 +39,13 @@ from mmc_gym.agents.reinforcement import (
     PolicyCard,
     save_policy,
 )
+from mmc_gym.agents.residual import Residual
+from mmc_gym.agents.scores import evaluate
+from mmc_gym.agents.settings import Settings
 from mmc_gym.agents.vec_env import GymnasiumVecEnv
 
 CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = 25
-EVALUATION_SEED = 1_000_000  # far from the seeds that a comparison starts from
 
 
 @dataclass(frozen=True)
@@ -86,45 +85,56 @@ class Training:
     curve: list[dict[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        h = self.hyperparameters
+        """Check everything that can be, before anything is trained.
+
+        Raises:
+            ValueError: if a hyperparameter, the environment or the device is none that there is.
+        """
+        if self.evaluations < 1:
+            raise ValueError(f"evaluations must be at least 1, got {self.evaluations}")
+        self.device = usable_device(self.device)
         self.algorithm = algorithm_of(self.name)
-        # Every leg starts where a rollout does; and where episodes do, if they are learned from
-        # only when they are complete, as in hindsight.
-        unit = h["n_envs"] * h.get("n_steps", h.get("train_freq", 1))
-        if "replay_buffer_class" in h:
-            unit = math.lcm(unit, h["n_envs"] * (gym.spec(self.env_id).max_episode_steps or 1))
-        self.steps_per_leg = math.ceil(int(h["n_timesteps"]) / unit / self.evaluations) * unit
-        self.total_steps = (
-            math.ceil(int(h["n_timesteps"]) / self.steps_per_leg) * self.steps_per_leg
-        )
+        self.settings = Settings.read(self.algorithm, self.hyperparameters)
+        try:
+            episode_steps = gym.spec(self.env_id).max_episode_steps or 1
+        except gym.error.Error as error:
+            raise ValueError(f"env must be the id of an environment: {error}") from error
+        self.steps_per_leg = self.settings.steps_per_leg(episode_steps, self.evaluations)
+        self.total_steps = -(-self.settings.steps // self.steps_per_leg) * self.steps_per_leg
         self._before = {"seconds": 0.0, "cpu_seconds": 0.0}
 
     def run(self, resume: bool = False) -> PolicyCard:
         """Train, or go on training, and write the policy.
 
         Raises:
-            FileExistsError: if there is a checkpoint and `resume` is not set.
-            ValueError: if the checkpoint is damaged or that of another training.
+            FileExistsError: if there is a checkpoint or the policy, and `resume` is not set.
+            ValueError: if the folder is a file, the environment is none to train in, or the
+                checkpoint is damaged or that of another training.
         """
+        check_folder(self.folder, "out")
         checkpoint = self.folder / CHECKPOINT
         if checkpoint.exists() and not resume:
             raise FileExistsError(
                 f"{checkpoint} exists already: resume it, or choose another folder"
             )
+        for file in self.policy_files:
+            if file.exists() and not resume:
+                raise FileExistsError(f"{file} exists already: choose another folder, or delete it")
+        if checkpoint.exists():
+            self.check_checkpoint()
         with one_torch_thread():
-            env = make_vec_env(self.env_id, self.hyperparameters["n_envs"], self._env_kwargs)
+            env = make_vec_env(self.env_id, self.settings.env_count, self.settings.env_kwargs)
             self._interface = ReachInterface.of(env.vector_env)
             logs = str(self.tensorboard) if self.tensorboard else None
-            model = make_model(
-                self.algorithm, self.hyperparameters, env, self.seed, self.device, logs
-            )
+            # The monitor, which has TensorBoard show returns, sees the rewards as they are.
+            model = self.settings.make_model(VecMonitor(env), self.seed, self.device, logs)
             PolicyAgent(*self._policy(model), self._interface)  # what cannot act is not trained
             if checkpoint.exists():
                 self._load(model, checkpoint)
             self._started = {"seconds": time.perf_counter(), "cpu_seconds": time.process_time()}
             remaining = self.total_steps - model.num_timesteps
             if remaining > 0:
-                callbacks = [_Legs(self), *make_callbacks(self.hyperparameters)]
+                callbacks = [_Legs(self), *self.settings.make_callbacks()]
                 model.learn(
                     remaining,
                     callback=callbacks,
@@ -134,6 +144,28 @@ class Training:
                 self.save(model)
             env.close()
             return self._finish(model)
+
+    @property
+    def policy_files(self) -> tuple[Path, Path]:
+        """Where the trained policy is written."""
+        stem = f"{self.name}-{self.seed}"
+        return self.folder / f"{stem}.safetensors", self.folder / f"{stem}.json"
+
+    def check_checkpoint(self) -> None:
+        """Raise a `ValueError` if the checkpoint is damaged or that of another training."""
+        checkpoint = self.folder / CHECKPOINT
+        head, here = read_head(checkpoint), self._identity()
+        differences = [
+            difference
+            for name, value in here.items()
+            if head.get(name) != value
+            for difference in _differences(name, head.get(name), value)
+        ]
+        if differences:
+            raise ValueError(
+                f"{checkpoint} is that of another training, with {', '.join(differences)}: "
+                f"resume it with what it had, delete {self.folder}, or choose another folder"
+            )
 
     def save(self, model: BaseAlgorithm) -> None:
         """Evaluate the policy and write the checkpoint."""
@@ -159,10 +191,6 @@ class Training:
         model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         begin_episodes(model)
 
-    @property
-    def _env_kwargs(self) -> dict[str, Any]:
-        return dict(self.hyperparameters.get("env_kwargs", {}))
-
     def _identity(self) -> dict[str, Any]:
         """What must be equal for a checkpoint to belong to this training."""
         return {
@@ -177,12 +205,6 @@ class Training:
 
     def _load(self, model: BaseAlgorithm, checkpoint: Path) -> None:
         head = read_head(checkpoint)
-        for name, value in self._identity().items():
-            if head.get(name) != value:
-                raise ValueError(
-                    f"{checkpoint} must have the same {name} to be resumed: "
-                    f"it has {head.get(name)}, this training {value}"
-                )
         load_checkpoint(model, checkpoint)
         self.curve = head["curve"]
         self._before = {name: head[name] for name in self._before}
@@ -197,6 +219,9 @@ class Training:
         """The policy as it is now, with a card that has no scores yet."""
         interface = self._interface
         network, view = export_policy(model.policy)
+        env = model.get_env()
+        assert env is not None
+        residual = unwrap_vec_wrapper(env, Residual)
         card = PolicyCard(
             name=self.name,
             algorithm=self.algorithm,
@@ -206,7 +231,7 @@ class Training:
             view=view,
             activation=network.activation,
             distribution=network.distribution,
-            base_agent="mmc" if "vec_env_wrapper" in self.hyperparameters else "",
+            base_agent="" if residual is None else residual.base_agent,
             hyperparameters=self.hyperparameters,
             seed=self.seed,
             training_steps=model.num_timesteps,
@@ -255,71 +280,48 @@ class _Legs(BaseCallback):
         return True
 
 
-def evaluate(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
-    """How the deterministic policy does over fixed episodes; see `evaluate_agent`."""
-
-    def make(interface: ReachInterface) -> Agent[Any]:
-        return PolicyAgent(network, card, interface)
-
-    arguments = card.hyperparameters.get("env_kwargs", {})
-    return evaluate_agent(make, card.env_id, arguments, episodes, EVALUATION_SEED)
-
-
-def evaluate_agent(
-    make: Callable[[ReachInterface], Agent[Any]],
-    env_id: str,
-    arguments: dict[str, Any],
-    episodes: int,
-    seed: int,
-) -> dict[str, float]:
-    """How an agent does over episodes that are played at once, each with an arm of its own.
-
-    Args:
-        make: makes the agent.
-        env_id: environment that it acts in.
-        arguments: of the environment.
-        episodes: how many.
-        seed: of the first episode; the others have the next ones.
-
-    Returns:
-        success: part of the episodes that end at the target.
-        final_distance: mean, segment lengths.
-        episode_return: mean.
-        time_at_target: part of the time that is spent at the target.
-        time_to_target: median over the successes, until the hand is there to stay, seconds; there
-            is none without a success.
-    """
-    env = gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)
-    interface = ReachInterface.of(env)
-    agent = make(interface)
-    observations, infos = env.reset(seed=seed)
-    state, over, step = None, np.zeros(episodes, dtype=bool), 0
-    returns, at_target, last_away = (np.zeros(episodes) for _ in range(3))
-    while not over.all():
-        actions, state = agent.predict(observations, state, deterministic=True)
-        observations, rewards, _, over, infos = env.step(actions)
-        step += 1
-        returns += rewards
-        at_target += infos["is_success"]
-        last_away[~infos["is_success"]] = step
-    env.close()
-    success = infos["is_success"]
-    scores = {
-        "success": float(success.mean()),
-        "final_distance": float(infos["distance"].mean()),
-        "episode_return": float(returns.mean()),
-        "time_at_target": float(at_target.mean()) / step,
-    }
-    if success.any():
-        steps = float(np.median(last_away[success])) + 1
-        scores["time_to_target"] = round(steps * interface.control_step, 3)
-    return scores
-
-
 def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> GymnasiumVecEnv:
-    """The native vector environment of `count` arms, for stable-baselines3."""
-    env = gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments)
+    """The native vector environment of `count` arms, for stable-baselines3.
+
+    Raises:
+        ValueError: if it is no reaching environment, or does not take the arguments.
+    """
+    try:
+        env = gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments)
+    except TypeError as error:
+        raise ValueError(
+            f"env must be a reaching environment that takes {arguments}, got {env_id}: {error}"
+        ) from error
     return GymnasiumVecEnv(env)
+
+
+def usable_device(name: str) -> str:
+    """The device of that name; that which torch prefers for "auto".
+
+    Raises:
+        ValueError: if torch knows no such device, or has none here.
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        torch.ones(1, device=torch.device(name)).item()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            f"device must be one that PyTorch can use here, such as cpu, got {name!r}: {reason}"
+        ) from error
+    return name
+
+
+def _differences(name: str, there: Any, here: Any) -> Iterator[str]:
+    """What two values of an entry of a checkpoint's head differ in, in words."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in sorted({*there, *here}):
+            if there.get(key) != here.get(key):
+                hint = ", see --steps" if key == "n_timesteps" else ""
+                yield f"{key} {there.get(key)} (here {here.get(key)}{hint})"
+    else:
+        yield f"{name} {there} (here {here})"
 
 
 def library_versions() -> dict[str, str]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from mmc_gym._files import write_atomically
+from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.hyperparameters import Hyperparameters, read_hyperparameters
 from mmc_gym.agents.reinforcement import PolicyCard, load_policy
-from mmc_gym.agents.training import CHECKPOINT, Training
+from mmc_gym.agents.training import CHECKPOINT, Training, usable_device
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,11 @@ class TrainingCell:
             hyperparameters["n_timesteps"] = self.steps
         return env_id, hyperparameters
 
+    def training(self, folder: Path) -> Training:
+        """The training, with everything in `folder`."""
+        env_id, hyperparameters = self.hyperparameters()
+        return Training(self.name, hyperparameters, env_id, self.seed, folder, device=self.device)
+
 
 def shipped_cells() -> list[tuple[str, int]]:
     """Name and seed of every policy that ships."""
@@ -57,6 +62,7 @@ def train_all(
     jobs: int | None = None,
     cluster: str | None = None,
     on_policy: Callable[[PolicyCard], None] = lambda card: None,
+    on_note: Callable[[str], None] = lambda note: None,
 ) -> list[PolicyCard]:
     """Train policies, many at once, and write their files into a folder.
 
@@ -71,10 +77,21 @@ def train_all(
         jobs: how many are trained at once, see `run_grid`.
         cluster: where, see `run_grid`.
         on_policy: called with the card of each policy that is ready.
+        on_note: called with what else is to be said, of checkpoints that are discarded.
 
     Returns:
         The cards, in the order of `policies`.
+
+    Raises:
+        ValueError: if `out` is a file, `steps` below 1, or there are no such hyperparameters or no
+            such device.
+        CellError: if a training failed.
     """
+    check_folder(out, "out")
+    if steps is not None and steps < 1:
+        raise ValueError(f"steps must be at least 1, got {steps}")
+    if cluster is None:
+        usable_device(device)
     cards: dict[tuple[str, int], PolicyCard] = {}
     cells = []
     for name, seed in policies:
@@ -82,6 +99,7 @@ def train_all(
         cell = TrainingCell(name, seed, steps, device, folder)
         card = _finished(cell, out)
         if card is None:
+            _discard_other(cell, on_note)
             cells.append(cell)
         else:
             cards[name, seed] = card
@@ -91,6 +109,8 @@ def train_all(
         cell = cells[index]
         for file, content in contents.items():
             write_atomically(out / file, content)
+        if cell.folder is not None:  # of no more use, and replay buffers are large
+            shutil.rmtree(cell.folder)
         _, card = load_policy(out / f"{cell.name}-{cell.seed}.json")
         cards[cell.name, cell.seed] = card
         on_policy(card)
@@ -102,16 +122,21 @@ def train_all(
 def train_cell(cell: TrainingCell) -> dict[str, bytes]:
     """Train a policy; the contents of its files by their names."""
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(cell.folder or temporary)
-        env_id, hyperparameters = cell.hyperparameters()
-        training = Training(
-            cell.name, hyperparameters, env_id, cell.seed, folder, device=cell.device
-        )
-        card = training.run(resume=True)
-        names = (f"{card.file_stem}.{suffix}" for suffix in ("safetensors", "json"))
-        contents = {name: (folder / name).read_bytes() for name in names}
-        (folder / CHECKPOINT).unlink()  # of no more use, and replay buffers are large
-        return contents
+        training = cell.training(Path(cell.folder or temporary))
+        training.run(resume=True)
+        return {file.name: file.read_bytes() for file in training.policy_files}
+
+
+def _discard_other(cell: TrainingCell, on_note: Callable[[str], None]) -> None:
+    """Remove the cell's checkpoint if the training cannot go on from it."""
+    if cell.folder is None or not (Path(cell.folder) / CHECKPOINT).exists():
+        return
+    training = cell.training(Path(cell.folder))
+    try:
+        training.check_checkpoint()
+    except ValueError as error:
+        on_note(f"{cell.name}-{cell.seed} begins anew: {error}")
+        (Path(cell.folder) / CHECKPOINT).unlink()
 
 
 def _finished(cell: TrainingCell, out: Path) -> PolicyCard | None:
@@ -120,5 +145,4 @@ def _finished(cell: TrainingCell, out: Path) -> PolicyCard | None:
         _, card = load_policy(out / f"{cell.name}-{cell.seed}.json")
     except (FileNotFoundError, ValueError):
         return None
-    asked: tuple[str, dict[str, Any]] = cell.hyperparameters()
-    return card if (card.env_id, card.hyperparameters) == asked else None
+    return card if (card.env_id, card.hyperparameters) == cell.hyperparameters() else None

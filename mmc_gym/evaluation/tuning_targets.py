@@ -29,7 +29,8 @@ from mmc_gym.agents.closed_loop import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCA
 from mmc_gym.agents.hyperparameters import Hyperparameters, algorithm_of, read_hyperparameters
 from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.agents.reinforcement import PolicyAgent, load_policy
-from mmc_gym.agents.training import Training, evaluate_agent
+from mmc_gym.agents.scores import evaluate_agent
+from mmc_gym.agents.training import Training
 from mmc_gym.evaluation.battery import find_environments
 from mmc_gym.network import MMCNetwork
 

@@ -13,12 +13,11 @@ from mmc_gym.agents.hyperparameters import (
     ALGORITHMS,
     EntropyDecay,
     algorithm_of,
-    make_callbacks,
-    make_model,
     names,
+    policy_name,
     read_hyperparameters,
-    schedule,
 )
+from mmc_gym.agents.settings import Settings
 from mmc_gym.agents.training import make_vec_env
 
 
@@ -26,7 +25,7 @@ def make(name: str, **changes: Any) -> Any:
     env_id, hyperparameters = read_hyperparameters(name)
     h = {**hyperparameters, **changes}
     env = make_vec_env(env_id, h["n_envs"], h.get("env_kwargs", {}))
-    return make_model(algorithm_of(name), h, env, seed=0)
+    return Settings.read(algorithm_of(name), h).make_model(env, seed=0)
 
 
 @pytest.mark.parametrize("name", names())
@@ -51,24 +50,31 @@ def test_unknown_names_and_environments_are_errors():
         read_hyperparameters("ppo", "Pendulum-v1")
 
 
+def test_a_file_of_ones_own_is_read_by_its_path(tmp_path):
+    path = tmp_path / "ppo-mine.yml"
+    path.write_text("A-v0: {gamma: 0.5}\nB-v0: {gamma: 0.6}\n")
+    assert read_hyperparameters(str(path)) == ("A-v0", {"gamma": 0.5})
+    assert read_hyperparameters(str(path), "B-v0") == ("B-v0", {"gamma": 0.6})
+    assert policy_name(str(path)) == "ppo-mine"
+    assert policy_name("tqc-her") == "tqc-her"
+
+
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("text", "message"),
     [
-        ({"policy": "os.system"}, "policy must be one of"),
-        ({"callback": ["os.system"]}, "callback must be one of"),
-        ({"vec_env_wrapper": "os.system"}, "vec_env_wrapper must be one of"),
-        ({"replay_buffer_class": "Pickle"}, "replay_buffer_class must be one of"),
+        ("A: {", "must be YAML"),
+        ("", "must map environments to hyperparameters, got None"),
+        ("- A", "must map environments to hyperparameters"),
+        ("A: 1", "must have hyperparameters for A, got 1"),
     ],
 )
-def test_only_what_is_known_here_can_be_named(changes, message):
+def test_a_file_that_holds_something_else_is_an_error(tmp_path, text, message):
+    path = tmp_path / "ppo.yaml"
+    path.write_text(text)
     with pytest.raises(ValueError, match=message):
-        make("ppo", **changes)
-        make_callbacks(changes)
-
-
-def test_a_schedule_is_constant_or_falls_to_zero():
-    assert [schedule("lin_1e-3")(remaining) for remaining in (1.0, 0.5, 0.0)] == [1e-3, 5e-4, 0.0]
-    assert [schedule(0.2)(remaining) for remaining in (1.0, 0.5, 0.0)] == [0.2] * 3
+        read_hyperparameters(str(path))
+    with pytest.raises(FileNotFoundError):
+        read_hyperparameters("there/is/no/ppo.yml")
 
 
 def test_the_entropy_bonus_falls_to_zero():

@@ -15,11 +15,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import safetensors.numpy
+import torch
 
 from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.hyperparameters import read_hyperparameters
 from mmc_gym.agents.reinforcement import PolicyAgent, load_policy
-from mmc_gym.agents.training import CHECKPOINT, Training
+from mmc_gym.agents.training import CHECKPOINT, Training, library_versions
 
 LEGS = 4
 SMALL = {"n_timesteps": 1600, "n_envs": 4}
@@ -188,6 +189,20 @@ def test_tensorboard_gets_the_evaluations(tmp_path):
     np.testing.assert_allclose([event.value for event in events], distances, rtol=1e-5)
 
 
+def test_tensorboard_gets_the_returns_of_episodes(tmp_path):
+    """As they are, before `VecNormalize` scales them."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    one = training("ppo", tmp_path)
+    one.tensorboard = tmp_path / "logs"
+    one.run()
+    (run,) = (tmp_path / "logs").iterdir()
+    events = EventAccumulator(str(run)).Reload()
+    assert {event.value for event in events.Scalars("rollout/ep_len_mean")} == {100.0}
+    returns = [event.value for event in events.Scalars("rollout/ep_rew_mean")]
+    assert all(-500 < value < -20 for value in returns)
+
+
 def test_steps_are_rounded_up_to_whole_legs(tmp_path):
     assert training("ppo", tmp_path, n_timesteps=1601).total_steps == 2400
 
@@ -199,10 +214,76 @@ def test_a_checkpoint_is_not_overwritten_unasked(trained):
     assert (trained / CHECKPOINT).read_bytes() == before
 
 
-@pytest.mark.parametrize(("change", "name"), [({"gamma": 0.5}, "hyperparameters"), ({}, "seed")])
-def test_a_checkpoint_of_another_training_is_refused(trained, change, name):
-    with pytest.raises(ValueError, match=f"must have the same {name}"):
-        training("ppo", trained, 3 if change else 4, **change).run(resume=True)
+@pytest.mark.parametrize("suffix", ["safetensors", "json"])
+def test_a_policy_is_not_overwritten_unasked(trained, tmp_path, suffix):
+    shutil.copy(trained / f"ppo-3.{suffix}", tmp_path)
+    with pytest.raises(FileExistsError, match=rf"ppo-3.{suffix} exists already"):
+        training("ppo", tmp_path).run()
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"gamma": 0.5, "n_epochs": 3},
+            r"with gamma 0.8 \(here 0.5\), n_epochs 2 \(here 3\): resume",
+        ),
+        ({"n_timesteps": 800}, r"with n_timesteps 1600 \(here 800, see --steps\): "),
+        ({}, r"with seed 3 \(here 4\): .* delete "),
+    ],
+)
+def test_a_checkpoint_of_another_training_is_refused(trained, changes, message):
+    with pytest.raises(ValueError, match=message):
+        training("ppo", trained, 3 if changes else 4, **changes).run(resume=True)
+
+
+def test_a_checkpoint_of_other_versions_is_refused(trained, monkeypatch):
+    versions = {**library_versions(), "numpy": "0.1"}
+    monkeypatch.setattr("mmc_gym.agents.training.library_versions", lambda: versions)
+    with pytest.raises(ValueError, match=r"with numpy [\d.]+ \(here 0.1\): "):
+        training("ppo", trained).run(resume=True)
+
+
+def test_a_file_is_no_folder_to_train_in(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="out must be a folder, got the file"):
+        training("ppo", tmp_path / "file").run()
+
+
+@pytest.mark.parametrize("device", ["foo", "cuda:99", "meta", ""])
+def test_a_device_that_is_not_there_is_refused(tmp_path, device):
+    env_id, hyperparameters = tiny("ppo")
+    with pytest.raises(ValueError, match=f"device must be one that .*, got '{device}'"):
+        Training("ppo", hyperparameters, env_id, 3, tmp_path, device=device)
+
+
+def test_cuda_is_refused_where_there_is_none(tmp_path):
+    env_id, hyperparameters = tiny("ppo")
+    if not torch.cuda.is_available():
+        with pytest.raises(ValueError, match=r"device must be one that .*, got 'cuda'"):
+            Training("ppo", hyperparameters, env_id, 3, tmp_path, device="cuda")
+        assert Training("ppo", hyperparameters, env_id, 3, tmp_path, device="auto").device == "cpu"
+
+
+def test_an_environment_that_is_none_to_train_in_is_refused(tmp_path):
+    _, hyperparameters = tiny("ppo")
+    with pytest.raises(ValueError, match="env must be the id of an environment"):
+        Training("ppo", hyperparameters, "MMCReach-v99", 3, tmp_path)
+    with pytest.raises(ValueError, match="env must be a reaching environment"):
+        Training("ppo", {**hyperparameters, "env_kwargs": {}}, "Pendulum-v1", 3, tmp_path).run()
+    with pytest.raises(ValueError, match=r"that takes {'colour': 1}, got MMCReach-v0"):
+        training("ppo", tmp_path, env_kwargs={"colour": 1}).run()
+
+
+@pytest.mark.parametrize("arguments", [{}, {"base_agent": "mmc"}])
+def test_the_card_tells_whose_actions_are_corrected(tmp_path, arguments):
+    wrapper = [{"mmc_gym.agents.residual.Residual": arguments}]
+    card = training("ppo-residual", tmp_path, vec_env_wrapper=wrapper, n_timesteps=1).run()
+    assert card.base_agent == "mmc"
+    with pytest.raises(ValueError, match="base_agent must be one of"):
+        wrapper = [{"mmc_gym.agents.residual.Residual": {"base_agent": "ik"}}]
+        training("ppo-residual", tmp_path / "other", vec_env_wrapper=wrapper).run()
 
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.999])

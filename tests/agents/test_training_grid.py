@@ -1,12 +1,13 @@
 """A grid of trainings gives what each training alone would have given."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mmc_gym.agents.reinforcement import load_policy
-from mmc_gym.agents.training_grid import shipped_cells, train_all
+from mmc_gym.agents.training_grid import TrainingCell, shipped_cells, train_all
 
 POLICIES = [("ppo", 0), ("ppo", 1)]
 STEPS = 8_192  # two rollouts
@@ -29,7 +30,7 @@ def test_two_processes_train_what_one_does(trained, tmp_path):
     assert contents(tmp_path) == contents(trained)
     assert [(card.name, card.seed) for card in cards] == POLICIES
     assert sorted(card.seed for card in seen) == [0, 1]
-    assert not list(tmp_path.glob("checkpoints/*/*.safetensors.*"))
+    assert not list(tmp_path.glob("checkpoints/*"))  # of no more use
 
 
 @pytest.mark.slow
@@ -52,6 +53,30 @@ def test_a_damaged_policy_is_trained_again(trained, tmp_path):
     (tmp_path / "ppo-0.safetensors").write_bytes(b"damaged")
     train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1)
     assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained)["ppo-0.safetensors"]
+
+
+def test_a_checkpoint_of_another_training_is_discarded(trained, tmp_path):
+    checkpoints = tmp_path / "checkpoints" / "ppo-0"
+    TrainingCell("ppo", 0, 1).training(checkpoints).run()
+    notes: list[str] = []
+    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1, on_note=notes.append)
+    (note,) = notes
+    assert re.match(r"ppo-0 begins anew: .* with n_timesteps 1 \(here 8192", note)
+    assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained)["ppo-0.safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 0}, "steps must be at least 1, got 0"),
+        ({"device": "foo"}, "device must be one that PyTorch can use"),
+        ({"jobs": 0}, "jobs must be at least 1"),
+    ],
+)
+def test_mistakes_are_told_before_anything_is_trained(tmp_path, options, message):
+    with pytest.raises(ValueError, match=message):
+        train_all(POLICIES, tmp_path, **options)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_seeds_that_ship_are_those_asked_for():

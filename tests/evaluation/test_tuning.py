@@ -14,7 +14,7 @@ from optuna.storages.journal import JournalFileBackend
 
 from mmc_gym.agents import find_agent
 from mmc_gym.agents.hyperparameters import read_hyperparameters
-from mmc_gym.agents.training import evaluate_agent
+from mmc_gym.agents.scores import evaluate_agent
 from mmc_gym.evaluation import tuning_targets
 from mmc_gym.evaluation.tuning import TUNING_SEED, tune
 
