@@ -1,7 +1,14 @@
-"""The command line: `mmc-gym compare | reproduce | train | tune | curves | play`."""
+"""The command line.
+
+    mmc-gym compare | reproduce | train | tune | curves | benchmark | report | play
+
+A mistake of the user's ends with one line on stderr and status 2, a cell of a grid that failed with
+one line and status 1.  With `MMC_GYM_TRACEBACK=1` in the environment, both end with the traceback.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +21,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 ENV_ID = "MMCReach-v0"
+TRACEBACK = "MMC_GYM_TRACEBACK"
 
 
 @dataclass(frozen=True)
@@ -74,11 +82,12 @@ class Train:
     """Train an agent by its YAML hyperparameters; a killed training goes on with --resume."""
 
     name: Annotated[str, tyro.conf.Positional] = ""
-    """What to train, such as ppo, sac or tqc-her."""
+    """What to train: ppo, sac, tqc-her or another that ships, or the path of a YAML file in
+    rl_zoo3's form, whose name begins with the algorithm's, such as my/ppo-mine.yml."""
     all: bool = False
     """Train every policy that ships with the package; goes on where it was interrupted."""
     env: str | None = None
-    """Environment id (default: the one that the hyperparameters are for)."""
+    """Environment id, of those in the YAML file (default: the first)."""
     seed: int = 0
     """Seed of everything random."""
     steps: int | None = None
@@ -86,11 +95,11 @@ class Train:
     out: Path | None = None
     """Folder for checkpoint and policy (default: runs/NAME-SEED, or runs/train-all)."""
     resume: bool = False
-    """Go on from the checkpoint in the folder, if there is one."""
+    """Go on from the checkpoint in the folder, if there is one; --all always does."""
     tensorboard: Path | None = None
     """Folder for TensorBoard's logs."""
     device: str = "cpu"
-    """Device that PyTorch computes on, such as cuda."""
+    """Device that PyTorch computes on: cpu, cuda, cuda:1, auto."""
     jobs: int | None = None
     """With --all: how many trainings at once (default: one per core)."""
     cluster: str | None = None
@@ -101,20 +110,28 @@ class Train:
         from mmc_gym.agents.hyperparameters import names
 
         if self.all == bool(self.name):
-            raise ValueError(f"name must be one of {', '.join(names())}, or else give --all")
+            raise ValueError(
+                f"name must be one of {', '.join(names())}, or the path of a YAML file, "
+                f"or else give --all, got {self.name!r}{' and --all' if self.all else ''}"
+            )
+        for option in _FOR_ONE if self.all else _FOR_ALL:
+            if getattr(self, option) != getattr(Train, option):
+                other = "a single training" if self.all else "--all"
+                raise ValueError(f"--{option} is for {other} only, got {getattr(self, option)}")
         with _progress_bar() as bar:
             (self._train_all if self.all else self._train_one)(bar)
 
     def _train_one(self, bar: Bar) -> None:
-        from mmc_gym.agents.hyperparameters import read_hyperparameters
+        from mmc_gym.agents.hyperparameters import policy_name, read_hyperparameters
         from mmc_gym.agents.reinforcement import FINAL_EPISODES
         from mmc_gym.agents.training import Progress, Training
 
         env_id, hyperparameters = read_hyperparameters(self.name, self.env)
         if self.steps is not None:
             hyperparameters["n_timesteps"] = self.steps
-        folder = self.out or Path("runs") / f"{self.name}-{self.seed}"
-        task = bar.add_task(f"{self.name}, seed {self.seed}")
+        name = policy_name(self.name)
+        folder = self.out or Path("runs") / f"{name}-{self.seed}"
+        task = bar.add_task(f"{name}, seed {self.seed}")
 
         def report(progress: Progress) -> None:
             bar.update(task, completed=progress.steps)
@@ -125,7 +142,7 @@ class Train:
                 )
 
         training = Training(
-            self.name,
+            name,
             hyperparameters,
             env_id,
             self.seed,
@@ -157,6 +174,9 @@ class Train:
                 f"{card.training_steps:>10,} steps  {card.training_seconds:6.0f} s"
             )
 
+        def on_note(note: str) -> None:
+            bar.console.print(note, markup=False, highlight=False)
+
         train_all(
             policies,
             self.out or Path("runs/train-all"),
@@ -165,7 +185,13 @@ class Train:
             jobs=self.jobs,
             cluster=self.cluster,
             on_policy=on_policy,
+            on_note=on_note,
         )
+
+
+# Options of Train that --all has no use for, and that only --all has one for.
+_FOR_ONE = ("env", "seed", "tensorboard")
+_FOR_ALL = ("jobs", "cluster")
 
 
 @dataclass(frozen=True)
@@ -327,15 +353,22 @@ Command = (
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command; a mistake of the user's ends with one line on stderr and status 2."""
+    """Run a command."""
     command: Compare | Reproduce | Train | Tune | Curves | Benchmark | Report | Play = tyro.cli(
         Command, prog="mmc-gym", args=arguments
     )
     try:
         command.run()
-    except (ValueError, FileExistsError, FileNotFoundError) as error:
-        print(f"mmc-gym: {error}", file=sys.stderr)
-        raise SystemExit(2) from error
+    except Exception as error:
+        from mmc_gym._grid import CellError
+
+        if os.environ.get(TRACEBACK) or not isinstance(error, (ValueError, OSError, CellError)):
+            raise
+        message, status = str(error), 2
+        if isinstance(error, CellError):
+            message, status = f"{message.splitlines()[0]} (where, tells {TRACEBACK}=1)", 1
+        print(f"mmc-gym: {message}", file=sys.stderr)
+        raise SystemExit(status) from error
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from mmc_gym._grid import CellError
 from mmc_gym.cli import main
 
 
@@ -29,6 +30,36 @@ def test_train_and_resume(tmp_path, capsys):
     assert (Path(folder) / "ppo-0.safetensors").read_bytes() == first
 
 
+def test_train_takes_a_file_of_ones_own(tmp_path, capsys):
+    path = tmp_path / "ppo-mine.yml"
+    path.write_text(
+        "CartPole-v1: {n_timesteps: 1, policy: MlpPolicy}\n"
+        "MMCReach-v0:\n"
+        "  n_timesteps: 1\n"
+        "  policy: mmc_gym.agents.torch_policies.PPOPolicy\n"
+        "  policy_kwargs: dict(net_arch=[8])\n"
+        "  n_steps: 64\n"
+    )
+    main(["train", str(path), "--env", "MMCReach-v0", "--out", str(tmp_path / "run")])
+    assert "ppo-mine-0.safetensors: success" in capsys.readouterr().out
+    assert (tmp_path / "run" / "ppo-mine-0.json").exists()
+
+
+def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, capsys):
+    def fail(*arguments, **options):
+        raise CellError(3, "cell", "ValueError: the first line\nthe second")
+
+    monkeypatch.setattr("mmc_gym.agents.training_grid.train_all", fail)
+    with pytest.raises(SystemExit) as stop:
+        main(["train", "--all"])
+    assert stop.value.code == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
+    assert line.startswith("mmc-gym: cell 3, 'cell', failed: ValueError: the first line (")
+    monkeypatch.setenv("MMC_GYM_TRACEBACK", "1")
+    with pytest.raises(CellError):
+        main(["train", "--all"])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -39,6 +70,19 @@ def test_train_and_resume(tmp_path, capsys):
         (["train", "ppo", "--all"], "or else give --all"),
         (["train", "ppo", "--env", "MMCReachGoal-v0"], "env must be one of MMCReach-v0"),
         (["train", "--all", "--cluster", "slurm"], "cluster must be 'ray'"),
+        (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
+        (["train", "ppo", "--steps", "0"], "n_timesteps must be at least 1, got 0"),
+        (["train", "ppo", "--steps", "-5"], "n_timesteps must be at least 1, got -5"),
+        (["train", "ppo", "--device", "foo"], "device must be one that PyTorch can use here"),
+        (["train", "ppo", "--out", __file__], "out must be a folder, got the file"),
+        (["train", "ppo", "--cluster", "ray"], "--cluster is for --all only, got ray"),
+        (["train", "ppo", "--jobs", "-3"], "--jobs is for --all only, got -3"),
+        (["train", "--all", "--jobs", "-3"], "jobs must be at least 1, got -3"),
+        (["train", "--all", "--steps", "0"], "steps must be at least 1, got 0"),
+        (["train", "--all", "--out", __file__], "out must be a folder, got the file"),
+        (["train", "--all", "--seed", "3"], "--seed is for a single training only, got 3"),
+        (["train", "--all", "--env", "MMCReach-v0"], "--env is for a single training only"),
+        (["train", "--all", "--tensorboard", "logs"], "--tensorboard is for a single training"),
         (["tune", "mmc", "--trials", "0"], "trials must be at least 1"),
         (["play", "--agent", "mcc"], "mcc"),
     ],
