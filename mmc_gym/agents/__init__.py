@@ -34,6 +34,7 @@ from mmc_gym.agents.passive_motion import PassiveMotionAgent
 from mmc_gym.agents.random import RandomAgent
 from mmc_gym.agents.timed_mmc import TimedMMCAgent
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, Normalizer
+from mmc_gym.network.chain import Floats
 
 __all__ = ["AGENTS", "Agent", "AgentEntry", "agent_names", "find_agent", "make_agent"]
 
@@ -137,6 +138,19 @@ def _inverse_kinematics(
     return lambda env: InverseKinematicsAgent(ReachInterface.of(env), solver, iterations_per_step)
 
 
+def _limited_inverse_kinematics(
+    solver: Callable[..., Floats], iterations_per_step: int
+) -> Callable[[gym.Env[Any, Any]], InverseKinematicsAgent]:
+    """As `_inverse_kinematics`, of a solver that can heed joint limits."""
+
+    def make(env: gym.Env[Any, Any]) -> InverseKinematicsAgent:
+        interface = ReachInterface.of(env)
+        limited = partial(solver, joint_limits=interface.joint_limits)
+        return InverseKinematicsAgent(interface, limited, iterations_per_step, heeds_limits=True)
+
+    return make
+
+
 def _policy(name: str, seed: int, env: gym.Env[Any, Any]) -> Agent[Any]:
     from mmc_gym.agents.reinforcement import PolicyAgent
 
@@ -193,11 +207,11 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "ik-nullspace": AgentEntry(
         "as ik-dls, with a comfortable posture in the null space",
-        _inverse_kinematics(null_space, iterations_per_step=3),
+        _limited_inverse_kinematics(null_space, iterations_per_step=3),
     ),
     "ik-ccd": AgentEntry(
         "inverse kinematics by cyclic coordinate descent",
-        _inverse_kinematics(cyclic_coordinate_descent, iterations_per_step=3),
+        _limited_inverse_kinematics(cyclic_coordinate_descent, iterations_per_step=3),
     ),
     "ik-fabrik": AgentEntry(
         "inverse kinematics by FABRIK, forward and backward reaching",
@@ -205,7 +219,7 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "ik-closed-form": AgentEntry(
         "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
-        _inverse_kinematics(closed_form, iterations_per_step=1),
+        _limited_inverse_kinematics(closed_form, iterations_per_step=1),
     ),
     "mmc-bell": AgentEntry(
         "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",

@@ -10,6 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Generic, TypeAlias, TypeVar
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ from mmc_gym.network.chain import Floats, wrap_angle
 
 Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 State = TypeVar("State")
+JointLimits: TypeAlias = "tuple[tuple[float, float], ...]"
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class ReachInterface:
         speed_limit: largest joint speed, rad/s.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         control_step: duration of a control step, s.
+        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
     """
 
     segment_lengths: tuple[float, ...]
@@ -53,6 +56,7 @@ class ReachInterface:
     speed_limit: float
     servo_gain: float
     control_step: float
+    joint_limits: JointLimits | None = None
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any]) -> ReachInterface:
@@ -71,7 +75,8 @@ class ReachInterface:
     def told(cls, body: Any, control: str) -> ReachInterface:
         """That of an arm's parameters and a control mode."""
         return cls(
-            body.segment_lengths, control, body.speed_limit, body.servo_gain, body.control_step
+            *(body.segment_lengths, control, body.speed_limit, body.servo_gain, body.control_step),
+            body.joint_limits,
         )
 
     @property
@@ -97,22 +102,53 @@ class ReachInterface:
         if posture.shape[-1:] != (expected,):
             raise ValueError(f"observation must have shape (..., {expected}), got {posture.shape}")
         joint_angles = np.arctan2(posture[..., count : 2 * count], posture[..., :count])
-        return Sensed(joint_angles, target)
+        return Sensed(self.within_limits(joint_angles), target)
+
+    def within_limits(self, joint_angles: Floats) -> Floats:
+        """The angles within the joint limits that are nearest to these, (..., N); all if none."""
+        if self.joint_limits is None:
+            return joint_angles
+        low, high = self._low_and_high
+        middle, half = (low + high) / 2, (high - low) / 2
+        near: Floats = middle + np.clip(wrap_angle(joint_angles - middle), -half, half)
+        return near
+
+    def within_limits_from(self, before: Floats, joint_angles: Floats) -> Floats:
+        """Angles that joints come to on the short way, (..., N), from `before`, up to the limits.
+
+        An internal posture that is taken on by this never jumps from one limit to the other.
+        """
+        if self.joint_limits is None:
+            return joint_angles
+        low, high = self._low_and_high
+        stopped: Floats = np.clip(before + wrap_angle(joint_angles - before), low, high)
+        return stopped
+
+    def turn(self, joint_angles: Floats, joint_targets: Floats) -> Floats:
+        """By how much joints turn to targets, radians, (..., N): the short way, or that allowed."""
+        if self.joint_limits is None:
+            return wrap_angle(joint_targets - joint_angles)
+        return self.within_limits(joint_targets) - self.within_limits(joint_angles)
+
+    @cached_property
+    def _low_and_high(self) -> tuple[Floats, Floats]:
+        low, high = np.transpose(self.joint_limits or ())
+        return low, high
 
     def act(self, joint_targets: Floats, sensed: Sensed) -> NDArray[np.float32]:
         """The action, float32 within −1 and 1, that sends the joints to their targets (..., N).
 
         Position control is handed the targets.  Delta and velocity control are asked for the
-        speed that a position servo would ask for.
+        speed that a position servo would ask for.  Targets beyond a joint limit are at the limit,
+        and no joint is sent through the range that it must not enter.
 
         Raises:
             ValueError: under torque control, which has no servo to hand targets to.
         """
         if self.control == "joint_position":
-            action = wrap_angle(joint_targets) / math.pi
+            action = wrap_angle(self.within_limits(joint_targets)) / math.pi
         elif self.control in ("joint_delta", "joint_velocity"):
-            ahead = wrap_angle(joint_targets - sensed.joint_angles)
-            action = ahead / self.max_joint_delta
+            action = self.turn(sensed.joint_angles, joint_targets) / self.max_joint_delta
         else:
             raise ValueError(
                 "control must be 'joint_position', 'joint_delta' or 'joint_velocity' for an agent "
@@ -120,6 +156,11 @@ class ReachInterface:
             )
         clipped: NDArray[np.float32] = np.clip(action, -1.0, 1.0).astype(np.float32)
         return clipped
+
+    def check_takes_joint_targets(self) -> None:
+        """Raise a `ValueError` under torque control, which has no servo to hand targets to."""
+        rest = np.zeros(len(self.segment_lengths))
+        self.act(rest, Sensed(rest, np.zeros(2)))
 
 
 class Agent(ABC, Generic[State]):
@@ -162,9 +203,8 @@ class JointTargetAgent(Agent[State]):
         Raises:
             ValueError: under torque control.
         """
+        interface.check_takes_joint_targets()
         self.interface = interface
-        rest = np.zeros(len(interface.segment_lengths))
-        interface.act(rest, Sensed(rest, np.zeros(2)))  # refuses a control mode it can't serve
 
     @abstractmethod
     def start(self, sensed: Sensed) -> State:
@@ -173,6 +213,10 @@ class JointTargetAgent(Agent[State]):
     @abstractmethod
     def restart(self, state: State, fresh: State, started: NDArray[np.bool_]) -> State:
         """`state`, with those of `fresh` where an episode `started` (batch axes)."""
+
+    @abstractmethod
+    def batch_shape(self, state: State) -> tuple[int, ...]:
+        """Batch axes of a state."""
 
     @abstractmethod
     def advance(self, state: State, sensed: Sensed) -> tuple[Floats, State]:
@@ -187,12 +231,40 @@ class JointTargetAgent(Agent[State]):
     ) -> tuple[NDArray[np.float32], State | None]:
         """See `Agent.predict`; it is deterministic always."""
         sensed = self.interface.sense(observation)
+        batch = sensed.joint_angles.shape[:-1]
         if state is None:
             state = self.start(sensed)
-        elif episode_start is not None and np.any(episode_start):
-            started = np.broadcast_to(
-                np.asarray(episode_start, dtype=bool), sensed.joint_angles.shape[:-1]
-            )
-            state = self.restart(state, self.start(sensed), started)
+        else:
+            check_batch(self.batch_shape(state), batch)
+            started = episodes_started(episode_start, batch)
+            if started is not None:
+                state = self.restart(state, self.start(sensed), started)
         joint_targets, state = self.advance(state, sensed)
         return self.interface.act(joint_targets, sensed), state
+
+
+def check_batch(state_batch: tuple[int, ...], batch: tuple[int, ...]) -> None:
+    """Raise a `ValueError` if a state has other batch axes than the observation."""
+    if state_batch != batch:
+        raise ValueError(
+            f"state must be that of as many arms as are observed, batch {batch}, got {state_batch}"
+        )
+
+
+def episodes_started(
+    episode_start: Sequence[bool] | NDArray[np.bool_] | None, batch: tuple[int, ...]
+) -> NDArray[np.bool_] | None:
+    """Where episodes start, as a mask of the batch axes; None where none does.
+
+    Raises:
+        ValueError: if `episode_start` does not fit the batch.
+    """
+    if episode_start is None or not np.any(episode_start):
+        return None
+    given = np.asarray(episode_start, dtype=bool)
+    try:
+        return np.broadcast_to(given if batch or given.size != 1 else given.reshape(()), batch)
+    except ValueError as error:
+        raise ValueError(
+            f"episode_start must be of shape {batch}, as the observations are, got {given.shape}"
+        ) from error

@@ -19,14 +19,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from mmc_gym.agents.base import JointLimits
 from mmc_gym.agents.dead_end import SegmentLengths, nearest_reachable
 from mmc_gym.network.chain import Floats, wrap_angle
 
 ORIENTATIONS = 90
 """Orientations that a sweep takes on either side of the target's direction."""
 
+_SLACK = 1e-9  # radians beyond a limit that count as within
+_FAR = 1e3  # more than any squared distance of postures
 
-def closed_form(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:
+
+def closed_form(
+    joint_angles: Floats,
+    target: Floats,
+    segment_lengths: SegmentLengths,
+    joint_limits: JointLimits | None = None,
+) -> Floats:
     """The solution nearest to a posture; joint angles (..., N).
 
     It is a solver in the sense of `inverse_kinematics.Solver`, done after one iteration: its own
@@ -38,6 +47,9 @@ def closed_form(joint_angles: Floats, target: Floats, segment_lengths: SegmentLe
         joint_angles: the present posture, radians, (..., N).
         target: segment lengths, (..., 2).
         segment_lengths: N = 1, 2 or 3 lengths.
+        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
+            Solutions beyond them are left out, and the nearest is that by the way which they
+            leave.  If there is no other solution, the one least beyond, brought to the limits.
 
     Raises:
         ValueError: for another number of segments.
@@ -45,10 +57,17 @@ def closed_form(joint_angles: Floats, target: Floats, segment_lengths: SegmentLe
     >>> closed_form(np.array([0.5, 0.5]), np.array([1.0, 1.0]), (1.0, 1.0)).round(6)
     array([0.      , 1.570796])
     """
-    changes = wrap_angle(
-        solutions(target, segment_lengths, joint_angles) - joint_angles[..., None, :]
-    )
-    nearest = (changes * changes).sum(axis=-1).argmin(axis=-1)
+    found = solutions(target, segment_lengths, joint_angles)
+    changes = wrap_angle(found - joint_angles[..., None, :])
+    beyond: Floats | float = 0.0
+    if joint_limits is not None:
+        low, high = np.transpose(joint_limits)
+        within = (low + high) / 2 + wrap_angle(found - (low + high) / 2)
+        allowed = np.clip(within, low, high)
+        beyond = np.abs(within - allowed).max(axis=-1)
+        beyond = np.where(beyond > _SLACK, _FAR + beyond * _FAR, 0.0)
+        changes = allowed - joint_angles[..., None, :]
+    nearest = ((changes * changes).sum(axis=-1) + beyond).argmin(axis=-1)
     change = np.take_along_axis(changes, nearest[..., None, None], axis=-2)[..., 0, :]
     return joint_angles + change
 

@@ -31,13 +31,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents import body_observer
-from mmc_gym.agents.base import Agent, Observation, ReachInterface, Sensed
+from mmc_gym.agents.base import (
+    Agent,
+    Observation,
+    ReachInterface,
+    Sensed,
+    check_batch,
+    episodes_started,
+)
 from mmc_gym.agents.body_observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, Solver
-from mmc_gym.agents.mmc import out_of_line, restarted
+from mmc_gym.agents.mmc import out_of_line, restarted, run_within_limits
 from mmc_gym.network import MMCNetwork, MMCState
 from mmc_gym.network.chain import Floats, segments_from_joint_angles
-from mmc_gym.network.embodied import Embodiment, embodied_run
+from mmc_gym.network.embodied import Embodiment
 
 POSTURE_WEIGHT = 0.25
 """w of the agents by name."""
@@ -85,8 +92,7 @@ class ClosedLoopAgent(Agent[ClosedLoopState[Model]]):
             ValueError: under torque control, which has no servo to hand joint targets to.
         """
         self.observer, self.interface = observer, observer.interface
-        rest = np.zeros(len(self.interface.segment_lengths))
-        self.interface.act(rest, Sensed(rest, np.zeros(2)))
+        self.interface.check_takes_joint_targets()
 
     @abstractmethod
     def start(self, joint_angles: Floats) -> Model:
@@ -110,16 +116,18 @@ class ClosedLoopAgent(Agent[ClosedLoopState[Model]]):
         """See `Agent.predict`; it is deterministic always."""
         sensed = self.interface.sense(observation)
         hand = body_observer.seen_hand(self.interface, observation, sensed.target)
+        batch = sensed.joint_angles.shape[:-1]
         if state is None:
             state = self._fresh(sensed)
-        elif episode_start is not None and np.any(episode_start):
-            batch = sensed.joint_angles.shape[:-1]
-            started = np.broadcast_to(np.asarray(episode_start, dtype=bool), batch)
-            fresh = self._fresh(sensed)
-            state = ClosedLoopState(
-                self.restart(state.model, fresh.model, started),
-                body_observer.restarted(state.memory, fresh.memory, started),
-            )
+        else:
+            check_batch(state.memory.motion.expected.shape[:-1], batch)
+            started = episodes_started(episode_start, batch)
+            if started is not None:
+                fresh = self._fresh(sensed)
+                state = ClosedLoopState(
+                    self.restart(state.model, fresh.model, started),
+                    body_observer.restarted(state.memory, fresh.memory, started),
+                )
         belief, memory = self.observer.observe(state.memory, sensed, hand)
         joint_targets, model = self.advance(state.model, belief)
         memory = self.observer.sent(memory, joint_targets)
@@ -165,7 +173,8 @@ class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
             sensed = segments_from_joint_angles(model.joint_angles + belief.deviation, known)
         posture = belief.sensed.joint_angles
         body = Embodiment(lengths, sensed, weight, belief.locked, posture)
-        model = embodied_run(self.network, model, target, body, self.iterations_per_step)
+        count = self.iterations_per_step
+        model = run_within_limits(self.interface, self.network, model, target, body, count)
         return model.joint_angles, model
 
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mmc_gym.agents.base import JointLimits
 from mmc_gym.agents.dead_end import SegmentLengths
 from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.network.chain import Floats, wrap_angle
@@ -119,14 +120,17 @@ def null_space(
     comfort: float = 0.03,
     damping: float = 0.1,
     max_step: float = 0.1,
+    joint_limits: JointLimits | None = None,
 ) -> Floats:
     """One iteration of damped least squares with a comfortable posture; joint angles (..., N).
 
-    H = ½ Σ q_i² over all joints but the first: Liégeois's distance from the middle of the joints'
-    ranges, which is 0 here.  The first joint only says where the arm points.  Among all postures
-    that reach the target the evenly bent one is the most comfortable.  The projector is that of
-    the undamped pseudo-inverse, so comfort does not move the hand; it is bounded, so it needs no
-    damping.
+    H = ½ Σ (q_i − m_i)²: Liégeois's distance from the middles m of the joints' ranges.  Where there
+    are no limits these are 0, and the first joint, which only says where the arm points, is left
+    out: among all postures that reach the target the evenly bent one is the most comfortable.
+    With limits each term has a weight, (narrowest range / its range)⁴, and joints may pass through
+    the forbidden range here: comfort takes them out again, and the servos go round.  The projector
+    is that of the undamped pseudo-inverse, so comfort does not move the hand; it is bounded, so it
+    needs no damping.
 
     Args:
         joint_angles: radians, (..., N).
@@ -135,12 +139,18 @@ def null_space(
         comfort: κ, the share of the way to comfort that one iteration goes.
         damping: λ, segment lengths.
         max_step: longest error that is acted on, segment lengths.
+        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = shortened(target - hand, max_step)
     change = _damped_change(jacobian_x, jacobian_y, error, damping)
-    toward_comfort = -comfort * wrap_angle(joint_angles)
-    toward_comfort[..., 0] = 0.0
+    if joint_limits is None:
+        toward_comfort = -comfort * wrap_angle(joint_angles)
+        toward_comfort[..., 0] = 0.0
+    else:
+        middle, spread = np.mean(joint_limits, axis=-1), np.ptp(joint_limits, axis=-1)
+        weight = (spread.min() / spread) ** 4
+        toward_comfort = comfort * weight * wrap_angle(middle - joint_angles)
     for _, row, inverse in _singular_rows(jacobian_x, jacobian_y, truncation=1e-6):
         share = (row * toward_comfort).sum(axis=-1) * inverse
         toward_comfort = toward_comfort - share[..., None] * row

@@ -24,6 +24,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mmc_gym.agents.base import JointLimits
 from mmc_gym.agents.dead_end import SegmentLengths
 from mmc_gym.network.chain import Floats, wrap_angle
 
@@ -38,6 +39,7 @@ def cyclic_coordinate_descent(
     target: Floats,
     segment_lengths: SegmentLengths,
     max_change: float = 0.1,
+    joint_limits: JointLimits | None = None,
 ) -> Floats:
     """One iteration of cyclic coordinate descent, a turn of every joint; joint angles (..., N).
 
@@ -50,6 +52,8 @@ def cyclic_coordinate_descent(
         target: segment lengths, (..., 2).
         segment_lengths: N lengths.
         max_change: most that a joint turns, radians.
+        joint_limits: lowest and highest angle of each joint, radians, at which it stops, and the
+            joints after it take over; None: joints turn freely.
     """
     lengths = np.array(segment_lengths)
     aim = _points(target)
@@ -63,6 +67,9 @@ def cyclic_coordinate_descent(
         turn = (aim - joints[..., joint]) * reach.conj()
         angle = np.where(np.abs(turn) > least, np.angle(turn), 0.0)
         change[..., joint] = np.clip(angle, -max_change, max_change)
+        if joint_limits is not None:
+            present, (low, high) = joint_angles[..., joint], joint_limits[joint]
+            change[..., joint] = np.clip(present + change[..., joint], low, high) - present
         hand = joints[..., joint] + reach * np.exp(1j * change[..., joint])
     return joint_angles + change
 

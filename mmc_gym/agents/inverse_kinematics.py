@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.agents.base import JointLimits, JointTargetAgent, ReachInterface, Sensed
 from mmc_gym.agents.dead_end import SegmentLengths, leave_line, nearest_reachable
 from mmc_gym.network.chain import Floats, node_positions, segments_from_joint_angles
 
@@ -32,7 +32,11 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
     """Runs a solver on an internal posture; its state is that posture's joint angles (..., N)."""
 
     def __init__(
-        self, interface: ReachInterface, solver: Solver, iterations_per_step: int = 1
+        self,
+        interface: ReachInterface,
+        solver: Solver,
+        iterations_per_step: int = 1,
+        heeds_limits: bool = False,
     ) -> None:
         """Make the agent.
 
@@ -40,6 +44,7 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
             interface: of the environment.
             solver: one iteration of the method.
             iterations_per_step: iterations in a control step.
+            heeds_limits: whether the solver knows joint limits; otherwise its iterations end there.
 
         Raises:
             ValueError: if `iterations_per_step` is less than one, under torque control, or if
@@ -49,6 +54,7 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
             raise ValueError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
         super().__init__(interface)
         self.solver = solver
+        self._limits = None if heeds_limits else interface.joint_limits
         self.iterations_per_step = iterations_per_step
         lengths = interface.segment_lengths
         solver(np.zeros(len(lengths)), np.array([sum(lengths), 0.0]), lengths)  # refuses here
@@ -61,10 +67,14 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
         """The internal postures, the sensed ones where an episode started."""
         return np.where(started[..., None], fresh, state)
 
+    def batch_shape(self, state: Floats) -> tuple[int, ...]:
+        """Those of the internal postures."""
+        return state.shape[:-1]
+
     def advance(self, state: Floats, sensed: Sensed) -> tuple[Floats, Floats]:
         """Joint angles of the internal postures after the iterations of one control step."""
-        lengths = self.interface.segment_lengths
-        state = iterate(self.solver, state, sensed.target, lengths, self.iterations_per_step)
+        lengths, count = self.interface.segment_lengths, self.iterations_per_step
+        state = iterate(self.solver, state, sensed.target, lengths, count, self._limits)
         return state, state
 
 
@@ -74,6 +84,7 @@ def iterate(
     target: Floats,
     segment_lengths: SegmentLengths,
     iterations: int,
+    joint_limits: JointLimits | None = None,
 ) -> Floats:
     """Joint angles (..., N) after a number of a solver's iterations, out of a dead end if in one.
 
@@ -84,11 +95,15 @@ def iterate(
             an arm that goes on pulling outward trembles where it is stretched.
         segment_lengths: N lengths.
         iterations: how many.
+        joint_limits: lowest and highest angle of each joint, radians; an iteration that goes
+            beyond ends there.  None: joints turn freely.
     """
     target = nearest_reachable(target, segment_lengths)
     joint_angles = leave_line(joint_angles, target, segment_lengths)
     for _ in range(iterations):
         joint_angles = solver(joint_angles, target, segment_lengths)
+        if joint_limits is not None:
+            joint_angles = np.clip(joint_angles, *np.transpose(joint_limits))
     return joint_angles
 
 

@@ -77,12 +77,19 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
             np.where(started[..., None], fresh.joint_angles, state.joint_angles),
         )
 
+    def batch_shape(self, state: MinimumJerkState) -> tuple[int, ...]:
+        """Those of the postures."""
+        return state.joint_angles.shape[:-1]
+
     def advance(self, state: MinimumJerkState, sensed: Sensed) -> tuple[Floats, MinimumJerkState]:
         """Joint angles that put the hand where the plan has it after one control step."""
         plan, lengths = state.plan, self.interface.segment_lengths
         movement = follow(state.movement, plan.position, sensed.target, self.interface.control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)
-        joint_angles = iterate(_track, state.joint_angles, plan.position, lengths, ITERATIONS)
+        joint_angles = iterate(
+            *(_track, state.joint_angles, plan.position, lengths, ITERATIONS),
+            self.interface.joint_limits,
+        )
         return joint_angles, MinimumJerkState(plan, step(movement), joint_angles)
 
 

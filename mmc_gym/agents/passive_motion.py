@@ -94,6 +94,10 @@ class PassiveMotionAgent(JointTargetAgent[PassiveMotionState]):
             np.where(started[..., None], fresh.joint_angles, state.joint_angles),
         )
 
+    def batch_shape(self, state: PassiveMotionState) -> tuple[int, ...]:
+        """Those of the internal bodies."""
+        return state.joint_angles.shape[:-1]
+
     def advance(
         self, state: PassiveMotionState, sensed: Sensed
     ) -> tuple[Floats, PassiveMotionState]:
@@ -106,7 +110,8 @@ class PassiveMotionAgent(JointTargetAgent[PassiveMotionState]):
         for part in range(1, SUBSTEPS + 1):
             number = SUBSTEPS * movement.elapsed + part
             pulled = share(number, SUBSTEPS * movement.duration)
-            joint_angles = passive_motion_step(joint_angles, target, pulled, lengths)
+            moved = passive_motion_step(joint_angles, target, pulled, lengths)
+            joint_angles = self.interface.within_limits_from(joint_angles, moved)
         return joint_angles, PassiveMotionState(step(movement), joint_angles)
 
 

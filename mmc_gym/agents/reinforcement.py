@@ -212,7 +212,10 @@ class PolicyAgent(Agent[Any]):
         if self._convert:
             sensed = self._interface.sense(observation)
             ahead = self._interface.max_joint_delta * action
-            action = self._interface.act(sensed.joint_angles + ahead, sensed)
+            joint_targets = self._interface.within_limits_from(
+                sensed.joint_angles, sensed.joint_angles + ahead
+            )
+            action = self._interface.act(joint_targets, sensed)
         return action, state
 
 

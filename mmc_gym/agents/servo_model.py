@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from mmc_gym.agents.base import ReachInterface
-from mmc_gym.network.chain import Floats, wrap_angle
+from mmc_gym.network.chain import Floats
 
 
 def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
@@ -24,7 +24,8 @@ def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets
     Args:
         interface: knows gain and speed limit.
         joint_angles: where the joints are, radians, (..., N).
-        joint_targets: what their servos are sent to, the short way round, radians, (..., N).
+        joint_targets: what their servos are sent to, radians, (..., N); the short way
+            round, or the way that joint limits leave.
 
     >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
     >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
@@ -32,5 +33,5 @@ def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets
     """
     step = interface.control_step
     share, most = 1 - math.exp(-interface.servo_gain * step), interface.speed_limit * step
-    turn: Floats = np.clip(share * wrap_angle(joint_targets - joint_angles), -most, most)
+    turn: Floats = np.clip(share * interface.turn(joint_angles, joint_targets), -most, most)
     return turn

@@ -16,7 +16,7 @@ from mmc_gym.agents.base import Sensed
 from mmc_gym.agents.mmc import NetworkAgent, out_of_line, restarted
 from mmc_gym.agents.movement import Movement, begin, follow, step, where
 from mmc_gym.network import MMCState
-from mmc_gym.network.chain import Floats
+from mmc_gym.network.chain import Floats, wrap_angle
 from mmc_gym.network.time_base import share, timed_step
 
 
@@ -45,6 +45,10 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
             where(started, fresh.movement, state.movement),
         )
 
+    def batch_shape(self, state: TimedMMCState) -> tuple[int, ...]:
+        """Those of the networks."""
+        return state.network.batch_shape
+
     def advance(self, state: TimedMMCState, sensed: Sensed) -> tuple[Floats, TimedMMCState]:
         """Joint angles of the networks after the iterations of one control step."""
         network, count = state.network, self.iterations_per_step
@@ -53,5 +57,15 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         network = out_of_line(self.network, network, self.network.inverse(movement.target))
         for part in range(1, count + 1):
             way = share(count * movement.elapsed + part, count * movement.duration)
-            network = timed_step(self.network, network, movement.target, way)
+            network = self._within_limits(timed_step(self.network, network, movement.target, way))
         return network.joint_angles, TimedMMCState(network, step(movement))
+
+    def _within_limits(self, network: MMCState) -> MMCState:
+        """The networks, those with a joint beyond its limit halfway back within."""
+        if self.interface.joint_limits is None:
+            return network
+        joint_angles = network.joint_angles
+        back = wrap_angle(self.interface.within_limits(joint_angles) - joint_angles) / 2
+        is_beyond = np.asarray((np.abs(back) > 1e-9).any(axis=-1))
+        nearer = self.network.state_from_joint_angles(joint_angles + back)
+        return restarted(network, nearer, is_beyond)

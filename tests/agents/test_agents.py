@@ -1,5 +1,7 @@
 """Every agent, in every environment that it can act in."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from mmc_gym import make_agent
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.base import ReachInterface
+from mmc_gym.agents.base import ReachInterface, Sensed
 from mmc_gym.agents.differential import damped_least_squares
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent
 from mmc_gym.agents.mmc import MMCAgent, out_of_line
@@ -143,6 +145,75 @@ def test_only_arms_that_are_stuck_are_bent():
     after = out_of_line(network, both, network.inverse([[2.0, 0.0], [2.0, 0.0]]))
     assert np.any(after.values[..., 0] != both.values[..., 0])
     np.testing.assert_array_equal(after.values[..., 1], both.values[..., 1])
+
+
+LIMITS = ((-3.0, 3.0), (-2.0, 2.0), (-2.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "at_least"),
+    [
+        *(("mmc", 0.75), ("mmc-neural", 0.75), ("mmc-closed", 0.7), ("mmc-bell", 0.45)),
+        *(("ik-dls", 0.7), ("ik-ccd", 0.7), ("ik-fabrik", 0.55), ("ik-nullspace", 0.9)),
+        *(("ik-closed-form", 0.99), ("minimum-jerk", 0.7), ("pmp", 0.7), ("ik-dls-feedback", 0.7)),
+    ],
+)
+def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_control(name, at_least):
+    """Nobody searches for ways round: what is not reached is behind one."""
+    rates = [
+        success_rate_together(name, 200, control=control, joint_limits=LIMITS)
+        for control in ("joint_delta", "joint_position")
+    ]
+    assert min(rates) >= at_least
+    assert abs(rates[0] - rates[1]) <= 0.05
+
+
+@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+def test_no_joint_is_sent_beyond_its_limits(name):
+    limits = ((-1.5, 1.5), (0.0, 2.5), (-1.0, 2.0))
+    envs = gym.make_vec("MMCReach-v0", num_envs=30, joint_limits=limits)
+    agent = make_agent(name, envs)
+    (observations, _), state = envs.reset(seed=0), None
+    low, high = np.transpose(limits) / np.pi
+    for _ in range(60):
+        actions, state = agent.predict(observations, state)
+        assert (actions >= low - 1e-6).all()
+        assert (actions <= high + 1e-6).all()
+        observations, *_ = envs.step(actions)
+
+
+def test_delta_control_goes_the_way_that_limits_leave():
+    interface = replace(
+        ReachInterface.of(gym.make("MMCReach-v0", control="joint_delta")), joint_limits=LIMITS
+    )
+    sensed = Sensed(np.array([2.9, 0.0, 1.9]), np.zeros(2))
+    assert interface.act(np.array([-2.9, 0.0, 2.5]), sensed)[0] == -1.0  # not across pi
+    assert 0 < interface.act(np.array([2.9, 0.0, 2.5]), sensed)[2] < 0.2  # to 2, no farther
+
+
+def test_wide_limits_change_nothing_for_an_arm_that_stays_within():
+    start = {"joint_angles": [0.3, 0.4, 0.4], "target": [1.0, 1.5]}
+    actions = []
+    for limits in (None, ((-np.pi, np.pi),) * 3):
+        env = gym.make("MMCReach-v0", joint_limits=limits)
+        (observation, _), state, agent = env.reset(options=start), None, make_agent("mmc", env)
+        for _ in range(20):
+            action, state = agent.predict(observation, state)
+            actions.append(action)
+            observation, *_ = env.step(action)
+    np.testing.assert_allclose(actions[:20], actions[20:], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mmc", "mmc-bell", "mmc-closed", "ik-dls", "minimum-jerk", "pmp"])
+def test_a_state_of_other_arms_is_an_error(name):
+    agent = make_agent(name, gym.make("MMCReach-v0"))
+    observations, _ = gym.make_vec("MMCReach-v0", num_envs=4).reset(seed=0)
+    _, state = agent.predict(observations)
+    for other in (observations[0], observations[:3]):
+        with pytest.raises(ValueError, match=r"state must be that of as many arms .* got \(4,\)"):
+            agent.predict(other, state)
+    with pytest.raises(ValueError, match=r"episode_start must be of shape \(4,\)"):
+        agent.predict(observations, state, [True, False, False])
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
