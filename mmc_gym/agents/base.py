@@ -60,15 +60,14 @@ class ReachInterface:
 
     @classmethod
     def of(cls, env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any]) -> ReachInterface:
-        """Read it off an environment or a native vector environment, wrapped or not.
+        """Read it off an environment, wrapped or not, or a vector of equal ones of any kind.
 
         Raises:
-            ValueError: if it is none of this package's reaching environments.
+            ValueError: if it is none of this package's reaching environments, or they differ.
         """
-        body = getattr(env.unwrapped, "parameters", None)
-        control = getattr(env.unwrapped, "control", None)
+        body, control = told_by(env, "parameters"), told_by(env, "control")
         if body is None or control is None:
-            raise ValueError(f"env must be a reaching environment of mmc_gym, got {env}")
+            raise ValueError(f"env must be a reaching environment of mmc_gym, got {env!r}")
         return cls.told(body, control)
 
     @classmethod
@@ -103,6 +102,20 @@ class ReachInterface:
             raise ValueError(f"observation must have shape (..., {expected}), got {posture.shape}")
         joint_angles = np.arctan2(posture[..., count : 2 * count], posture[..., :count])
         return Sensed(self.within_limits(joint_angles), target)
+
+    def checked(self, observation: Observation) -> Observation:
+        """The observation as arrays.
+
+        Raises:
+            ValueError: if its last axis has another length than that of this environment.
+        """
+        if isinstance(observation, Mapping):
+            arrays = {name: np.asarray(value) for name, value in observation.items()}
+            self.sense(arrays)
+            return arrays
+        array = np.asarray(observation, dtype=np.float32)
+        self.sense(array)
+        return array
 
     def within_limits(self, joint_angles: Floats) -> Floats:
         """The angles within the joint limits that are nearest to these, (..., N); all if none."""
@@ -161,6 +174,45 @@ class ReachInterface:
         """Raise a `ValueError` under torque control, which has no servo to hand targets to."""
         rest = np.zeros(len(self.segment_lengths))
         self.act(rest, Sensed(rest, np.zeros(2)))
+
+
+def told_by(env: Any, name: str) -> Any:
+    """An attribute of a reaching environment; None if it has none of that name.
+
+    Args:
+        env: an environment, wrapped or not, or a vector of them: Gymnasium's, native or not, or
+            stable-baselines3's.
+        name: of the attribute.
+
+    Raises:
+        ValueError: if it is not the same for all environments of a vector.
+    """
+    value = getattr(getattr(env, "unwrapped", None), name, None)
+    if value is not None or not hasattr(env, "get_attr"):
+        return value
+    try:
+        values = list(env.get_attr(name))
+    except AttributeError:
+        return None
+    if any(other != values[0] for other in values):
+        raise ValueError(f"env must be of environments with the same {name}, got {values}")
+    return values[0] if values else None
+
+
+class ControlError(ValueError):
+    """An agent cannot act by the actions of an environment.
+
+    Attributes:
+        control: the control mode that it acts by.
+    """
+
+    def __init__(self, message: str, control: str) -> None:
+        """Say what is wrong, and what would be right."""
+        super().__init__(message, control)
+        self.control = control
+
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 class Agent(ABC, Generic[State]):

@@ -38,6 +38,7 @@ from mmc_gym.agents.base import (
     Sensed,
     check_batch,
     episodes_started,
+    told_by,
 )
 from mmc_gym.agents.body_observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, Solver
@@ -249,5 +250,5 @@ def closed_loop_inverse_kinematics(
 
 def told_lockable(env: gym.Env[Any, Any]) -> tuple[int, ...]:
     """Joints of which agents are told that they lock, or may lock."""
-    body = getattr(env.unwrapped, "parameters", None)
+    body = told_by(env, "parameters")
     return body.lockable_joints if body else ()
