@@ -36,7 +36,15 @@ from mmc_gym.agents.timed_mmc import TimedMMCAgent
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, Normalizer
 from mmc_gym.network.chain import Floats
 
-__all__ = ["AGENTS", "Agent", "AgentEntry", "agent_names", "find_agent", "make_agent"]
+__all__ = [
+    "AGENTS",
+    "Agent",
+    "AgentEntry",
+    "agent_names",
+    "find_agent",
+    "is_policy_path",
+    "make_agent",
+]
 
 
 @dataclass(frozen=True)
@@ -59,11 +67,14 @@ def make_agent(name: str, env: gym.Env[Any, Any]) -> Agent[Any]:
 
     Args:
         name: a key of `AGENTS`; for trained agents also "NAME-SEED", such as "ppo-3", where NAME
-            alone is the training of seed 0.
+            alone is the training of seed 0.  Or the path of a policy of one's own, of either of its
+            two files, such as "runs/ppo-1/ppo-1.safetensors".
         env: a reaching environment; the agent is told its segment lengths and control mode.
 
     Raises:
-        ValueError: for an unknown name, or an environment that the agent cannot act in.
+        ValueError: for an unknown name, a file that holds no policy, or an environment that the
+            agent cannot act in.
+        FileNotFoundError: if a file of the policy is missing.
 
     >>> import gymnasium as gym, mmc_gym
     >>> env = gym.make("MMCReach-v0")
@@ -83,11 +94,20 @@ def make_agent(name: str, env: gym.Env[Any, Any]) -> Agent[Any]:
 
 def find_agent(name: str) -> Callable[[gym.Env[Any, Any]], Agent[Any]] | None:
     """What makes the agent of a name that `make_agent` accepts; None for any other name."""
+    if not isinstance(name, str):
+        return None
+    if is_policy_path(name):
+        return partial(_policy_of_file, name)
     if name in AGENTS:
         return AGENTS[name].make
     kind, _, seed = name.rpartition("-")
     is_shipped = kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds))
     return partial(_policy, kind, int(seed)) if is_shipped else None
+
+
+def is_policy_path(name: str) -> bool:
+    """Whether a name is the path of a policy's file."""
+    return name.endswith((".json", ".safetensors"))
 
 
 def agent_names() -> str:
@@ -155,6 +175,12 @@ def _policy(name: str, seed: int, env: gym.Env[Any, Any]) -> Agent[Any]:
     from mmc_gym.agents.reinforcement import PolicyAgent
 
     return PolicyAgent.shipped(name, seed, ReachInterface.of(env))
+
+
+def _policy_of_file(path: str, env: gym.Env[Any, Any]) -> Agent[Any]:
+    from mmc_gym.agents.reinforcement import PolicyAgent, load_policy
+
+    return PolicyAgent(*load_policy(path), ReachInterface.of(env))
 
 
 def _trained(name: str, description: str, training_seeds: int) -> AgentEntry:

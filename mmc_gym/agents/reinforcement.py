@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.resources import files
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, Observation, ReachInterface
+from mmc_gym.agents.base import Agent, ControlError, Observation, ReachInterface
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
@@ -29,6 +30,7 @@ from mmc_gym.network import EuclideanNormalizer
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
+CONTROLS = ("joint_position", "joint_delta", "joint_velocity", "joint_torque")
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 
 
@@ -98,7 +100,7 @@ def save_policy(network: PolicyNetwork, card: PolicyCard, folder: Path) -> None:
         write_atomically(folder / name, content)
 
 
-def load_policy(path: Path) -> tuple[PolicyNetwork, PolicyCard]:
+def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
     """Read a policy.
 
     Args:
@@ -106,8 +108,14 @@ def load_policy(path: Path) -> tuple[PolicyNetwork, PolicyCard]:
 
     Raises:
         FileNotFoundError: if one of them is missing.
-        ValueError: if one is damaged, or they do not belong together.
+        ValueError: if one is damaged, or they do not belong together; for a folder, too.
     """
+    path = Path(path)
+    if path.suffix not in (".json", ".safetensors"):
+        raise ValueError(
+            "path must be that of a policy's file, NAME.json or NAME.safetensors, "
+            f"got {str(path)!r}"
+        )
     text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
     try:
@@ -116,12 +124,13 @@ def load_policy(path: Path) -> tuple[PolicyNetwork, PolicyCard]:
         if not isinstance(values, dict) or set(values) != known:
             raise ValueError("its card has other entries than a policy's")
         card = PolicyCard(**values)
+        _check_card(card)
         if hashlib.sha256(weights).hexdigest() != card.sha256:
             raise ValueError("its weights are not those of its card")
         tensors = safetensors.numpy.load(weights)
         network = PolicyNetwork(tensors, card.activation, card.distribution)
-        if card.view not in get_args(View):
-            raise ValueError(f"view must be one of {get_args(View)}, got {card.view!r}")
+        if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
+            raise ValueError("its weights must be finite")
         if network.action_size != card.segment_count:
             raise ValueError(
                 f"its card says {card.segment_count} joints, its weights {network.action_size}"
@@ -129,6 +138,67 @@ def load_policy(path: Path) -> tuple[PolicyNetwork, PolicyCard]:
     except (ValueError, TypeError, RecursionError, SafetensorError) as error:
         raise ValueError(f"{path.with_suffix('')} does not hold a policy: {error}") from error
     return network, card
+
+
+def _check_card(card: PolicyCard) -> None:
+    """Raise a `ValueError` if an entry of a card is of another type or range than it must be."""
+
+    def is_number(value: object) -> bool:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+    def is_whole(value: object) -> bool:
+        return isinstance(value, int) and not isinstance(value, bool)
+
+    def is_row(value: object) -> bool:
+        """Of measures; one without a value may be None."""
+        return isinstance(value, dict) and all(
+            one is None or is_number(one) for one in value.values()
+        )
+
+    squashed = card.algorithm != "ppo"
+    rules: dict[str, tuple[bool, str]] = {
+        **{
+            name: (isinstance(getattr(card, name), str), "a text")
+            for name in ("name", "env_id", "sha256")
+        },
+        **{
+            name: (isinstance(value, str) and value in accepted, f"one of {accepted}")
+            for name, value, accepted in (
+                ("algorithm", card.algorithm, ("ppo", "sac", "tqc")),
+                ("control", card.control, CONTROLS),
+                ("view", card.view, get_args(View)),
+                ("activation", card.activation, get_args(Activation)),
+                ("base_agent", card.base_agent, ("", *BASE_AGENTS)),
+            )
+        },
+        "segment_count": (is_whole(card.segment_count) and card.segment_count > 0, "a number > 0"),
+        "hyperparameters": (isinstance(card.hyperparameters, dict), "a table"),
+        "seed": (is_whole(card.seed) and card.seed >= 0, "a whole number >= 0"),
+        "versions": (isinstance(card.versions, dict), "a table"),
+        "scores": (is_row(card.scores), "a table of numbers"),
+        "learning_curve": (
+            isinstance(card.learning_curve, list) and all(map(is_row, card.learning_curve)),
+            "tables of numbers",
+        ),
+        "distribution": (
+            card.distribution == ("squashed" if squashed else "gaussian"),
+            f"that of {card.algorithm!r}",
+        ),
+        "training_steps": (
+            is_whole(card.training_steps) and card.training_steps >= 0,
+            "a whole number >= 0",
+        ),
+        **{
+            name: (is_number(value) and 0 <= value < math.inf, "a number >= 0")
+            for name, value in (
+                ("training_seconds", card.training_seconds),
+                ("training_cpu_seconds", card.training_cpu_seconds),
+            )
+        },
+    }
+    for name, (fine, accepted) in rules.items():
+        if not fine:
+            raise ValueError(f"{name} must be {accepted}, got {getattr(card, name)!r}")
 
 
 class PolicyAgent(Agent[Any]):
@@ -159,8 +229,9 @@ class PolicyAgent(Agent[Any]):
             )
         same = card.control == interface.control
         if not same and (card.control, interface.control) != ("joint_delta", "joint_position"):
-            raise ValueError(
-                f"control must be {card.control!r} for this policy, got {interface.control!r}"
+            raise ControlError(
+                f"control must be {card.control!r} for this policy, got {interface.control!r}",
+                card.control,
             )
         if card.base_agent and card.base_agent not in BASE_AGENTS:
             raise ValueError(
@@ -180,6 +251,7 @@ class PolicyAgent(Agent[Any]):
         self._interface = interface
         self._convert = not same
         self._random = np.random.default_rng(seed)
+        self._shape = (3 * count + 4,)
         self._joint_count, self._reach = count, sum(interface.segment_lengths)
         self._base = None
         if card.base_agent:
@@ -198,6 +270,8 @@ class PolicyAgent(Agent[Any]):
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], Any]:
         """See `Agent.predict`."""
+        if not isinstance(observation, np.ndarray) or observation.shape[-1:] != self._shape:
+            observation = self._interface.checked(observation)
         seen = features(np, self.card.view, observation, self._joint_count, self._reach)
         seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random

@@ -10,7 +10,8 @@ from typing import Any, TypeAlias, cast
 
 import gymnasium as gym
 
-from mmc_gym.agents import agent_names, find_agent
+from mmc_gym.agents import agent_names, find_agent, is_policy_path
+from mmc_gym.agents.base import ControlError
 from mmc_gym.evaluation.rollout import Predictor
 
 Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
@@ -20,7 +21,8 @@ AgentLike: TypeAlias = str | Predictor | Factory
 def entrants(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> dict[str, Factory]:
     """Label and factory of each agent, in the order given.
 
-    An agent is a name that `mmc_gym.make_agent` accepts; `"module:function"`, where the
+    An agent is a name that `mmc_gym.make_agent` accepts, or the path of a policy, which is called
+    by the file's name without suffix; `"module:function"`, where the
     function is called with the environment and returns an object with stable-baselines3's
     `predict` (modules in the working directory are found); such a function; or such an object,
     for instance a stable-baselines3 model.  A mapping gives the labels; otherwise strings stand
@@ -44,6 +46,31 @@ def entrants(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> dict[str,
     return {label: _factory(agent) for label, agent in labelled}
 
 
+def make_for(
+    factory: Factory, make_env: Callable[[str | None], gym.Env[Any, Any]]
+) -> tuple[gym.Env[Any, Any], Predictor]:
+    """An environment, and an agent made for it; under the agent's control if it knows no other.
+
+    Args:
+        factory: makes the agent.
+        make_env: makes the environment, with its own control mode for None.
+    """
+    env = make_env(None)
+    try:
+        return env, factory(env)
+    except ControlError as refusal:
+        env.close()
+        env = make_env(refusal.control)
+    except BaseException:
+        env.close()
+        raise
+    try:
+        return env, factory(env)
+    except BaseException:
+        env.close()
+        raise
+
+
 def training_steps(agent: object) -> int | None:
     """Environment steps spent in training an agent; None if it does not tell.
 
@@ -58,7 +85,7 @@ def training_steps(agent: object) -> int | None:
 
 def _label(agent: AgentLike) -> str:
     if isinstance(agent, str):
-        return agent
+        return Path(agent).stem if is_policy_path(agent) else agent
     return cast(str, getattr(agent, "__name__", type(agent).__name__))
 
 
@@ -74,7 +101,8 @@ def _factory(agent: AgentLike) -> Factory:
     elif ":" in agent:
         return _imported(agent)
     raise ValueError(
-        f"agents must be among {agent_names()}, or be given as 'module:function', got {agent!r}"
+        f"agents must be among {agent_names()}, or be given as 'module:function' or by the path "
+        f"of a policy's file, got {agent!r}"
     )
 
 

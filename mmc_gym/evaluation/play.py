@@ -11,9 +11,10 @@ import gymnasium as gym
 import numpy as np
 import pygame
 
-from mmc_gym.agents import AGENTS, make_agent
+from mmc_gym.agents import AGENTS
 from mmc_gym.envs import drawing
 from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.evaluation.entrants import entrants, make_for
 from mmc_gym.evaluation.rollout import Predictor
 
 HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
@@ -27,17 +28,27 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
     """Let the mouse move the target, and an agent the arm, until the window is closed.
 
     Args:
-        agent: name of the first agent, one of `mmc_gym.agents.AGENTS`.
+        agent: the first agent: a name that `mmc_gym.make_agent` accepts, the path of a policy's
+            file, or "module:function"; keys choose among `mmc_gym.agents.AGENTS`.
         env: id of a reaching environment; its time limit is lifted.
         seed: of the postures, or None for others each time.
 
     Raises:
         ValueError: for an unknown agent, or an environment that is no `MMCReachEnv`.
     """
-    world = gym.make(env, render_mode="rgb_array", max_episode_steps=-1)
+    ((label, factory),) = entrants([agent]).items()
+
+    def make_world(control: str | None) -> gym.Env[Any, Any]:
+        arguments: dict[str, Any] = {} if control is None else {"control": control}
+        return gym.make(env, render_mode="rgb_array", max_episode_steps=-1, **arguments)
+
+    world, _ = make_for(factory, make_world)
     try:
-        makers = {name: partial(make_agent, name, world) for name in AGENTS}
-        Game(world, makers, agent, seed).run()
+        factories = {name: entry.make for name, entry in AGENTS.items()}
+        makers = {
+            name: partial(make, world) for name, make in {**factories, label: factory}.items()
+        }
+        Game(world, makers, label, seed).run()
     finally:
         world.close()
         pygame.display.quit()

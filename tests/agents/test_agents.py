@@ -14,6 +14,7 @@ from mmc_gym.agents.base import ReachInterface, Sensed
 from mmc_gym.agents.differential import damped_least_squares
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent
 from mmc_gym.agents.mmc import MMCAgent, out_of_line
+from mmc_gym.agents.vec_env import GymnasiumVecEnv
 from mmc_gym.network import MMCNetwork
 
 NETWORKS = ("mmc", "mmc-classical", "mmc-neural", "mmc-bell")
@@ -304,6 +305,32 @@ def test_an_unknown_agent_is_an_error_that_lists_the_known():
 def test_another_environment_is_an_error():
     with pytest.raises(ValueError, match="env must be a reaching environment"):
         make_agent("mmc", gym.make("Pendulum-v1"))
+
+
+@pytest.mark.parametrize("env", [None, "MMCReach-v0", 3])
+def test_what_is_no_environment_is_an_error(env):
+    with pytest.raises(ValueError, match="env must be a reaching environment of mmc_gym, got"):
+        make_agent("mmc", env)
+
+
+def test_what_is_no_name_is_an_error():
+    with pytest.raises(ValueError, match=r"agent must be one of mmc, .*, got None"):
+        make_agent(None, gym.make("MMCReach-v0"))
+
+
+def test_vectors_of_any_kind_tell_what_their_environments_do():
+    told = ReachInterface.of(gym.make("MMCReach-v0"))
+    native = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
+    for envs in (
+        native,
+        gym.make_vec("MMCReach-v0", 2, vectorization_mode="sync"),
+        make_vec_env("MMCReach-v0", n_envs=2),
+        GymnasiumVecEnv(native),
+    ):
+        assert ReachInterface.of(envs) == told
+        assert make_agent("mmc-lock", envs).interface == told
+    with pytest.raises(ValueError, match="env must be a reaching environment of mmc_gym"):
+        ReachInterface.of(make_vec_env("Pendulum-v1"))
 
 
 def test_a_wrong_observation_is_an_error():

@@ -19,6 +19,7 @@ from mmc_gym.agents.reinforcement import (
 )
 from mmc_gym.agents.training import evaluate
 from mmc_gym.agents.training_grid import shipped_cells
+from mmc_gym.evaluation.entrants import entrants
 
 MEBIBYTE = 2**20
 SHIPPED = [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}") for cell in shipped_cells()]
@@ -117,12 +118,49 @@ def test_damaged_weights_are_an_error(copy):
         ({"segment_count": 4}, "its card says 4 joints, its weights 3"),
         ({"extra": 1}, "other entries"),
         ({"sha256": ""}, "its weights are not those of its card"),
+        ({"training_steps": "many"}, "training_steps must be a whole number >= 0, got 'many'"),
+        ({"training_seconds": float("nan")}, "training_seconds must be a number >= 0"),
+        ({"hyperparameters": None}, "hyperparameters must be a table, got None"),
+        ({"learning_curve": "x"}, "learning_curve must be tables of numbers, got 'x'"),
+        ({"base_agent": ["mmc"]}, "base_agent must be one of"),
+        ({"segment_count": "3"}, "segment_count must be a number > 0, got '3'"),
+        ({"control": "thought"}, "control must be one of"),
+        ({"distribution": "squashed"}, "distribution must be that of 'ppo', got 'squashed'"),
     ],
 )
 def test_a_card_that_does_not_fit_is_an_error(copy, changes, message):
     edit(copy, **changes)
     with pytest.raises(ValueError, match=message):
         load_policy(copy)
+
+
+def test_weights_that_are_no_numbers_are_an_error(copy, tmp_path):
+    network, card = load_policy(copy)
+    network.tensors["mean.bias"] = np.full_like(network.tensors["mean.bias"], np.nan)
+    save_policy(network, card, tmp_path)
+    with pytest.raises(ValueError, match="its weights must be finite"):
+        load_policy(copy)
+
+
+def test_a_policy_of_ones_own_is_an_agent_by_its_path(copy):
+    env = gym.make("MMCReach-v0")
+    observation, _ = env.reset(seed=0)
+    shipped, _ = make_agent("ppo-0", env).predict(observation, deterministic=True)
+    for path in (copy, copy.with_suffix(".safetensors")):
+        own, _ = make_agent(str(path), env).predict(observation, deterministic=True)
+        np.testing.assert_array_equal(own, shipped)
+    assert list(entrants([str(copy), "ppo-1"])) == ["ppo-0", "ppo-1"]
+    with pytest.raises(FileNotFoundError):
+        make_agent(str(copy.with_stem("ppo-7")), env)
+    with pytest.raises(ValueError, match="path must be that of a policy's file"):
+        load_policy(str(copy.parent))
+
+
+def test_a_policy_refuses_an_observation_of_another_shape():
+    agent = make_agent("ppo", gym.make("MMCReach-v0"))
+    with pytest.raises(ValueError, match=r"must have shape \(\.\.\., 13\), got \(14,\)"):
+        agent.predict(np.zeros(14, dtype=np.float32))
+    assert agent.predict([0.0] * 13)[0].shape == (3,)
 
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe", b"[" * 100_000])

@@ -10,6 +10,7 @@ import pygame
 import pytest
 
 from mmc_gym.agents import AGENTS
+from mmc_gym.agents.reinforcement import PRETRAINED
 from mmc_gym.envs.drawing import SIZE, View
 from mmc_gym.evaluation.play import Game, play
 
@@ -208,7 +209,10 @@ def test_the_window_tells_agent_distance_and_speed(game: Game) -> None:
     assert "hand speed 7.7/s" in game._measures()
 
 
-@pytest.mark.parametrize("agent", ["mmc", "ik-dls", "random"])
+POLICY = str(PRETRAINED / "ppo-1.json")
+
+
+@pytest.mark.parametrize("agent", ["mmc", "ik-dls", "random", "ppo-3", "ppo-torque", POLICY])
 @pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
 def test_play_opens_and_closes_its_window(agent: str, env_id: str) -> None:
     pygame.display.init()
@@ -228,7 +232,7 @@ def test_an_agent_follows_the_mouse(env: gym.Env) -> None:
 
 
 def test_what_cannot_be_played_is_refused(env: gym.Env, agents: dict[str, Recorder]) -> None:
-    with pytest.raises(ValueError, match=r"agent must be one of .*'mmc'.* got 'nobody'"):
+    with pytest.raises(ValueError, match=r"agents must be among mmc, .* got 'nobody'"):
         play("nobody")
     assert not pygame.display.get_init()
     with pytest.raises(ValueError, match="env must be a reaching environment"):
