@@ -20,7 +20,14 @@ from mmc_gym.evaluation.measures import MEASURES, Measure, leave_out_failures
 from mmc_gym.evaluation.ranking_table import RANKING
 from mmc_gym.evaluation.report.identity import Identity, agent_order, identify, labelled
 from mmc_gym.evaluation.report.knowledge import Kind
-from mmc_gym.evaluation.store import MANIFEST, CellKey, read_episodes, read_manifest, read_paths
+from mmc_gym.evaluation.store import (
+    MANIFEST,
+    CellKey,
+    read_episodes,
+    read_manifest,
+    read_paths,
+    read_sets,
+)
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,8 @@ class Results:
         versions: of the libraries.
         cell_seconds: that all cells together took.
         not_played: the cells without episodes, with the reason.
+        sets: columns agent, training_seed, environment, measure, unit, episodes, value: of all
+            episodes of a policy together, see `set_measures`; empty if none was taken.
         ranking: of the agents, as `summarize_battery` returns it; empty if the store has none that
             is as new as itself.
     """
@@ -79,6 +88,7 @@ class Results:
     versions: Mapping[str, str]
     cell_seconds: float
     not_played: tuple[tuple[CellKey, str], ...]
+    sets: pd.DataFrame
     ranking: pd.DataFrame
 
     def kind(self, agent: str) -> Kind:
@@ -176,6 +186,7 @@ def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
             (CellKey(e["agent"], e["training_seed"], e["environment"]), e["reason"])
             for e in missing
         ),
+        sets=_without_seeds(read_sets(store), not_trained),
         ranking=_ranking(store),
     )
 

@@ -7,6 +7,7 @@ which is done once here; all else is as in `replication`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -97,7 +98,8 @@ class EnvironmentScores:
             one, less = (
                 distribution(scores, self._draws, name, statistic) for name in (agent, other)
             )
-        return estimate(one - less, scores, agent, other)
+        found = estimate(one - less, scores, agent, other)
+        return replace(found, instances=int(common.sum()))
 
     def _scores(self, tables: Mapping[str, Floats]) -> Scores:
         """Scores of a measure, (policies, instances) by agent."""

@@ -16,6 +16,7 @@ from mmc_gym.evaluation.report.data import Results, read_results
 from mmc_gym.evaluation.report.estimates import RESAMPLES, Estimates, scoreboard
 from mmc_gym.evaluation.report.figures import PROFILE_RESAMPLES, degradation, dots, profiles
 from mmc_gym.evaluation.report.identity import main_agents
+from mmc_gym.evaluation.report.laws import law_table
 from mmc_gym.evaluation.report.learning_figures import frontier, learning
 from mmc_gym.evaluation.report.movement_figures import movements
 from mmc_gym.evaluation.report.overall import heat_table, ranking_table
@@ -105,6 +106,7 @@ def context(estimates: Estimates) -> dict[str, Any]:
             "colours": _colours(),
         },
         "movements": movements(results, base, look),
+        "laws": law_table(results),
         "human": dots(estimates, human_measures, look),
         "at_a_glance": dots(estimates, others, look),
         "learning": learning(estimates, look),
