@@ -20,7 +20,7 @@ import pymunk
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.parameters import ArmParameters, Servo, require
-from mmc_gym.body.shared_space import Floats, SharedSpace, cosine, sine
+from mmc_gym.body.shared_space import Floats, Observer, SharedSpace, cosine, sine
 from mmc_gym.body.workers import Workers
 
 ARMS_PER_SPACE = 64  # fewer calls with more of them, and more that does not fit the cache
@@ -211,6 +211,14 @@ class Arms:
             for member in members:
                 angles = self.joint_angles[space.first + member]
                 space.linkages[member].lock(angles.tolist())
+
+    def observe(self, observer: Observer | None) -> None:
+        """Let `observer` look at every physics step from now on, or nobody.
+
+        Arms of different Spaces are stepped by different threads, if there are several.
+        """
+        for space in self._spaces:
+            space.observer = observer
 
     def pivot_gaps(self) -> Floats:
         """Largest distance between two ends that a pivot should hold together, (count,)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pymunk
@@ -19,8 +19,24 @@ from mmc_gym.body.parameters import ArmParameters, Servo
 Floats = NDArray[np.float64]
 
 
+class Observer(Protocol):
+    """Whoever looks at the arms of a Space within a control step; nothing may be changed."""
+
+    def begin(self, space: SharedSpace) -> None:
+        """A control step is about to begin."""
+
+    def observe(self, space: SharedSpace) -> None:
+        """A physics step of it is over."""
+
+
 class SharedSpace:
-    """Arms that share a Space: `count` of them, beginning with number `first` of all."""
+    """Arms that share a Space: `count` of them, beginning with number `first` of all.
+
+    Attributes:
+        observer: is called in every physics step; None for nobody.
+    """
+
+    observer: Observer | None = None
 
     def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
         self.first, self.count, self.arms = first, count, slice(first, first + count)
@@ -52,11 +68,25 @@ class SharedSpace:
 
     def step(self) -> None:
         """Simulate one control step."""
-        space, substep = self._space._space, self._parameters.substep
+        space, substep, observer = self._space._space, self._parameters.substep, self.observer
+        if observer is not None:
+            observer.begin(self)
         for _ in range(self._parameters.substeps):
             if self._parameters.force_field is not None:
                 self._push_hands()
             chipmunk.cpSpaceStep(space, substep)
+            if observer is not None:
+                observer.observe(self)
+
+    def joint_velocities(self) -> Floats:
+        """Velocities of the joints after the last physics step, rad/s, (count, N)."""
+        absolute = self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0]
+        return np.diff(absolute, axis=-1, prepend=0.0)
+
+    def servo_impulses(self) -> Floats:
+        """Sizes of the servos' angular impulses in the last physics step, (count, N)."""
+        given = list(map(chipmunk.cpConstraintGetImpulse, self._servo_handles))
+        return np.array(given).reshape(self.count, -1)
 
     def _get(self, fields: BodyFields) -> Floats:
         """These fields of all segments, (count, N, values), until the next call."""

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body.engines import make_arm
+from mmc_gym.body.engines import SingleArm, make_arm
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import reward_and_info
 from mmc_gym.envs.senses import disturb, encode
@@ -169,6 +169,11 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         if self.render_mode == "human":
             self.render()
         return observation, reward, False, False, info
+
+    @property
+    def arm(self) -> SingleArm:
+        """The simulated arm, to look at: its state is the true one, whatever is observed of it."""
+        return self._arm
 
     def set_target(self, target: ArrayLike) -> None:
         """Move the target during an episode; the next step's observation and reward tell of it.

@@ -20,7 +20,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, create_empty_array
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body.engines import make_arms
+from mmc_gym.body.engines import ArmBatch, make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import reward_and_info
 from mmc_gym.envs.rows import check_mask, check_seeds, pick, put, spread
@@ -166,6 +166,11 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         elif truncations.any():
             infos = self._restart(infos, truncations)
         return deepcopy(self._late[0]), rewards, terminations, truncations, infos
+
+    @property
+    def arms(self) -> ArmBatch:
+        """The simulated arms, to look at: their state is the true one, whatever is observed."""
+        return self._body
 
     def render(self) -> tuple[Any, ...] | None:
         """A picture (height, width, 3) of each arm."""

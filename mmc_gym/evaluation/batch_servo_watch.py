@@ -6,13 +6,10 @@ the same, bit for bit, as if it were watched alone.
 
 from __future__ import annotations
 
-from functools import partial
 from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
-from pymunk._chipmunk_cffi import lib as chipmunk
-from pymunk.batch import BodyFields
 
 from mmc_gym.body.batch import Arms
 from mmc_gym.body.shared_space import SharedSpace
@@ -39,13 +36,14 @@ class BatchServoWatch:
 
     def __init__(self, arms: object, shape: tuple[int, int]) -> None:
         """Prepare to watch arms, (count, N), of any engine; some tell nothing."""
-        self._spaces = arms._spaces if isinstance(arms, Arms) else []
+        self._arms = arms if isinstance(arms, Arms) else None
         self.impulses: Floats = np.full(shape, np.nan)
         self.work: Floats = np.full(shape, np.nan)
+        self._velocities: Floats = np.zeros(shape)  # of the joints, before each physics step
 
     def __enter__(self) -> BatchServoWatch:
-        for space in self._spaces:
-            space.step = partial(self._step, space)  # type: ignore[method-assign]
+        if self._arms is not None:
+            self._arms.observe(self)
         return self
 
     def __exit__(
@@ -54,26 +52,18 @@ class BatchServoWatch:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        for space in self._spaces:
-            del space.step
+        if self._arms is not None:
+            self._arms.observe(None)
 
-    def _step(self, space: SharedSpace) -> None:
-        parameters, shape = space._parameters, self.impulses[space.arms].shape
-        impulses, work = np.zeros(shape), np.zeros(shape)
-        before = self._velocities(space)
-        for _ in range(parameters.substeps):
-            if parameters.force_field is not None:
-                space._push_hands()
-            chipmunk.cpSpaceStep(space._space._space, parameters.substep)
-            after = self._velocities(space)
-            given = list(map(chipmunk.cpConstraintGetImpulse, space._servo_handles))
-            impulse = np.array(given).reshape(shape)
-            impulses += impulse
-            work += impulse * np.abs(before + after) / 2
-            before = after
-        self.impulses[space.arms], self.work[space.arms] = impulses, work
+    def begin(self, space: SharedSpace) -> None:
+        """See `mmc_gym.body.shared_space.Observer`."""
+        self.impulses[space.arms] = self.work[space.arms] = 0.0
+        self._velocities[space.arms] = space.joint_velocities()
 
-    @staticmethod
-    def _velocities(space: SharedSpace) -> Floats:
-        absolute = space._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0]
-        return np.diff(absolute, axis=-1, prepend=0.0)
+    def observe(self, space: SharedSpace) -> None:
+        """See `mmc_gym.body.shared_space.Observer`."""
+        impulses, after = space.servo_impulses(), space.joint_velocities()
+        before = self._velocities[space.arms]
+        self.impulses[space.arms] += impulses
+        self.work[space.arms] += impulses * np.abs(before + after) / 2
+        self._velocities[space.arms] = after

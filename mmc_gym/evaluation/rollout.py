@@ -155,7 +155,7 @@ def run_episodes(
         raise ValueError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
     episodes = []
     # Senses may be noisy and late, so the posture is the arm's own and not the observed one.
-    arm: Any = getattr(env.unwrapped, "_arm", None)
+    arm: Any = getattr(env.unwrapped, "arm", None)
     joint_count = len(getattr(arm, "joint_angles", ()))
     with one_torch_thread(), ServoWatch(arm, joint_count) as watch:
         for seed, option in zip(seeds, asked, strict=True):

@@ -57,12 +57,12 @@ def run_episodes_together(
     native = _checked(env, len(seeds))
     if len(asked) != len(seeds):
         raise ValueError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
-    body = native._body
+    arms = native.arms
     shape = (len(seeds), native.setup.joint_count)
-    with one_torch_thread(), BatchServoWatch(body, shape) as watch:
+    with one_torch_thread(), BatchServoWatch(arms, shape) as watch:
         observation, seen = _reset(native, seeds, asked)
         seen_at = {name: [values] for name, values in seen.items()}
-        postures = [body.joint_angles.copy()]
+        postures = [arms.joint_angles.copy()]
         impulses: list[Floats] = []
         work: list[Floats] = []
         rewards: list[Floats] = []
@@ -73,7 +73,7 @@ def run_episodes_together(
             observation, reward, _, _, info = native.step(action)
             for name, record in seen_at.items():
                 record.append(info[name])
-            postures.append(body.joint_angles.copy())
+            postures.append(arms.joint_angles.copy())
             impulses.append(watch.impulses.copy())
             work.append(watch.work.copy())
             rewards.append(reward)

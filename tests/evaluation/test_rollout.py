@@ -103,9 +103,9 @@ def test_an_engine_that_tells_nothing_of_its_servos_leaves_them_unknown(frozen):
 
 
 def test_being_recorded_changes_nothing_and_leaves_the_arm_as_it_was(env, oracle):
-    step = env.unwrapped._arm.step
+    step = env.unwrapped.arm.step
     (episode,) = run_episodes(oracle, env, [11])
-    assert env.unwrapped._arm.step == step
+    assert env.unwrapped.arm.step == step
     observation, _ = env.reset(seed=11)
     for k in range(100):
         observation, _, _, _, info = env.step(oracle.predict(observation)[0])
