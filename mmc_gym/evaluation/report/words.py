@@ -173,7 +173,7 @@ def hardest(estimates: Estimates, keys: Sequence[str]) -> str:
 
     def success(key: str) -> float:
         figures = estimates.of(key, SUCCESS).values()
-        return sum(estimate.estimate for estimate in figures) / len(figures)
+        return round(sum(estimate.estimate for estimate in figures) / len(figures), 9)
 
     return min(reversed(keys), key=success)
 

@@ -189,6 +189,7 @@ def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
                 assert ("there" in said) == bool(row["success"])
                 assert ("cursor" in said) == (environment != "random")
                 apart.append(row["success"])
+    screenshot(browser, "replay-rotation.png")
     assert len(apart) == 12
     assert 0 < sum(apart) < 12  # the cursor of one is there where that of the other is not
 

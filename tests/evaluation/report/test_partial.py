@@ -50,8 +50,10 @@ def test_seeds_are_counted_where_the_figures_are(interrupted, tmp_path):
     assert "ppo 1 to 2;" in seeds_of(results, results.agents)
     assert "ppo (learned, 2 training seeds)" in words.overview(estimates)[0]
     (sentence,) = words.robustness(estimates, "mmc")
-    assert "rotation-15 (" in sentence
-    assert "ppo (1 training seed), the most of all" in sentence
+    hardest = words.hardest(estimates, ["rotation-15", "rotation-60"])
+    seeds = {"rotation-15": "1 training seed", "rotation-60": "2 training seeds"}[hardest]
+    assert sentence.startswith(f"{hardest} (cursor turned by")
+    assert f"; ppo ({seeds}), the most of all, in" in sentence
 
 
 def test_movements_are_of_one_training_seed_and_say_which(make_store, tmp_path):
