@@ -16,6 +16,7 @@ import numpy as np
 from mmc_gym.agents.random import RandomAgent
 from mmc_gym.evaluation.battery import BatteryEnvironment
 from mmc_gym.evaluation.contestants import Contestant
+from mmc_gym.evaluation.entrants import make_for
 from mmc_gym.evaluation.reference import has_reference, minimum_jerk_episodes
 from mmc_gym.evaluation.rollout import Episode, Predictor, episode_seeds, run_episodes
 from mmc_gym.evaluation.store import CellKey, episodes_file, paths_file, sets_file
@@ -169,19 +170,10 @@ def _made(cell: BatteryCell) -> tuple[gym.Env[Any, Any], Predictor]:
     All act by the same actions, but a policy that was trained for others, which have no meaning
     there, by its own.
     """
-    factory, env = cell.contestant.factory, cell.environment.make()
     try:
-        return env, factory(env)
-    except ValueError as error:
-        refusal = error
-    card = cell.contestant.card
-    if card is not None and card.control != env.unwrapped.control:  # type: ignore[attr-defined]
-        env = cell.environment.make(card.control)
-        try:
-            return env, factory(env)
-        except ValueError as error:
-            refusal = error
-    raise _CannotActError(str(refusal)) from refusal
+        return make_for(cell.contestant.factory, cell.environment.make)
+    except ValueError as refusal:
+        raise _CannotActError(str(refusal)) from refusal
 
 
 def _play_together(

@@ -2,8 +2,8 @@
 
 Names are "mmc" for an agent of this package; "ppo" for a trained one in all its training seeds, and
 "ppo-3" in one of them; "module:function" for an agent from outside, called with the environment;
-"LABEL=NAME" for any of these under another name; and "LABEL@3=module:function" for one of the
-training seeds of an agent from outside.
+the path of a policy's file; "LABEL=NAME" for any of these under another name; and
+"LABEL@3=module:function", or "LABEL@3=PATH", for one of the training seeds of an agent.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from mmc_gym.agents import AGENTS
+from mmc_gym.agents import AGENTS, is_policy_path
 from mmc_gym.agents.reinforcement import PRETRAINED, PolicyCard, load_policy
 from mmc_gym.evaluation.entrants import Factory, entrants
 from mmc_gym.evaluation.reference import REFERENCE
@@ -47,7 +47,7 @@ class Contestant:
     @property
     def is_own(self) -> bool:
         """Whether it is of this package: its agents are known to act on batches."""
-        return ":" not in self.source
+        return is_policy_path(self.source) or ":" not in self.source
 
     @property
     def factory(self) -> Factory:
@@ -56,15 +56,17 @@ class Contestant:
         Raises:
             ValueError: if it cannot be found.
         """
-        return entrants([self.source])[self.source]
+        (factory,) = entrants([self.source]).values()
+        return factory
 
     @property
     def card(self) -> PolicyCard | None:
-        """Of a policy that ships with the package; None for all others, or if it is missing."""
+        """Of a policy, one's own or one that ships; None for all others, or if it is missing."""
         if not (self.is_own and self.is_trained):
             return None
+        is_path = is_policy_path(self.source)
         try:
-            return load_policy(PRETRAINED / f"{self.source}.json")[1]
+            return load_policy(self.source if is_path else PRETRAINED / f"{self.source}.json")[1]
         except (FileNotFoundError, ValueError):
             return None
 
@@ -101,7 +103,8 @@ def contestants(names: Iterable[str]) -> list[Contestant]:
     """Those that the names stand for, in the order given.
 
     Raises:
-        ValueError: if there is none, an unknown one, or one twice.
+        ValueError: if there is none, an unknown one, or one twice; or a file holds no policy.
+        FileNotFoundError: if a policy's file is missing.
 
     Example:
         >>> contestants(["mmc", "twin=mmc"])[1]
@@ -131,7 +134,11 @@ def _contestants(name: str) -> list[Contestant]:
         if not seeds:
             raise ValueError(f"agents must be there, but {source} has not been trained")
         return [Contestant(label or source, seed, f"{source}-{seed}", True) for seed in seeds]
-    entrants([source])  # refuses what is unknown
+    (plain_label,) = entrants([source])  # refuses what is unknown
+    if is_policy_path(source):
+        load_policy(source)  # refuses what is none
+        label, _, seed = _label_and_seed(label)
+        return [Contestant(label or plain_label, seed, source, True)]
     kind, _, number = source.rpartition("-")
     if source not in AGENTS and ":" not in source:
         if int(number) not in _shipped_seeds(kind):

@@ -22,6 +22,7 @@ from rich.console import Console
 
 import mmc_gym
 from mmc_gym import cli
+from mmc_gym.agents.base import ControlError
 from mmc_gym.evaluation import battery_cell, contestants
 from mmc_gym.evaluation.battery import ENVIRONMENTS, BatteryEnvironment, find_environments
 from mmc_gym.evaluation.benchmark import benchmark, not_played, untrained
@@ -312,25 +313,40 @@ def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside, name
 
 
 def test_a_policy_for_other_actions_has_its_own(tmp_path, monkeypatch):
-    class Torques:
-        control = "joint_torque"
-
     class Limp:
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
             return np.zeros((*np.shape(observation)[:-1], 3), np.float32), None
 
     def made(env):
         if env.unwrapped.control != "joint_torque":
-            raise ValueError("control must be 'joint_torque' for this policy")
+            raise ControlError("control must be 'joint_torque'", "joint_torque")
         return Limp()
 
-    monkeypatch.setattr(contestants.Contestant, "card", Torques())
     monkeypatch.setattr(contestants.Contestant, "factory", staticmethod(made))
     cell = battery_cell.BatteryCell(
         contestants.Contestant("limp", 0, "limp", True), "random", ENVIRONMENTS["random"], 2, 0
     )
     outcome = battery_cell.run_cell(cell)
     assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
+
+
+def test_a_policy_of_ones_own_takes_part_by_its_path(tmp_path):
+    name = next(iter(sorted(contestants.PRETRAINED.glob("ppo-[0-9].json")))).stem
+    for suffix in (".json", ".safetensors"):
+        shutil.copy(contestants.PRETRAINED / f"{name}{suffix}", tmp_path / f"mine{suffix}")
+    own, *_ = found = contestants.contestants(
+        [f"{tmp_path}/mine.json", f"x@2={tmp_path}/mine.json"]
+    )
+    assert [(one.agent, one.training_seed, one.is_trained) for one in found] == [
+        ("mine", 0, True),
+        ("x", 2, True),
+    ]
+    assert own.fingerprint == contestants.contestants([name])[0].fingerprint
+    play([f"{tmp_path}/mine.json", name], tmp_path / "out", ["random"])
+    frame = read_episodes(tmp_path / "out")
+    assert frame.groupby("agent")["final_distance"].sum().nunique() == 1
+    with pytest.raises(FileNotFoundError):
+        contestants.contestants([f"{tmp_path}/other.json"])
 
 
 def test_wrong_names_are_refused(tmp_path):
