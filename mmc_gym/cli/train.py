@@ -23,7 +23,7 @@ class Train:
     """Train an agent by its YAML hyperparameters; a killed training goes on with --resume."""
 
     name: Annotated[str, tyro.conf.Positional] = ""
-    """A name that ships, such as ppo or tqc-her, or a YAML file in rl_zoo3's form: my/ppo-mine.yml."""
+    """A name that ships, such as ppo or tqc-her, or a YAML file of one's own: my/ppo-mine.yml."""
     all: bool = False
     """Train every policy that ships with the package; goes on where it was interrupted."""
     env: str | None = None
