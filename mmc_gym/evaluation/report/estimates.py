@@ -5,7 +5,7 @@ path, shape and cost have one only where the episode ended at the target.  So an
 ever arrives, by what little it then moved, beats nobody.  It is compared with the strongest of its
 rivals, the one with the best figure, on the instances where both have a value, by the paired
 bootstrap of `resampling`: clearly better or worse where the 95 % interval of the difference
-excludes 0.
+excludes 0, and is not of a size that no table would show.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from mmc_gym.evaluation.measures import Measure
 from mmc_gym.evaluation.replication import Estimate
 from mmc_gym.evaluation.report.data import Results
 from mmc_gym.evaluation.report.environment_scores import EnvironmentScores
+from mmc_gym.evaluation.report.wording import resolution
 
 Outcome = Literal["better", "worse", "unclear", "equal"]
 
@@ -128,10 +129,14 @@ class Estimates:
 
 
 def judge(difference: Estimate, measure: Measure) -> Outcome:
-    """What a difference says: "equal" if there is none at all, "unclear" if it may be chance."""
-    if difference.estimate == difference.low == difference.high == 0:
-        return "equal"
+    """What a difference says.
+
+    "equal" if its interval does not reach half a unit of the last decimal that tables show, to
+    either side; else "better" or "worse" if the interval excludes 0, and "unclear" if it does not.
+    """
     low, high = (difference.low, difference.high)
+    if max(-low, high) <= resolution(measure) / 2:
+        return "equal"
     if measure.best == "low":
         low, high = -high, -low
     return "better" if low > 0 else "worse" if high < 0 else "unclear"

@@ -23,7 +23,7 @@ SIGNS: dict[Outcome, tuple[str, str]] = {
     "better": ("▲", "clearly better"),
     "worse": ("▼", "clearly worse"),
     "unclear": ("○", "no clear difference"),
-    "equal": ("=", "no difference"),
+    "equal": ("=", "no difference in the digits shown"),
 }
 """Sign and words of each outcome: they differ without colour."""
 

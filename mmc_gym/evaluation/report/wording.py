@@ -12,7 +12,7 @@ from mmc_gym.evaluation.report.data import Results
 _KINDS = ("correlation", "SPARC", "log dimensionless jerk")
 """What measures have instead of a unit: it says what was computed, and stands with the label."""
 
-_MOST_DECIMALS = 5  # more than usual
+_MOST_DECIMALS = 3  # more than usual
 
 
 def label(measure: Measure) -> str:
@@ -48,6 +48,17 @@ def number(measure: Measure, value: float, more: int = 0) -> str:
         if value > 0:
             return f"<{10.0**-decimals:.{decimals}f}"
     return text.replace("-", "−")
+
+
+def resolution(measure: Measure) -> float:
+    """The size of the last decimal that is shown of a measure, in its unit.
+
+    Example:
+        >>> from mmc_gym.evaluation.measures import MEASURES
+        >>> resolution(MEASURES[0])
+        0.001
+    """
+    return 0.001 if measure.unit == "fraction" else float(10.0**-measure.decimals)
 
 
 def quantity(measure: Measure, value: float, more: int = 0) -> str:

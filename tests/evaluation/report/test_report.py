@@ -18,6 +18,7 @@ from mmc_gym.evaluation.report.data import read_results
 from mmc_gym.evaluation.report.estimates import Comparison, Estimates, judge, scoreboard
 from mmc_gym.evaluation.report.panels import spread
 from mmc_gym.evaluation.report.replay import replay
+from mmc_gym.evaluation.report.wording import decimals_apart
 
 HOSTILE = "<script>alert(1)</script>"
 SUCCESS = words.SUCCESS
@@ -175,6 +176,18 @@ def test_a_difference_is_clear_only_if_its_interval_excludes_none_at_all():
     assert judge(difference(0.1, 0.3), low) == "worse"
     assert judge(difference(-0.1, 0.3), high) == "unclear"
     assert judge(difference(0.0, 0.0), high) == "equal"
+
+
+def test_a_difference_that_no_table_shows_is_none():
+    distance = next(measure for measure in MEASURES if measure.name == "final_distance")
+
+    def difference(least, most):
+        return Estimate((least + most) / 2, least, most, (0, 0), 30, 1)
+
+    assert judge(difference(1e-7, 4e-4), distance) == "equal"
+    assert judge(difference(1e-7, 6e-4), distance) == "worse"
+    assert decimals_apart(distance, 0.0101, 0.0104) == 1
+    assert decimals_apart(distance, 0.01, 0.02) == 0
 
 
 def test_differences_are_those_of_the_paired_bootstrap(estimates):
