@@ -95,6 +95,9 @@ class Training:
         self.device = usable_device(self.device)
         self.algorithm = algorithm_of(self.name)
         self.settings = Settings.read(self.algorithm, self.hyperparameters)
+        if "env_kwargs" in self.hyperparameters:  # which readers of a card take for a mapping
+            env_kwargs = {"env_kwargs": self.settings.env_kwargs}
+            self.hyperparameters = {**self.hyperparameters, **env_kwargs}
         try:
             episode_steps = gym.spec(self.env_id).max_episode_steps or 1
         except gym.error.Error as error:

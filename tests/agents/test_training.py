@@ -77,6 +77,11 @@ def test_a_training_leaves_its_hyperparameters_as_they_were(name, tmp_path):
     assert one.run().hyperparameters == before == one.hyperparameters
 
 
+def test_a_card_has_the_environments_arguments_as_a_mapping(tmp_path):
+    card = training("ppo", tmp_path, env_kwargs="dict(control='joint_delta')", n_timesteps=1).run()
+    assert card.hyperparameters["env_kwargs"] == {"control": "joint_delta"}
+
+
 def test_hindsight_loses_no_episode_to_a_checkpoint(tmp_path):
     legs = training("tqc-her", tmp_path, n_timesteps=2000).steps_per_leg
     assert legs % (SMALL["n_envs"] * 100) == 0
