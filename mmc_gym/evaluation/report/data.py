@@ -100,6 +100,15 @@ class Results:
         return labelled(self.identities, name)
 
     @property
+    def curves(self) -> dict[str, tuple[PolicyCard, ...]]:
+        """The cards of those agents whose learning curves are known."""
+        return {
+            agent: cards
+            for agent, cards in self.cards.items()
+            if all(card.learning_curve for card in cards)
+        }
+
+    @property
     def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
         """Cards of the policies that took part, by agent; only of agents whose cards are known."""
         return {agent: one.cards for agent, one in self.identities.items() if one.cards}

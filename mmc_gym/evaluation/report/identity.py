@@ -13,9 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-from mmc_gym.agents import AGENTS
+from mmc_gym.agents import AGENTS, is_policy_path
 from mmc_gym.agents.reinforcement import PolicyCard, load_policy
 from mmc_gym.evaluation.reference import REFERENCE
 from mmc_gym.evaluation.report.knowledge import (
@@ -26,8 +25,6 @@ from mmc_gym.evaluation.report.knowledge import (
     knowledge_of,
     knowledge_of_policy,
 )
-
-_POLICY_FILES = (".json", ".safetensors")
 
 
 @dataclass(frozen=True)
@@ -74,8 +71,8 @@ def _unlike(one: Identity, other: Identity) -> bool:
 
 
 def _identify(source: str, shipped: Mapping[str, Sequence[PolicyCard]]) -> Identity:
-    if source.endswith(_POLICY_FILES):
-        return _policy(Path(source))
+    if is_policy_path(source):
+        return _policy(source)
     if source in AGENTS or source == REFERENCE:
         return Identity(source, knowledge_of(source))
     name, _, seed = source.rpartition("-")
@@ -86,7 +83,7 @@ def _identify(source: str, shipped: Mapping[str, Sequence[PolicyCard]]) -> Ident
     return Identity(name, knowledge, cards)
 
 
-def _policy(path: Path) -> Identity:
+def _policy(path: str) -> Identity:
     try:
         card = load_policy(path)[1]
     except (OSError, ValueError):

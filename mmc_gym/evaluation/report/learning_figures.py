@@ -27,7 +27,7 @@ _AXES: tuple[tuple[Axis, str, float], ...] = (
 def learning(estimates: Estimates, look: Mapping[str, Look]) -> Block:
     """Success over the course of training, against steps and against time."""
     results = estimates.results
-    cards = {name: cards for name, cards in results.cards.items() if name in look}
+    cards = {name: cards for name, cards in results.curves.items() if name in look}
     if not cards:
         return Block((), "")
     panels = []

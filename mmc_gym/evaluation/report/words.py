@@ -136,7 +136,7 @@ def _gap(entry: Comparison) -> float:
 def sample_cost(results: Results) -> list[str]:
     """What learning costs, in steps of the environment and in minutes of one core."""
     sentences = []
-    for name, cards in results.cards.items():
+    for name, cards in results.curves.items():
         parts = []
         for level in LEVELS:
             steps = median(first_reached(card, level, "steps") for card in cards)

@@ -7,8 +7,10 @@ from dataclasses import replace
 from mmc_gym.agents import AGENTS
 from mmc_gym.evaluation.report import words
 from mmc_gym.evaluation.report.data import read_results
-from mmc_gym.evaluation.report.estimates import rivals_of
+from mmc_gym.evaluation.report.estimates import Estimates, rivals_of
 from mmc_gym.evaluation.report.identity import Identity, identify, main_agents
+from mmc_gym.evaluation.report.learning_figures import learning
+from mmc_gym.evaluation.report.panels import looks
 from mmc_gym.evaluation.report.tables import told_rows
 
 
@@ -60,3 +62,15 @@ def test_cards_are_of_the_seeds_that_took_part(benchmark_store):
     results = read_results(*benchmark_store)  # beside a card of seed 2, which did not
     assert [card.seed for card in results.cards["ppo"]] == [0, 1]
     assert "median of 2 training seeds" in words.sample_cost(results)[0]
+
+
+def test_a_policy_without_a_learning_curve_has_none_in_the_report(
+    make_store, make_card, save_card, tmp_path
+):
+    save_card(replace(make_card("ppo", 0), learning_curve=[]), tmp_path)
+    sources = {"mine": {"0": str(tmp_path / "ppo-0.json")}}
+    make_store(tmp_path / "store", {"mine": ((0,), 20, 0.0, 0.0)}, ("random",), sources=sources)
+    results = read_results(tmp_path / "store", tmp_path / "none")
+    assert [card.training_steps for card in results.cards["mine"]] == [480_000]
+    assert words.sample_cost(results) == []
+    assert learning(Estimates(results, 20), looks(results.agents)).panels == ()
