@@ -11,6 +11,7 @@ again: the manifest names all of them.
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +26,9 @@ from mmc_gym.evaluation.rollout import episode_seeds
 from mmc_gym.evaluation.store import (
     MANIFEST,
     CellKey,
-    all_software,
     cell_facts,
     read_manifest,
+    what_is_kept,
     write_cell,
     write_manifest,
 )
@@ -123,9 +124,7 @@ def benchmark(
         run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep)
     finally:
         manifest["elapsed_seconds"] += round(time.perf_counter() - begin, 1)
-        manifest["versions"] = {
-            name: ", ".join(versions) for name, versions in all_software(out).items()
-        }
+        manifest.update(_found(out))
         write_manifest(out, manifest)
     return read_manifest(out)
 
@@ -189,6 +188,26 @@ def _fresh_manifest(episodes: int, seed: int) -> Manifest:
         "elapsed_seconds": 0.0,
         "reused": 0,
         "versions": {},
+        "changed": [],
+    }
+
+
+def _found(out: Path) -> Manifest:
+    """What the cells of a store, of this run and of earlier ones, were played with.
+
+    Returns:
+        versions: all of each package, separated by commas.
+        changed: sources of agents whose cells are not all of the same weights or code.
+    """
+    versions, fingerprints = defaultdict(set), defaultdict(set)
+    for kept in what_is_kept(out):
+        for name, one in kept["facts"].get("software", {}).items():
+            versions[name].add(one)
+        settings = kept["settings"]
+        fingerprints[settings.get("source")].add(settings.get("fingerprint"))
+    return {
+        "versions": {name: ", ".join(sorted(found)) for name, found in versions.items()},
+        "changed": [source for source, found in fingerprints.items() if len(found) > 1],
     }
 
 

@@ -105,14 +105,23 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         "instances; without several training seeds over instances alone. Cells that were not "
         "played count as without success. All cells took "
         f"{sum(manifest['cpu_seconds'].values()):.0f} s of one processor's time; "
-        f"{manifest['reused']} were there already and not played again.{_mixed(manifest)}"
+        f"{manifest.get('reused', 0)} were there already and not played again.{_mixed(manifest)}"
     )
 
 
 def _mixed(manifest: Manifest) -> str:
-    """Which versions differ among the cells of a store that came about over time."""
-    mixed = [f"{name} {found}" for name, found in manifest["versions"].items() if ", " in found]
-    return f" They were played with several versions: {'; '.join(mixed)}." if mixed else ""
+    """What differs among the cells of a store that came about over time."""
+    versions = [f"{name} {found}" for name, found in manifest["versions"].items() if ", " in found]
+    changed = manifest.get("changed", ())
+    return "".join(
+        (
+            f" They were played with several versions: {'; '.join(versions)}." if versions else "",
+            f" Changed since some of their cells were played: {', '.join(changed)}; play them "
+            "again in all environments."
+            if changed
+            else "",
+        )
+    )
 
 
 def _reasons(manifest: Manifest, status: str) -> dict[str, int]:

@@ -17,7 +17,7 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -193,18 +193,14 @@ def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> dict[
     return facts if fine else None
 
 
-def all_software(folder: Path) -> dict[str, tuple[str, ...]]:
-    """What the cells of a store were played with: all versions of each package, and machines."""
-    found: dict[str, set[str]] = {}
+def what_is_kept(folder: Path) -> Iterator[dict[str, Any]]:
+    """Settings and facts of each cell of a store; damaged ones are passed over."""
     for path in _files(folder, EPISODES):
         try:
-            kept = json.loads((pq.read_schema(path).metadata or {})[_METADATA])
-            software = kept["facts"]["software"]
+            kept: dict[str, Any] = json.loads((pq.read_schema(path).metadata or {})[_METADATA])
         except (OSError, pa.ArrowException, ValueError, KeyError, TypeError):
-            continue  # damaged, or not of the benchmark's
-        for name, version in software.items():
-            found.setdefault(name, set()).add(version)
-    return {name: tuple(sorted(versions)) for name, versions in found.items()}
+            continue
+        yield {"settings": {}, "facts": {}, **kept}
 
 
 def read_episodes(folder: Path | str) -> pd.DataFrame:

@@ -261,11 +261,14 @@ def test_who_cannot_act_is_skipped_and_who_crashes_has_failed(tmp_path, outside)
 
 
 def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
-    agents, seen = [f"{outside}:constant", "mmc"], []
-    play(agents, tmp_path / "out", ["random"])
+    source, seen = f"{outside}:constant", []
+    play([source, "mmc"], tmp_path / "out")
     (tmp_path / "outside_agents.py").write_text(AGENTS_FROM_OUTSIDE + "# changed\n")
-    assert play(agents, tmp_path / "out", ["random"], on_progress=seen.append)["reused"] == 1
-    assert [progress.key.agent for progress in seen[1:]] == [f"{outside}:constant"]
+    manifest = play([source, "mmc"], tmp_path / "out", ["random"], on_progress=seen.append)
+    assert [progress.key.agent for progress in seen[1:]] == [source]
+    assert manifest["reused"] == 1
+    assert manifest["changed"] == [source]  # what it did in the other environment is of before
+    assert not play([source, "mmc"], tmp_path / "out")["changed"]
 
 
 def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
