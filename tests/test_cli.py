@@ -60,6 +60,17 @@ def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, caps
         main(["train", "--all"])
 
 
+def test_an_interruption_is_one_line(monkeypatch, capsys):
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mmc_gym.evaluation.report.write_report", interrupt)
+    with pytest.raises(SystemExit) as stop:
+        main(["report"])
+    assert stop.value.code == 130
+    assert capsys.readouterr().err == "mmc-gym: interrupted\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

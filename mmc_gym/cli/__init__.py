@@ -3,7 +3,8 @@
     mmc-gym compare | reproduce | train | tune | curves | benchmark | report | play
 
 A mistake of the user's ends with one line on stderr and status 2, a cell of a grid that failed with
-one line and status 1.  With `MMC_GYM_TRACEBACK=1` in the environment, both end with the traceback.
+one line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
+environment, all end with the traceback.
 """
 
 from __future__ import annotations
@@ -44,6 +45,11 @@ def main(arguments: list[str] | None = None) -> None:
     )
     try:
         command.run()
+    except KeyboardInterrupt:
+        if os.environ.get(TRACEBACK):
+            raise
+        print("mmc-gym: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
     except Exception as error:
         from mmc_gym._grid import CellError
 

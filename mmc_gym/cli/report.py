@@ -12,11 +12,11 @@ class Report:
 
     store: Path = Path("runs/benchmark")
     """Folder of the benchmark."""
-    out: Path = Path("runs/benchmark/report.html")
-    """The file to write."""
+    out: Path | None = None
+    """The file to write (default: report.html in the store)."""
 
     def run(self) -> None:
         """Write."""
         from mmc_gym.evaluation.report import write_report
 
-        print(f"wrote {write_report(self.store, self.out)}")
+        print(f"wrote {write_report(self.store, self.out or self.store / 'report.html')}")

@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -230,6 +231,15 @@ def test_the_command_writes_the_report(benchmark_store, tmp_path, capsys):
     main(["report", "--store", str(benchmark_store[0]), "--out", str(out)])
     assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
     assert str(out) in capsys.readouterr().out
+
+
+def test_unless_told_otherwise_the_command_writes_it_into_the_store(monkeypatch, tmp_path):
+    monkeypatch.setattr(
+        "mmc_gym.evaluation.report.write_report", lambda store, out: asked.append(out)
+    )
+    asked: list[Path] = []
+    main(["report", "--store", str(tmp_path / "mine")])
+    assert asked == [tmp_path / "mine" / "report.html"]
 
 
 def test_a_folder_without_a_store_is_refused(tmp_path, capsys):
