@@ -17,6 +17,9 @@ from mmc_gym.evaluation.metrics import Floats
 SLOWEST = 0.05
 """Share of the highest speed below which the curvature of a path is not defined well enough."""
 
+STILLEST = 0.01
+"""Speed below which a hand is at rest, whatever its highest speed: it trembles, segment lengths / s."""
+
 STRAIGHTEST = 0.1
 """Curvature below which a path is straight, and has no power law, 1 / segment length."""
 
@@ -89,8 +92,8 @@ def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
     """Two-thirds power law: log speed = log K − β log curvature, with β = 1/3 in human drawing.
 
     v = K κ^{−β}, or angular speed A = K κ^{1−β}: two thirds.  κ = |x′y″ − y′x″| / v³ by central
-    differences, where the hand is faster than 5 % of its highest speed and κ > 0.1: a straight
-    path has none.  A harmonic ellipse has β = 1/3 exactly.
+    differences, where the hand is faster than 5 % of its highest speed, and than 0.01, and κ > 0.1:
+    a straight path has none.  A harmonic ellipse has β = 1/3 exactly.
 
     Args:
         hands: positions, segment lengths, (steps + 1, 2).
@@ -109,7 +112,7 @@ def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
     acceleration = (path[2:] - 2 * path[1:-1] + path[:-2]) / control_step**2
     speed = np.linalg.norm(velocity, axis=-1)
     turning = np.abs(velocity[:, 0] * acceleration[:, 1] - velocity[:, 1] * acceleration[:, 0])
-    moving = speed > SLOWEST * speed.max()
+    moving = speed > max(SLOWEST * speed.max(), STILLEST)
     speed, curvature = speed[moving], turning[moving] / speed[moving] ** 3
     bent = curvature > STRAIGHTEST
     return _line(np.log(curvature[bent]), np.log(speed[bent]), fewest=FEWEST)

@@ -70,5 +70,6 @@ def test_the_same_ellipse_at_constant_speed_has_the_exponent_zero():
 
 def test_straight_paths_and_hands_at_rest_have_no_power_law():
     line = np.linspace(0, 1, 50)[:, None] ** 2 * [1.0, 2.0]
-    for hands in (line, np.zeros((50, 2)), np.zeros((2, 2)), np.zeros((0, 2))):
+    trembling = 1e-4 * np.random.default_rng(0).standard_normal((50, 2)) * STEP
+    for hands in (line, trembling, np.zeros((50, 2)), np.zeros((2, 2)), np.zeros((0, 2))):
         assert math.isnan(speed_curvature_law(hands, STEP).slope)
