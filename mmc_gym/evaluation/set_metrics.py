@@ -18,7 +18,7 @@ SLOWEST = 0.05
 """Share of the highest speed below which the curvature of a path is not defined well enough."""
 
 STILLEST = 0.01
-"""Speed below which a hand is at rest, whatever its highest speed: it trembles, segment lengths / s."""
+"""Speed below which a hand is at rest, whatever its highest speed is, segment lengths / s."""
 
 STRAIGHTEST = 0.1
 """Curvature below which a path is straight, and has no power law, 1 / segment length."""
