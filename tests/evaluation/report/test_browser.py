@@ -71,9 +71,19 @@ def rotated(tmp_path_factory):
 @pytest.fixture
 def page(browser, report_file):
     """The report, freshly loaded in a window of a desk's size."""
-    resize(browser, 1200, 900)
-    browser.get(report_file.as_uri())
+    load(browser, report_file)
     return browser
+
+
+def load(browser, report):
+    resize(browser, 1200, 900)
+    browser.get(report.as_uri())
+    # A new page may be given its size late, and its canvases theirs later still.
+    settled = (
+        "const one = document.querySelector('#replay canvas');"
+        "return innerWidth === 1200 && devicePixelRatio === 1 && one.width === one.clientWidth"
+    )
+    wait_until(browser, lambda: browser.execute_script(settled))
 
 
 def resize(browser, width, height, scale=1):
@@ -155,6 +165,17 @@ def test_the_replay_plays_and_pauses(page):
     assert "Play" in page.execute_script(f"{press} play.click(); return play.textContent")
 
 
+def test_a_frame_that_began_before_the_click_is_no_way_back(page):
+    seek(page, 0)
+    page.execute_script(
+        "const now = performance.now.bind(performance); performance.now = () => now() + 50;"
+        "document.getElementById('replay-play').click()"
+    )
+    clock = "return document.getElementById('replay-clock').textContent"
+    wait_until(page, lambda: float(page.execute_script(clock).removesuffix(" s")) > 0.05)
+    assert [entry for entry in page.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
 def test_keys_step_through_the_replay(page):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
@@ -173,8 +194,7 @@ def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
 
     store, report = rotated
     episodes = read_episodes(store).set_index(["environment", "instance", "agent"])
-    resize(browser, 1200, 900)
-    browser.get(report.as_uri())
+    load(browser, report)
     apart = []
     for environment in ("random", "rotation-30"):
         choose(browser, "environment", environment)

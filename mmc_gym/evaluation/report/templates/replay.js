@@ -191,7 +191,8 @@
   }
   function frame(now) {
     if (!playing) return;
-    time = Math.min(last, time + ((now - before) / 1000 / data.step) * Number(rate.value));
+    // A frame may have begun before the click that it is to show.
+    time = Math.min(last, time + (Math.max(0, now - before) / 1000 / data.step) * Number(rate.value));
     before = now;
     if (still.matches) time = Math.ceil(time);
     draw();
