@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from mmc_gym.agents.reinforcement import PolicyCard
+from mmc_gym.agents.views import View
 from mmc_gym.evaluation.reference import REFERENCE
 
 Kind = Literal["network", "inverse kinematics", "planner", "learned", "yours", "baseline", "ideal"]
@@ -47,11 +48,13 @@ _TOLD = "told"
 _NOT_TOLD = "not told: had to learn"
 _ONCE = "posture once, at the start; the target in every step"
 _LOOP = "posture, seen hand and target in every step"
-ARM_VIEW = (
-    "joint angles but the first, joint speeds, target, and offset from hand to target, all seen "
-    "from the arm's first segment"
-)
-WORLD_VIEW = "all joint angles, joint speeds, target, and offset from hand to target"
+VIEWS: dict[View, str] = {
+    "arm": "joint angles but the first, joint speeds, target, and offset from hand to target, all "
+    "seen from the arm's first segment",
+    "target": "all joint angles, joint speeds, the target's distance, and offset from hand to "
+    "target, all seen as if the target lay straight ahead, whence its actions are turned back",
+    "world": "all joint angles, joint speeds, target, and offset from hand to target",
+}
 
 
 def _told(kind: Kind, senses: str = _ONCE) -> Knowledge:
@@ -61,7 +64,7 @@ def _told(kind: Kind, senses: str = _ONCE) -> Knowledge:
 _MMC = _told("network")
 _IK = _told("inverse kinematics")
 _PLANNER = _told("planner")
-_LEARNED = Knowledge("learned", _NOT_TOLD, _NOT_TOLD, f"{ARM_VIEW}, in every step")
+_LEARNED = Knowledge("learned", _NOT_TOLD, _NOT_TOLD, f"{VIEWS['arm']}, in every step")
 
 
 def _correcting(learned: Knowledge, base: str) -> Knowledge:
@@ -103,6 +106,5 @@ def knowledge_of(name: str) -> Knowledge:
 
 def knowledge_of_policy(card: PolicyCard) -> Knowledge:
     """What a policy was told, and sees, as its card has it."""
-    view = WORLD_VIEW if card.view == "world" else ARM_VIEW
-    learned = replace(_LEARNED, senses=f"{view}, in every step")
+    learned = replace(_LEARNED, senses=f"{VIEWS[card.view]}, in every step")
     return _correcting(learned, card.base_agent) if card.base_agent else learned

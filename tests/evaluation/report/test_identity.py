@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 from mmc_gym.agents import AGENTS
+from mmc_gym.agents.views import View
 from mmc_gym.evaluation.report import words
 from mmc_gym.evaluation.report.data import read_results
 from mmc_gym.evaluation.report.estimates import Estimates, rivals_of
@@ -27,6 +29,16 @@ def test_who_an_agent_is_follows_from_what_it_was_made_of(make_card):
         unknown = identify(sources, shipped)
         assert (unknown.own, unknown.kind, unknown.cards) == ("", "yours", ())
         assert unknown.knowledge.lengths == "unknown"
+
+
+def test_each_view_is_told_in_words(make_card):
+    senses = {}
+    for view in get_args(View):
+        card = replace(make_card("ppo", 0), view=view)
+        senses[view] = identify(["ppo-0"], {"ppo": [card]}).knowledge.senses
+    assert "from the arm's first segment" in senses["arm"]
+    assert "target lay straight ahead" in senses["target"]
+    assert len(set(senses.values())) == 3
 
 
 def test_a_policy_given_by_its_file_is_known_by_its_card(make_card, save_card, tmp_path):
