@@ -25,6 +25,7 @@ FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--hide-scrollbars",  # they may come after the page, and make it narrower
 )
 PATIENCE = 120  # seconds; the machine may be busy
 
