@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from mmc_gym.evaluation.report.data import Results
-from mmc_gym.evaluation.report.wording import instances_of, seeds_of
+from mmc_gym.evaluation.report.wording import instances_of, seeds_of, written
 from mmc_gym.evaluation.set_measures import SET_MEASURES, SetMeasure
 
 
@@ -109,13 +109,8 @@ def _cell(known: pd.DataFrame, agent: str, law: Law) -> tuple[str, str]:
     decimals = law.description.decimals
     notes = []
     if len(values) > 1:
-        notes.append(f"{_number(values.min(), decimals)} to {_number(values.max(), decimals)}")
+        notes.append(f"{written(values.min(), decimals)} to {written(values.max(), decimals)}")
     explained = mine.loc[mine["measure"] == law.explained, "value"]
     if len(explained):
-        notes.append(f"R² {_number(explained.mean(), 2)}")
-    return _number(values.mean(), decimals), "; ".join(notes)
-
-
-def _number(value: float, decimals: int) -> str:
-    text = f"{value:.{decimals}f}"
-    return text.removeprefix("-") if float(text) == 0 else text.replace("-", "−")
+        notes.append(f"R² {written(explained.mean(), 2)}")
+    return written(values.mean(), decimals), "; ".join(notes)

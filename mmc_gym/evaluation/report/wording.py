@@ -42,12 +42,20 @@ def number(measure: Measure, value: float, more: int = 0) -> str:
         return "–"
     scale, decimals = (100, 1) if measure.unit == "fraction" else (1, measure.decimals)
     decimals += more
-    text = f"{scale * value:.{decimals}f}"
-    if float(text) == 0:
-        text = text.removeprefix("-")
-        if value > 0:
-            return f"<{10.0**-decimals:.{decimals}f}"
-    return text.replace("-", "−")
+    text = written(scale * value, decimals)
+    is_hidden = value > 0 and float(text) == 0
+    return f"<{10.0**-decimals:.{decimals}f}" if is_hidden else text
+
+
+def written(value: float, decimals: int) -> str:
+    """A number with so many decimals, a true minus sign, and none before zero.
+
+    Example:
+        >>> written(-0.25, 2), written(-0.001, 2)
+        ('−0.25', '0.00')
+    """
+    text = f"{value:.{decimals}f}"
+    return text.removeprefix("-") if float(text) == 0 else text.replace("-", "−")
 
 
 def resolution(measure: Measure) -> float:
