@@ -20,9 +20,9 @@ from rich.table import Table
 
 import mmc_gym  # registers the environments
 from mmc_gym.agents.base import Agent, ReachInterface
-from mmc_gym.agents.body_observer import Loops
-from mmc_gym.agents.closed_loop import closed_loop_inverse_kinematics, closed_loop_mmc
-from mmc_gym.agents.differential import damped_least_squares
+from mmc_gym.agents.closed_loop.agent import closed_loop_inverse_kinematics, closed_loop_mmc
+from mmc_gym.agents.closed_loop.observer import Loops
+from mmc_gym.agents.ik.jacobian import damped_least_squares
 from mmc_gym.envs.perturbations import PERTURBATIONS
 
 AGENTS = (

@@ -14,8 +14,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mmc_gym.network.training import PAPER, train_normalizers
-from mmc_gym.paper.normalizers import ARCHITECTURES, RUNS, Units, architecture_name
+from mmc_gym.network.fitting import PAPER, train_normalizers
+from mmc_gym.paper.networks import ARCHITECTURES, RUNS, Units, architecture_name
 
 
 @dataclass

@@ -15,7 +15,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 import mmc_gym
-from mmc_gym.envs.registered import PERTURBATION_TASKS, TASK_STEPS, camel_case
+from mmc_gym.envs.scenarios import PERTURBATION_TASKS, TASK_STEPS, camel_case
 
 COLUMNS = 7
 STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}

@@ -6,7 +6,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 import mmc_gym
-from mmc_gym.agents.vec_env import GymnasiumVecEnv
+from mmc_gym.training.vec_env import GymnasiumVecEnv
 
 STEPS = 8_192  # far too few: `mmc-gym train ppo` takes the time that it needs
 

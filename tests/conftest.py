@@ -1,11 +1,13 @@
-"""Settings all tests share.  They are made here, before any library is imported."""
+"""Settings and fixtures that all tests share."""
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Iterator
+from typing import Any
 
-from hypothesis import settings
-
+# Before any library is imported.
 # One thread a worker: the tests run in parallel already, and sums keep their order.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
@@ -16,8 +18,94 @@ os.environ.setdefault("SDL_AUDIODRIVER", "dummy")
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import gymnasium as gym  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from hypothesis import settings  # noqa: E402
+
+import mmc_gym  # noqa: E402, F401  registers the environments
+from mmc_gym.measures.rollout import Episode  # noqa: E402
+
 # A deadline measures the machine, not the code.  Where CI is set the examples are the same in
 # every run; elsewhere hypothesis goes on looking for new ones.
 settings.register_profile("local", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+class Oracle:
+    """Knows a posture for every target: three unit segments along an arc, q = (β − φ, φ, φ).
+
+    Its hand is at the distance |1 + e^{iφ} + e^{2iφ}| = 1 + 2 cos φ from the base.
+    """
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        x, y = 3.0 * observation[9:11].astype(np.float64)
+        bend = math.acos(np.clip((math.hypot(x, y) - 1) / 2, -1, 1))
+        posture = (math.atan2(y, x) - bend, bend, bend)
+        action = [math.remainder(angle, math.tau) / math.pi for angle in posture]
+        return np.array(action, np.float32).clip(-1, 1), None
+
+
+class Frozen:
+    """Asks for the posture it is in, and so never gets anywhere."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        return np.arctan2(observation[3:6], observation[:3]) / np.float32(math.pi), None
+
+
+@pytest.fixture
+def oracle() -> Oracle:
+    return Oracle()
+
+
+@pytest.fixture
+def frozen() -> Frozen:
+    return Frozen()
+
+
+@pytest.fixture
+def env() -> Iterator[gym.Env[Any, Any]]:
+    env = gym.make("MMCReach-v0")
+    yield env
+    env.close()
+
+
+def episode_of(hands, targets, control_step=0.02, joint_angles=None, **changes):
+    """An episode in which the hand and the target were there; the servos did nothing."""
+    hands = np.array(hands, dtype=np.float64)
+    targets = np.broadcast_to(np.array(targets, dtype=np.float64), hands.shape)
+    joint_angles = np.zeros((len(hands), 3)) if joint_angles is None else np.array(joint_angles)
+    nothing = np.zeros_like(joint_angles[1:])
+    values = {
+        "seed": 0,
+        "hands": hands,
+        "distances": np.linalg.norm(hands - targets, axis=-1),
+        "targets": targets,
+        "joint_angles": joint_angles,
+        "servo_impulses": nothing,
+        "servo_work": nothing,
+        "rewards": np.zeros(len(nothing)),
+        "action_times": np.full(len(nothing), 1e-5),
+        "control_step": control_step,
+        "tolerance": 0.05,
+        "reach": 3.0,
+    }
+    return Episode(**{**values, **changes})
+
+
+@pytest.fixture
+def make_episode():
+    return episode_of

@@ -36,7 +36,7 @@ def test_train_takes_a_file_of_ones_own(tmp_path, capsys):
         "CartPole-v1: {n_timesteps: 1, policy: MlpPolicy}\n"
         "MMCReach-v0:\n"
         "  n_timesteps: 1\n"
-        "  policy: mmc_gym.agents.torch_policies.PPOPolicy\n"
+        "  policy: mmc_gym.training.policies.PPOPolicy\n"
         "  policy_kwargs: dict(net_arch=[8])\n"
         "  n_steps: 64\n"
     )
@@ -49,7 +49,7 @@ def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, caps
     def fail(*arguments, **options):
         raise CellError(3, "cell", "ValueError: the first line\nthe second")
 
-    monkeypatch.setattr("mmc_gym.agents.training_grid.train_all", fail)
+    monkeypatch.setattr("mmc_gym.training.grid.train_all", fail)
     with pytest.raises(SystemExit) as stop:
         main(["train", "--all"])
     assert stop.value.code == 1
@@ -64,7 +64,7 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mmc_gym.evaluation.report.write_report", interrupt)
+    monkeypatch.setattr("mmc_gym.report.write_report", interrupt)
     with pytest.raises(SystemExit) as stop:
         main(["report"])
     assert stop.value.code == 130

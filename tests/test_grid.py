@@ -18,7 +18,7 @@ from joblib.externals.loky import process_executor
 
 from mmc_gym import _grid, make_agent
 from mmc_gym._grid import CellError, run_grid
-from mmc_gym.evaluation.rollout import episode_seeds, run_episodes
+from mmc_gym.measures.rollout import episode_seeds, run_episodes
 
 # Workers cannot import this module.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

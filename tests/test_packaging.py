@@ -21,12 +21,12 @@ ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = {
     "mmc_gym/py.typed",
     "mmc_gym/network/weights/*.safetensors",
-    "mmc_gym/agents/hyperparams/*.yml",
+    "mmc_gym/training/hyperparams/*.yml",
     "mmc_gym/agents/pretrained/*.json",
     "mmc_gym/agents/pretrained/*.safetensors",
-    "mmc_gym/evaluation/report/templates/*.css",
-    "mmc_gym/evaluation/report/templates/*.html.j2",
-    "mmc_gym/evaluation/report/templates/*.js",
+    "mmc_gym/report/templates/*.css",
+    "mmc_gym/report/templates/*.html.j2",
+    "mmc_gym/report/templates/*.js",
 }
 
 HEAVY = {"matplotlib", "numba", "pygame", "stable_baselines3", "torch"}

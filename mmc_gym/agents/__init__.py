@@ -13,24 +13,24 @@ from typing import Any
 import gymnasium as gym
 
 from mmc_gym.agents.base import Agent, ReachInterface
-from mmc_gym.agents.closed_form import closed_form
-from mmc_gym.agents.closed_loop import (
+from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
     closed_loop_inverse_kinematics,
     closed_loop_mmc,
     told_lockable,
 )
-from mmc_gym.agents.differential import (
+from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
+from mmc_gym.agents.ik.closed_form import closed_form
+from mmc_gym.agents.ik.geometric import cyclic_coordinate_descent, fabrik
+from mmc_gym.agents.ik.jacobian import (
     damped_least_squares,
     jacobian_transpose,
     null_space,
     pseudo_inverse,
 )
-from mmc_gym.agents.geometric import cyclic_coordinate_descent, fabrik
-from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, Solver
-from mmc_gym.agents.minimum_jerk import MinimumJerkAgent
 from mmc_gym.agents.mmc import MMCAgent, dynamic_mmc
 from mmc_gym.agents.passive_motion import PassiveMotionAgent
+from mmc_gym.agents.planners import MinimumJerkAgent
 from mmc_gym.agents.random import RandomAgent
 from mmc_gym.agents.timed_mmc import TimedMMCAgent
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, Normalizer
@@ -172,13 +172,13 @@ def _limited_inverse_kinematics(
 
 
 def _policy(name: str, seed: int, env: gym.Env[Any, Any]) -> Agent[Any]:
-    from mmc_gym.agents.reinforcement import PolicyAgent
+    from mmc_gym.agents.policy import PolicyAgent
 
     return PolicyAgent.shipped(name, seed, ReachInterface.of(env))
 
 
 def _policy_of_file(path: str, env: gym.Env[Any, Any]) -> Agent[Any]:
-    from mmc_gym.agents.reinforcement import PolicyAgent, load_policy
+    from mmc_gym.agents.policy import PolicyAgent, load_policy
 
     return PolicyAgent(*load_policy(path), ReachInterface.of(env))
 

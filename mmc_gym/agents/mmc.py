@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed, State
-from mmc_gym.agents.dead_end import STRAIGHT, leave_line, nearest_reachable
+from mmc_gym.agents.ik.dead_end import STRAIGHT, leave_line, nearest_reachable
 from mmc_gym.network import Clamps, MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run

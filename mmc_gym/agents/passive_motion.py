@@ -41,14 +41,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import JointTargetAgent, Sensed
-from mmc_gym.agents.dead_end import (
+from mmc_gym.agents.ik.agent import jacobian
+from mmc_gym.agents.ik.dead_end import (
     SegmentLengths,
     hand_position,
     leave_line,
     nearest_reachable,
 )
-from mmc_gym.agents.differential import limited, resisted_force
-from mmc_gym.agents.inverse_kinematics import jacobian
+from mmc_gym.agents.ik.jacobian import limited, resisted_force
 from mmc_gym.agents.movement import Movement, begin, follow, step, where
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share

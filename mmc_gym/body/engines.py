@@ -78,10 +78,10 @@ def make_arm(engine: Engine, parameters: ArmParameters, servo: Servo) -> SingleA
     """
     require(engine in get_args(Engine), "engine", engine, f"one of {get_args(Engine)}")
     if engine == "analytic":
-        from mmc_gym.body.analytic import AnalyticArm
+        from mmc_gym.body.analytic.arms import AnalyticArm
 
         return AnalyticArm(parameters, servo)
-    from mmc_gym.body.arm import Arm
+    from mmc_gym.body.pymunk.arm import Arm
 
     return Arm(parameters, servo)
 
@@ -97,9 +97,9 @@ def make_arms(
     """
     require(engine in get_args(Engine), "engine", engine, f"one of {get_args(Engine)}")
     if engine == "analytic":
-        from mmc_gym.body.analytic import AnalyticArms
+        from mmc_gym.body.analytic.arms import AnalyticArms
 
         return AnalyticArms(parameters, count, servo, threads)
-    from mmc_gym.body.batch import Arms
+    from mmc_gym.body.pymunk.batch import Arms
 
     return Arms(parameters, count, servo, threads)

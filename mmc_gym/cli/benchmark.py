@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mmc_gym.cli.progress import progress_bar
+from mmc_gym.progress import progress_bar
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Benchmark:
 
     def run(self) -> None:
         """Play, with a progress bar, and print the ranking."""
-        from mmc_gym.evaluation.benchmark import Progress, benchmark
-        from mmc_gym.evaluation.contestants import default_agents
-        from mmc_gym.evaluation.ranking_table import print_ranking
-        from mmc_gym.evaluation.table import make_console
+        from mmc_gym._console import make_console
+        from mmc_gym.benchmark.entries import default_agents
+        from mmc_gym.benchmark.ranking_table import print_ranking
+        from mmc_gym.benchmark.runner import Progress, benchmark
 
         with progress_bar() as bar:
             task = bar.add_task("cells")

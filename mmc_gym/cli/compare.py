@@ -32,6 +32,6 @@ class Compare:
 
     def run(self) -> None:
         """Compare."""
-        from mmc_gym.evaluation.compare import compare
+        from mmc_gym.benchmark.compare import compare
 
         compare(self.agents, self.env, self.episodes, self.seed, self.out)

@@ -17,6 +17,6 @@ class Curves:
 
     def run(self) -> None:
         """Draw."""
-        from mmc_gym.evaluation.learning_curves import learning_curves
+        from mmc_gym.training.curves import learning_curves
 
         learning_curves(self.folder, self.out)

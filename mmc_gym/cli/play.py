@@ -18,6 +18,6 @@ class Play:
 
     def run(self) -> None:
         """Play."""
-        from mmc_gym.evaluation.play import play
+        from mmc_gym.play import play
 
         play(self.agent, self.env, self.seed)

@@ -17,6 +17,6 @@ class Report:
 
     def run(self) -> None:
         """Write."""
-        from mmc_gym.evaluation.report import write_report
+        from mmc_gym.report import write_report
 
         print(f"wrote {write_report(self.store, self.out or self.store / 'report.html')}")

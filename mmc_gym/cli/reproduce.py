@@ -26,6 +26,6 @@ class Reproduce:
 
     def run(self) -> None:
         """Reproduce."""
-        from mmc_gym.paper.reproduce import reproduce
+        from mmc_gym.paper.run import reproduce
 
         reproduce(self.experiments, self.out, self.quick, self.seed, self.jobs)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mmc_gym.cli.progress import progress_bar
+from mmc_gym.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -47,7 +47,7 @@ class Train:
 
     def run(self) -> None:
         """Train, with a progress bar."""
-        from mmc_gym.agents.hyperparameters import names
+        from mmc_gym.training.hyperparameters import names
 
         if self.all == bool(self.name):
             raise ValueError(
@@ -62,9 +62,9 @@ class Train:
             (self._train_all if self.all else self._train_one)(bar)
 
     def _train_one(self, bar: Bar) -> None:
-        from mmc_gym.agents.hyperparameters import policy_name, read_hyperparameters
-        from mmc_gym.agents.reinforcement import FINAL_EPISODES
-        from mmc_gym.agents.training import Progress, Training
+        from mmc_gym.agents.policy import FINAL_EPISODES
+        from mmc_gym.training.hyperparameters import policy_name, read_hyperparameters
+        from mmc_gym.training.training import Progress, Training
 
         env_id, hyperparameters = read_hyperparameters(self.name, self.env)
         if self.steps is not None:
@@ -101,8 +101,8 @@ class Train:
         )
 
     def _train_all(self, bar: Bar) -> None:
-        from mmc_gym.agents.reinforcement import PolicyCard
-        from mmc_gym.agents.training_grid import shipped_cells, train_all
+        from mmc_gym.agents.policy import PolicyCard
+        from mmc_gym.training.grid import shipped_cells, train_all
 
         policies = shipped_cells()
         task = bar.add_task("policies", total=len(policies))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from mmc_gym.cli.progress import progress_bar
+from mmc_gym.progress import progress_bar
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Tune:
 
     def run(self) -> None:
         """Tune, with a progress bar."""
-        from mmc_gym.evaluation.tuning import tune
+        from mmc_gym.training.tuning import tune
 
         with progress_bar() as bar:
             task = bar.add_task(f"trials of {self.name}", total=self.trials)

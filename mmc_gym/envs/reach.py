@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym.body.engines import SingleArm, make_arm
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import reward_and_info
-from mmc_gym.envs.senses import disturb, encode
-from mmc_gym.envs.setup import HasSetup, ReachSetup, finite, require_one_of
+from mmc_gym.envs.spec import HasSetup, ReachSetup, finite, require_one_of
 from mmc_gym.envs.workspace import Point
+from mmc_gym.interface import disturb, encode
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.rendering import Renderer, Scene
+    from mmc_gym.envs.render.renderer import Renderer, Scene
 
 Info = dict[str, Any]
 
@@ -209,13 +209,13 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
             gym.logger.warn("render() needs a render_mode: gym.make(..., render_mode='rgb_array')")
             return None
         if self._renderer is None:
-            from mmc_gym.envs.rendering import Renderer
+            from mmc_gym.envs.render.renderer import Renderer
 
             self._renderer = Renderer(self.setup, self.render_mode, self.metadata["render_fps"])
         return self._renderer.draw(self._scene())
 
     def _scene(self) -> Scene:
-        from mmc_gym.envs.rendering import Scene
+        from mmc_gym.envs.render.renderer import Scene
 
         setup = self.setup
         return Scene(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.rewards import dense_reward, sparse_reward
-from mmc_gym.envs.setup import HasSetup, ReachSetup, RewardType
+from mmc_gym.envs.spec import HasSetup, ReachSetup, RewardType
 from mmc_gym.envs.workspace import REACH_TOLERANCE, Point
 
 

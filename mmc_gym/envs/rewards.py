@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.envs.setup import ReachSetup
+from mmc_gym.envs.spec import ReachSetup
 
 Speeds: TypeAlias = "Sequence[Any] | NDArray[np.float64]"
 Distance = TypeVar("Distance", float, NDArray[np.float64])

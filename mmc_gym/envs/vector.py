@@ -24,11 +24,11 @@ from mmc_gym.body.engines import ArmBatch, make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import reward_and_info
 from mmc_gym.envs.rows import check_mask, check_seeds, pick, put, spread
-from mmc_gym.envs.senses import disturb, encode, relative_speeds
-from mmc_gym.envs.setup import HasSetup, Options, ReachSetup, require_one_of
+from mmc_gym.envs.spec import HasSetup, Options, ReachSetup, require_one_of
+from mmc_gym.interface import disturb, encode, relative_speeds
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.rendering import Renderer, Scene
+    from mmc_gym.envs.render.renderer import Renderer, Scene
 
 Info = dict[str, Any]
 Indices = NDArray[np.intp]
@@ -178,7 +178,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             gym.logger.warn("render() needs render_mode='rgb_array'")
             return None
         if not self._renderers:
-            from mmc_gym.envs.rendering import Renderer
+            from mmc_gym.envs.render.renderer import Renderer
 
             fps = self.metadata["render_fps"]
             self._renderers = [Renderer(self.setup, "rgb_array", fps) for _ in self._all]
@@ -187,7 +187,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         )
 
     def _scene(self, arm: int) -> Scene:
-        from mmc_gym.envs.rendering import Scene
+        from mmc_gym.envs.render.renderer import Scene
 
         setup = self.setup
         return Scene(

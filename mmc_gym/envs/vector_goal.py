@@ -13,9 +13,9 @@ from mmc_gym.envs.reach_goal import (
     goal_observation_space,
     without_control_weight,
 )
-from mmc_gym.envs.senses import encode_posture
-from mmc_gym.envs.setup import RewardType
+from mmc_gym.envs.spec import RewardType
 from mmc_gym.envs.vector import MMCReachVectorEnv
+from mmc_gym.interface import encode_posture
 
 
 class MMCReachGoalVectorEnv(GoalRewards, MMCReachVectorEnv):

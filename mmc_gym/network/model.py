@@ -37,7 +37,7 @@ from numpy.typing import ArrayLike
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Floats, Pair
 from mmc_gym.network.linear import CompiledIteration, compile_iteration
-from mmc_gym.network.normalization import EuclideanNormalizer, Normalizer
+from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]

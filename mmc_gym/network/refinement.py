@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.network.normalization import LearnedNormalizer
+from mmc_gym.network.normalizers import LearnedNormalizer
 
 Array = NDArray[np.float64]
 

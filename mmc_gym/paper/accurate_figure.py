@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mmc_gym.evaluation.figures import COLOURS, LINES, STYLE
+from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats
 
 

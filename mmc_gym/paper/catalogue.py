@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from mmc_gym.paper import (
+from mmc_gym.paper.experiment import Experiment
+from mmc_gym.paper.experiments import (
     accurate,
     bell_shaped,
     dynamic,
@@ -15,7 +16,6 @@ from mmc_gym.paper import (
     normalization,
     population,
 )
-from mmc_gym.paper.experiment import Experiment
 
 _EXPERIMENTS: tuple[Experiment, ...] = (
     normalization.EXPERIMENT,

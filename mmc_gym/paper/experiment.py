@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._files import write_atomically
-from mmc_gym.evaluation.figures import save_figure
+from mmc_gym._plotting import save_figure
 
 Value: TypeAlias = float | str | None
 Data: TypeAlias = "pd.DataFrame | Mapping[str, NDArray[np.generic]]"

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from mmc_gym.evaluation.figures import COLOURS, LINES, STYLE
+from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats
 
 

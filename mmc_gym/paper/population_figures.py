@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.projections.polar import PolarAxes
 
-from mmc_gym.evaluation.figures import COLOURS, LINES, STYLE
+from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats
 
 _ANGLES = (0, 90, 180, 270, 360)

@@ -12,13 +12,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.evaluation import metrics, profiles
+from mmc_gym.measures import reaching as metrics
+from mmc_gym.measures import speed as profiles
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork
-from mmc_gym.network.normalization import EuclideanNormalizer, LearnedNormalizer, Normalizer
+from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from mmc_gym.paper.experiment import Progress, Settings
-from mmc_gym.paper.movements import PAIRS, Recording, record_movements
-from mmc_gym.paper.normalizers import architecture_name, trained_architectures
+from mmc_gym.paper.networks import architecture_name, trained_architectures
+from mmc_gym.paper.protocol import PAIRS, Recording, record_movements
 
 EUCLIDEAN, ACCURATE = "Euclidean", "accurate [16, 16]"
 """Names of the normalizers that the paper's recipe has no part in."""

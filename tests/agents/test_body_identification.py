@@ -6,11 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.agents import delay_bridge, length_identification, lock_detection
 from mmc_gym.agents.base import ReachInterface
-from mmc_gym.agents.body_observer import seen_hand
-from mmc_gym.agents.closed_loop import LOOPS, closed_loop_mmc, told_lockable
-from mmc_gym.agents.servo_model import expected_turn
+from mmc_gym.agents.closed_loop import delay as delay_bridge
+from mmc_gym.agents.closed_loop import lengths as length_identification
+from mmc_gym.agents.closed_loop import locks as lock_detection
+from mmc_gym.agents.closed_loop.agent import LOOPS, closed_loop_mmc, told_lockable
+from mmc_gym.agents.closed_loop.observer import seen_hand
+from mmc_gym.agents.closed_loop.servo_model import expected_turn
 from mmc_gym.envs.perturbations import LockedJoint
 from mmc_gym.network.chain import segments_from_joint_angles
 

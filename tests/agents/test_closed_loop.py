@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from mmc_gym import make_agent
 from mmc_gym.agents.base import ReachInterface
-from mmc_gym.agents.body_observer import Loops
-from mmc_gym.agents.closed_loop import (
+from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
     closed_loop_inverse_kinematics,
     closed_loop_mmc,
 )
-from mmc_gym.agents.differential import damped_least_squares
+from mmc_gym.agents.closed_loop.observer import Loops
+from mmc_gym.agents.ik.jacobian import damped_least_squares
 
 EPISODES = 100
 SEED = 60_000

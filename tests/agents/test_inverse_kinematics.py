@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmc_gym.agents.closed_form import closed_form, solutions
-from mmc_gym.agents.dead_end import hand_position, leave_line
-from mmc_gym.agents.differential import (
+from mmc_gym.agents.ik.agent import iterate, jacobian
+from mmc_gym.agents.ik.closed_form import closed_form, solutions
+from mmc_gym.agents.ik.dead_end import hand_position, leave_line
+from mmc_gym.agents.ik.geometric import cyclic_coordinate_descent, fabrik
+from mmc_gym.agents.ik.jacobian import (
     damped_least_squares,
     jacobian_transpose,
     null_space,
     pseudo_inverse,
 )
-from mmc_gym.agents.geometric import cyclic_coordinate_descent, fabrik
-from mmc_gym.agents.inverse_kinematics import iterate, jacobian
 from mmc_gym.network.chain import reachable_radii, wrap_angle
 
 SOLVERS = {

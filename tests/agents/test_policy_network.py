@@ -9,10 +9,10 @@ import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from mmc_gym.agents.base import ReachInterface
-from mmc_gym.agents.export import export_policy
 from mmc_gym.agents.policy_network import PolicyNetwork
-from mmc_gym.agents.torch_policies import POLICIES
 from mmc_gym.agents.views import View, features, turned_actions
+from mmc_gym.training.export import export_policy
+from mmc_gym.training.policies import POLICIES
 
 ENV_IDS = {
     "PPOPolicy": "MMCReach-v0",
@@ -26,7 +26,7 @@ ENV_IDS = {
 def make_policy(name: str, env_id: str, **options: Any) -> Any:
     env = gym.make(env_id)
     torch.manual_seed(0)
-    policy = POLICIES[f"mmc_gym.agents.torch_policies.{name}"](
+    policy = POLICIES[f"mmc_gym.training.policies.{name}"](
         env.observation_space, env.action_space, lambda _: 1e-3, net_arch=[16, 8], **options
     )
     for parameter in policy.parameters():  # an untrained policy's actions are all but zero
@@ -155,7 +155,7 @@ def test_the_layer_refuses_observations_of_another_arm():
     env = gym.make("MMCReach-v0", segment_lengths=(1.0,))
     two = gym.spaces.Box(-1, 1, (3,), np.float32)
     with pytest.raises(ValueError, match="with 3 joints"):
-        POLICIES["mmc_gym.agents.torch_policies.PPOPolicy"](env.observation_space, two, lambda _: 1)
+        POLICIES["mmc_gym.training.policies.PPOPolicy"](env.observation_space, two, lambda _: 1)
 
 
 @pytest.mark.parametrize(

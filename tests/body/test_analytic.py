@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mmc_gym.body import Arm, ArmParameters, Servo
-from mmc_gym.body.analytic import AnalyticArm, AnalyticArms
+from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArms
 
 Floats = NDArray[np.float64]
 SERVOS = get_args(Servo)
@@ -460,7 +460,7 @@ import mmc_gym.body
 assert "numba" not in sys.modules
 sys.modules["numba"] = None
 try:
-    import mmc_gym.body.analytic
+    import mmc_gym.body.analytic.arms
 except ImportError as error:
     print(error)
 """

@@ -185,7 +185,7 @@ def test_moving_a_copy_does_not_move_the_arm() -> None:
 def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mmc_gym.body.arm._LONGEST_HISTORY", 100)
+    monkeypatch.setattr("mmc_gym.body.pymunk.arm._LONGEST_HISTORY", 100)
     arm = Arm()
     play(arm, "position", seed=0, steps=100)
     assert pickled(arm).joint_angles == arm.joint_angles

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmc_gym.body import Arm, ArmParameters, Servo
-from mmc_gym.body import batch as batch_module
-from mmc_gym.body.batch import Arms
+from mmc_gym.body.pymunk import batch as batch_module
+from mmc_gym.body.pymunk.batch import Arms
 
 SERVOS = get_args(Servo)
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))

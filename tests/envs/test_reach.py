@@ -14,7 +14,7 @@ from scipy import stats
 
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.reach_goal import MMCReachGoalEnv
-from mmc_gym.envs.setup import Control
+from mmc_gym.envs.spec import Control
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)

@@ -8,7 +8,7 @@ import pytest
 
 import mmc_gym  # noqa: F401  (registers the environments)
 from mmc_gym.envs.perturbations import PERTURBATIONS
-from mmc_gym.envs.registered import PERTURBATION_TASKS, TASK_STEPS, camel_case
+from mmc_gym.envs.scenarios import PERTURBATION_TASKS, TASK_STEPS, camel_case
 from mmc_gym.envs.tasks import TASKS
 
 

@@ -12,8 +12,6 @@ import numpy as np
 import pygame
 import pytest
 
-from mmc_gym.envs import drawing
-from mmc_gym.envs.drawing import View
 from mmc_gym.envs.perturbations import (
     PERTURBATIONS,
     ForceField,
@@ -24,8 +22,10 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.rendering import Renderer, Scene, Window, caption, old_lengths
-from mmc_gym.envs.setup import ReachSetup
+from mmc_gym.envs.render import shapes as drawing
+from mmc_gym.envs.render.renderer import Renderer, Scene, Window, caption, old_lengths
+from mmc_gym.envs.render.shapes import View
+from mmc_gym.envs.spec import ReachSetup
 
 LENGTHS = (1.0, 1.0, 1.0)
 FAR = (-2.5, 0.0)

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from mmc_gym.agents import make_agent
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.tasks import TASKS, DoubleStep, PointToPoint, Pursuit, ViaPoints
-from mmc_gym.paper.movements import PAIRS, TARGETS
+from mmc_gym.paper.protocol import PAIRS, TARGETS
 
 STILL = np.zeros(3, np.float32)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
-from mmc_gym.network.normalization import angle_errors, mean_squared_error
+from mmc_gym.network.normalizers import angle_errors, mean_squared_error
 
 lengths = st.floats(1e-6, 1e6)
 

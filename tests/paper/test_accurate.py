@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
-from mmc_gym.paper.accurate import LENGTHS, measure, run
 from mmc_gym.paper.experiment import Settings
+from mmc_gym.paper.experiments.accurate import LENGTHS, measure, run
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
-from mmc_gym.paper.bell_shaped import minimum_jerk_movements, record_timed_movements
 from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.movements import PAIRS, TARGETS, record_movements
+from mmc_gym.paper.experiments.bell_shaped import minimum_jerk_movements, record_timed_movements
+from mmc_gym.paper.protocol import PAIRS, TARGETS, record_movements
 from mmc_gym.paper.summaries import OVERSHOOT, shapes
 
 NETWORKS = {
@@ -60,7 +60,7 @@ def test_a_timed_movement_starts_where_its_warm_movement_ends():
 
 @pytest.fixture(scope="module")
 def result():
-    from mmc_gym.paper.bell_shaped import EXPERIMENT
+    from mmc_gym.paper.experiments.bell_shaped import EXPERIMENT
 
     calls = []
     found = EXPERIMENT.run(Settings(quick=True), lambda done, total: calls.append((done, total)))

@@ -6,7 +6,7 @@ import pytest
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.network.linear import linear_operator
 from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.forward_and_mixed import (
+from mmc_gym.paper.experiments.forward_and_mixed import (
     EXPERIMENT,
     NETWORKS,
     TASKS,

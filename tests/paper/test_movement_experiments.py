@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer
-from mmc_gym.paper import dynamic, example, kinematic, summaries
+from mmc_gym.paper import summaries
 from mmc_gym.paper.experiment import Settings, write_result
-from mmc_gym.paper.normalizers import TrainedArchitecture
+from mmc_gym.paper.experiments import dynamic, example, kinematic
+from mmc_gym.paper.networks import TrainedArchitecture
 
 NONE = np.zeros((2, 0))
 RUNS = tuple(LearnedNormalizer.shipped(name) for name in ("paper", "accurate"))

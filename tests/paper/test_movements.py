@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
-from mmc_gym.paper.movements import (
+from mmc_gym.paper.protocol import (
     EXAMPLE_TARGET,
     PAIRS,
     STARTING_SEGMENTS,

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer
-from mmc_gym.paper import normalization, normalizers
+from mmc_gym.paper import networks as normalizers
 from mmc_gym.paper.experiment import Settings, write_result
-from mmc_gym.paper.normalizers import ARCHITECTURES, QUICK_ARCHITECTURES
+from mmc_gym.paper.experiments import normalization
+from mmc_gym.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES
 
 
 def test_every_architecture_has_published_errors():

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmc_gym.network import training
-from mmc_gym.paper import normalizers
+from mmc_gym.network import fitting as training
+from mmc_gym.paper import networks as normalizers
 from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.normalizers import ARCHITECTURES, RUNS, trained_architectures
+from mmc_gym.paper.networks import ARCHITECTURES, RUNS, trained_architectures
 
 FEW = ((2,), (3, 2))
 

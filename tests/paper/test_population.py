@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer
-from mmc_gym.paper import normalizers
+from mmc_gym.paper import networks as normalizers
 from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.population import DIRECTIONS, layer_tunings, run, tuning
+from mmc_gym.paper.experiments.population import DIRECTIONS, layer_tunings, run, tuning
 
 
 @pytest.mark.parametrize("bias", [-1.0, 0.0, 0.7])

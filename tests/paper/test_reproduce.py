@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from mmc_gym.cli import main
-from mmc_gym.paper import normalizers, reproduce
+from mmc_gym.paper import networks as normalizers
+from mmc_gym.paper import run as reproduce
 from mmc_gym.paper.catalogue import EXPERIMENTS
 from mmc_gym.paper.experiment import Experiment, Result, Row
 from mmc_gym.paper.points import POINTS

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import EuclideanNormalizer, MMCNetwork
-from mmc_gym.paper import dynamic, kinematic
-from mmc_gym.paper.dynamic import catching_up
-from mmc_gym.paper.movements import PAIRS, TARGETS, Recording, record_movements
+from mmc_gym.paper.experiments import dynamic, kinematic
+from mmc_gym.paper.experiments.dynamic import catching_up
+from mmc_gym.paper.protocol import PAIRS, TARGETS, Recording, record_movements
 from mmc_gym.paper.published import CLASSICAL_PUBLISHED, DYNAMIC_EUCLIDEAN, KINEMATIC_COURSE
 from mmc_gym.paper.summaries import (
     EUCLIDEAN,

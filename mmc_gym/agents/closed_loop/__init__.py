@@ -1,0 +1,1 @@
+"""The MMC agent that lets what it senses enter its network."""

@@ -1,0 +1,1 @@
+"""Inverse kinematics: one agent, and the solvers it may use."""

@@ -1,0 +1,1 @@
+"""Agents × scenarios × training seeds: play, keep, compare, rank."""

@@ -1,0 +1,253 @@
+"""`mmc-gym compare`: agents play the same episodes; a table, the data and a figure say how."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from mmc_gym._console import make_console, print_table
+from mmc_gym._files import write_atomically
+from mmc_gym.benchmark.entrants import AgentLike, entrants, training_steps
+from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
+from mmc_gym.benchmark.statistics_part import CONFIDENCE, RESAMPLES, summarize
+from mmc_gym.measures.catalogue import MEASURES, leave_out_failures
+from mmc_gym.measures.rollout import (
+    Episode,
+    Predictor,
+    check_environment,
+    episode_seeds,
+    run_episodes,
+)
+
+SHOWN = tuple(measure for measure in MEASURES if measure.shown)
+"""The measures that the table shows."""
+
+_PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
+_REFRESH = 0.1  # seconds between two drawings of the progress bar
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What a comparison found.
+
+    Attributes:
+        env: id of the environment.
+        seed: that the episodes' seeds are derived from, see `rollout.episode_seeds`.
+        reach: of the arm, segment lengths.
+        recorded: every agent's episodes, and those of `REFERENCE` if there are any; the i-th of
+            each has the same start and target.
+        training_steps: environment steps spent in training each agent; None if unknown.
+        episodes: one row per agent and episode: agent, episode, seed, start, target, measures.
+        summary: one row per agent and measure, see `statistics.summarize`; of the episodes that
+            ended at the target, for measures of `successes_only`.
+    """
+
+    env: str
+    seed: int
+    reach: float
+    recorded: Mapping[str, tuple[Episode, ...]]
+    training_steps: Mapping[str, int | None]
+    episodes: pd.DataFrame
+    summary: pd.DataFrame
+
+    @property
+    def note(self) -> str:
+        """What must be known to read the numbers; stands below the table and in summary.json."""
+        one = next(iter(self.recorded.values()))
+        means = ", ".join(measure.label for measure in SHOWN if measure.statistic == "mean")
+        all_told = ", ".join(measure.label for measure in SHOWN if not measure.successes_only)
+        reference = (
+            f"{REFERENCE}: a hand without an arm, through the same measures. "
+            if REFERENCE in self.recorded
+            else ""
+        )
+        return (
+            f"{self.env}, {len(one)} episodes, the same starts and targets for all agents. "
+            f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
+            f"segment lengths; at the target: within {one[0].tolerance:g}. "
+            f"{all_told}: of all episodes; the others: of those that ended at the target, and k of "
+            f"{len(one)} have a value (none where the hand started there). {reference}"
+            f"Of {len(MEASURES)} measures {len(SHOWN)} are shown; files hold all. "
+            "The intervals replicate over episodes (starts and targets), NOT over training seeds: "
+            "each agent is the result of one training, or of none."
+        )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the comparison was made with, ready for JSON."""
+        one = next(iter(self.recorded.values()))
+        return {
+            "environment": self.env,
+            "agents": [agent for agent in self.recorded if agent != REFERENCE],
+            "reference": REFERENCE if REFERENCE in self.recorded else None,
+            "training_steps": {
+                agent: steps for agent, steps in self.training_steps.items() if agent != REFERENCE
+            },
+            "training_seeds_per_agent": 1,
+            "episodes": len(one),
+            "seed": self.seed,
+            "control_step": one[0].control_step,
+            "tolerance": one[0].tolerance,
+            "confidence": CONFIDENCE,
+            "bootstrap_resamples": RESAMPLES,
+            "bootstrap_method": "percentile, over episodes",
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            "versions": {package: version(package) for package in _PACKAGES},
+            "note": self.note,
+        }
+
+    def write(self, out: Path) -> list[Path]:
+        """Write episodes.csv, summary.csv, summary.json and the figure into the folder `out`."""
+        from mmc_gym._plotting import paths_and_profiles, save_figure
+
+        summary = self.summary.assign(
+            training_steps=self.summary["agent"].map(self.training_steps).astype("Int64")
+        )
+        # Of an interrupted run, either the old file or the new one is left, never half of it.
+        written = [
+            write_atomically(out / "episodes.csv", _csv(self.episodes)),
+            write_atomically(out / "summary.csv", _csv(summary)),
+            write_atomically(out / "summary.json", json.dumps(self.settings, indent=2) + "\n"),
+        ]
+        figure = paths_and_profiles(self.recorded, self.reach)
+        return written + save_figure(figure, out / "paths_and_profiles")
+
+
+def compare(
+    agents: Sequence[AgentLike] | Mapping[str, AgentLike],
+    env: str = "MMCReach-v0",
+    episodes: int = 200,
+    seed: int = 0,
+    out: Path | None = None,
+    console: Console | None = None,
+) -> Comparison:
+    """Let agents play the same episodes, print a table, and write data and figure.
+
+    Beside them stands `REFERENCE`, an ideal hand that meets the same targets, where there is one.
+
+    Agents, environment and `out` are checked, and the agents made, before the first episode.
+
+    Args:
+        agents: names, `"module:function"`, factories or objects with `predict`, see
+            `entrants.entrants`; a mapping gives them labels.
+        env: id of a reaching environment.
+        episodes: how many each agent plays.
+        seed: decides on starts and targets, see `rollout.episode_seeds`, and on the resampling.
+        out: folder for the files; None writes none.
+        console: to print the table to; standard output if None.
+
+    Raises:
+        ValueError: if an argument is outside what it accepts.
+
+    Example:
+        >>> comparison = compare(["random"], episodes=2)  # doctest: +ELLIPSIS
+        <BLANKLINE>
+        ...
+        >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
+        {'random': 2, 'minimum jerk (ideal)': 2}
+    """
+    factories = entrants(agents)
+    seeds = episode_seeds(seed, episodes)
+    if out is not None and out.exists() and not out.is_dir():
+        raise ValueError(f"out must be a folder, got the file {str(out)!r}")
+    envs = {label: _make_env(env) for label in factories}
+    try:
+        # All are made before the first one plays: a missing file should not cost the others' work.
+        players = {label: factory(envs[label]) for label, factory in factories.items()}
+        recorded = _play(players, envs, seeds)
+        if REFERENCE not in recorded and has_reference(next(iter(envs.values()))):
+            recorded[REFERENCE] = minimum_jerk_episodes(next(iter(recorded.values())))
+        reach = float(next(iter(envs.values())).get_wrapper_attr("reach"))
+    finally:
+        for made in envs.values():
+            made.close()
+    table = tidy(recorded)
+    steps = {label: training_steps(player) for label, player in players.items()}
+    if REFERENCE in recorded:
+        steps.setdefault(REFERENCE, 0)
+    summary = summarize(leave_out_failures(table), MEASURES, seed)
+    comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
+    console = console or make_console()
+    written = comparison.write(out) if out is not None else []  # safe before anything is printed
+    print_table(console, summary, SHOWN, steps, comparison.note)
+    for path in written:
+        name = str(path).encode(console.encoding, "replace").decode(console.encoding)
+        console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
+    return comparison
+
+
+def tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
+    """One row per agent and episode, with a column for each of `MEASURES`."""
+    rows = []
+    for agent, episodes in recorded.items():
+        for number, episode in enumerate(episodes):
+            (start_x, start_y), (target_x, target_y) = episode.hands[0], episode.target
+            row = {
+                "agent": agent,
+                "episode": number,
+                "seed": episode.seed,
+                "start_x": start_x,
+                "start_y": start_y,
+                "target_x": target_x,
+                "target_y": target_y,
+            }
+            rows.append({**row, **{measure.name: measure.of(episode) for measure in MEASURES}})
+    return pd.DataFrame(rows)
+
+
+def _make_env(env_id: str) -> gym.Env[Any, Any]:
+    try:
+        env: gym.Env[Any, Any] = gym.make(env_id)
+    except (gym.error.Error, ImportError) as error:
+        raise ValueError(
+            f"env must be a reaching environment such as 'MMCReach-v0', got {env_id!r}: {error}"
+        ) from error
+    check_environment(env)
+    return env
+
+
+def _play(
+    players: Mapping[str, Predictor], envs: Mapping[str, gym.Env[Any, Any]], seeds: Sequence[int]
+) -> dict[str, tuple[Episode, ...]]:
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    # Drawn between episodes only: a drawing thread would disturb the times of the actions.
+    with Progress(
+        *columns,
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        auto_refresh=False,
+        disable=not console.is_terminal,
+    ) as progress:
+        task = progress.add_task("", total=len(players) * len(seeds))
+        drawn = 0.0
+
+        def advance(_: Episode) -> None:
+            nonlocal drawn
+            progress.advance(task)
+            if time.monotonic() - drawn > _REFRESH:
+                progress.refresh()
+                drawn = time.monotonic()
+
+        recorded = {}
+        for label, player in players.items():
+            progress.update(task, description=label.replace("[", r"\["))
+            recorded[label] = run_episodes(player, envs[label], seeds, advance)
+        return recorded
+
+
+def _csv(frame: pd.DataFrame) -> str:
+    return frame.to_csv(index=False, lineterminator="\n")

@@ -1,0 +1,1 @@
+"""The analytic engine: equations of motion, compiled."""

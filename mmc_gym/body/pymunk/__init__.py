@@ -1,0 +1,1 @@
+"""The default engine: the arm as rigid bodies in pymunk."""

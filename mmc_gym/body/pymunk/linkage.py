@@ -1,0 +1,208 @@
+"""The bodies and joints of one planar arm in a pymunk Space: N uniform rods on pivots.
+
+    base ── pivot, servo ── segment 0 ── pivot, servo ── segment 1 ── … ── hand
+
+The rods have shapes, and can collide, only where there are obstacles.  The joints are added from
+the hand inward, each with its pivot last: Chipmunk solves them in this order again and again, and
+whatever it solves last holds best.  With all of a pivot's error corrected in every physics step,
+the pivots gape ten times less than in the order from the base outward.
+
+What is done often goes to Chipmunk directly, through the library that pymunk's own properties
+call.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from math import cos, sin
+
+import pymunk
+from pymunk._chipmunk_cffi import lib as chipmunk
+
+from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.pymunk.solver import segment_inertia, solver_iterations
+
+_NO_COLLISIONS_AMONG_SEGMENTS = pymunk.ShapeFilter(group=1)
+
+
+class Linkage:
+    """One arm in a Space, which may hold others.  All sequences run from the base outward.
+
+    Attributes:
+        segments: the bodies of the N segments; their origin is their centre of gravity.
+        servos: the N constraints that drive the joints.
+        locks: the lockable joints and the constraints that make them rigid.
+        hand: the last body, and how far from its centre of gravity the hand is.
+        locked: whether the lockable joints are held.
+    """
+
+    def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
+        """Build the arm into `space`."""
+        self.segments: list[pymunk.Body] = []
+        self.servos: list[pymunk.Constraint] = []
+        self.locks: list[tuple[int, pymunk.GearJoint]] = []
+        self.locked = False
+        self._lengths = parameters.segment_lengths
+        self._centres: list[float] = []
+        # The base is a body of the arm's own that is not in the Space: the Space's own static
+        # body would be among those that bulk calls read and write.
+        parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), 0.0
+        joints: list[list[pymunk.Constraint]] = []
+        for joint, length in enumerate(self._lengths):
+            mass, centre, moment = segment_inertia(parameters, joint)
+            segment = pymunk.Body(mass, moment)
+            space.add(segment)
+            joints.append(self._make_joint(parameters, servo, joint, parent, segment))
+            pivot = pymunk.PivotJoint(parent, segment, (anchor, 0.0), (-centre, 0.0))
+            pivot.error_bias = 0.0
+            joints[-1].append(pivot)
+            self.segments.append(segment)
+            self._centres.append(centre)
+            parent, anchor = segment, length - centre
+        self.joints = [constraint for joint in reversed(joints) for constraint in joint]
+        for constraint in self.joints:
+            space.add(constraint)
+        if parameters.obstacles:
+            self._add_shapes(space, parameters)
+        self.hand = self.segments[-1]._body, anchor
+        self._handles = [
+            (segment._body, length, centre)
+            for segment, length, centre in zip(self.segments, self._lengths, self._centres)
+        ]
+        self.joint_handles = [constraint._constraint for constraint in self.joints]
+        self._limits = [constraint.max_force for constraint in self.joints]
+
+    def _make_joint(
+        self,
+        parameters: ArmParameters,
+        kind: Servo,
+        joint: int,
+        parent: pymunk.Body,
+        segment: pymunk.Body,
+    ) -> list[pymunk.Constraint]:
+        servo: pymunk.GearJoint | pymunk.SimpleMotor
+        if kind == "position":
+            servo = pymunk.GearJoint(parent, segment, 0.0, 1.0)
+            servo.error_bias = math.exp(-parameters.servo_gain)  # what is left of an error in 1 s
+            servo.max_bias = parameters.speed_limit
+        else:
+            servo = pymunk.SimpleMotor(parent, segment, 0.0)
+        servo.max_force = parameters.torque_limit
+        self.servos.append(servo)
+        constraints: list[pymunk.Constraint] = [servo]
+        if parameters.joint_limits is not None:
+            limits = parameters.joint_limits[joint]
+            constraints.append(pymunk.RotaryLimitJoint(parent, segment, *limits))
+        if joint in parameters.lockable_joints:
+            lock = pymunk.GearJoint(parent, segment, 0.0, 1.0)
+            lock.error_bias = 0.0
+            lock.max_force = 0.0
+            self.locks.append((joint, lock))
+            constraints.append(lock)
+        return constraints
+
+    def _add_shapes(self, space: pymunk.Space, parameters: ArmParameters) -> None:
+        for segment, length, centre in zip(self.segments, self._lengths, self._centres):
+            ends = (-centre, 0.0), (length - centre, 0.0)
+            shape = pymunk.Segment(segment, *ends, parameters.segment_radius)
+            shape.filter = _NO_COLLISIONS_AMONG_SEGMENTS
+            space.add(shape)
+        ground = pymunk.Body(body_type=pymunk.Body.STATIC)
+        space.add(ground)
+        for x, y, radius in parameters.obstacles:
+            space.add(pymunk.Circle(ground, radius, (x, y)))
+
+    def place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
+        """Pose the segments, moving as rigid rods on pivots do."""
+        angle = speed = x = y = velocity_x = velocity_y = 0.0
+        for (segment, length, centre), joint_angle, joint_velocity in zip(
+            self._handles, joint_angles, joint_velocities
+        ):
+            angle += joint_angle
+            speed += joint_velocity
+            along_x, along_y = cos(angle), sin(angle)
+            centre_x, centre_y = centre * along_x, centre * along_y
+            velocity = velocity_x - speed * centre_y, velocity_y + speed * centre_x
+            chipmunk.cpBodySetPosition(segment, (x + centre_x, y + centre_y))
+            chipmunk.cpBodySetVelocity(segment, velocity)
+            chipmunk.cpBodySetAngle(segment, angle)
+            chipmunk.cpBodySetAngularVelocity(segment, speed)
+            x, y = x + length * along_x, y + length * along_y
+            velocity_x -= speed * length * along_y
+            velocity_y += speed * length * along_x
+
+    def lock(self, joint_angles: Sequence[float]) -> None:
+        """Hold the lockable joints at `joint_angles`, one per joint, if they are not held yet."""
+        if self.locked:
+            return
+        self.locked = True
+        for joint, lock in self.locks:
+            chipmunk.cpGearJointSetPhase(lock._constraint, joint_angles[joint])
+            chipmunk.cpConstraintSetMaxForce(lock._constraint, math.inf)
+
+    def slacken(self) -> None:
+        """Forbid all joints any force."""
+        for joint in self.joint_handles:
+            chipmunk.cpConstraintSetMaxForce(joint, 0.0)
+
+    def tighten(self) -> None:
+        """Allow all joints the force that they were built with; locks are open."""
+        for joint, limit in zip(self.joint_handles, self._limits):
+            chipmunk.cpConstraintSetMaxForce(joint, limit)
+        self.locked = False
+
+    def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
+        """Take the joints out of one Space and into another, and keep their order.
+
+        Chipmunk fills the place of what it takes out with the last one of all.  Taken out from
+        the last to the first, the joints of an arm are so replaced by those of another, in their
+        order.
+        """
+        for joint in reversed(self.joint_handles):
+            chipmunk.cpSpaceRemoveConstraint(source._space, joint)
+        for joint in self.joint_handles:
+            chipmunk.cpSpaceAddConstraint(target._space, joint)
+
+    def hand_velocity(self) -> tuple[float, float]:
+        """Velocity (x, y) of the end of the last segment."""
+        body, reach = self.hand
+        angle = chipmunk.cpBodyGetAngle(body)
+        speed = reach * chipmunk.cpBodyGetAngularVelocity(body)
+        centre = chipmunk.cpBodyGetVelocity(body)
+        return centre.x - speed * sin(angle), centre.y + speed * cos(angle)
+
+    def pivot_gap(self) -> float:
+        """Largest distance between the two ends that a pivot should hold together, lengths."""
+        gap, end = 0.0, pymunk.Vec2d(0.0, 0.0)
+        for segment, length, centre in zip(self.segments, self._lengths, self._centres):
+            gap = max(gap, segment.local_to_world((-centre, 0.0)).get_distance(end))
+            end = segment.local_to_world((length - centre, 0.0))
+        return gap
+
+
+def make_space(parameters: ArmParameters) -> pymunk.Space:
+    """An empty Space with the gravity and the solver that these arms need.
+
+    Raises:
+        ValueError: for arms that Chipmunk cannot hold together.
+    """
+    space = pymunk.Space()
+    space.gravity = parameters.gravity
+    space.iterations = solver_iterations(parameters)
+    return space
+
+
+def forget_impulses(space: pymunk.Space, linkages: Iterable[Linkage], substep: float) -> None:
+    """Clear the impulses that Chipmunk's joints keep from one physics step to the next.
+
+    They are not part of a body's pose or velocity, and would make the future of a reset arm
+    another than that of a new one.  A step of `space` in which no joint may exert a force clears
+    them.  It must hold the joints of these linkages and no others.
+    """
+    linkages = tuple(linkages)
+    for linkage in linkages:
+        linkage.slacken()
+    chipmunk.cpSpaceStep(space._space, substep)
+    for linkage in linkages:
+        linkage.tighten()

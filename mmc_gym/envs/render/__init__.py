@@ -1,0 +1,1 @@
+"""Pictures of the arm, its target, and what disturbs it."""

@@ -1,0 +1,218 @@
+"""Pictures of `MMCReachEnv`, frame by frame: into an array, or into a window.
+
+A picture is painted larger than it is shown and then averaged down, which smooths all edges.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import gymnasium as gym
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from mmc_gym.envs.perturbations import PERTURBATIONS, SegmentLength
+from mmc_gym.envs.render import drawing_perturbations as perturbed
+from mmc_gym.envs.render import shapes as drawing
+from mmc_gym.envs.render.shapes import SIZE, View
+from mmc_gym.envs.render.strokes import Point
+from mmc_gym.envs.spec import ReachSetup
+from mmc_gym.envs.tasks import TASKS
+
+TRACE_SECONDS = 1.0
+_OVERSAMPLING = 2
+_Named = TypeVar("_Named")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a picture shows, besides what is always the same in an environment.
+
+    Attributes:
+        segment_angles: N absolute angles, radians.
+        target: (x, y), segment lengths.
+        path: all places of the target in this trial, in order, or nothing if it stands still.
+        ghost: N joint angles of an internal model, radians, or None.
+        is_locked: whether the lockable joints are locked.
+        observation: of `MMCReach-v0`, the last, if what was sensed shall be shown.
+    """
+
+    segment_angles: Sequence[float]
+    target: Sequence[float]
+    path: Sequence[Sequence[float]] = ()
+    ghost: Sequence[float] | None = None
+    is_locked: bool = False
+    observation: NDArray[np.float32] | None = None
+
+
+class Renderer:
+    """Paints an arm and its target, frame by frame, into an array or a window.
+
+    Attributes:
+        view: maps the world to the picture.
+    """
+
+    def __init__(self, setup: ReachSetup, mode: str, fps: int) -> None:
+        """Make a renderer for one arm.
+
+        Args:
+            setup: of its environment.
+            mode: "rgb_array", for which no display is touched, or "human", which opens a window.
+            fps: frames per second; `draw` waits for its turn if there is a window.
+        """
+        self.view = View(setup.farthest)
+        self._setup = setup
+        self._lengths = setup.body.segment_lengths
+        self._old_lengths = old_lengths(setup)
+        self._trace: deque[Point] = deque(maxlen=max(2, round(TRACE_SECONDS * fps)))
+        self._large_view = View(self.view.reach, _OVERSAMPLING * SIZE)
+        self._canvas = pygame.Surface((self._large_view.size,) * 2, depth=32)
+        self._picture = pygame.Surface((SIZE, SIZE), depth=32)
+        self._scenery = self._canvas.copy()
+        self._paint_scenery()
+        self._window = Window((SIZE, SIZE), "mmc-gym", fps) if mode == "human" else None
+
+    def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
+        """Paint one frame.
+
+        Returns:
+            The picture (height, width, 3) in a new array, or None if it is shown in a window.
+        """
+        nodes = drawing.node_positions(scene.segment_angles, self._lengths)
+        self._trace.append(nodes[-1])
+        self._canvas.blit(self._scenery, (0, 0))
+        self._paint_path(scene)
+        drawing.draw_trace(self._canvas, self._large_view, self._trace)
+        self._paint_arm(scene, nodes)
+        if scene.observation is not None:
+            self._paint_sensed(scene.observation)
+        self._paint_target(scene, nodes[-1])
+        pygame.transform.smoothscale(self._canvas, (SIZE, SIZE), self._picture)
+        if self._window is not None:
+            self._window.show(self._picture)
+            return None
+        return np.ascontiguousarray(pygame.surfarray.pixels3d(self._picture).swapaxes(0, 1))
+
+    def clear_trace(self) -> None:
+        """Forget where the hand has been."""
+        self._trace.clear()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+
+    def _paint_scenery(self) -> None:
+        """What is the same in all frames."""
+        surface, view, body = self._scenery, self._large_view, self._setup.body
+        surface.fill(drawing.BACKGROUND)
+        drawing.draw_reachable_set(surface, view, self._lengths)
+        if body.force_field is not None:
+            (_, right), (left, _) = body.force_field
+            perturbed.draw_curl_field(surface, view, right - left)
+        for obstacle in body.obstacles:
+            perturbed.draw_obstacle(surface, view, obstacle)
+        drawing.draw_base(surface, view)
+        perturbed.draw_caption(surface, view, caption(self._setup))
+
+    def _paint_path(self, scene: Scene) -> None:
+        """Where the target will be, as far as it is elsewhere."""
+        surface, view, setup = self._canvas, self._large_view, self._setup
+        target, places = tuple(scene.target), [tuple(place) for place in scene.path]
+        if len(set(places)) <= 1:
+            return
+        if setup.task.periodic:
+            drawing.draw_track(surface, view, places)
+            return
+        last = len(places) - 1 - places[::-1].index(target)
+        drawing.draw_next_targets(surface, view, target, places[last + 1 :], setup.success_distance)
+
+    def _paint_arm(self, scene: Scene, nodes: Sequence[Point]) -> None:
+        surface, view, body = self._canvas, self._large_view, self._setup.body
+        drawing.draw_arm(surface, view, scene.segment_angles, self._lengths)
+        if self._old_lengths != self._lengths:
+            perturbed.draw_old_lengths(
+                surface, view, scene.segment_angles, self._lengths, self._old_lengths
+            )
+        if body.hand_mass:
+            perturbed.draw_hand_mass(surface, view, nodes[-1], body.hand_mass)
+        if scene.ghost is not None:
+            told = self._setup.told.segment_lengths
+            drawing.draw_ghost(surface, view, scene.ghost, told)
+        for joint in body.lockable_joints if scene.is_locked else ():
+            perturbed.draw_lock(surface, view, nodes[joint])
+
+    def _paint_target(self, scene: Scene, hand: Point) -> None:
+        surface, view, setup = self._canvas, self._large_view, self._setup
+        cursor = hand if setup.rotation is None else setup.rotation.cursor(*hand)
+        if setup.rotation is not None:
+            perturbed.draw_cursor(surface, view, hand, cursor)
+        is_reached = math.dist(cursor, scene.target) <= setup.success_distance
+        drawing.draw_target(surface, view, scene.target, setup.success_distance, is_reached)
+
+    def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
+        """The arm as an observation of `MMCReach-v0` tells it."""
+        setup = self._setup
+        cos, sin, _, rest = np.split(observation.astype(float), setup.joint_count * np.arange(1, 4))
+        angles = np.cumsum(np.arctan2(sin, cos)).tolist()
+        target, offset = rest[:2] * setup.reach, rest[2:] * 2 * setup.reach
+        nodes = drawing.node_positions(angles, setup.told.segment_lengths)
+        seen = [(float(x), float(y)) for x, y in (target - offset, target)]
+        perturbed.draw_sensed(self._canvas, self._large_view, nodes, *seen)
+
+
+def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
+    """Segment lengths before a perturbation changed them."""
+    lengths = list(setup.body.segment_lengths)
+    for change in setup.perturbations:
+        if isinstance(change, SegmentLength):
+            lengths[change.segment] /= change.factor
+    return tuple(lengths)
+
+
+def caption(setup: ReachSetup) -> str:
+    """Names of task and perturbations, where they are not the plain ones."""
+    names = [_name(setup.task, TASKS)] if setup.task != TASKS["random"] else []
+    return ", ".join(names + [_name(change, PERTURBATIONS) for change in setup.perturbations])
+
+
+def _name(value: _Named, table: Mapping[str, _Named]) -> str:
+    return next((name for name, entry in table.items() if entry == value), type(value).__name__)
+
+
+class Window:
+    """A window that shows pictures at a steady rate, until its user closes it."""
+
+    def __init__(self, size: tuple[int, int], title: str, fps: int) -> None:
+        """Open the window."""
+        pygame.display.init()
+        pygame.display.set_caption(title)
+        self.surface = pygame.display.set_mode(size)
+        self._fps = fps
+        self._clock = pygame.time.Clock()
+        self.is_open = True
+
+    def show(self, picture: pygame.Surface) -> None:
+        """Show a picture and wait for its turn; nothing happens once the window is closed."""
+        if not self.is_open:
+            return
+        if not pygame.display.get_init() or pygame.event.get(pygame.QUIT):
+            self.close()
+            gym.logger.warn("the window was closed: the environment runs on, unseen")
+            return
+        # Keys are left for the caller; motion would fill the queue, and then no QUIT gets in.
+        pygame.event.clear(pygame.MOUSEMOTION)
+        self.surface.blit(picture, (0, 0))
+        pygame.display.flip()
+        self._clock.tick(self._fps)
+
+    def close(self) -> None:
+        """Close the window."""
+        if self.is_open:
+            pygame.display.quit()
+        self.is_open = False

@@ -1,1 +1,0 @@
-"""Agents at work: rollouts, movement measures, statistics, tables and figures."""

@@ -1,5 +1,0 @@
-"""The report of a benchmark: one HTML file with words, tables, figures and a replay."""
-
-from mmc_gym.evaluation.report.report import write_report
-
-__all__ = ["write_report"]

@@ -1,0 +1,223 @@
+"""Rollouts: an agent plays episodes, and each is recorded as arrays over its steps.
+
+Episodes may differ in length, so they are a tuple of `Episode`, and nothing is padded.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym._threads import one_torch_thread
+from mmc_gym.body.pymunk.servo_watch import ServoWatch
+
+REQUIRED_INFO = ("distance", "end_effector", "target")
+MAX_STEPS = 100_000
+
+
+class Predictor(Protocol):
+    """Whatever acts: has the `predict` of stable-baselines3, for a single observation."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """The action for `observation`, and the state to hand back at the next step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What an agent did in one episode of n steps, with an arm of N joints.
+
+    A hand without an arm has N = 0; what an environment does not tell is NaN.
+
+    Attributes:
+        seed: that the environment was reset with.
+        hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
+        distances: from hand (or cursor) to target, segment lengths, (n + 1,).
+        targets: positions of the target, segment lengths, (n + 1, 2).
+        joint_angles: relative, not wrapped, radians, (n + 1, N).
+        servo_impulses: ∫ |τ| dt of each step and joint, (n, N), see `ServoWatch`.
+        servo_work: ∫ |τ q̇| dt of each step and joint, (n, N).
+        rewards: of each step, (n,).
+        action_times: that `predict` took in each step, seconds, (n,).
+        control_step: duration of a step, seconds.
+        tolerance: distance within which the environment counts the target as reached.
+        reach: of the arm that agents are told of, segment lengths.
+        cursors: positions of what stands for the hand under a visuomotor rotation, and what
+            distances and success are about, (n + 1, 2); None where that is the hand itself.
+    """
+
+    seed: int
+    hands: NDArray[np.float64]
+    distances: NDArray[np.float64]
+    targets: NDArray[np.float64]
+    joint_angles: NDArray[np.float64]
+    servo_impulses: NDArray[np.float64]
+    servo_work: NDArray[np.float64]
+    rewards: NDArray[np.float64]
+    action_times: NDArray[np.float64]
+    control_step: float
+    tolerance: float
+    reach: float
+    cursors: NDArray[np.float64] | None = None
+
+    @property
+    def seen_hands(self) -> NDArray[np.float64]:
+        """Positions of what is to reach the target, the cursor or the hand, (n + 1, 2).
+
+        The hand's own path has the same length and shape; only beside the target is it elsewhere.
+        """
+        return self.hands if self.cursors is None else self.cursors
+
+    @property
+    def target(self) -> NDArray[np.float64]:
+        """Position of the target at the start, segment lengths, (2,)."""
+        first: NDArray[np.float64] = self.targets[0]
+        return first
+
+
+def episode_seeds(seed: int, episodes: int) -> list[int]:
+    """One seed per episode: the first `episodes` words of `numpy.random.SeedSequence(seed)`.
+
+    They depend on nothing else, so all agents get the same ones, and more episodes add to the
+    former.  (With seed, seed + 1, …, evaluations under neighbouring seeds would share nearly all
+    their episodes.)
+
+    Raises:
+        ValueError: if `episodes` is less than 1 or `seed` is negative.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed}")
+    return [int(word) for word in np.random.SeedSequence(seed).generate_state(episodes)]
+
+
+def check_environment(env: gym.Env[Any, Any]) -> None:
+    """Raise a `ValueError` unless `env`, wrapped or not, tells what the measures need."""
+    _, info = env.reset(seed=0)
+    unwrapped = env.unwrapped
+    missing = [f"info[{key!r}]" for key in REQUIRED_INFO if key not in info]
+    if not hasattr(getattr(unwrapped, "parameters", None), "control_step"):
+        missing.append("env.unwrapped.parameters.control_step")
+    missing += [
+        f"env.unwrapped.{name}"
+        for name in ("success_distance", "reach")
+        if not hasattr(unwrapped, name)
+    ]
+    if missing:
+        name = env.spec.id if env.spec else str(env)
+        raise ValueError(
+            f"env must be a reaching environment such as 'MMCReach-v0', got {name!r}, "
+            f"which lacks {', '.join(missing)}"
+        )
+
+
+def run_episodes(
+    agent: Predictor,
+    env: gym.Env[Any, Any],
+    seeds: Sequence[int],
+    on_episode: Callable[[Episode], None] | None = None,
+    options: Sequence[Mapping[str, Any]] | None = None,
+) -> tuple[Episode, ...]:
+    """Let `agent` play one episode per seed, without exploration.
+
+    Each episode begins with `env.reset(seed=...)`, and with `env.action_space` seeded from the
+    same number, so that an episode depends on its own seed only, also for agents that sample
+    from that space.  PyTorch, if loaded, computes on one thread.  The arm's servos are watched
+    meanwhile; it moves as ever.
+
+    Args:
+        agent: whose actions are taken; it sees single observations.
+        env: a single reaching environment, wrapped or not, that ends its episodes.
+        seeds: one per episode, see `episode_seeds`.
+        on_episode: is handed each episode when it is over, to show progress.
+        options: of the environment's reset, for each episode, such as `{"trial": 3}`.
+
+    Raises:
+        ValueError: if the environment does not tell what the measures need, or there are not as
+            many options as seeds.
+        RuntimeError: if an episode does not end.
+    """
+    check_environment(env)
+    asked: Sequence[Mapping[str, Any]] = [{}] * len(seeds) if options is None else options
+    if len(asked) != len(seeds):
+        raise ValueError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
+    episodes = []
+    # Senses may be noisy and late, so the posture is the arm's own and not the observed one.
+    arm: Any = getattr(env.unwrapped, "arm", None)
+    joint_count = len(getattr(arm, "joint_angles", ()))
+    with one_torch_thread(), ServoWatch(arm, joint_count) as watch:
+        for seed, option in zip(seeds, asked, strict=True):
+            episodes.append(_run_episode(agent, env, seed, dict(option), arm, watch))
+            if on_episode is not None:
+                on_episode(episodes[-1])
+    return tuple(episodes)
+
+
+def _run_episode(
+    agent: Predictor,
+    env: gym.Env[Any, Any],
+    seed: int,
+    options: dict[str, Any],
+    arm: Any,
+    watch: ServoWatch,
+) -> Episode:
+    # Not `seed` itself: the space would draw the very numbers that the environment draws for its
+    # starting state, and the first random action would be the posture the arm is in.
+    env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
+    observation, info = env.reset(seed=seed, options=options)
+    hands, distances, targets = [info["end_effector"]], [info["distance"]], [info["target"]]
+    cursors = [info["cursor"]] if "cursor" in info else []
+    postures = [getattr(arm, "joint_angles", ())]
+    impulses, work = [], []
+    rewards: list[float] = []
+    times: list[int] = []
+    state, episode_start, over = None, np.ones(1, dtype=bool), False
+    while not over:
+        if len(rewards) == MAX_STEPS:
+            raise RuntimeError(f"the episode did not end within {MAX_STEPS} steps: no time limit?")
+        begin = time.perf_counter_ns()
+        action, state = agent.predict(observation, state, episode_start, deterministic=True)
+        times.append(time.perf_counter_ns() - begin)
+        observation, reward, terminated, truncated, info = env.step(action)
+        hands.append(info["end_effector"])
+        distances.append(info["distance"])
+        targets.append(info["target"])
+        if cursors:
+            cursors.append(info["cursor"])
+        postures.append(getattr(arm, "joint_angles", ()))
+        impulses.append(watch.impulses)
+        work.append(watch.work)
+        rewards.append(float(reward))
+        episode_start, over = np.zeros(1, dtype=bool), terminated or truncated
+    unwrapped: Any = env.unwrapped
+    return Episode(
+        seed=seed,
+        hands=_floats(hands),
+        distances=_floats(distances),
+        targets=_floats(targets),
+        joint_angles=_floats(postures),
+        servo_impulses=_floats(impulses),
+        servo_work=_floats(work),
+        rewards=_floats(rewards),
+        action_times=_floats(times) * 1e-9,
+        control_step=float(unwrapped.parameters.control_step),
+        tolerance=float(unwrapped.success_distance),
+        reach=float(unwrapped.reach),
+        cursors=_floats(cursors) if cursors else None,
+    )
+
+
+def _floats(values: ArrayLike) -> NDArray[np.float64]:
+    return np.array(values, dtype=np.float64)

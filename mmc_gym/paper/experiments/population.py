@@ -1,0 +1,241 @@
+"""The hidden units of the normalization networks as a population code of direction.
+
+A hidden unit of a trained network answers the unit vector in direction φ with (paper, Sect.
+"Learning the Normalization Network", the figure of the hidden units)
+
+    h(φ) = tanh(w · (cos φ, sin φ) + b)                       in the first hidden layer,
+
+a bump around its preferred direction.  Here, for every unit and any layer,
+
+    preferred direction   arg Σ_φ h(φ) e^{iφ}; in the first layer that is arg(w_x + i w_y)
+    tuning width          the part of the circle where h(φ) > (max h + min h)/2, in degrees
+    coverage              how many units are in their tuning width, by direction, and the
+                          largest angle between neighbouring preferred directions
+
+The published figure in three dimensions is of a network trained with a weight decay of 0.0005,
+which the sixty networks of the paper's other figures do not have.  Here [8, 8] is shown without
+and with it.  Weight decay silences units: their activation hardly depends on the direction, they
+are tuned to nothing, and are counted and left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from mmc_gym.network.chain import Floats
+from mmc_gym.network.normalizers import LearnedNormalizer
+from mmc_gym.paper.experiment import (
+    Experiment,
+    Progress,
+    Result,
+    Row,
+    Settings,
+    mean_and_deviation,
+)
+from mmc_gym.paper.networks import (
+    TrainedArchitecture,
+    Units,
+    architecture_name,
+    trained_architectures,
+)
+from mmc_gym.paper.population_figures import Layer, draw_curves, draw_landscape, draw_tuning
+
+ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
+WEIGHT_DECAY = 0.0005
+"""Of the further networks [8, 8]; an L2 penalty on the weights, see `Recipe`."""
+
+SILENT = 0.01
+"""A unit whose activation ranges over less than this is silent."""
+
+_PLAIN = "[8, 8]"
+_DECAYED = "[8, 8], weight decay"
+
+DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
+"""Directions φ that the units are shown, radians, (720,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """What the units of a layer that are not silent are tuned to, by preferred direction.
+
+    Attributes:
+        activations: h(φ) at `DIRECTIONS`, (directions, units).
+        preferred: preferred directions, radians in [0, 2π[, (units,).
+        width: tuning widths, degrees, (units,).
+        active: number of units within their tuning width, by direction, (directions,).
+        largest_gap: largest angle between neighbouring preferred directions, degrees.
+        silent: number of units that are left out, because they are silent.
+    """
+
+    activations: Floats
+    preferred: Floats
+    width: Floats
+    active: NDArray[np.int_]
+    largest_gap: float
+    silent: int
+
+    @property
+    def size(self) -> int:
+        """Number of units in the layer."""
+        return len(self.width) + self.silent
+
+
+def tuning(activations: Floats) -> Tuning:
+    """Tuning of units with these activations at `DIRECTIONS`, (directions, units).
+
+    >>> cosines = np.cos(DIRECTIONS[:, None] - np.radians([10.0, 100.0, 280.0]))
+    >>> found = tuning(cosines)
+    >>> np.degrees(found.preferred).round(6).tolist(), found.width.round().tolist()
+    ([10.0, 100.0, 280.0], [180.0, 180.0, 180.0])
+    >>> round(found.largest_gap, 6), int(found.active.min()), int(found.active.max())
+    (180.0, 1, 2)
+    """
+    units = activations.shape[1]
+    activations = activations[:, np.ptp(activations, axis=0) >= SILENT]
+    moment = np.exp(1j * DIRECTIONS) @ activations
+    preferred = np.angle(moment) % (2 * np.pi)
+    order = np.argsort(preferred)
+    activations, preferred = activations[:, order], preferred[order]
+    half = (activations.max(axis=0) + activations.min(axis=0)) / 2
+    inside = activations > half
+    gaps = np.diff(preferred, append=preferred[0] + 2 * np.pi)
+    return Tuning(
+        activations=activations,
+        preferred=preferred,
+        width=360 * inside.mean(axis=0),
+        active=inside.sum(axis=1),
+        largest_gap=float(np.degrees(gaps.max())),
+        silent=units - len(preferred),
+    )
+
+
+def layer_tunings(normalizer: LearnedNormalizer) -> list[Tuning]:
+    """Tuning of every hidden layer of a network."""
+    vectors = np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)], axis=-1)
+    return [tuning(outputs) for outputs in normalizer.activations(vectors)[:-1]]
+
+
+def run(settings: Settings, progress: Progress) -> Result:
+    """Measure and draw the hidden units of the networks with 4, 8, and [8, 8] hidden units."""
+    trained = _trained(settings, progress)
+    layers: dict[str, tuple[Tuning, ...]] = {}
+    for name, architecture in trained.items():
+        runs = [layer_tunings(normalizer) for normalizer in architecture.normalizers]
+        for number, of_runs in enumerate(zip(*runs, strict=True), start=1):
+            suffix = f", layer {number}" if len(architecture.hidden_units) > 1 else ""
+            layers[name + suffix] = of_runs
+    shown = [
+        Layer(name, DIRECTIONS, first.activations, first.preferred, first.width)
+        for name, (first, *_) in layers.items()
+    ]
+    in_three_dimensions = (architecture_name((8,)), f"{_PLAIN}, layer 2", f"{_DECAYED}, layer 2")
+    return Result(
+        rows=(
+            *(row for name, of_runs in layers.items() for row in _rows(name, of_runs)),
+            *(_error_row(name, trained[name]) for name in (_PLAIN, _DECAYED)),
+        ),
+        figures={
+            "hidden_units": draw_curves(shown),
+            "hidden_units_3d": draw_landscape(
+                [layer for layer in shown if layer.name in in_three_dimensions]
+            ),
+            "tuning": draw_tuning(shown),
+        },
+        captions={
+            "hidden_units": "Activation of the hidden units over the angle of a unit input "
+            "vector, numbered by preferred direction (first run of each network); "
+            "silent units are left out.",
+            "hidden_units_3d": "The same, one curve per unit.",
+            "tuning": "Preferred direction (dot) and tuning width (arc) of each unit.",
+        },
+        data={
+            "hidden_units": {"directions": DIRECTIONS}
+            | {layer.name: layer.activations for layer in shown},
+            "tuning": _frame(layers),
+        },
+        points={
+            7: "hidden units drawn of [4], [8] and [8, 8] without weight decay, and of [8, 8] with "
+            f"weight decay {WEIGHT_DECAY:g}"
+        },
+    )
+
+
+def _trained(settings: Settings, progress: Progress) -> dict[str, TrainedArchitecture]:
+    """All runs of every network, by the name that it is shown with."""
+    plain = trained_architectures(settings, progress, ARCHITECTURES)
+    decayed = trained_architectures(settings, progress, ((8, 8),), WEIGHT_DECAY)
+    return {
+        **{architecture_name(units): architecture for units, architecture in plain.items()},
+        _DECAYED: decayed[8, 8],
+    }
+
+
+def _frame(layers: Mapping[str, Sequence[Tuning]]) -> pd.DataFrame:
+    """A row per layer, run and unit."""
+    return pd.concat(
+        [
+            pd.DataFrame(
+                {
+                    "units": name,
+                    "run": run,
+                    "unit": np.arange(len(found.width)) + 1,
+                    "preferred_direction_deg": np.degrees(found.preferred),
+                    "tuning_width_deg": found.width,
+                }
+            )
+            for name, of_runs in layers.items()
+            for run, found in enumerate(of_runs)
+        ]
+    )
+
+
+def _error_row(name: str, trained: TrainedArchitecture) -> Row:
+    return Row(
+        f"{name}: MSE over all directions and lengths in ]0, 2]",
+        ours=mean_and_deviation(trained.grid_mse, 5),
+        note=f"{len(trained.grid_mse)} runs; without the penalty",
+    )
+
+
+def _silence(runs: Sequence[Tuning]) -> str:
+    silent = sum(found.silent for found in runs)
+    if not silent:
+        return ""
+    return f"; {silent} of {sum(found.size for found in runs)} units are silent and left out"
+
+
+def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
+    widths = np.concatenate([found.width for found in runs])
+    gaps = np.array([found.largest_gap for found in runs])
+    active = np.concatenate([found.active for found in runs])
+    return [
+        Row(
+            f"{name}: tuning width, mean (smallest to largest)",
+            paper="“a certain range of the orientation”",
+            ours=f"{widths.mean():.0f} ({widths.min():.0f} to {widths.max():.0f})",
+            unit="°",
+            note=f"{len(runs)} runs{_silence(runs)}",
+        ),
+        Row(
+            f"{name}: largest gap between preferred directions",
+            ours=f"{gaps.mean():.0f} ± {gaps.std():.0f}",
+            unit="°",
+            note=f"evenly spread units would have {360 / runs[0].size:.0f}°",
+        ),
+        Row(
+            f"{name}: units within their tuning width, mean (fewest to most)",
+            paper="“more overlap” with more units",
+            ours=f"{active.mean():.1f} ({active.min()} to {active.max()})",
+            note=f"of {runs[0].size}, over all directions",
+        ),
+    ]
+
+
+EXPERIMENT = Experiment(
+    "population", "hidden units of the normalization networks as a population code", run
+)

@@ -1,0 +1,231 @@
+"""Play: a window in which the mouse is the target, and an agent drives the arm to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pygame
+
+from mmc_gym.agents import AGENTS
+from mmc_gym.benchmark.entrants import entrants, make_for
+from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.render import shapes as drawing
+from mmc_gym.measures.rollout import Predictor
+
+HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
+_LINE = 26  # height of a line of text, pixels
+_INDENT = 14
+_FONT_SIZE = 20
+_GAP = 18  # between the names of agents
+
+
+def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) -> None:
+    """Let the mouse move the target, and an agent the arm, until the window is closed.
+
+    Args:
+        agent: the first agent: a name that `mmc_gym.make_agent` accepts, the path of a policy's
+            file, or "module:function"; keys choose among `mmc_gym.agents.AGENTS`.
+        env: id of a reaching environment; its time limit is lifted.
+        seed: of the postures, or None for others each time.
+
+    Raises:
+        ValueError: for an unknown agent, or an environment that is no `MMCReachEnv`.
+    """
+    ((label, factory),) = entrants([agent]).items()
+
+    def make_world(control: str | None) -> gym.Env[Any, Any]:
+        arguments: dict[str, Any] = {} if control is None else {"control": control}
+        return gym.make(env, render_mode="rgb_array", max_episode_steps=-1, **arguments)
+
+    world, _ = make_for(factory, make_world)
+    try:
+        factories = {name: entry.make for name, entry in AGENTS.items()}
+        makers = {
+            name: partial(make, world) for name, make in {**factories, label: factory}.items()
+        }
+        Game(world, makers, label, seed).run()
+    finally:
+        world.close()
+        pygame.display.quit()
+
+
+class Game:
+    """The window: what keys and mouse do, and one control step per frame.
+
+    Attributes:
+        agent: name of the agent at work.
+        paused: whether time stands still.
+        running: false once the user has asked to quit.
+        target: where the mouse has put it, (x, y) in segment lengths.
+        message: why an agent could not be had, or "".
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        makers: Mapping[str, Callable[[], Predictor]],
+        agent: str,
+        seed: int | None = None,
+    ) -> None:
+        """Open the window.
+
+        Args:
+            env: an `MMCReachEnv`, wrapped or not, that renders "rgb_array" and has no time limit.
+            makers: by name, what makes each agent to choose from; called when it is chosen.
+            agent: name of the first.
+            seed: of the postures.
+
+        Raises:
+            ValueError: for an unknown agent or another environment.
+        """
+        if not isinstance(env.unwrapped, MMCReachEnv):
+            raise ValueError(f"env must be a reaching environment like MMCReach-v0, got {env}")
+        if agent not in makers:
+            raise ValueError(f"agent must be one of {tuple(makers)}, got {agent!r}")
+        self._env, self._reach = env, env.unwrapped
+        self._view = drawing.View(self._reach.setup.farthest)
+        self._makers, self._agents = dict(makers), {agent: makers[agent]()}
+        self.agent, self.message = agent, ""
+        self.paused, self.running = False, True
+        self._restart(seed=seed)
+        self._open_window()
+
+    def run(self) -> None:
+        """Play until the user quits."""
+        while self.running:
+            self.frame()
+            self._clock.tick(self._env.metadata["render_fps"])
+
+    def frame(self) -> None:
+        """Heed keys and mouse, simulate one control step unless paused, and show the state."""
+        changed = False
+        for event in pygame.event.get():
+            changed |= self._heed(event)
+        if not self.paused:
+            self._step()
+        # A picture adds to the hand's trace, so that none is drawn while nothing changes.
+        if changed or not self.paused:
+            self._show()
+
+    def choose(self, agent: str) -> None:
+        """Hand the arm to another agent, in the posture it has; see `message` if that fails."""
+        try:
+            if agent not in self._agents:
+                self._agents[agent] = self._makers[agent]()
+        except (ImportError, OSError, ValueError) as error:
+            self.message = f"{agent}: {error}".splitlines()[0]
+            return
+        self.agent, self.message = agent, ""
+        self._state = None
+
+    def _restart(self, **arguments: Any) -> None:
+        self._observation, info = self._env.reset(**arguments)
+        self.target, self._hand = tuple(info["target"]), info["end_effector"]
+        self._state, self._hand_speed = None, 0.0
+
+    def _step(self) -> None:
+        start = np.full(1, self._state is None)
+        action, self._state = self._agents[self.agent].predict(
+            self._observation, self._state, start, deterministic=True
+        )
+        hand = self._hand
+        self._observation, _, _, _, info = self._env.step(action)
+        self._hand = info["end_effector"]
+        self._hand_speed = math.dist(hand, self._hand) / self._reach.parameters.control_step
+
+    def _heed(self, event: pygame.event.Event) -> bool:
+        """Do what an event asks for; whether it changes the picture."""
+        if event.type == pygame.QUIT:
+            self.running = False
+        elif event.type == pygame.KEYDOWN:
+            self._heed_key(event.key)
+        elif event.type == pygame.MOUSEMOTION:
+            self._move_target(self._view.point(event.pos))
+        else:
+            return False
+        return True
+
+    def _move_target(self, point: tuple[float, float]) -> None:
+        """Put the target as near to a point as the hand gets; obstacles keep it where it was."""
+        workspace = self._reach.setup.workspace
+        nearest = workspace.nearest(point)
+        if workspace.contains(nearest):
+            self.target = nearest
+            self._reach.set_target(nearest)
+
+    def _heed_key(self, key: int) -> None:
+        names = list(self._makers)
+        if key in (pygame.K_ESCAPE, pygame.K_q):
+            self.running = False
+        elif key == pygame.K_SPACE:
+            self.paused = not self.paused
+        elif key == pygame.K_r:
+            self._restart(options={"target": self.target})
+        elif key == pygame.K_TAB:
+            self.choose(names[(names.index(self.agent) + 1) % len(names)])
+        elif 0 <= key - pygame.K_1 < min(9, len(names)):
+            self.choose(names[key - pygame.K_1])
+
+    def _open_window(self) -> None:
+        pygame.display.init()
+        pygame.font.init()
+        pygame.display.set_caption("mmc-gym play")
+        size = self._view.size
+        self._font = pygame.font.Font(None, _FONT_SIZE)
+        self._labels = self._lay_out_agents()
+        self._text_top = self._labels[-1][2] + 1  # first line below the agents
+        self._window = pygame.display.set_mode((size, size + (self._text_top + 2) * _LINE))
+        self._picture = self._window.subsurface((0, 0, size, size))
+        self._clock = pygame.time.Clock()
+
+    def _show(self) -> None:
+        picture: Any = self._env.render()
+        self._window.fill(drawing.BACKGROUND)
+        pygame.surfarray.blit_array(self._picture, picture.swapaxes(0, 1))
+        self._write_agents()
+        self._write(self._text_top, self.message or self._measures(), drawing.OUTLINE)
+        self._write(self._text_top + 1, HELP, drawing.TRACE)
+        pygame.display.flip()
+
+    def _measures(self) -> str:
+        distance = math.dist(self._hand, self.target)
+        reached = "reached" if distance <= self._reach.success_distance else ""
+        words = (
+            self.agent,
+            f"distance {distance:.2f}",
+            f"hand speed {self._hand_speed:.1f}/s",
+            "paused" if self.paused else reached,
+        )
+        return "    ".join(words)
+
+    def _lay_out_agents(self) -> list[tuple[str, int, int]]:
+        """Label, left edge in pixels, and line of each agent; as many lines as they need."""
+        labels, x, line = [], _INDENT, 0
+        for number, name in enumerate(self._makers, start=1):
+            label = f"{number} {name}" if number <= 9 else name
+            width = self._font.size(label)[0]
+            if x > _INDENT and x + width > self._view.size - _INDENT:
+                x, line = _INDENT, line + 1
+            labels.append((label, x, line))
+            x += width + _GAP
+        return labels
+
+    def _write_agents(self) -> None:
+        """All agents with their keys, the one at work in a box."""
+        for name, (label, x, line) in zip(self._makers, self._labels, strict=True):
+            at_work = name == self.agent
+            color = drawing.REACHABLE if at_work else drawing.TRACE
+            text = self._font.render(label, True, color)
+            box = text.get_rect(left=x, top=self._view.size + line * _LINE)
+            if at_work:
+                pygame.draw.rect(self._window, drawing.OUTLINE, box.inflate(12, 6), border_radius=4)
+            self._window.blit(text, box)
+
+    def _write(self, line: int, words: str, color: drawing.Color) -> None:
+        text = self._font.render(words, True, color)
+        self._window.blit(text, (_INDENT, self._view.size + line * _LINE))

@@ -1,0 +1,182 @@
+"""Panels of figures: each its own small picture, so that a phone shows them one below the other.
+
+Every agent has one look throughout the report.  Looks differ in line style and marker as well as
+in colour, and lines are named where they end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from mmc_gym._plotting import STYLE
+from mmc_gym.report.svg import to_svg
+
+WIDTH, HEIGHT = 3.5, 2.7  # inches; about the width of a phone
+_LABEL_GAP = 0.075  # of the height of the axes, between two names
+_NAME_LENGTH = 15
+
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c", "#a06a00", "#1b1b1b", "#56a0d3")
+_LINES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), "-")
+_MARKERS = "osD^vPX"
+
+
+@dataclass(frozen=True)
+class Look:
+    """How an agent is drawn."""
+
+    colour: str
+    line: Any
+    marker: str
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A picture of a figure, and what stands above it."""
+
+    title: str
+    svg: Markup
+
+
+@dataclass(frozen=True)
+class Block:
+    """A figure: panels and the caption of all of them."""
+
+    panels: tuple[Panel, ...]
+    caption: str
+
+
+def looks(agents: Sequence[str]) -> dict[str, Look]:
+    """The look of each of the agents that figures show."""
+    return {
+        agent: Look(_COLOURS[n % 7], _LINES[n % 7], _MARKERS[n % 7])
+        for n, agent in enumerate(agents)
+    }
+
+
+def shortened(name: str, length: int = _NAME_LENGTH) -> str:
+    """A name that fits into a figure."""
+    return name if len(name) <= length else f"{name[: length - 1]}…"
+
+
+@contextmanager
+def drawn(width: float = WIDTH, height: float = HEIGHT) -> Iterator[tuple[Figure, Axes]]:
+    """A figure with one pair of axes, in the style of all figures."""
+    with rc_context({**STYLE, "text.parse_math": False, "font.size": 8.5}):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        axes.tick_params(length=3, width=0.6)
+        yield figure, axes
+
+
+def line_panel(
+    key: str,
+    title: str,
+    description: str,
+    lines: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    bands: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    look: Mapping[str, Look],
+    finish: Callable[[Axes], None],
+    markers: bool = True,
+    connected: bool = True,
+) -> Panel:
+    """A panel of a line for each agent, named at its end, on a band of its interval.
+
+    Args:
+        key: unique in the page.
+        title: above the panel.
+        description: instead of the panel, where it cannot be seen.
+        lines: (x, y) by agent.
+        bands: (low, high) by agent.
+        look: of each agent.
+        finish: sets limits, scales and labels of the axes.
+        markers: whether every point is marked; else some are.
+        connected: whether x is a scale along which there is something between the points.
+    """
+    with drawn() as (figure, axes):
+        for number, (agent, (x, y)) in enumerate(lines.items()):
+            own = look[agent]
+            if agent in bands and connected:
+                axes.fill_between(x, *bands[agent], color=own.colour, alpha=0.14, linewidth=0)
+            axes.plot(
+                x,
+                y,
+                color=own.colour,
+                linestyle=own.line if connected else "",
+                linewidth=1.4,
+                marker=own.marker,
+                markersize=4,
+                markerfacecolor="white",
+                markevery=1 if markers else (0.02 * number, 0.2),
+            )
+        finish(axes)
+        name_lines(axes, lines, look)
+    return Panel(title, to_svg(figure, key, description))
+
+
+def name_lines(
+    axes: Axes, lines: Mapping[str, tuple[ArrayLike, ArrayLike]], look: Mapping[str, Look]
+) -> None:
+    """Write each line's name to the right of its end, apart from the others."""
+    ends = {}
+    for agent, (x, y) in lines.items():
+        known = np.flatnonzero(~np.isnan(np.asarray(y, dtype=np.float64)))
+        if known.size:
+            last = int(known[-1])
+            point = (float(np.asarray(x)[last]), float(np.asarray(y)[last]))
+            inside = axes.transAxes.inverted().transform(axes.transData.transform(point))
+            ends[agent] = (float(np.clip(inside[0], 0, 1)), float(np.clip(inside[1], 0, 1)))
+    order = sorted(ends, key=lambda agent: ends[agent][1])
+    heights = spread([ends[agent][1] for agent in order], _LABEL_GAP)
+    for agent, height in zip(order, heights, strict=True):
+        axes.annotate(
+            shortened(agent),
+            xy=ends[agent],
+            xytext=(1.06, height),
+            xycoords="axes fraction",
+            textcoords="axes fraction",
+            va="center",
+            fontsize=8,
+            color=look[agent].colour,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": look[agent].colour,
+                "linewidth": 0.5,
+                "relpos": (0, 0.5),  # from before the name, so that no line crosses another
+                "shrinkA": 1,
+            },
+            annotation_clip=False,
+        )
+
+
+def spread(positions: Sequence[float], gap: float) -> list[float]:
+    """Positions, in ascending order, moved apart by at least `gap` and as little as possible.
+
+    Example:
+        >>> [round(p, 2) for p in spread([0.0, 0.5, 0.5], 0.1)]
+        [0.0, 0.45, 0.55]
+    """
+    groups: list[list[float]] = []  # [middle, number]
+    for position in positions:
+        groups.append([position, 1])
+        while len(groups) > 1:
+            (low, below), (high, above) = groups[-2:]
+            if high - low >= gap * (below + above) / 2 - 1e-12:
+                break
+            groups[-2:] = [[(low * below + high * above) / (below + above), below + above]]
+    return [
+        middle + gap * (place - (number - 1) / 2)
+        for middle, number in groups
+        for place in range(int(number))
+    ]

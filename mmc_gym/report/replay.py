@@ -1,0 +1,131 @@
+"""The data of the replay: a few movements of the main agents, as compact JSON.
+
+Positions and angles are in thousandths, distances from the target in ten-thousandths, and every
+value but the first of a series is the difference from the one before, so that most are of one to
+three digits.  Where a cursor stands for the hand, under a visuomotor rotation, both are there; the
+distance is that of the cursor, as it is in success and in all measures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym.report.results import Results
+
+INSTANCES = 6
+ENVIRONMENTS = 5
+BUDGET = 1_500_000  # bytes
+
+_FITS = 0.02  # by which an arm may miss its hand, segment lengths
+_SEEN_APART = 0.001  # segment lengths between a hand and a cursor
+_COARSE, _FINE = 1_000, 10_000  # parts of one
+
+
+def replay(results: Results, environments: Sequence[str], agents: Sequence[str]) -> dict[str, Any]:
+    """What the player shows: movements by environment, instance and agent.
+
+    Of trained agents the first training seed is shown.  Instances are left out, the last first,
+    until everything is within `BUDGET`.
+    """
+    for instances in range(INSTANCES, 0, -1):
+        scenes = {
+            key: found
+            for key in environments[:ENVIRONMENTS]
+            if (found := _scenes(results, key, agents, instances))
+        }
+        data = {
+            "step": results.control_step,
+            "lengths": list(results.segment_lengths),
+            "tolerance": results.tolerance,
+            "agents": [
+                a for a in agents if any(a in s["agents"] for v in scenes.values() for s in v)
+            ],
+            "scenes": scenes,
+        }
+        if len(json.dumps(data, separators=(",", ":"))) <= BUDGET:
+            break
+    return data
+
+
+def _scenes(
+    results: Results, environment: str, agents: Sequence[str], instances: int
+) -> list[dict[str, Any]]:
+    paths = results.paths
+    if paths.empty:
+        return []
+    here = paths[(paths["environment"] == environment) & paths["agent"].isin(list(agents))]
+    scenes = []
+    for instance in sorted(here["instance"].unique())[:instances]:
+        rows = here[here["instance"] == instance]
+        movements = {}
+        target: NDArray[np.float64] = np.zeros((0, 2))
+        for agent, mine in rows.groupby("agent", sort=False, observed=True):
+            seed = mine["training_seed"].fillna(0)
+            steps = mine[seed == seed.min()].sort_values("step")
+            movements[str(agent)] = _movement(steps, results.segment_lengths)
+            own = steps[["target_x", "target_y"]].to_numpy(np.float64)
+            target = own if len(own) > len(target) else target
+        moving = bool(np.ptp(target, axis=0).max() > 0)
+        shown = target if moving else target[:1]
+        scenes.append(
+            {
+                "instance": int(instance) + 1,
+                "target": [_compact(column) for column in shown.T],
+                "agents": {agent: movements[agent] for agent in agents if agent in movements},
+            }
+        )
+    return scenes
+
+
+def _movement(steps: pd.DataFrame, told: Sequence[float]) -> dict[str, Any]:
+    hand, cursor, target = (
+        steps[[f"{name}_x", f"{name}_y"]].to_numpy(np.float64)
+        for name in ("hand", "cursor", "target")
+    )
+    names = [name for name in steps.columns if name.startswith("joint_angle_")]
+    angles = steps[names].to_numpy(np.float64)
+    distance = np.linalg.norm(cursor - target, axis=-1)
+    movement: dict[str, Any] = {
+        "hand": [_compact(column) for column in hand.T],
+        "distance": _compact(distance, _FINE),
+    }
+    if np.abs(cursor - hand).max() > _SEEN_APART:
+        movement["cursor"] = [_compact(column) for column in cursor.T]
+    if angles.size > 0 and not np.isnan(angles).any():
+        movement["angles"] = [_compact(column) for column in angles.T]
+        movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, told)]
+    return movement
+
+
+def _lengths(
+    angles: NDArray[np.float64], hand: NDArray[np.float64], told: Sequence[float]
+) -> list[float]:
+    """Segment lengths with which the postures lead to the hand, as near as can be to the told.
+
+    The body may have other lengths than agents are told.
+    """
+    turned = np.cumsum(angles, axis=1)
+    design = np.concatenate([np.cos(turned), np.sin(turned)])
+    missed = np.concatenate([hand[:, 0], hand[:, 1]]) - design @ np.asarray(told)
+    if np.abs(missed).max() <= _FITS:
+        return list(told)
+    change, *_ = np.linalg.lstsq(design, missed, rcond=None)
+    return [max(float(length), 0.0) for length in np.asarray(told) + change]
+
+
+def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:
+    """In parts of one, such as thousandths, the first and then the differences.
+
+    Example:
+        >>> _compact([1.0, 1.002, 0.9995])
+        [1000, 2, -2]
+    """
+    whole = np.rint(parts * np.asarray(values, dtype=np.float64)).astype(int)
+    compact: list[int] = np.diff(whole, prepend=0).tolist()
+    return compact

@@ -1,0 +1,244 @@
+"""What the report is made of: episodes, paths and settings, read from a benchmark's store."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mmc_gym.agents.policy import PRETRAINED, PolicyCard
+from mmc_gym.benchmark.ranking_table import RANKING
+from mmc_gym.benchmark.runner import untrained
+from mmc_gym.benchmark.store import (
+    MANIFEST,
+    CellKey,
+    read_episodes,
+    read_manifest,
+    read_paths,
+    read_sets,
+)
+from mmc_gym.benchmark.suite import BASELINE
+from mmc_gym.measures.catalogue import MEASURES, Measure, leave_out_failures
+from mmc_gym.report.identity import Identity, agent_order, identify, labelled
+from mmc_gym.report.knowledge import Kind
+from mmc_gym.training.curves import read_cards
+
+
+@dataclass(frozen=True)
+class Environment:
+    """An environment of the benchmark.
+
+    Attributes:
+        key: its short name.
+        id: Gymnasium's.
+        description: one line.
+        family: of the perturbation; empty without one.
+        strength: of the perturbation, in `unit`; NaN without one.
+        unit: of the strength.
+        baseline: key of the environment that differs from this one only in the perturbation.
+    """
+
+    key: str
+    id: str = ""
+    description: str = ""
+    family: str = ""
+    strength: float = math.nan
+    unit: str = ""
+    baseline: str = BASELINE
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """The results of a benchmark.
+
+    Attributes:
+        episodes: columns agent, training_seed (missing without training), environment, instance,
+            and those of `MEASURES`, NaN where `leave_out_failures` says so.
+        paths: columns agent, training_seed, environment, instance, step, joint_angle_1 to _N,
+            hand_x, hand_y, cursor_x, cursor_y, target_x, target_y; empty if none were kept.
+        environments: by key, in the order of the manifest.
+        identities: who each agent is.
+        agents: in the order of the report.
+        control_step: seconds.
+        segment_lengths: of the arm that agents are told of.
+        tolerance: distance that counts as reached, segment lengths.
+        versions: of the libraries.
+        cell_seconds: that all cells together took.
+        not_played: the cells without episodes, with the reason.
+        sets: columns agent, training_seed, environment, measure, unit, episodes, value: of all
+            episodes of a policy together, see `set_measures`; empty if none was taken.
+        ranking: of the agents, as `summarize_battery` returns it; empty if the store has none that
+            is as new as itself.
+    """
+
+    episodes: pd.DataFrame
+    paths: pd.DataFrame
+    environments: Mapping[str, Environment]
+    identities: Mapping[str, Identity]
+    agents: tuple[str, ...]
+    control_step: float
+    segment_lengths: tuple[float, ...]
+    tolerance: float
+    versions: Mapping[str, str]
+    cell_seconds: float
+    not_played: tuple[tuple[CellKey, str], ...]
+    sets: pd.DataFrame
+    ranking: pd.DataFrame
+
+    def kind(self, agent: str) -> Kind:
+        """What sort of agent it is."""
+        return self.identities[agent].kind
+
+    def labelled(self, name: str) -> str | None:
+        """What an agent of this package is called here; None if it did not take part."""
+        return labelled(self.identities, name)
+
+    @property
+    def curves(self) -> dict[str, tuple[PolicyCard, ...]]:
+        """The cards of those agents whose learning curves are known."""
+        return {
+            agent: cards
+            for agent, cards in self.cards.items()
+            if all(card.learning_curve for card in cards)
+        }
+
+    @property
+    def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
+        """Cards of the policies that took part, by agent; only of agents whose cards are known."""
+        return {agent: one.cards for agent, one in self.identities.items() if one.cards}
+
+    def seeds(self, agent: str, environments: Iterable[str] = ()) -> tuple[int, int] | None:
+        """The least and the most training seeds of an agent in any one of some environments.
+
+        Args:
+            agent: its name; (0, 0) is the answer for one without training.
+            environments: keys; all by default.
+
+        Returns:
+            None if it was in none of them.
+        """
+        keys = tuple(environments) or tuple(self.environments)
+        counts = [found for key in keys if (found := self._seeds.get((agent, key))) is not None]
+        return (min(counts), max(counts)) if counts else None
+
+    def instances(self, environment: str) -> int:
+        """Number of starts and targets in an environment."""
+        return self._instances.get(environment, 0)
+
+    @cached_property
+    def _seeds(self) -> dict[tuple[str, str], int]:
+        rows = self.episodes[["agent", "environment", "training_seed"]].drop_duplicates()
+        counts = dict.fromkeys(zip(rows["agent"], rows["environment"]), 0)
+        for agent, key, seed in rows.itertuples(index=False):
+            counts[agent, key] += not math.isnan(seed)
+        return counts
+
+    @cached_property
+    def _instances(self) -> dict[str, int]:
+        counts = self.episodes.groupby("environment")["instance"].nunique()
+        return {str(key): int(number) for key, number in counts.items()}
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """The measures that the report shows: those of `mmc-gym compare` that were stored."""
+        return tuple(
+            measure
+            for measure in MEASURES
+            if measure.shown
+            and measure.name in self.episodes
+            and self.episodes[measure.name].notna().any()
+        )
+
+
+def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
+    """Read a store.
+
+    Args:
+        store: its folder.
+        cards: folder of this package's policies, for what they learned from.
+
+    Raises:
+        ValueError: if there is no store, or it is damaged.
+    """
+    manifest = read_manifest(store)
+    not_trained = untrained(manifest)
+    episodes = leave_out_failures(_without_seeds(read_episodes(store), not_trained))
+    present = set(episodes["environment"])
+    shipped = _cards(cards)
+    identities = {
+        agent: identify(manifest["agents"][agent]["sources"].values(), shipped)
+        for agent in map(str, dict.fromkeys(episodes["agent"]))
+    }
+    missing = (*manifest["skipped"], *manifest["failed"])
+    return Results(
+        episodes=episodes,
+        paths=_paths(store, not_trained),
+        environments={
+            key: _environment(key, entry)
+            for key, entry in manifest["environments"].items()
+            if key in present
+        },
+        identities=identities,
+        agents=agent_order(identities),
+        control_step=float(manifest["control_step"]),
+        segment_lengths=tuple(map(float, manifest["segment_lengths"])),
+        tolerance=float(manifest["tolerance"]),
+        versions=manifest["versions"],
+        cell_seconds=float(sum(manifest["wall_seconds"].values())),
+        not_played=tuple(
+            (CellKey(e["agent"], e["training_seed"], e["environment"]), e["reason"])
+            for e in missing
+        ),
+        sets=_without_seeds(read_sets(store), not_trained),
+        ranking=_ranking(store),
+    )
+
+
+def _environment(key: str, entry: Mapping[str, Any]) -> Environment:
+    strength = entry["strength"]
+    return Environment(
+        key,
+        id=entry["id"],
+        description=entry["description"],
+        family=entry["family"],
+        strength=math.nan if strength is None else float(strength),
+        unit=entry["unit"],
+        baseline=entry["baseline"] or BASELINE,
+    )
+
+
+def _paths(store: Path, not_trained: Collection[str]) -> pd.DataFrame:
+    try:
+        paths = _without_seeds(read_paths(store), not_trained)
+        return paths.astype({"agent": "category", "environment": "category"})  # quick to compare
+    except ValueError:
+        return pd.DataFrame()  # the report can do without
+
+
+def _ranking(store: Path) -> pd.DataFrame:
+    file = store / RANKING
+    try:
+        if file.stat().st_mtime < (store / MANIFEST).stat().st_mtime:
+            return pd.DataFrame()  # of a benchmark that went on
+        return pd.read_csv(file)
+    except (OSError, ValueError):
+        return pd.DataFrame()
+
+
+def _cards(folder: Path) -> Mapping[str, Sequence[PolicyCard]]:
+    try:
+        return read_cards(folder)
+    except ValueError:
+        return {}  # nothing was trained
+
+
+def _without_seeds(frame: pd.DataFrame, not_trained: Collection[str]) -> pd.DataFrame:
+    """The training seed is missing, rather than 0, where nothing was trained."""
+    seeds = frame["training_seed"].astype(np.float64)
+    return frame.assign(training_seed=seeds.mask(frame["agent"].isin(list(not_trained))))

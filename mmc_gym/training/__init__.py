@@ -1,0 +1,1 @@
+"""Learned policies: hyperparameters, training with checkpoints, grids, tuning, learning curves."""

@@ -1,0 +1,189 @@
+"""Trained policies on disk: complete, checked, free of code, and as good as their cards say."""
+
+import json
+import shutil
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym import make_agent
+from mmc_gym.agents import AGENTS
+from mmc_gym.agents.policy import (
+    EVALUATION_EPISODES,
+    PRETRAINED,
+    load_policy,
+    save_policy,
+)
+from mmc_gym.benchmark.entrants import entrants
+from mmc_gym.training.grid import shipped_cells
+from mmc_gym.training.hyperparameters import read_hyperparameters
+from mmc_gym.training.training import evaluate
+
+MEBIBYTE = 2**20
+SHIPPED = [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}") for cell in shipped_cells()]
+SUFFIXES = ("json", "safetensors")
+PPOS = ("ppo", "ppo-0", "ppo-3")
+KINDS = [name for name, entry in AGENTS.items() if entry.training_seeds]
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    for suffix in ("json", "safetensors"):
+        shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path)
+    return tmp_path / "ppo-0.json"
+
+
+def edit(card: Path, **changes: object) -> None:
+    card.write_text(json.dumps({**json.loads(card.read_text()), **changes}))
+
+
+def test_saving_and_loading_gives_the_same_network(tmp_path):
+    network, card = load_policy(PRETRAINED / "ppo-0.json")
+    save_policy(network, card, tmp_path)
+    loaded, same_card = load_policy(tmp_path / "ppo-0.safetensors")
+    assert same_card == card
+    for name, tensor in network.tensors.items():
+        np.testing.assert_array_equal(loaded.tensors[name], tensor)
+
+
+@pytest.mark.parametrize(("name", "seed"), SHIPPED)
+def test_what_ships_is_complete_and_of_the_shipped_hyperparameters(name, seed):
+    network, card = load_policy(PRETRAINED / f"{name}-{seed}.json")
+    assert (card.name, card.seed) == (name, seed)
+    assert (card.env_id, card.hyperparameters) == read_hyperparameters(name)
+    assert card.training_steps == card.learning_curve[-1]["steps"]
+    assert len(card.learning_curve) >= 20
+    assert network.hidden_units == tuple(card.hyperparameters["policy_kwargs"]["net_arch"])
+    assert {"python", "torch", "stable-baselines3", "mmc-gym"} <= set(card.versions)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_what_ships_does_as_well_as_its_card_says(name):
+    network, card = load_policy(PRETRAINED / f"{name}-0.json")
+    scores = evaluate(network, card, EVALUATION_EPISODES)
+    last = card.learning_curve[-1]
+    for measure in ("success", "final_distance", "episode_return"):
+        # Another machine's arithmetic may end a few episodes otherwise.
+        assert scores[measure] == pytest.approx(last[measure], rel=0.05, abs=0.02)
+
+
+def test_nothing_else_ships():
+    expected = {f"{name}-{seed}.{suffix}" for name, seed in shipped_cells() for suffix in SUFFIXES}
+    assert {path.name for path in PRETRAINED.iterdir()} == expected
+    assert sum(path.stat().st_size for path in PRETRAINED.iterdir()) < 10 * MEBIBYTE
+
+
+def test_an_agent_is_asked_for_by_name_and_seed():
+    env = gym.make("MMCReach-v0")
+    steps = {make_agent(name, env).training_steps for name in ("ppo", "ppo-0", "ppo-3")}
+    assert steps == {load_policy(PRETRAINED / "ppo-0.json")[1].training_steps}
+    observation, _ = env.reset(seed=0)
+    actions = [make_agent(name, env).predict(observation, deterministic=True)[0] for name in PPOS]
+    np.testing.assert_array_equal(actions[0], actions[1])
+    assert not np.array_equal(actions[0], actions[2])
+    for name in ("ppo-10", "ppo--1", "ppo-01", "mmc-0", "ppo-"):
+        with pytest.raises(ValueError, match=r"agent must be one of .*ppo-0 to ppo-9"):
+            make_agent(name, env)
+
+
+def test_exploration_is_the_same_at_every_run():
+    env = gym.make("MMCReach-v0")
+    observation, _ = env.reset(seed=0)
+    one, other = (make_agent("ppo", env) for _ in range(2))
+    first, second = (one.predict(observation)[0] for _ in range(2))
+    assert not np.array_equal(first, second)
+    np.testing.assert_array_equal(first, other.predict(observation)[0])
+
+
+def test_a_missing_file_is_an_error(copy):
+    copy.with_suffix(".safetensors").unlink()
+    with pytest.raises(FileNotFoundError):
+        load_policy(copy)
+
+
+def test_damaged_weights_are_an_error(copy):
+    weights = bytearray(copy.with_suffix(".safetensors").read_bytes())
+    weights[-1] ^= 1
+    copy.with_suffix(".safetensors").write_bytes(weights)
+    with pytest.raises(ValueError, match="its weights are not those of its card"):
+        load_policy(copy)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"activation": "os.system"}, "activation must be one of"),
+        ({"segment_count": 4}, "its card says 4 joints, its weights 3"),
+        ({"extra": 1}, "other entries"),
+        ({"sha256": ""}, "its weights are not those of its card"),
+        ({"training_steps": "many"}, "training_steps must be a whole number >= 0, got 'many'"),
+        ({"training_seconds": float("nan")}, "training_seconds must be a number >= 0"),
+        ({"hyperparameters": None}, "hyperparameters must be a table, got None"),
+        ({"learning_curve": "x"}, "learning_curve must be tables of numbers, got 'x'"),
+        ({"base_agent": ["mmc"]}, "base_agent must be one of"),
+        ({"segment_count": "3"}, "segment_count must be a number > 0, got '3'"),
+        ({"control": "thought"}, "control must be one of"),
+        ({"distribution": "squashed"}, "distribution must be that of 'ppo', got 'squashed'"),
+    ],
+)
+def test_a_card_that_does_not_fit_is_an_error(copy, changes, message):
+    edit(copy, **changes)
+    with pytest.raises(ValueError, match=message):
+        load_policy(copy)
+
+
+def test_weights_that_are_no_numbers_are_an_error(copy, tmp_path):
+    network, card = load_policy(copy)
+    network.tensors["mean.bias"] = np.full_like(network.tensors["mean.bias"], np.nan)
+    save_policy(network, card, tmp_path)
+    with pytest.raises(ValueError, match="its weights must be finite"):
+        load_policy(copy)
+
+
+def test_a_policy_of_ones_own_is_an_agent_by_its_path(copy):
+    env = gym.make("MMCReach-v0")
+    observation, _ = env.reset(seed=0)
+    shipped, _ = make_agent("ppo-0", env).predict(observation, deterministic=True)
+    for path in (copy, copy.with_suffix(".safetensors")):
+        own, _ = make_agent(str(path), env).predict(observation, deterministic=True)
+        np.testing.assert_array_equal(own, shipped)
+    assert list(entrants([str(copy), "ppo-1"])) == ["ppo-0", "ppo-1"]
+    with pytest.raises(FileNotFoundError):
+        make_agent(str(copy.with_stem("ppo-7")), env)
+    with pytest.raises(ValueError, match="path must be that of a policy's file"):
+        load_policy(str(copy.parent))
+
+
+def test_a_policy_refuses_an_observation_of_another_shape():
+    agent = make_agent("ppo", gym.make("MMCReach-v0"))
+    with pytest.raises(ValueError, match=r"must have shape \(\.\.\., 13\), got \(14,\)"):
+        agent.predict(np.zeros(14, dtype=np.float32))
+    assert agent.predict([0.0] * 13)[0].shape == (3,)
+
+
+@pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe", b"[" * 100_000])
+def test_a_card_that_is_none_is_an_error(copy, content):
+    copy.write_bytes(content)
+    with pytest.raises(ValueError, match="does not hold a policy"):
+        load_policy(copy)
+
+
+def test_the_policy_refuses_other_arms_and_other_actions():
+    with pytest.raises(ValueError, match="env must have 3 segments for this policy, got 2"):
+        make_agent("ppo", gym.make("MMCReach-v0", segment_lengths=(1.0, 1.0)))
+    with pytest.raises(ValueError, match=r"control must be .* for this policy, got 'joint_torque'"):
+        make_agent("ppo", gym.make("MMCReach-v0", control="joint_torque"))
+
+
+def test_a_policy_of_joint_deltas_moves_the_arm_alike_under_position_control():
+    hands = []
+    for control in ("joint_delta", "joint_position"):
+        env = gym.make("MMCReach-v0", control=control)
+        agent, (observation, info) = make_agent("ppo", env), env.reset(seed=5)
+        for _ in range(100):
+            action, _ = agent.predict(observation, deterministic=True)
+            observation, *_, info = env.step(action)
+        hands.append(info["end_effector"])
+    np.testing.assert_allclose(hands[0], hands[1], atol=0.02)

@@ -1,0 +1,452 @@
+"""A benchmark can be interrupted, added to and spread; broken agents are last, copies tie."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+import mmc_gym
+from mmc_gym import cli
+from mmc_gym.agents.base import ControlError
+from mmc_gym.benchmark import battery_cell
+from mmc_gym.benchmark import entries as contestants
+from mmc_gym.benchmark.ranking import summarize_battery
+from mmc_gym.benchmark.ranking_table import RANKING, print_ranking
+from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.benchmark.runner import benchmark, not_played, untrained
+from mmc_gym.benchmark.store import (
+    SET_COLUMNS,
+    CellKey,
+    read_episodes,
+    read_manifest,
+    read_paths,
+    read_sets,
+)
+from mmc_gym.benchmark.suite import ENVIRONMENTS, BatteryEnvironment, find_environments
+from mmc_gym.measures.rollout import episode_seeds, run_episodes
+
+ENVS = ("random", "centre-out")
+TIMES = ["action_time", "slow_action_time"]  # the only columns that are not the same at every run
+AGENTS_FROM_OUTSIDE = '''
+import numpy as np
+import mmc_gym
+
+class Raising:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        raise RuntimeError("broken on purpose")
+
+class Constant:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.full((*np.shape(observation)[:-1], 3), 0.5, np.float32), None
+
+class OneByOne:
+    """Acts as mmc, and takes no batches."""
+    def __init__(self, env):
+        self.agent = mmc_gym.make_agent("mmc", env)
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert observation.ndim == 1
+        return self.agent.predict(observation, state, episode_start)
+
+class Forgetful(OneByOne):
+    """Takes batches, but remembers the first episode's start for all of them."""
+    first = None
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        if np.all(episode_start):
+            self.first = observation if observation.ndim == 1 else observation[0]
+        action = np.arctan2(self.first[3:6], self.first[:3]) / np.pi
+        return np.broadcast_to(action, (*observation.shape[:-1], 3)).astype(np.float32), None
+
+def raising(env): return Raising()
+def constant(env): return Constant()
+def one_by_one(env): return OneByOne(env)
+def forgetful(env): return Forgetful(env)
+def cannot(env): raise ValueError("env is not for me")
+def crashing(env): raise ZeroDivisionError("oh")
+'''
+
+
+@pytest.fixture
+def outside(tmp_path, monkeypatch):
+    (tmp_path / "outside_agents.py").write_text(AGENTS_FROM_OUTSIDE)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield "outside_agents"
+    sys.modules.pop("outside_agents", None)
+
+
+def play(agents, out, environments=ENVS, episodes=4, jobs=1, **arguments):
+    return benchmark(agents, out, environments, episodes, jobs=jobs, **arguments)
+
+
+def contents(out):
+    """All results of a store, which do not depend on when, where and in which order they came."""
+    episodes = read_episodes(out).drop(columns=TIMES)
+    return episodes, read_paths(out)
+
+
+def assert_same_stores(one, other):
+    for mine, theirs in zip(contents(one), contents(other), strict=True):
+        pd.testing.assert_frame_equal(mine, theirs)
+
+
+def test_a_store_holds_the_episodes_of_rollouts(tmp_path):
+    manifest = play(["mmc", REFERENCE], tmp_path, episodes=4)
+    frame = read_episodes(tmp_path).set_index(["agent", "environment", "instance"])
+    assert frame.loc[("mmc", "random")].shape[0] == 4
+    assert frame.loc[("mmc", "centre-out")].shape[0] == 8  # all its trials, once each
+    assert frame.loc[(REFERENCE, "random"), "success"].tolist() == [1.0] * 4
+    env = gym.make("MMCReach-v0")
+    for number, alone in enumerate(
+        run_episodes(mmc_gym.make_agent("mmc", env), env, episode_seeds(0, 4))
+    ):
+        row = frame.loc[("mmc", "random", number)]
+        assert row["seed"] == alone.seed
+        assert row["final_distance"] == pytest.approx(alone.distances[-1], abs=1e-9)
+        assert row["joint_work"] == pytest.approx(alone.servo_work.sum())
+    assert frame.loc["mmc", "action_time"].groupby("environment").count().tolist() == [3, 3]
+    paths = read_paths(tmp_path)
+    drawn = paths[(paths["agent"] == "mmc") & (paths["environment"] == "centre-out")]
+    assert len(drawn) == 8 * 101
+    assert manifest == read_manifest(tmp_path)
+    assert manifest["segment_lengths"] == [1.0, 1.0, 1.0]
+    assert set(manifest["wall_seconds"]) == {
+        *("mmc--0--random", "mmc--0--centre-out"),
+        *(CellKey(REFERENCE, 0, name).file_name.removesuffix(".parquet") for name in ENVS),
+    }
+
+
+def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
+    play(["mmc", REFERENCE], tmp_path, ["random", "distances"])
+    assert (tmp_path / "episodes" / "mmc--0--random.parquet").exists()
+    path = tmp_path / "sets" / "mmc--0--distances.parquet"
+    found = read_sets(tmp_path)
+    assert list(found.columns) == list(SET_COLUMNS)
+    values = found.set_index(["agent", "measure"])
+    assert set(values.loc["mmc"].index) == {"fitts_slope", "fitts_intercept", "fitts_r_squared"}
+    assert 0 < values.loc[("mmc", "fitts_slope"), "value"] < 1
+    assert 0 < values.loc[(REFERENCE, "fitts_slope"), "value"] < 1
+    assert (values["episodes"] == 32).all() and (values["environment"] == "distances").all()
+    path.unlink()
+    seen = []
+    play(["mmc"], tmp_path, ["random", "distances"], on_progress=seen.append)
+    assert len(seen) == 2 and path.exists()
+    assert read_sets(tmp_path / "none").empty
+
+
+def test_paths_tell_the_distance_that_success_is_about(tmp_path):
+    play(["mmc"], tmp_path, ["random", "rotation-30"])
+    last = read_paths(tmp_path).query("step == 100").set_index(["environment", "instance"])
+    away = np.hypot(last["cursor_x"] - last["target_x"], last["cursor_y"] - last["target_y"])
+    found = read_episodes(tmp_path).set_index(["environment", "instance"])["final_distance"]
+    np.testing.assert_allclose(away[found.index], found, atol=1e-6)
+    assert found["rotation-30"].min() > 0.05
+
+
+def test_the_lowest_training_seed_that_takes_part_keeps_paths(tmp_path, outside):
+    play([f"x@{seed}={outside}:constant" for seed in (5, 3)], tmp_path, ["random"])
+    assert set(read_episodes(tmp_path)["training_seed"]) == {3, 5}
+    assert set(read_paths(tmp_path)["training_seed"]) == {3}
+
+
+def test_cells_that_are_there_are_not_played_again(tmp_path):
+    seen = []
+    play(["mmc"], tmp_path / "grown", ["random"])
+    play(["mmc", "ik-dls"], tmp_path / "grown", on_progress=seen.append)
+    assert seen[0].done == 1
+    assert {progress.key for progress in seen[1:]} == {
+        CellKey("mmc", 0, "centre-out"),
+        CellKey("ik-dls", 0, "random"),
+        CellKey("ik-dls", 0, "centre-out"),
+    }
+    play(["ik-dls", "mmc"], tmp_path / "fresh", jobs=2)
+    assert_same_stores(tmp_path / "grown", tmp_path / "fresh")
+    assert set(read_manifest(tmp_path / "grown")["agents"]) == {"mmc", "ik-dls"}
+
+
+def test_a_damaged_cell_is_played_again(tmp_path):
+    play(["mmc"], tmp_path / "one")
+    play(["mmc"], tmp_path / "other")
+    path = tmp_path / "one" / "episodes" / "mmc--0--random.parquet"
+    path.write_bytes(path.read_bytes()[:-100])
+    (tmp_path / "one" / "paths" / "mmc--0--centre-out.parquet").unlink()
+    seen = []
+    play(["mmc"], tmp_path / "one", on_progress=seen.append)
+    assert len(seen) == 3
+    assert_same_stores(tmp_path / "one", tmp_path / "other")
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_goes_on(tmp_path):
+    agents, names = ["mmc", "ik-dls", "random"], ["random", "delay-100", "centre-out", "locked-2"]
+    script = (
+        "from pathlib import Path; from mmc_gym.benchmark.runner import benchmark\n"
+        f"benchmark({agents}, Path({str(tmp_path / 'killed')!r}), {names}, 4, jobs=1)"
+    )
+    run = subprocess.Popen([sys.executable, "-c", script])
+    deadline = time.monotonic() + 120
+    while len(list((tmp_path / "killed" / "episodes").glob("*.parquet"))) < 3:
+        assert time.monotonic() < deadline
+        assert run.poll() is None
+        time.sleep(0.01)
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+    assert len(list((tmp_path / "killed" / "episodes").glob("*.parquet"))) < 12
+    seen = []
+    play(agents, tmp_path / "killed", names, on_progress=seen.append)
+    assert 3 <= seen[0].done < 12
+    play(agents, tmp_path / "whole", names)
+    assert_same_stores(tmp_path / "killed", tmp_path / "whole")
+
+
+def test_other_settings_are_refused(tmp_path):
+    play(["twin=mmc"], tmp_path, ["random"])
+    for message, arguments in {
+        "episodes is 4, asked for is 5": {"agents": ["twin=mmc"], "episodes": 5},
+        "seed is 0, asked for is 1": {"agents": ["twin=mmc"], "seed": 1},
+        "agent twin is 'mmc', asked for is 'ik-dls'": {"agents": ["twin=ik-dls"]},
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            play(**{"out": tmp_path, "environments": ["random"], **arguments})
+
+
+def test_another_environment_of_the_same_name_is_refused(tmp_path, monkeypatch):
+    play(["mmc"], tmp_path, ["random"])
+    monkeypatch.setitem(ENVIRONMENTS, "random", BatteryEnvironment("other", "MMCReachPaper-v0"))
+    with pytest.raises(ValueError, match="environment random is"):
+        play(["mmc"], tmp_path, ["random"])
+
+
+def test_a_broken_agent_is_last_and_a_copy_ties(tmp_path, outside):
+    manifest = play(
+        [f"raising={outside}:raising", f"{outside}:constant", "ik-dls", "mmc", "twin=mmc"], tmp_path
+    )
+    ranking = summarize_battery(
+        read_episodes(tmp_path), not_played(manifest), untrained(manifest), resamples=100
+    ).set_index("agent")
+    assert ranking.index[-1] == "raising"
+    assert ranking.index[-2] == f"{outside}:constant"
+    assert ranking.loc["raising", "not_played"] == 2
+    assert ranking.loc["twin", "rank"] == ranking.loc["mmc", "rank"]
+    assert ranking.loc["twin", "improvement"] == 0.5
+    assert [(entry["agent"], entry["reason"]) for entry in manifest["failed"]] == [
+        ("raising", "RuntimeError: broken on purpose")
+    ] * 2
+
+
+def test_who_cannot_act_is_skipped_and_who_crashes_has_failed(tmp_path, outside):
+    manifest = play([f"{outside}:cannot", f"{outside}:crashing", "mmc"], tmp_path, ["random"])
+    assert [entry["reason"] for entry in manifest["skipped"]] == ["env is not for me"]
+    assert [entry["reason"] for entry in manifest["failed"]] == ["ZeroDivisionError: oh"]
+    assert set(read_episodes(tmp_path)["agent"]) == {"mmc"}
+    (tmp_path / "outside_agents.py").write_text(
+        AGENTS_FROM_OUTSIDE.replace('raise ZeroDivisionError("oh")', "return Constant()")
+    )
+    del sys.modules[outside]
+    again = play([f"{outside}:crashing"], tmp_path, ["random"])
+    assert not again["failed"]
+    assert len(again["skipped"]) == 1
+
+
+def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
+    source, seen = f"{outside}:constant", []
+    play([source, "mmc"], tmp_path / "out")
+    (tmp_path / "outside_agents.py").write_text(AGENTS_FROM_OUTSIDE + "# changed\n")
+    manifest = play([source, "mmc"], tmp_path / "out", ["random"], on_progress=seen.append)
+    assert [progress.key.agent for progress in seen[1:]] == [source]
+    assert manifest["reused"] == 1
+    assert manifest["changed"] == [source]  # what it did in the other environment is of before
+    assert not play([source, "mmc"], tmp_path / "out")["changed"]
+
+
+def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
+    now = battery_cell.software()
+    with monkeypatch.context() as earlier:
+        earlier.setattr(battery_cell, "software", lambda: {**now, "numpy": "0.0.1"})
+        play(["mmc"], tmp_path, ["random"])
+    manifest = play(["mmc", "ik-dls"], tmp_path, ["random"])
+    assert manifest["versions"]["numpy"] == f"0.0.1, {now['numpy']}"
+    assert manifest["versions"]["python"] == platform.python_version()
+    print_ranking(Console(width=1000), tmp_path)
+    said = capsys.readouterr().out
+    assert "1 were there already and not played again" in said
+    assert f"numpy {manifest['versions']['numpy']}" in said and "python" not in said
+
+
+def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
+    play([f"{outside}:crashing"], tmp_path / "one", ["random"])
+    with pytest.raises(ValueError, match="folder must hold a benchmark's episodes"):
+        print_ranking(Console(width=1000), tmp_path / "one")
+    play([REFERENCE], tmp_path / "other", ["random"])
+    assert print_ranking(Console(width=1000), tmp_path / "other").empty
+    said = capsys.readouterr().out
+    assert f"failed, 1 cell: {outside}:crashing: ZeroDivisionError: oh" in said
+    assert "nothing to rank" in said
+
+
+@pytest.mark.parametrize("name", ["one_by_one", "forgetful"])
+def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside, name):
+    outcomes = []
+    play(
+        [f"alone={outside}:{name}", "mmc"],
+        tmp_path,
+        ["random"],
+        on_progress=lambda progress: outcomes.append(progress.outcome),
+    )
+    assert [outcome.facts["together"] for outcome in outcomes[1:]] == [False, True]
+    frame = read_episodes(tmp_path).set_index("agent").drop(columns=TIMES)
+    if name == "one_by_one":
+        np.testing.assert_allclose(
+            frame.loc["alone", "final_distance"], frame.loc["mmc", "final_distance"], atol=1e-9
+        )
+    else:  # it stays where it starts
+        assert (frame.loc["alone", "peak_speed"] < 1e-3).all()
+
+
+def test_a_policy_for_other_actions_has_its_own(tmp_path, monkeypatch):
+    class Limp:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.zeros((*np.shape(observation)[:-1], 3), np.float32), None
+
+    def made(env):
+        if env.unwrapped.control != "joint_torque":
+            raise ControlError("control must be 'joint_torque'", "joint_torque")
+        return Limp()
+
+    monkeypatch.setattr(contestants.Contestant, "factory", staticmethod(made))
+    cell = battery_cell.BatteryCell(
+        contestants.Contestant("limp", 0, "limp", True), "random", ENVIRONMENTS["random"], 2, 0
+    )
+    outcome = battery_cell.run_cell(cell)
+    assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
+
+
+def test_a_policy_of_ones_own_takes_part_by_its_path(tmp_path):
+    name = next(iter(sorted(contestants.PRETRAINED.glob("ppo-[0-9].json")))).stem
+    for suffix in (".json", ".safetensors"):
+        shutil.copy(contestants.PRETRAINED / f"{name}{suffix}", tmp_path / f"mine{suffix}")
+    own, *_ = found = contestants.contestants(
+        [f"{tmp_path}/mine.json", f"x@2={tmp_path}/mine.json"]
+    )
+    assert [(one.agent, one.training_seed, one.is_trained) for one in found] == [
+        ("mine", 0, True),
+        ("x", 2, True),
+    ]
+    assert own.fingerprint == contestants.contestants([name])[0].fingerprint
+    play([f"{tmp_path}/mine.json", name], tmp_path / "out", ["random"])
+    frame = read_episodes(tmp_path / "out")
+    assert frame.groupby("agent")["final_distance"].sum().nunique() == 1
+    with pytest.raises(FileNotFoundError):
+        contestants.contestants([f"{tmp_path}/other.json"])
+
+
+def test_wrong_names_are_refused(tmp_path):
+    for agents, message in (
+        (["nobody"], "agents must be among mmc"),
+        ([], "agents must name at least one"),
+        (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
+        (["=mmc"], "agents must have names"),
+        (["x@y=os:getcwd"], "agents must be named as LABEL or LABEL@SEED"),
+        (["no_such_module:make"], "cannot be imported"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            play(agents, tmp_path / "out")
+    with pytest.raises(ValueError, match=r"environments must be among random, .* got nowhere"):
+        play(["mmc"], tmp_path / "out", ["nowhere"])
+    with pytest.raises(ValueError, match="episodes must be at least 1"):
+        play(["mmc"], tmp_path / "out", episodes=0)
+    with pytest.raises(ValueError, match="cluster must be"):
+        play(["mmc"], tmp_path / "out", cluster="dask")
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match="out must be a folder"):
+        play(["mmc"], tmp_path / "file")
+
+
+def test_names_of_trained_agents_stand_for_their_training_seeds(monkeypatch):
+    monkeypatch.setattr(contestants, "_shipped_seeds", lambda name: [0, 2])
+    kind = next(name for name, entry in mmc_gym.agents.AGENTS.items() if entry.training_seeds)
+    found = contestants.contestants([kind, f"other={kind}", "x@5=os:getcwd", "mmc"])
+    assert [(one.agent, one.training_seed, one.source, one.is_trained) for one in found] == [
+        (kind, 0, f"{kind}-0", True),
+        (kind, 2, f"{kind}-2", True),
+        ("other", 0, f"{kind}-0", True),
+        ("other", 2, f"{kind}-2", True),
+        ("x", 5, "os:getcwd", True),
+        ("mmc", 0, "mmc", False),
+    ]
+    monkeypatch.setattr(contestants, "_shipped_seeds", lambda name: [])
+    for name in (kind, f"{kind}-0"):
+        with pytest.raises(ValueError, match="has not been trained"):
+            contestants.contestants([name])
+    assert kind not in contestants.default_agents()
+    assert "mmc" in contestants.default_agents()
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_every_environment_can_be_made_and_described(name):
+    environment = find_environments([name])[name]
+    settings = environment.settings
+    assert json.loads(json.dumps(settings)) == settings
+    assert (settings["family"] == "") == (settings["strength"] is None)
+    environment.make().close()
+    env = environment.make_vec(2)
+    assert env.max_episode_steps == environment.make().spec.max_episode_steps
+    env.close()
+
+
+def test_strengths_differ_within_a_family():
+    families = {}
+    for name, environment in ENVIRONMENTS.items():
+        if environment.family:
+            assert name == f"{environment.family}-{environment.strength:g}"
+            families.setdefault(environment.family, []).append(environment.strength)
+    assert all(strengths == sorted(set(strengths)) for strengths in families.values())
+
+
+def test_the_command_prints_the_ranking(tmp_path, capsys):
+    arguments = ["--agents", "mmc", "twin=mmc", "random", "--environments", "random"]
+    cli.main(
+        ["benchmark", *arguments, "--episodes", "3", "--jobs", "1", "--out", str(tmp_path / "out")]
+    )
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    rows = [line[:2] for line in lines if line and line[0].isdecimal()]
+    assert rows[:3] == [["1", "mmc"], ["1", "twin"], ["3", "random"]]
+    ranking = pd.read_csv(tmp_path / "out" / RANKING)
+    assert ranking["agent"].tolist() == ["mmc", "twin", "random"]
+    assert ranking["success"][0] == read_episodes(tmp_path / "out")["success"][:3].mean()
+    with pytest.raises(SystemExit):
+        cli.main(["benchmark", "--agents", "nobody", "--out", str(tmp_path / "out")])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(
+    "ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"
+)
+def test_a_cluster_gives_what_one_process_gives(tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray")
+    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")  # its name is short enough for sockets
+    monkeypatch.setenv("RAY_TMPDIR", folder)
+    monkeypatch.setenv("RAY_ADDRESS", "local")
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
+    try:
+        play(["mmc", "random"], tmp_path / "cluster", jobs=2, cluster="ray")
+    finally:
+        ray.shutdown()
+        shutil.rmtree(folder, ignore_errors=True)
+        gc.collect()
+    play(["mmc", "random"], Path(tmp_path / "here"))
+    assert_same_stores(tmp_path / "cluster", tmp_path / "here")

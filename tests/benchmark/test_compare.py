@@ -1,0 +1,235 @@
+from __future__ import annotations
+
+import io
+import json
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from mmc_gym._console import cell
+from mmc_gym.benchmark.compare import compare
+from mmc_gym.benchmark.entrants import entrants, training_steps
+from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.measures.catalogue import MEASURES
+
+FILES = {
+    "episodes.csv",
+    "summary.csv",
+    "summary.json",
+    "paths_and_profiles.png",
+    "paths_and_profiles.svg",
+}
+
+
+def console(width=120, encoding="utf-8", terminal=False):
+    """A console that writes to `console.file.buffer`."""
+    file = io.TextIOWrapper(io.BytesIO(), encoding=encoding, write_through=True)
+    return Console(file=file, width=width, force_terminal=terminal, color_system=None)
+
+
+def printed(target):
+    return target.file.buffer.getvalue().decode(target.encoding)
+
+
+def test_the_oracle_succeeds_and_the_frozen_agent_does_not(oracle, frozen):
+    agents = {"oracle": oracle, "frozen": frozen}
+    found = compare(agents, episodes=40, console=console()).episodes.groupby("agent")
+    assert found["success"].mean()["oracle"] > 0.95
+    assert found["success"].mean()["frozen"] == 0
+    assert found["time_to_target"].count()["frozen"] == 0
+    assert found["final_distance"].median()["oracle"] < 1e-3
+    assert found["path_ratio"].min()["oracle"] > 0.9
+
+
+def test_all_agents_see_the_same_starts_and_targets(oracle, frozen):
+    agents = {"frozen": frozen, "oracle": oracle, "random": "random"}
+    found = compare(agents, episodes=10, seed=3, console=console()).episodes
+    given = ["episode", "seed", "start_x", "start_y", "target_x", "target_y"]
+    frozen_rows, oracle_rows, random_rows, ideal_rows = (
+        group[given].reset_index(drop=True) for _, group in found.groupby("agent", sort=False)
+    )
+    pd.testing.assert_frame_equal(frozen_rows, oracle_rows, check_exact=True)
+    pd.testing.assert_frame_equal(frozen_rows, random_rows, check_exact=True)
+    pd.testing.assert_frame_equal(frozen_rows, ideal_rows, check_exact=True)
+    assert frozen_rows["target_x"].nunique() == 10
+
+
+def test_beside_the_agents_stands_an_ideal_hand_where_it_meets_the_same_targets(frozen):
+    found = compare({"frozen": frozen}, episodes=5, console=console())
+    assert list(found.recorded) == ["frozen", REFERENCE]
+    ideal = found.episodes.groupby("agent")["success"].mean()[REFERENCE]
+    assert (ideal, found.training_steps[REFERENCE]) == (1.0, 0)
+    assert "without an arm" in found.note
+    via = compare({"frozen": frozen}, "MMCReachViaPoints-v0", 2, console=console())
+    assert list(via.recorded) == ["frozen"]
+    assert "without an arm" not in via.note
+
+
+def test_the_success_measured_is_the_success_the_environment_told(oracle, env):
+    comparison = compare({"oracle": oracle}, episodes=5, console=console())
+    for _, row in comparison.episodes.query("agent == 'oracle'").iterrows():
+        observation, info = env.reset(seed=int(row["seed"]))
+        for _ in range(100):
+            observation, _, _, _, info = env.step(oracle.predict(observation)[0])
+        assert info["is_success"] == row["success"]
+
+
+def test_the_same_seed_gives_the_same_files_but_for_the_times(tmp_path):
+    for folder in ("a", "b"):
+        compare(["mmc", "random"], episodes=4, seed=5, out=tmp_path / folder, console=console())
+    first, second = (pd.read_csv(tmp_path / folder / "episodes.csv") for folder in "ab")
+    times = ["action_time", "slow_action_time"]
+    pd.testing.assert_frame_equal(
+        first.drop(columns=times), second.drop(columns=times), check_exact=True
+    )
+    first, second = (pd.read_csv(tmp_path / folder / "summary.csv") for folder in "ab")
+    timeless = ~first["measure"].isin(times)
+    pd.testing.assert_frame_equal(first[timeless], second[timeless], check_exact=True)
+    for name in ("paths_and_profiles.svg", "summary.json"):
+        assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
+
+
+def test_the_files_hold_what_was_found_and_no_temporary_file_stays(tmp_path, frozen, oracle):
+    out = tmp_path / "new" / "folder"
+    found = compare({"oracle": oracle, "frozen": frozen}, episodes=3, out=out, console=console())
+    assert {path.name for path in out.iterdir()} == FILES
+    episodes = pd.read_csv(out / "episodes.csv")
+    pd.testing.assert_frame_equal(episodes, found.episodes, check_exact=True, check_dtype=False)
+    assert list(episodes.columns[-len(MEASURES) :]) == [measure.name for measure in MEASURES]
+    summary = pd.read_csv(out / "summary.csv")
+    assert len(summary) == 3 * len(MEASURES)
+    settings = json.loads((out / "summary.json").read_text())
+    assert (settings["episodes"], settings["training_seeds_per_agent"]) == (3, 1)
+    assert settings["training_steps"] == {"oracle": None, "frozen": None}
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path, frozen, monkeypatch):
+    compare({"frozen": frozen}, episodes=2, out=tmp_path, console=console())
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(descriptor):
+        raise OSError("disk full")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="disk full"):
+        compare({"frozen": frozen}, episodes=3, out=tmp_path, console=console())
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_the_table_is_ascii_and_fits_120_columns_where_there_is_no_terminal(capsys):
+    # The default agents without ppo, which needs its weights.
+    agents = ["mmc", "mmc-classical", "mmc-neural", "ik-dls", "random"]
+    compare(agents, episodes=5)
+    out = capsys.readouterr().out
+    assert out.isascii()
+    assert max(map(len, out.splitlines())) <= 120
+    header = next(line for line in out.splitlines() if "mmc-classical" in line)
+    assert header.split()[:3] == ["best", *agents[:2]]
+    assert all(agent in out for agent in agents)
+    assert "time per action" in out and "[us]" in out
+    assert "NOT" in out and "training seeds" in out.replace("\n", " ")
+
+
+def test_a_terminal_gets_all_signs_if_its_encoding_has_them(frozen):
+    good, poor = console(terminal=True), console(terminal=True, encoding="latin-1")
+    compare({"frozen": frozen}, episodes=2, console=good)
+    compare({"frozen": frozen}, episodes=2, console=poor)
+    assert "[µs]" in printed(good)
+    assert "[us]" in printed(poor)
+
+
+def test_a_name_or_folder_that_the_encoding_lacks_costs_nobody_the_results(tmp_path, frozen):
+    target, out = console(encoding="ascii"), tmp_path / "Ergebnisse für Ξ"
+    compare({"Ξ": frozen}, episodes=2, out=out, console=target)
+    assert {path.name for path in out.iterdir()} == FILES
+    assert "Ergebnisse f?r ?" in printed(target)
+
+
+def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
+    narrow = console(width=64)
+    agents = {f"agent {number}": frozen for number in range(4)}
+    compare(agents, episodes=2, console=narrow)
+    lines = printed(narrow).splitlines()
+    assert max(map(len, lines)) <= 64
+    assert sum("success at the end " in line for line in lines) > 1
+    for agent in agents:
+        assert sum(agent in line for line in lines) == 1
+
+
+def test_a_cell_tells_of_missing_and_of_small_values():
+    nan = float("nan")
+    row = {"estimate": nan, "low": nan, "high": nan, "count": 0, "missing": 7}
+    assert cell(row, 2) == "-\n0 of 7"
+    row = {"estimate": 123.4, "low": 99.6, "high": 150.0, "count": 7, "missing": 0}
+    assert cell(row, 2) == "123\n[100, 150]"
+    row = {"estimate": 0.0001, "low": 0.0, "high": 0.02, "count": 7, "missing": 0}
+    assert cell(row, 3) == "<0.001\n[0.000, 0.020]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"agents": ["mmc", "nobody"]}, "mmc-classical.*'nobody'"),
+        ({"agents": ["mmc", "mmc"]}, "mmc repeatedly"),
+        ({"agents": []}, "got none"),
+        ({"agents": ["no_such_module:make"]}, "no_such_module:make.*cannot be imported"),
+        ({"agents": ["math:no_such_function"]}, "cannot be imported"),
+        ({"agents": ["math:pi"]}, "must be a function"),
+        ({"agents": ["mmc"], "episodes": 0}, "episodes must be at least 1, got 0"),
+        ({"agents": ["mmc"], "seed": -1}, "seed must not be negative"),
+        ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
+        ({"agents": ["mmc"], "env": "no_such_module:Env-v0"}, "env must be .*no_such_module"),
+        ({"agents": ["mmc"], "env": "CartPole-v1"}, r"info\['end_effector'\]"),
+    ],
+)
+def test_mistakes_are_told_before_anything_runs(arguments, message, monkeypatch):
+    monkeypatch.setattr("mmc_gym.benchmark.compare.run_episodes", None)
+    with pytest.raises(ValueError, match=message):
+        compare(**arguments)
+
+
+def test_a_file_in_the_place_of_the_folder_is_told_before_anything_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr("mmc_gym.benchmark.compare.run_episodes", None)
+    (tmp_path / "out").write_text("precious")
+    with pytest.raises(ValueError, match="out must be a folder"):
+        compare(["random"], episodes=1, out=tmp_path / "out")
+    assert (tmp_path / "out").read_text() == "precious"
+
+
+def test_an_agent_may_be_a_function_in_a_module_of_the_working_directory(tmp_path, monkeypatch):
+    (tmp_path / "someones_agents.py").write_text(
+        "class Still:\n"
+        "    training_steps = 12\n"
+        "    def __init__(self, env):\n"
+        "        self.zero = 0 * env.action_space.sample()\n"
+        "    def predict(self, observation, state=None, episode_start=None, deterministic=False):\n"
+        "        return self.zero, None\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", list(sys.path))
+    comparison = compare(["someones_agents:Still"], episodes=1, console=console())
+    assert comparison.training_steps == {"someones_agents:Still": 12, REFERENCE: 0}
+
+
+def test_objects_and_factories_take_part_under_their_own_names(oracle, frozen):
+    def thaw(env):
+        return frozen
+
+    env = gym.make("MMCReach-v0")
+    made = entrants([oracle, thaw, "random"])
+    assert list(made) == ["Oracle", "thaw", "random"]
+    assert (made["Oracle"](env), made["thaw"](env)) == (oracle, frozen)
+
+
+def test_training_steps_are_ours_or_those_of_stable_baselines3_or_unknown(oracle):
+    class Ours:
+        training_steps = 3
+
+    class Theirs:
+        num_timesteps = np.int64(4)
+
+    assert [training_steps(agent) for agent in (Ours(), Theirs(), oracle)] == [3, 4, None]

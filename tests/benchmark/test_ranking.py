@@ -1,0 +1,120 @@
+"""Agents are ranked by success, each environment weighing the same; copies tie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmc_gym.benchmark.ranking import battery_scores, success_by_environment, summarize_battery
+from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.benchmark.store import CellKey
+
+
+def played(agent, environment, times, training_seed=0):
+    """Episodes of 2 s with these times to target, NaN for those without success."""
+    times = np.array(times, dtype=np.float64)
+    return pd.DataFrame(
+        {
+            "agent": agent,
+            "training_seed": training_seed,
+            "environment": environment,
+            "instance": range(len(times)),
+            "duration": 2.0,
+            "success": (~np.isnan(times)).astype(float),
+            "time_to_target": times,
+        }
+    )
+
+
+def summary(*frames, **arguments):
+    return summarize_battery(pd.concat(frames), resamples=200, **arguments).set_index("agent")
+
+
+NAN = float("nan")
+
+
+def test_environments_weigh_the_same():
+    large, small = [0.5] * 20, [0.5] * 2
+    ranking = summary(
+        played("mmc", "large", large),
+        played("mmc", "small", [NAN, NAN]),
+        played("other", "large", [*large[:12], *[NAN] * 8]),
+        played("other", "small", small),
+    )
+    assert ranking.index.tolist() == ["other", "mmc"]
+    assert ranking["success"].tolist() == pytest.approx([0.8, 0.5])
+    assert ranking["rank"].tolist() == [1, 2]
+    assert ranking["environments"].tolist() == [2, 2]
+    assert ranking["instances"].tolist() == [22, 22]
+
+
+def test_a_copy_ties_with_itself():
+    times = [0.4, 0.8, NAN, 1.2]
+    ranking = summary(
+        *(played(agent, "one", times) for agent in ("mmc", "twin")),
+        played("slower", "one", [0.6, 0.9, NAN, 1.4]),
+        untrained=["mmc", "twin", "slower"],
+    )
+    assert ranking["rank"].to_dict() == {"mmc": 1, "twin": 1, "slower": 3}
+    assert ranking.loc["twin", "improvement"] == 0.5
+    numbers = ranking.drop(columns="rank")
+    pd.testing.assert_series_equal(numbers.loc["twin"], numbers.loc["mmc"], check_names=False)
+    assert ranking.loc["slower", "improvement"] == 0.125  # loses three, and ties at one failure
+    assert ranking["training_seeds"].tolist() == [0, 0, 0]
+
+
+def test_what_was_not_played_has_no_success():
+    frames = [played("mmc", name, [0.5, NAN, NAN, NAN]) for name in ("one", "two")]
+    broken = [CellKey("broken", 0, name) for name in ("one", "two")]
+    ranking = summary(*frames, not_played=broken)
+    assert ranking["rank"].to_dict() == {"mmc": 1, "broken": 2}
+    assert ranking["success"].to_dict() == {"mmc": 0.25, "broken": 0.0}
+    assert ranking["not_played"].to_dict() == {"mmc": 0, "broken": 2}
+    assert ranking.loc["broken", "improvement"] == 0.375
+    half = summary(
+        *frames, played("half", "one", [0.5] * 4), not_played=[CellKey("half", 0, "two")]
+    )
+    assert half["success"].to_dict() == {"half": 0.5, "mmc": 0.25}
+
+
+def test_only_environments_that_all_have_attempted_count():
+    ranking = summary(
+        *(played("mmc", name, [0.5, 0.5]) for name in ("one", "two")),
+        played("other", "one", [0.5, NAN]),
+    )
+    assert ranking["environments"].tolist() == [1, 1]
+    with pytest.raises(ValueError, match="an environment that all agents have attempted"):
+        summary(played("mmc", "one", [0.5]), played("other", "two", [0.5]))
+
+
+def test_training_seeds_are_replicates():
+    frames = [played("ppo", "one", [0.5 + 0.1 * seed] * 4, seed) for seed in range(3)]
+    ranking = summary(played("mmc", "one", [0.65] * 4), *frames, untrained=["mmc"])
+    assert ranking["training_seeds"].to_dict() == {"mmc": 0, "ppo": 3}
+    assert ranking.loc["ppo", "improvement"] == pytest.approx(2 / 3)
+    assert ranking.loc["ppo", "settled_low"] < ranking.loc["ppo", "settled_high"]
+
+
+def test_the_ideal_hand_is_not_ranked_and_no_baseline_is_no_comparison():
+    ranking = summary(played("other", "one", [0.5]), played(REFERENCE, "one", [0.4]))
+    assert ranking.index.tolist() == ["other"]
+    assert np.isnan(ranking.loc["other", "improvement"])
+
+
+def test_settled_is_the_part_of_an_episode_at_the_target():
+    scores = battery_scores(played("mmc", "one", [0.0, 0.5, NAN]))
+    assert scores["settled"].tolist() == [1.0, 0.75, 0.0]
+
+
+def test_success_by_environment_is_a_mean_over_training_seeds():
+    frames = [
+        played("ppo", "one", [0.5, 0.5], 0),
+        played("ppo", "one", [NAN, 0.5], 1),
+        played("mmc", "two", [0.5, NAN]),
+    ]
+    table = success_by_environment(pd.concat(frames), [CellKey("mmc", 0, "one")])
+    assert table.loc["ppo", "one"] == 0.75
+    assert table.loc["mmc", "one"] == 0.0
+    assert table.loc["mmc", "two"] == 0.5
+    assert np.isnan(table.loc["ppo", "two"])

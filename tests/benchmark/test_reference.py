@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
+from mmc_gym.measures.catalogue import MEASURES
+from mmc_gym.measures.rollout import episode_seeds, run_episodes
+from mmc_gym.network.time_base import minimum_jerk
+
+
+def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_episode):
+    wrong = np.zeros((101, 2))  # an agent that never moves
+    (ideal,) = minimum_jerk_episodes([make_episode(wrong, [1.2, 1.6])])
+    steps = (0.2 + 2.0 / 4) / 0.02
+    expected = minimum_jerk(np.arange(101) / steps)[:, None] * [1.2, 1.6]
+    assert ideal.hands == pytest.approx(expected, abs=1e-9)
+    assert ideal.distances == pytest.approx(np.linalg.norm(expected - [1.2, 1.6], axis=-1))
+
+
+def test_its_measures_are_those_of_minimum_jerk(make_episode):
+    (ideal,) = minimum_jerk_episodes([make_episode(np.zeros((101, 2)), [1.2, 1.6])])
+    found = {measure.name: measure.of(ideal) for measure in MEASURES}
+    assert found["success"] == found["success_1_percent"] == 1
+    assert found["path_ratio"] == pytest.approx(1)
+    assert found["velocity_peaks"] == 1
+    assert found["overshoot"] == pytest.approx(0, abs=1e-9)
+    assert found["peak_speed"] == pytest.approx(15 / 8 * 2.0 / 0.7, rel=1e-2)
+    assert found["peak_to_mean"] == pytest.approx(1.658, abs=0.03)
+    assert found["time_to_peak"] == pytest.approx(0.5, abs=0.02)
+    assert found["minimum_jerk_correlation"] > 0.999
+    assert found["minimum_jerk_rmse"] < 0.03
+    assert found["log_dimensionless_jerk"] == pytest.approx(-4.41, abs=0.25)
+    for name in ("joint_effort", "joint_work", "joint_path_efficiency", "action_time"):
+        assert math.isnan(found[name])
+
+
+def test_it_starts_and_is_asked_as_the_agents_are_whatever_they_do(env, oracle, frozen):
+    seeds = episode_seeds(0, 5)
+    one = minimum_jerk_episodes(run_episodes(oracle, env, seeds))
+    other = minimum_jerk_episodes(run_episodes(frozen, env, seeds))
+    for first, second in zip(one, other, strict=True):
+        assert np.array_equal(first.hands, second.hands)
+
+
+def test_it_follows_a_target_that_jumps(frozen):
+    env = gym.make("MMCReachDoubleStep200-v0")
+    for ideal in minimum_jerk_episodes(run_episodes(frozen, env, episode_seeds(1, 5))):
+        assert ideal.distances[-1] == pytest.approx(0, abs=1e-9)
+        turn = np.linalg.norm(np.diff(ideal.hands, 2, axis=0), axis=-1)
+        assert turn.max() < 0.1  # no corner: the velocity changes little in a step
+
+
+def test_episodes_may_differ_in_length(make_episode):
+    long, short = np.zeros((101, 2)), np.zeros((31, 2))
+    ideals = minimum_jerk_episodes(
+        [make_episode(long, [2.0, 0.0]), make_episode(short, [2.0, 0.0])]
+    )
+    assert [len(ideal.hands) for ideal in ideals] == [101, 31]
+    assert np.array_equal(ideals[0].hands[:31], ideals[1].hands)
+    assert minimum_jerk_episodes([]) == ()
+
+
+def test_there_is_none_where_targets_depend_on_when_the_last_was_reached(env):
+    assert has_reference(env)
+    assert not has_reference(gym.make("MMCReachViaPoints-v0"))

@@ -1,0 +1,164 @@
+"""What is written to a store is read back, and what is damaged is noticed."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmc_gym.benchmark.store import (
+    CellKey,
+    cell_facts,
+    episodes_file,
+    paths_file,
+    read_episodes,
+    read_manifest,
+    read_paths,
+    write_cell,
+    write_manifest,
+)
+from mmc_gym.measures.catalogue import MEASURES
+
+KEY = CellKey("ppo", 3, "random")
+SETTINGS = {"seed": 0, "arguments": [1, 2]}
+FACTS = {"has_paths": True, "wall_seconds": 0.5}
+
+
+@pytest.fixture
+def episodes(make_episode):
+    line = np.linspace([0.0, 1.0], [2.0, 1.0], 41)
+    joints = np.linspace([0.0, 0.1, 0.2], [1.0, 1.1, 1.2], 41)
+    away = make_episode(line, [2.0, 2.0], joint_angles=joints, seed=11)
+    return make_episode(line, line[-1], joint_angles=joints, seed=7), away
+
+
+@pytest.fixture
+def store(episodes, tmp_path):
+    content = episodes_file(KEY, episodes, SETTINGS, FACTS)
+    write_cell(tmp_path, KEY, content, paths_file(KEY, episodes[:1], 3))
+    return tmp_path
+
+
+def test_episodes_are_read_back(store, episodes):
+    frame = read_episodes(store)
+    assert list(frame.columns) == [
+        *("agent", "training_seed", "environment", "instance", "seed"),
+        *("start_x", "start_y", "target_x", "target_y", "duration"),
+        *(measure.name for measure in MEASURES),
+    ]
+    assert frame["agent"].tolist() == ["ppo", "ppo"]
+    assert frame["training_seed"].tolist() == [3, 3]
+    assert frame["instance"].tolist() == [0, 1]
+    assert frame["seed"].tolist() == [7, 11]
+    np.testing.assert_allclose(frame["duration"], 0.8)
+    np.testing.assert_array_equal(frame[["start_x", "start_y"]], [[0.0, 1.0]] * 2)
+    np.testing.assert_array_equal(frame[["target_x", "target_y"]], [[2.0, 1.0], [2.0, 2.0]])
+    for measure in MEASURES:
+        np.testing.assert_array_equal(frame[measure.name], [measure.of(e) for e in episodes])
+    assert np.isnan(frame["time_to_target"][1])
+
+
+def test_paths_are_read_back(store, episodes):
+    frame = read_paths(store)
+    assert list(frame.columns) == [
+        *("agent", "training_seed", "environment", "instance", "step"),
+        *("joint_angle_1", "joint_angle_2", "joint_angle_3"),
+        *("hand_x", "hand_y", "target_x", "target_y", "cursor_x", "cursor_y"),
+    ]
+    np.testing.assert_array_equal(frame[["cursor_x", "cursor_y"]], frame[["hand_x", "hand_y"]])
+    assert frame["step"].tolist() == list(range(41))
+    assert frame["hand_x"].dtype == np.float32
+    np.testing.assert_array_equal(frame[["hand_x", "hand_y"]], episodes[0].hands.astype(np.float32))
+    np.testing.assert_array_equal(
+        frame["joint_angle_2"], episodes[0].joint_angles[:, 1].astype(np.float32)
+    )
+
+
+def test_a_cursor_is_read_back_beside_hands_without_one(store, make_episode):
+    hands = np.linspace([0.0, 1.0], [2.0, 1.0], 5)
+    turned = make_episode(hands, [2.0, 2.0], cursors=hands + 1.0)
+    key = KEY._replace(environment="rotation-30")
+    write_cell(store, key, episodes_file(key, [turned], {}, {}), paths_file(key, [turned], 3))
+    frame = read_paths(store).set_index("environment")
+    away = frame[["cursor_x", "cursor_y"]].to_numpy() - frame[["hand_x", "hand_y"]].to_numpy()
+    np.testing.assert_array_equal(away, np.repeat([0.0, 1.0], [41, 5])[:, None] * [1.0, 1.0])
+
+
+def test_a_hand_without_an_arm_has_no_joint_angles(tmp_path, make_episode):
+    hand = make_episode(np.zeros((5, 2)), [1.0, 0.0], joint_angles=np.zeros((5, 0)))
+    write_cell(tmp_path, KEY, episodes_file(KEY, [hand], {}, {}), paths_file(KEY, [hand], 3))
+    frame = read_paths(tmp_path)
+    assert frame[["joint_angle_1", "joint_angle_2", "joint_angle_3"]].isna().all(axis=None)
+
+
+def test_a_cell_is_known_by_its_settings(store):
+    assert cell_facts(store, KEY, SETTINGS) == FACTS
+    assert cell_facts(store, KEY, {**SETTINGS, "arguments": (1, 2)}) == FACTS
+    assert cell_facts(store, KEY, {**SETTINGS, "seed": 1}) is None
+    assert cell_facts(store, KEY._replace(training_seed=4), SETTINGS) is None
+
+
+@pytest.mark.parametrize("kind", ["episodes", "paths"])
+@pytest.mark.parametrize("damage", ["cut", "changed", "empty", "missing"])
+def test_damage_is_noticed(store, kind, damage):
+    path = store / kind / KEY.file_name
+    content = bytearray(path.read_bytes())
+    if damage == "missing":
+        path.unlink()
+    else:
+        content[100] ^= 1
+        path.write_bytes({"cut": content[:-50], "changed": content, "empty": b""}[damage])
+        read = {"episodes": read_episodes, "paths": read_paths}[kind]
+        with pytest.raises(ValueError, match="is damaged"):
+            read(store)
+    assert cell_facts(store, KEY, SETTINGS) is None
+
+
+def test_a_file_that_the_benchmark_has_not_made_is_no_cell(store):
+    pd.DataFrame({"agent": ["ppo"]}).to_parquet(store / "episodes" / KEY.file_name)
+    assert cell_facts(store, KEY, SETTINGS) is None
+
+
+def test_file_names_are_different_and_safe():
+    names = (
+        "a:b",
+        "a-b",
+        "A-b",
+        "a--b",
+        "a/b",
+        ".a",
+        "../a",
+        "",
+        "é",
+        "minimum jerk (ideal)",
+        "a.b",
+    )
+    files = {CellKey(name, 0, "random").file_name for name in names}
+    assert len({name.lower() for name in files}) == len(names)
+    assert all("/" not in name and not name.startswith(".") for name in files)
+    assert all(name.count("--") == 2 for name in files)
+    assert KEY.file_name == "ppo--3--random.parquet"
+
+
+def test_stores_that_are_none_are_refused(tmp_path):
+    for read in (read_episodes, read_paths, read_manifest):
+        with pytest.raises(ValueError, match="folder must hold a benchmark's"):
+            read(tmp_path)
+    write_manifest(tmp_path, {"seed": 3})
+    assert read_manifest(tmp_path)["seed"] == 3
+    (tmp_path / "manifest.json").write_text(json.dumps({"schema_version": 99}))
+    with pytest.raises(ValueError, match="must be of version 1, got 99"):
+        read_manifest(tmp_path)
+    (tmp_path / "manifest.json").write_text("{")
+    with pytest.raises(ValueError, match="is damaged"):
+        read_manifest(tmp_path)
+
+
+def test_a_store_may_lack_a_measure_that_came_later(store):
+    path = store / "episodes" / CellKey("old", 0, "random").file_name
+    frame = pd.read_parquet(store / "episodes" / KEY.file_name).drop(columns="success")
+    frame.assign(agent="old").to_parquet(path)
+    read = read_episodes(store).groupby("agent")["success"].count()
+    assert read.to_dict() == {"old": 0, "ppo": 2}

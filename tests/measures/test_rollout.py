@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import TimeLimit
+
+from mmc_gym.envs.perturbations import VisuomotorRotation
+from mmc_gym.measures import rollout
+from mmc_gym.measures.rollout import check_environment, episode_seeds, run_episodes
+
+
+class Sampler:
+    """Samples from the action space, as agents of other people may do."""
+
+    def __init__(self, env):
+        self.space = env.action_space
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.space.sample(), None
+
+
+class Counter:
+    """Keeps what it was handed, and hands back the number of its call as state."""
+
+    def __init__(self):
+        self.calls = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.calls.append((state, bool(episode_start[0]), deterministic))
+        return np.zeros(3, np.float32), len(self.calls)
+
+
+def test_seeds_are_all_different_and_more_episodes_only_add_to_them():
+    seeds = episode_seeds(7, 500)
+    assert len(set(seeds)) == 500
+    assert episode_seeds(7, 20) == seeds[:20]
+    assert not set(seeds) & set(episode_seeds(8, 500))
+
+
+@pytest.mark.parametrize(("seed", "episodes", "name"), [(0, 0, "episodes"), (-1, 5, "seed")])
+def test_seeds_that_make_no_sense_are_refused(seed, episodes, name):
+    with pytest.raises(ValueError, match=name):
+        episode_seeds(seed, episodes)
+
+
+def test_under_a_rotation_the_distance_is_the_cursors(oracle):
+    env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
+    (episode,) = run_episodes(oracle, env, [11])
+    away = np.linalg.norm(episode.seen_hands - episode.targets, axis=-1)
+    np.testing.assert_allclose(away, episode.distances, atol=1e-12)
+    assert np.linalg.norm(episode.hands[-1] - episode.target) < 0.05 < away[-1]  # it is blind to it
+
+
+def test_an_episode_records_what_the_environment_told(env, oracle):
+    (episode,) = run_episodes(oracle, env, [11])
+    observation, info = env.reset(seed=11)
+    assert np.array_equal(episode.hands[0], info["end_effector"])
+    assert np.array_equal(episode.target, info["target"])
+    for k in range(100):
+        action, _ = oracle.predict(observation)
+        observation, reward, _, truncated, info = env.step(action)
+        assert np.array_equal(episode.hands[k + 1], info["end_effector"])
+        assert episode.distances[k + 1] == info["distance"]
+        assert episode.rewards[k] == reward
+    assert truncated
+    assert episode.hands.shape == (101, 2) and episode.action_times.shape == (100,)
+    assert (episode.action_times > 0).all()
+    assert (episode.control_step, episode.tolerance) == (0.02, 0.05)
+
+
+def test_all_agents_see_bit_identical_starts_and_targets(env, oracle, frozen):
+    seeds = episode_seeds(0, 8)
+    for one, other in zip(
+        run_episodes(oracle, env, seeds),
+        run_episodes(frozen, gym.make("MMCReach-v0"), seeds),
+        strict=True,
+    ):
+        assert np.array_equal(one.hands[0], other.hands[0])
+        assert np.array_equal(one.target, other.target)
+        assert np.array_equal(one.joint_angles[0], other.joint_angles[0])
+        assert not np.array_equal(one.hands[-1], other.hands[-1])
+
+
+def test_an_episode_records_postures_targets_and_servos(oracle):
+    env = gym.make("MMCReachDoubleStep100-v0")
+    (episode,) = run_episodes(oracle, env, [4])
+    segments = np.cumsum(episode.joint_angles, axis=-1)
+    hands = np.stack([np.cos(segments).sum(-1), np.sin(segments).sum(-1)], axis=-1)
+    assert episode.hands == pytest.approx(hands)
+    assert np.linalg.norm(episode.hands - episode.targets, axis=-1) == pytest.approx(
+        episode.distances
+    )
+    assert np.flatnonzero(np.diff(episode.targets[:, 0])).tolist() == [4]
+    assert episode.servo_impulses.shape == episode.servo_work.shape == (100, 3)
+    assert (episode.servo_impulses[:5] > 0).any() and (episode.servo_work >= 0).all()
+    assert episode.reach == 3.0
+
+
+def test_an_engine_that_tells_nothing_of_its_servos_leaves_them_unknown(frozen):
+    (episode,) = run_episodes(frozen, gym.make("MMCReach-v0", engine="analytic"), [1])
+    assert np.isnan(episode.servo_impulses).all() and np.isfinite(episode.joint_angles).all()
+
+
+def test_being_recorded_changes_nothing_and_leaves_the_arm_as_it_was(env, oracle):
+    step = env.unwrapped.arm.step
+    (episode,) = run_episodes(oracle, env, [11])
+    assert env.unwrapped.arm.step == step
+    observation, _ = env.reset(seed=11)
+    for k in range(100):
+        observation, _, _, _, info = env.step(oracle.predict(observation)[0])
+        assert np.array_equal(episode.hands[k + 1], info["end_effector"])
+
+
+def test_each_episode_may_have_options_of_its_own(frozen):
+    env = gym.make("MMCReachCentreOut-v0")
+    options = [{"trial": trial} for trial in range(8)]
+    episodes = run_episodes(frozen, env, [1] * 8, options=options)
+    assert len({tuple(episode.target) for episode in episodes}) == 8
+    with pytest.raises(ValueError, match="options must be 2, one per seed, got 8"):
+        run_episodes(frozen, env, [1, 2], options=options)
+
+
+def test_an_episode_depends_on_its_own_seed_only(env):
+    agent = Sampler(env)
+    first, second = run_episodes(agent, env, [1, 2])
+    (alone,) = run_episodes(agent, env, [2])
+    assert np.array_equal(second.hands, alone.hands)
+    assert not np.array_equal(first.hands, second.hands)
+
+
+def test_a_sampled_first_action_is_not_the_starting_posture(env):
+    # Seeded alike, the action space draws the numbers that the environment draws.
+    (episode,) = run_episodes(Sampler(env), env, [3])
+    assert np.linalg.norm(episode.hands[1] - episode.hands[0]) > 1e-3
+
+
+def test_the_state_goes_round_within_an_episode_and_starts_anew_with_the_next(env):
+    agent = Counter()
+    run_episodes(agent, TimeLimit(env.unwrapped, 3), [1, 2])
+    assert agent.calls == [
+        (None, True, True),
+        (1, False, True),
+        (2, False, True),
+        (None, True, True),
+        (4, False, True),
+        (5, False, True),
+    ]
+
+
+def test_progress_is_told_of_every_episode(env, frozen):
+    told = []
+    episodes = run_episodes(frozen, TimeLimit(env.unwrapped, 2), [1, 2, 3], told.append)
+    assert tuple(told) == episodes
+
+
+def test_torch_computes_on_one_thread_during_the_rollout_and_as_before_after_it(env, frozen):
+    import torch
+
+    threads, seen = torch.get_num_threads(), []
+    torch.set_num_threads(2)
+    try:
+        env = TimeLimit(env.unwrapped, 2)
+        run_episodes(frozen, env, [1], lambda _: seen.append(torch.get_num_threads()))
+        assert (seen, torch.get_num_threads()) == ([1], 2)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def test_a_stable_baselines3_model_plays(env):
+    from stable_baselines3 import PPO
+
+    model = PPO("MlpPolicy", env, n_steps=64, device="cpu", policy_kwargs={"net_arch": [4]})
+    (episode,) = run_episodes(model, TimeLimit(env.unwrapped, 5), [1])
+    assert episode.hands.shape == (6, 2)
+
+
+def test_the_goal_environment_plays(frozen):
+    class GoalFrozen:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return frozen.predict(observation["observation"])
+
+    (episode,) = run_episodes(GoalFrozen(), gym.make("MMCReachGoal-v0"), [1])
+    assert episode.hands.shape == (101, 2)
+
+
+def test_another_environment_is_refused_by_what_it_lacks():
+    with pytest.raises(ValueError, match=r"CartPole-v1.*info\['distance'\].*control_step.*reach"):
+        check_environment(gym.make("CartPole-v1"))
+
+
+def test_an_endless_episode_is_given_up(env, frozen, monkeypatch):
+    monkeypatch.setattr(rollout, "MAX_STEPS", 150)
+    with pytest.raises(RuntimeError, match="did not end within 150 steps"):
+        run_episodes(frozen, env.unwrapped, [1])

@@ -1,0 +1,213 @@
+"""A benchmark that was never played: movements made up so that it is known what they must say.
+
+mmc is quick and jerky and blind to rotations; ik-dls is smooth and as blind; ppo, of two training
+seeds, is smooth and hardly minds a rotation; ppo-smooth moves with minimum jerk.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mmc_gym.agents.policy import PolicyCard, save_policy
+from mmc_gym.agents.policy_network import PolicyNetwork
+from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
+from mmc_gym.benchmark.store import CellKey, episodes_file, paths_file, write_cell, write_manifest
+from mmc_gym.benchmark.suite import ENVIRONMENTS
+from mmc_gym.measures.rollout import Episode
+
+HOSTILE = "<script>alert(1)</script>"
+KEYS = ("random", "centre-out", "rotation-15", "rotation-60", "delay-100", "locked-1", "locked-2")
+INSTANCES = 14
+STEPS, CONTROL_STEP = 60, 0.02
+
+# Training seeds, duration of a movement in steps, trembling, and radians lost per degree turned.
+AGENTS = {
+    "mmc": ((0,), 20, 0.06, 0.02),
+    "mmc-closed": ((0,), 22, 0.05, 0.002),
+    "ik-dls": ((0,), 30, 0.02, 0.02),
+    "ppo": ((0, 1), 28, 0.02, 0.0005),
+    "ppo-smooth": ((0, 1), 45, 0.0, 0.001),
+    HOSTILE: ((0,), 35, 0.01, 0.01),
+}
+TRAINED = ("ppo", "ppo-smooth")
+
+
+def hand_of(joint_angles):
+    turned = np.cumsum(joint_angles, axis=-1)
+    return np.stack([np.cos(turned).sum(-1), np.sin(turned).sum(-1)], axis=-1)
+
+
+def episode(instance, duration, trembling, error, seed=0):
+    random = np.random.default_rng([instance, 7])
+    start, end = random.uniform(-1.2, 1.2, (2, 3))
+    part = np.clip(np.arange(STEPS + 1) / duration, 0, 1)
+    bell = part**3 * (10 - 15 * part + 6 * part**2)
+    shake = trembling * np.sin(2.1 * np.arange(STEPS + 1)) * (part < 1)
+    joints = start + bell[:, None] * (end + error - start) + shake[:, None]
+    joints[0] = start
+    noise = np.random.default_rng([instance, seed]).normal(0, 2e-4, (STEPS + 1, 3))
+    joints = joints + noise
+    hands, target = hand_of(joints), hand_of(end)
+    return Episode(
+        seed=instance,
+        hands=hands,
+        distances=np.linalg.norm(hands - target, axis=-1),
+        targets=np.broadcast_to(target, hands.shape),
+        joint_angles=joints,
+        servo_impulses=np.abs(np.diff(joints, axis=0)),
+        servo_work=np.abs(np.diff(joints, axis=0)),
+        rewards=-np.linalg.norm(hands[1:] - target, axis=-1),
+        action_times=np.full(STEPS, 1e-5),
+        control_step=CONTROL_STEP,
+        tolerance=0.05,
+        reach=3.0,
+    )
+
+
+def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), sources=None, instances=INSTANCES):
+    """Write a store.
+
+    Args:
+        folder: of it.
+        agents: what is made up of each, as in `AGENTS`.
+        keys: of the environments.
+        missing: (agent, training seed, environment) of cells that were not played.
+        sources: what agents were made of, where it is not what they are called.
+        instances: in each environment.
+    """
+    environments = {key: ENVIRONMENTS[key].settings for key in keys}
+    for name, (seeds, duration, trembling, lost) in agents.items():
+        for key, settings in environments.items():
+            error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)
+            for seed in seeds:
+                episodes = [
+                    episode(instance, duration, trembling, error, seed)
+                    for instance in range(instances)
+                ]
+                if (name, seed, key) not in missing:
+                    write(folder, CellKey(name, seed, key), episodes, seed == min(seeds))
+    if "random" in keys:
+        like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
+        write(folder, CellKey(REFERENCE, 0, "random"), minimum_jerk_episodes(like))
+    skipped = {"agent": "mmc", "training_seed": 0, "environment": "pursuit", "reason": "<b>no</b>"}
+    made_of = {name: sources_of(name, seeds) for name, (seeds, *_) in agents.items()}
+    made_of |= {REFERENCE: {"0": REFERENCE}} | (sources or {})
+    write_manifest(
+        folder,
+        {
+            "episodes": instances,
+            "control_step": CONTROL_STEP,
+            "segment_lengths": [1.0, 1.0, 1.0],
+            "tolerance": 0.05,
+            "environments": environments,
+            "agents": {
+                name: {"trained": "1" in one or "3" in one, "sources": one}
+                for name, one in made_of.items()
+            },
+            "skipped": [skipped] if "mmc" in agents else [],
+            "failed": [],
+            "wall_seconds": {"a cell": 60.0},
+            "cpu_seconds": {"a cell": 50.0},
+            "versions": {"mmc-gym": "0.1.0"},
+        },
+    )
+
+
+def sources_of(name, seeds):
+    """What an agent was made of, by training seed."""
+    if name == HOSTILE:
+        return {"0": "hostile:make"}
+    return {str(seed): f"{name}-{seed}" if name in TRAINED else name for seed in seeds}
+
+
+def write(folder, key, episodes, keeps_paths=True):
+    paths = paths_file(key, episodes[:12], 3) if keeps_paths else None
+    write_cell(folder, key, episodes_file(key, episodes, {}, {}), paths)
+
+
+def write_cards(folder):
+    for name in TRAINED:
+        for seed in (0, 1, 2):
+            save_policy(policy(), card(name, seed), folder)
+
+
+def policy():
+    shapes = {
+        "hidden.0.weight": (4, 13),
+        "hidden.0.bias": (4,),
+        "mean.weight": (3, 4),
+        "mean.bias": (3,),
+        "log_std": (3,),
+    }
+    tensors = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    return PolicyNetwork(tensors, "tanh", "gaussian")
+
+
+def card(name, seed):
+    final = 0.99 if name == "ppo" else 0.97
+    curve = [
+        {
+            "steps": 40_000 * leg,
+            "seconds": 4.0 * leg,
+            "cpu_seconds": 3.0 * leg,
+            "success": final * (1 - 0.5**leg) / (1 - 0.5**12),
+            "final_distance": 0.5**leg,
+        }
+        for leg in range(1, 13)
+    ]
+    return PolicyCard(
+        name=name,
+        algorithm="ppo",
+        env_id="MMCReach-v0",
+        control="joint_delta",
+        segment_count=3,
+        activation="tanh",
+        distribution="gaussian",
+        view="arm",
+        base_agent="",
+        hyperparameters={},
+        seed=seed,
+        training_steps=480_000,
+        training_seconds=48.0,
+        training_cpu_seconds=36.0,
+        versions={},
+        scores={"success": final},
+        learning_curve=curve,
+    )
+
+
+@pytest.fixture(scope="session")
+def benchmark_store(tmp_path_factory):
+    """Folders of the store and of the cards."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    write_store(folder / "store")
+    write_cards(folder / "cards")
+    return folder / "store", folder / "cards"
+
+
+@pytest.fixture(scope="session")
+def make_store():
+    """`write_store`, for other stores."""
+    return write_store
+
+
+@pytest.fixture(scope="session")
+def make_card():
+    """`card`, for other policies."""
+    return card
+
+
+@pytest.fixture(scope="session")
+def save_card():
+    """Saves a policy of a card into a folder."""
+    return lambda card, folder: save_policy(policy(), card, folder)
+
+
+@pytest.fixture(scope="session")
+def report_file(benchmark_store, tmp_path_factory):
+    """The report of it."""
+    from mmc_gym.report import write_report
+
+    store, cards = benchmark_store
+    return write_report(store, tmp_path_factory.mktemp("report") / "report.html", cards, 200)

@@ -1,0 +1,263 @@
+"""The report in a real browser: nothing goes wrong, the replay moves, it fits on a phone.
+
+Skipped where there is no Chromium with its driver.  With MMC_GYM_ARTEFACTS, screenshots and the
+print are kept in that folder.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+CHROMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",  # they may come after the page, and make it narrower
+)
+PATIENCE = 120  # seconds; the machine may be busy
+
+chrome = next(filter(None, map(shutil.which, CHROMES)), None)
+driver = shutil.which("chromedriver")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(
+        not (chrome and driver),
+        reason="no Chromium with chromedriver (Debian: apt install chromium chromium-driver)",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def browser(report_file, tmp_path_factory):
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = chrome
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    browser = webdriver.Chrome(options=options, service=Service(driver))
+    browser.set_page_load_timeout(PATIENCE)
+    browser.set_script_timeout(PATIENCE)
+    yield browser
+    browser.quit()
+
+
+@pytest.fixture(scope="module")
+def rotated(tmp_path_factory):
+    """A benchmark that was played, with a cursor in place of the hand, and its report."""
+    from mmc_gym.benchmark.runner import benchmark
+    from mmc_gym.report import write_report
+
+    store = tmp_path_factory.mktemp("rotated")
+    benchmark(["mmc", "mmc-closed"], store, ["random", "rotation-30"], episodes=3, jobs=1)
+    return store, write_report(store, store / "report.html", resamples=20)
+
+
+@pytest.fixture
+def page(browser, report_file):
+    """The report, freshly loaded in a window of a desk's size."""
+    load(browser, report_file)
+    return browser
+
+
+def load(browser, report):
+    resize(browser, 1200, 900)
+    browser.get(report.as_uri())
+    # A new page may be given its size late, and its canvases theirs later still.
+    settled = (
+        "const one = document.querySelector('#replay canvas');"
+        "return innerWidth === 1200 && devicePixelRatio === 1 && one.width === one.clientWidth"
+    )
+    wait_until(browser, lambda: browser.execute_script(settled))
+
+
+def resize(browser, width, height, scale=1):
+    metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def pictures(browser):
+    """What the canvases of the replay show."""
+    return browser.execute_script(
+        "return [...document.querySelectorAll('#replay canvas')].map(one => one.toDataURL())"
+    )
+
+
+def wait_until(browser, condition):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(browser, PATIENCE, 0.1).until(lambda _: condition())
+
+
+def seek(browser, step):
+    browser.execute_script(
+        "const slider = document.getElementById('replay-time'); slider.value = arguments[0];"
+        "slider.dispatchEvent(new Event('input'))",
+        step,
+    )
+
+
+def choose(browser, name, value):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.support.ui import Select
+
+    Select(browser.find_element(By.ID, f"replay-{name}")).select_by_value(value)
+
+
+def keep(name, content):
+    if folder := os.environ.get("MMC_GYM_ARTEFACTS"):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        (Path(folder) / name).write_bytes(base64.b64decode(content))
+
+
+def screenshot(browser, name):
+    """Keep a picture of the whole page."""
+    shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True})
+    keep(name, shot["data"])
+    assert len(shot["data"]) > 50_000
+
+
+def test_nothing_is_logged_and_nothing_asked_of_a_network(page):
+    messages = [entry for entry in page.get_log("browser") if entry["level"] != "INFO"]
+    assert messages == []
+    asked = [line["message"] for line in page.get_log("performance")]
+    requests = [line for line in asked if '"Network.requestWillBeSent"' in line]
+    assert not [line for line in requests if '"url":"http' in line]
+    assert page.title
+    screenshot(page, "report.png")
+
+
+def test_a_name_that_is_a_script_does_not_run(page):
+    assert "<script>alert(1)</script>" in page.execute_script("return document.body.innerText")
+
+
+def test_the_replay_moves_when_it_is_scrubbed(page):
+    seek(page, 0)
+    begin = pictures(page)
+    seek(page, 12)
+    assert len(begin) >= 4  # an arm and a speed of two agents at least
+    assert all(one != other for one, other in zip(begin, pictures(page), strict=True))
+
+
+def test_the_replay_plays_and_pauses(page):
+    seek(page, 0)
+    begin = pictures(page)
+    press = "const play = document.getElementById('replay-play'); play.click();"
+    assert "Pause" in page.execute_script(f"{press} return play.textContent")
+    wait_until(page, lambda: pictures(page) != begin)
+    seek(page, 0)  # pauses, too
+    assert pictures(page) == begin
+    assert "Play" in page.execute_script(f"{press} play.click(); return play.textContent")
+
+
+def test_a_frame_that_began_before_the_click_is_no_way_back(page):
+    seek(page, 0)
+    page.execute_script(
+        "const now = performance.now.bind(performance); performance.now = () => now() + 50;"
+        "document.getElementById('replay-play').click()"
+    )
+    clock = "return document.getElementById('replay-clock').textContent"
+    wait_until(page, lambda: float(page.execute_script(clock).removesuffix(" s")) > 0.05)
+    assert [entry for entry in page.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_keys_step_through_the_replay(page):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    stage = page.find_element(By.ID, "replay-stage")
+    stage.send_keys(Keys.HOME)
+    assert page.find_element(By.ID, "replay-clock").text == "0.00 s"
+    stage.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    assert page.find_element(By.ID, "replay-clock").text == "0.04 s"
+
+
+def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
+    from selenium.webdriver.common.by import By
+
+    from mmc_gym.benchmark.store import read_episodes
+
+    store, report = rotated
+    episodes = read_episodes(store).set_index(["environment", "instance", "agent"])
+    load(browser, report)
+    apart = []
+    for environment in ("random", "rotation-30"):
+        choose(browser, "environment", environment)
+        for instance in range(3):
+            choose(browser, "instance", str(instance + 1))
+            for view in browser.find_elements(By.CLASS_NAME, "view"):
+                name = view.find_element(By.TAG_NAME, "figcaption").text
+                said = view.find_element(By.CLASS_NAME, "readout").text
+                row = episodes.loc[(environment, instance, name)]
+                shown = float(re.search(r"\d+\.\d+", said)[0])
+                assert shown == pytest.approx(row["final_distance"], abs=6e-4)
+                assert ("there" in said) == bool(row["success"])
+                assert ("cursor" in said) == (environment != "random")
+                apart.append(row["success"])
+    screenshot(browser, "replay-rotation.png")
+    assert len(apart) == 12
+    assert 0 < sum(apart) < 12  # the cursor of one is there where that of the other is not
+
+
+def test_environment_instance_and_agents_can_be_chosen(page):
+    from selenium.webdriver.common.by import By
+
+    first = pictures(page)
+    choose(page, "instance", "2")
+    second = pictures(page)
+    choose(page, "environment", "rotation-60")
+    third = pictures(page)
+    assert first != second != third
+    boxes = page.find_elements(By.CSS_SELECTOR, "#replay-agents input")
+    shown = sum(box.is_selected() for box in boxes)
+    assert len(pictures(page)) == 2 * shown
+    chosen = next(box for box in boxes if box.is_selected())
+    page.execute_script("arguments[0].click()", chosen)  # it may lie outside the window
+    assert len(pictures(page)) == 2 * (shown - 1)
+
+
+@pytest.mark.parametrize("width", [320, 375, 768])
+def test_the_page_fits_the_width_of_a_small_screen(page, width):
+    resize(page, width, 812, scale=2)
+    sizes = page.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+    assert sizes[0] <= sizes[1] == width
+    if width == 375:
+        screenshot(page, "report-phone.png")
+
+
+def test_canvases_are_as_fine_as_the_screen(page):
+    resize(page, 375, 812, scale=3)
+    page.refresh()
+    ratio = page.execute_script(
+        "const one = document.querySelector('#replay canvas'); return one.width / one.clientWidth"
+    )
+    assert ratio == pytest.approx(3, rel=0.02)
+
+
+def test_on_paper_all_tables_are_open(page):
+    printed = page.execute_cdp_cmd(
+        "Page.printToPDF", {"printBackground": True, "preferCSSPageSize": True}
+    )
+    keep("report.pdf", printed["data"])
+    assert base64.b64decode(printed["data"]).startswith(b"%PDF")
+    page.execute_script("dispatchEvent(new Event('beforeprint'))")
+    closed = "return document.querySelectorAll('details:not([open])').length"
+    assert page.execute_script(closed) == 0
+    page.execute_script("dispatchEvent(new Event('afterprint'))")
+    assert page.execute_script(closed) > 0

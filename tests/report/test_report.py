@@ -1,0 +1,246 @@
+"""The report: one file that needs nothing beside it, whose words follow from its figures."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mmc_gym.benchmark.replication import Estimate, paired_difference
+from mmc_gym.cli import main
+from mmc_gym.measures.catalogue import MEASURES
+from mmc_gym.report import sentences as words
+from mmc_gym.report.numbers import decimals_apart
+from mmc_gym.report.panels import spread
+from mmc_gym.report.replay import replay
+from mmc_gym.report.results import read_results
+from mmc_gym.report.scores import Comparison, Estimates, judge, scoreboard
+
+HOSTILE = "<script>alert(1)</script>"
+SUCCESS = words.SUCCESS
+VOID = {"meta", "link", "input", "br", "img", "hr"}
+
+
+class Page(HTMLParser):
+    """Ids, links, scripts, captions and the tags left open of an HTML page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.ids, self.loaded, self.tags, self.open = [], [], [], []
+        self.unlabelled, self.captions, self.data = 0, [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.append(tag)
+        self.ids += [attrs["id"]] if "id" in attrs else []
+        for name in ("src", "href", "xlink:href"):
+            if name in attrs and not attrs[name].startswith(("#", "data:")):
+                self.loaded.append(attrs[name])
+        if tag == "svg" and "aria-label" not in attrs:
+            self.unlabelled += 1
+        if tag in ("caption", "figcaption"):
+            self.captions.append("")
+        if tag not in VOID:
+            self.open.append((tag, attrs))
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open[-1][0] == tag, (tag, self.getpos())
+        self.open.pop()
+
+    def handle_data(self, data):
+        if any(tag in ("caption", "figcaption") for tag, _ in self.open):
+            self.captions[-1] += data
+        if self.open and self.open[-1][1].get("id") == "replay-data":
+            self.data += data
+
+
+@pytest.fixture(scope="module")
+def text(report_file):
+    return report_file.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(text):
+    return Page(text)
+
+
+@pytest.fixture(scope="module")
+def estimates(benchmark_store):
+    return Estimates(read_results(*benchmark_store), resamples=200)
+
+
+def test_the_file_needs_nothing_beside_it(page, text):
+    assert page.loaded == []
+    assert not re.search(r"@import|url\((?!#)|fetch\(|XMLHttpRequest", text)
+    assert len(text) < 5_000_000
+
+
+def test_the_page_is_well_formed_and_its_ids_are_unique(page, text):
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))
+    references = set(re.findall(r'(?:url\(|href=")#([^")]+)', text))
+    assert references <= set(page.ids)
+
+
+def test_every_picture_says_what_it_shows(page):
+    assert page.tags.count("svg") > 15
+    assert page.unlabelled == 0
+
+
+def test_every_caption_counts_seeds_and_instances(page):
+    assert len(page.captions) > 10
+    for caption in page.captions:
+        assert "nstances" in caption
+        assert re.search("[Tt]raining seeds|[Nn]ot trained|about what they are", caption), caption
+
+
+def test_names_of_agents_are_text_not_markup(page, text):
+    assert HOSTILE not in text
+    assert "&lt;script&gt;alert(1)" in text
+    assert page.tags.count("script") == 2
+    assert "<b>no</b>" not in text
+
+
+def test_the_replay_is_small_and_ends_at_the_hand(page, benchmark_store):
+    assert len(page.data) < 1_500_000
+    movement = json.loads(page.data)["scenes"]["random"][0]["agents"]["ik-dls"]
+    paths = read_results(*benchmark_store).paths
+    rows = paths[(paths["agent"] == "ik-dls") & (paths["environment"] == "random")]
+    last = rows[rows["instance"] == 0].iloc[-1]
+    end = [sum(series) / 1000 for series in movement["hand"]]
+    np.testing.assert_allclose(end, [last["hand_x"], last["hand_y"]], atol=6e-4)
+    assert "cursor" not in movement
+
+
+def test_where_a_cursor_stands_for_the_hand_the_replay_has_both(benchmark_store):
+    results = read_results(*benchmark_store)
+    target = results.paths[["target_x", "target_y"]].to_numpy()
+    paths = results.paths.assign(cursor_x=target[:, 0], cursor_y=target[:, 1] - 0.02)
+    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
+    movement = scenes["random"][0]["agents"]["mmc"]
+    assert sum(movement["distance"]) / 10_000 == pytest.approx(0.02)
+    end = [sum(series) / 1000 for series in movement["cursor"]]
+    last = paths[(paths["agent"] == "mmc") & (paths["instance"] == 0)].iloc[-1]
+    np.testing.assert_allclose(end, [last["cursor_x"], last["cursor_y"]], atol=6e-4)
+
+
+def test_an_arm_that_never_moves_still_leads_to_its_hand(benchmark_store):
+    results = read_results(*benchmark_store)
+    names = [f"joint_angle_{joint}" for joint in (1, 2, 3)]
+    paths = results.paths.assign(**dict.fromkeys(names, 0.0), hand_x=3.6, hand_y=0.0)
+    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
+    assert sum(scenes["random"][0]["agents"]["mmc"]["lengths"]) == pytest.approx(3.6)
+
+
+def test_lengths_that_agents_are_not_told_are_seen_in_the_replay(benchmark_store):
+    results = read_results(*benchmark_store)
+    paths = results.paths.copy()
+    angles = paths[[f"joint_angle_{joint}" for joint in (1, 2, 3)]].to_numpy().cumsum(axis=1)
+    paths["hand_x"] += 0.5 * np.cos(angles[:, 2])
+    paths["hand_y"] += 0.5 * np.sin(angles[:, 2])
+    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
+    lengths = scenes["random"][0]["agents"]["mmc"]["lengths"]
+    np.testing.assert_allclose(lengths, [1, 1, 1.5], atol=0.01)
+
+
+def test_wins_and_losses_are_told_in_the_same_form(estimates):
+    board = scoreboard(estimates, "mmc")
+    standing = words.standing(board, "mmc")
+    assert standing.total == len(board)
+    assert any(line.startswith("time to target") for line in standing.better)
+    assert any("rotation-15 (0.0 against 100.0 % of ppo" in line for line in standing.worse)
+
+
+def test_the_page_gives_wins_and_losses_the_same_place(text):
+    pair = text[text.index('<div class="pair">') :]
+    assert pair.index('class="better"') < pair.index('class="worse"') < pair.index("</section>")
+
+
+def test_a_difference_is_clear_only_if_its_interval_excludes_none_at_all():
+    high, low = SUCCESS, next(measure for measure in MEASURES if measure.best == "low")
+
+    def difference(least, most):
+        return Estimate((least + most) / 2, least, most, (0, 0), 5, 1)
+
+    assert judge(difference(0.1, 0.3), high) == "better"
+    assert judge(difference(0.1, 0.3), low) == "worse"
+    assert judge(difference(-0.1, 0.3), high) == "unclear"
+    assert judge(difference(0.0, 0.0), high) == "equal"
+
+
+def test_a_difference_that_no_table_shows_is_none():
+    distance = next(measure for measure in MEASURES if measure.name == "final_distance")
+
+    def difference(least, most):
+        return Estimate((least + most) / 2, least, most, (0, 0), 30, 1)
+
+    assert judge(difference(1e-7, 4e-4), distance) == "equal"
+    assert judge(difference(1e-7, 6e-4), distance) == "worse"
+    assert decimals_apart(distance, 0.0101, 0.0104) == 1
+    assert decimals_apart(distance, 0.01, 0.02) == 0
+
+
+def test_differences_are_those_of_the_paired_bootstrap(estimates):
+    episodes = estimates.results.episodes
+    rows = episodes[episodes["environment"].eq("random") & episodes["agent"].isin(["mmc", "ppo"])]
+    measure = next(one for one in MEASURES if one.name == "episode_return")
+    mean = replace(measure, statistic="mean")
+    found = estimates.scores("random").difference("mmc", "ppo", mean)
+    expected = paired_difference(rows, "mmc", "ppo", value=measure.name, resamples=200)
+    assert found.estimate == pytest.approx(expected.estimate)
+    assert found.seeds == expected.seeds == (0, 2)
+    width = expected.high - expected.low  # other draws of training seeds
+    assert found.low == pytest.approx(expected.low, abs=0.3 * width)
+    assert found.high == pytest.approx(expected.high, abs=0.3 * width)
+
+
+def test_an_agent_that_hardly_ever_arrives_wins_no_race(estimates):
+    measure = next(one for one in MEASURES if one.name == "time_to_target")
+    assert estimates.against("rotation-60", measure, "mmc", ["ppo"]) is None
+
+
+def test_names_at_the_ends_of_lines_do_not_overlap():
+    places = spread([0.5, 0.5, 0.51, 0.9], 0.07)
+    assert np.diff(places).min() >= 0.07 - 1e-9
+
+
+def test_sentences_name_the_largest_differences_first():
+    def entry(key, mine):
+        found = [Estimate(value, value, value, (0,), 9, 1) for value in (mine, 1.0)]
+        return Comparison(key, SUCCESS, *found, "ppo", "worse")
+
+    board = [entry(f"e{number}", number / 10) for number in range(5, 0, -1)]
+    (sentence,) = words.standing(board, "mmc").worse
+    assert "in 5 of 5 environments: e1 (10.0 against 100.0 % of ppo), e2" in sentence
+    assert sentence.endswith("and 2 more")
+
+
+def test_the_command_writes_the_report(benchmark_store, tmp_path, capsys):
+    out = tmp_path / "deep" / "report.html"
+    main(["report", "--store", str(benchmark_store[0]), "--out", str(out)])
+    assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert str(out) in capsys.readouterr().out
+
+
+def test_unless_told_otherwise_the_command_writes_it_into_the_store(monkeypatch, tmp_path):
+    monkeypatch.setattr("mmc_gym.report.write_report", lambda store, out: asked.append(out))
+    asked: list[Path] = []
+    main(["report", "--store", str(tmp_path / "mine")])
+    assert asked == [tmp_path / "mine" / "report.html"]
+
+
+def test_a_folder_without_a_store_is_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["report", "--store", str(tmp_path), "--out", str(tmp_path / "report.html")])
+    assert "store" in capsys.readouterr().err

@@ -1,0 +1,248 @@
+"""Facts about playing: what mouse and keys do to target, agent and time."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pygame
+import pytest
+
+from mmc_gym.agents import AGENTS
+from mmc_gym.agents.policy import PRETRAINED
+from mmc_gym.envs.render.shapes import SIZE, View
+from mmc_gym.play import Game, play
+
+
+class Recorder:
+    """An agent that does nothing but note what it is asked."""
+
+    def __init__(self, joints: int = 3) -> None:
+        self.joints = joints
+        self.calls: list[tuple[Any, bool]] = []
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        self.calls.append((state, bool(episode_start[0])))
+        return np.full(self.joints, 0.25, np.float32), 1 if state is None else state + 1
+
+
+@pytest.fixture
+def env() -> Iterator[gym.Env]:
+    env = gym.make("MMCReach-v0", render_mode="rgb_array", max_episode_steps=-1)
+    yield env
+    env.close()
+    pygame.display.quit()
+
+
+@pytest.fixture
+def agents() -> dict[str, Recorder]:
+    return {"first": Recorder(), "second": Recorder()}
+
+
+@pytest.fixture
+def game(env: gym.Env, agents: dict[str, Recorder]) -> Game:
+    def unavailable() -> Recorder:
+        raise ValueError("weights must exist\nsecond line")
+
+    makers = {name: (lambda agent=agent: agent) for name, agent in agents.items()}
+    return Game(env, {**makers, "lost": unavailable}, "first", seed=0)
+
+
+def press(*keys: int) -> None:
+    for key in keys:
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+
+
+def point_at(x: float, y: float) -> None:
+    pygame.event.post(
+        pygame.event.Event(pygame.MOUSEMOTION, pos=(x, y), rel=(0, 0), buttons=(0, 0, 0))
+    )
+
+
+def shown() -> np.ndarray:
+    return pygame.surfarray.array3d(pygame.display.get_surface())
+
+
+@pytest.mark.parametrize("name", ["obstacles", "rotation-45", "longer-50"])
+def test_the_mouse_points_at_what_the_picture_shows_and_the_hand_can_reach(name: str) -> None:
+    env = gym.make("MMCReach-v0", render_mode="rgb_array", perturbations=name, max_episode_steps=-1)
+    game = Game(env, {"first": Recorder}, "first", seed=0)
+    view = View(env.unwrapped.setup.farthest)
+    point_at(*view.pixel((-0.5, 1.5)))
+    game.frame()
+    assert game.target == pytest.approx((-0.5, 1.5))
+    if name == "obstacles":
+        point_at(*view.pixel((1.5, 1.0)))  # in the middle of one
+        game.frame()
+        assert game.target == pytest.approx((-0.5, 1.5))
+    for corner in ((0, 0), (SIZE - 1, SIZE - 1)):
+        point_at(*corner)
+        game.frame()
+        assert env.unwrapped.setup.workspace.contains(game.target)
+    env.close()
+    pygame.display.quit()
+
+
+def test_the_mouse_is_the_target(game: Game, env: gym.Env) -> None:
+    view = View(3.0)
+    point_at(*view.pixel((-1.0, 0.5)))
+    game.frame()
+    assert game.target == pytest.approx((-1.0, 0.5))
+    *_, info = env.step(np.zeros(3, np.float32))
+    assert info["target"].tolist() == list(game.target)
+
+
+@pytest.mark.parametrize("pixel", [(0, 0), (SIZE - 1, 5), (10, SIZE + 60)])
+def test_a_mouse_out_of_reach_puts_the_target_on_the_border(
+    game: Game, pixel: tuple[int, int]
+) -> None:
+    point_at(*pixel)
+    game.frame()
+    assert math.hypot(*game.target) == pytest.approx(3.0)
+    x, y = View(3.0).point(pixel)
+    assert math.atan2(*game.target) == pytest.approx(math.atan2(x, y))
+
+
+def test_there_is_no_time_limit(game: Game, agents: dict[str, Recorder]) -> None:
+    for _ in range(250):
+        game._step()
+    assert agents["first"].calls == [(None, True)] + [(step, False) for step in range(1, 250)]
+
+
+@pytest.mark.parametrize("key", [pygame.K_2, pygame.K_TAB])
+def test_keys_hand_the_arm_to_another_agent(
+    game: Game, agents: dict[str, Recorder], key: int
+) -> None:
+    for _ in range(3):
+        game.frame()
+    press(key)
+    game.frame()
+    assert game.agent == "second"
+    assert agents["second"].calls == [(None, True)]
+    assert len(agents["first"].calls) == 3
+    press(pygame.K_1)
+    game.frame()
+    assert agents["first"].calls[-1] == (None, True)  # it starts anew, from the present posture
+
+
+def test_keys_of_no_agent_do_nothing(game: Game) -> None:
+    press(pygame.K_9, pygame.K_0, pygame.K_x)
+    game.frame()
+    assert game.agent == "first"
+    assert game.running
+
+
+def test_an_agent_that_cannot_be_had_leaves_the_present_one_and_says_why(game: Game) -> None:
+    press(pygame.K_3)
+    game.frame()
+    assert game.agent == "first"
+    assert game.message == "lost: weights must exist"
+    press(pygame.K_2)
+    game.frame()
+    assert game.message == ""
+
+
+def test_space_stops_time_but_not_the_target(game: Game, agents: dict[str, Recorder]) -> None:
+    game.frame()
+    press(pygame.K_SPACE)
+    game.frame()
+    before = shown()
+    point_at(400, 200)
+    for _ in range(3):
+        game.frame()
+    assert game.paused
+    assert len(agents["first"].calls) == 1
+    assert game.target == pytest.approx(View(3.0).point((400, 200)))
+    assert (shown() != before).any()
+    press(pygame.K_SPACE)
+    game.frame()
+    assert len(agents["first"].calls) == 2
+
+
+def test_r_draws_a_new_posture_and_keeps_the_target(
+    game: Game, agents: dict[str, Recorder]
+) -> None:
+    point_at(250, 180)
+    game.frame()
+    target, hand = game.target, game._hand
+    press(pygame.K_r)
+    game.frame()
+    assert game.target == target
+    assert math.dist(hand, game._hand) > 0.1
+    assert agents["first"].calls[-1] == (None, True)
+
+
+def test_the_seed_gives_the_posture(env: gym.Env, agents: dict[str, Recorder]) -> None:
+    hands = [Game(env, {"only": lambda: agents["first"]}, "only", seed)._hand for seed in (1, 1, 2)]
+    assert hands[0].tolist() == hands[1].tolist() != hands[2].tolist()
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        pygame.event.Event(pygame.QUIT),
+        pygame.event.Event(pygame.KEYDOWN, key=pygame.K_q),
+        pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE),
+    ],
+)
+def test_it_ends_when_asked_to(game: Game, event: pygame.event.Event) -> None:
+    pygame.event.post(event)
+    game.run()
+    assert not game.running
+
+
+def test_the_window_tells_agent_distance_and_speed(game: Game) -> None:
+    game.frame()
+    below = shown()[:, SIZE:]
+    game._hand_speed = 7.7
+    game._show()
+    assert (shown()[:, SIZE:] != below).any()
+    assert "first" in game._measures()
+    assert "distance" in game._measures()
+    assert "hand speed 7.7/s" in game._measures()
+
+
+POLICY = str(PRETRAINED / "ppo-1.json")
+
+
+@pytest.mark.parametrize("agent", ["mmc", "ik-dls", "random", "ppo-3", "ppo-torque", POLICY])
+@pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
+def test_play_opens_and_closes_its_window(agent: str, env_id: str) -> None:
+    pygame.display.init()
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    play(agent, env_id, seed=0)
+    assert not pygame.display.get_init()
+
+
+def test_an_agent_follows_the_mouse(env: gym.Env) -> None:
+    makers = {"mmc": lambda: AGENTS["mmc"].make(env)}
+    game = Game(env, makers, "mmc", seed=0)
+    for pixel in ((200, 300), (450, 200)):
+        point_at(*pixel)
+        for _ in range(100):
+            game.frame()
+        assert math.dist(game._hand, game.target) < 0.05
+
+
+def test_what_cannot_be_played_is_refused(env: gym.Env, agents: dict[str, Recorder]) -> None:
+    with pytest.raises(ValueError, match=r"agents must be among mmc, .* got 'nobody'"):
+        play("nobody")
+    assert not pygame.display.get_init()
+    with pytest.raises(ValueError, match="env must be a reaching environment"):
+        play("mmc", "Pendulum-v1")
+
+
+def test_the_names_of_all_agents_fit_into_the_window(env: gym.Env) -> None:
+    makers = {name: Recorder for name in AGENTS}
+    game = Game(env, makers, next(iter(AGENTS)), seed=0)
+    width, height = pygame.display.get_surface().get_size()
+    for label, left, line in game._labels:
+        assert left + game._font.size(label)[0] <= width
+        assert game._view.size + 26 * (line + 3) <= height

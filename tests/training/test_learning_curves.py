@@ -1,0 +1,341 @@
+from __future__ import annotations
+
+import io
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from mmc_gym.agents.policy import PolicyCard, save_policy
+from mmc_gym.agents.policy_network import PolicyNetwork
+from mmc_gym.cli import main
+from mmc_gym.training import learning_curve_table
+from mmc_gym.training.curves import (
+    curve_rows,
+    learning_curves,
+    mean_curves,
+    read_cards,
+    weights_sizes,
+)
+from mmc_gym.training.learning_curve_figure import draw_learning_curves
+from mmc_gym.training.learning_curve_table import (
+    QUANTITIES,
+    first_reached,
+    summarize_trainings,
+    trainings,
+)
+from mmc_gym.training.training import EVALUATION_EPISODES, FINAL_EPISODES
+
+FILES = {
+    "curves.csv",
+    "trainings.csv",
+    "table.csv",
+    "table.md",
+    "learning_curves.png",
+    "learning_curves.svg",
+}
+RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
+
+
+def tiny_network() -> PolicyNetwork:
+    shapes = {
+        "hidden.0.weight": (4, 13),
+        "hidden.0.bias": (4,),
+        "mean.weight": (3, 4),
+        "mean.bias": (3,),
+        "log_std": (3,),
+    }
+    tensors = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    return PolicyNetwork(tensors, "tanh", "gaussian")
+
+
+def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) -> PolicyCard:
+    """A training that was evaluated every 1,000 steps; its wall time is twice its CPU time."""
+    curve = [
+        {
+            "steps": 1_000 * leg,
+            "seconds": 2 * seconds_per_leg * leg,
+            "cpu_seconds": seconds_per_leg * leg,
+            "success": value,
+            "final_distance": 1 - value,
+        }
+        for leg, value in enumerate(success, start=1)
+    ]
+    card = PolicyCard(
+        name=name,
+        algorithm="ppo",
+        env_id="MMCReach-v0",
+        control="joint_delta",
+        segment_count=3,
+        activation="tanh",
+        distribution="gaussian",
+        view="arm",
+        base_agent="",
+        hyperparameters={"n_timesteps": 5_000, "gamma": 0.9},
+        seed=seed,
+        training_steps=1_000 * len(success),
+        training_seconds=2 * seconds_per_leg * len(success),
+        training_cpu_seconds=seconds_per_leg * len(success),
+        versions={},
+        scores={"success": success[-1], "final_distance": 0.01},
+        learning_curve=curve,
+    )
+    return replace(card, **changes)
+
+
+def write(folder, *cards):
+    for card in cards:
+        save_policy(tiny_network(), card, folder)
+    return folder
+
+
+def summary_of(*cards):
+    """Rows of the summary by measure."""
+    rows = trainings({"ppo": cards}, {card.file_stem: 2_048 for card in cards})
+    summary = summarize_trainings(rows, QUANTITIES)
+    return {row["measure"]: row for row in summary.to_dict("records")}
+
+
+def interval(row):
+    return row["estimate"], row["low"], row["high"]
+
+
+def console():
+    return Console(file=io.StringIO(), width=120, color_system=None)
+
+
+def test_policies_are_grouped_by_name_in_the_order_of_their_seeds(tmp_path):
+    write(tmp_path, *(training(seed=seed) for seed in (10, 2, 0)), training("sac", 3))
+    cards = read_cards(tmp_path)
+    seeds = {name: [card.seed for card in group] for name, group in cards.items()}
+    assert seeds == {"ppo": [0, 2, 10], "sac": [3]}
+    size = (tmp_path / "sac-3.safetensors").stat().st_size
+    assert weights_sizes(tmp_path)["sac-3"] == size
+
+
+def test_single_trainings_in_folders_of_their_own_are_found_too(tmp_path):
+    for seed in (0, 1):
+        write(tmp_path / f"ppo-{seed}", training(seed=seed))
+    (tmp_path / "ppo-0" / "notes.json").write_text("[]")
+    assert [card.seed for card in read_cards(tmp_path)["ppo"]] == [0, 1]
+
+
+def test_a_folder_without_policies_is_an_error(tmp_path):
+    (tmp_path / "summary.json").write_text("{}")
+    for folder in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(ValueError, match="found none in"):
+            read_cards(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "different"),
+    [
+        ({"hyperparameters": {"n_timesteps": 5_000, "gamma": 0.8}}, "gamma"),
+        ({"hyperparameters": {"n_timesteps": 5_000}}, "gamma"),
+        ({"env_id": "MMCReachGoal-v0"}, "environment"),
+    ],
+)
+def test_different_trainings_under_one_name_are_an_error(tmp_path, change, different):
+    write(tmp_path, training(seed=0), training(seed=1), training(seed=4, **change))
+    with pytest.raises(ValueError, match=f"ppo-1 and ppo-4 in .* differ in {different}$"):
+        read_cards(tmp_path)
+
+
+def test_damaged_or_misplaced_policies_are_an_error(tmp_path):
+    write(tmp_path, training(seed=0), training(seed=1))
+    weights = tmp_path / "ppo-0.safetensors"
+    kept = weights.read_bytes()
+    weights.write_bytes(kept[:-4])
+    with pytest.raises(ValueError, match="ppo-0 does not hold a policy"):
+        read_cards(tmp_path)
+    weights.unlink()
+    with pytest.raises(ValueError, match=r"ppo-0\.json must lie beside its weights"):
+        read_cards(tmp_path)
+    weights.write_bytes(kept)
+    for suffix in (".json", ".safetensors"):
+        (tmp_path / "ppo-1").with_suffix(suffix).rename(tmp_path / f"ppo-7{suffix}")
+    with pytest.raises(ValueError, match=r"ppo-7.json must be called ppo-1\.json"):
+        read_cards(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("curve", "message"),
+    [
+        ([], "must have evaluations, got none"),
+        ([{"steps": 1, "success": 0.5}], "must have numbers for steps, seconds, cpu_seconds"),
+        ([{**training().learning_curve[0], "success": "all"}], "must have numbers for .*'all'"),
+        ("lost", "must have numbers for .* got 'l'"),
+        (training().learning_curve[::-1], "must ascend in steps"),
+    ],
+)
+def test_a_curve_that_is_none_is_an_error(curve, message):
+    with pytest.raises(ValueError, match=f"learning_curve of ppo-0 {message}"):
+        curve_rows({"ppo": [training(learning_curve=curve)]})
+
+
+def test_there_is_a_row_for_each_evaluation_of_each_training():
+    frame = curve_rows({"ppo": [training(seed=0), training(seed=5, seconds_per_leg=30.0)]})
+    assert list(frame.columns[:6]) == [
+        "agent",
+        "seed",
+        "steps",
+        "seconds",
+        "cpu_seconds",
+        "success",
+    ]
+    assert list(frame["seed"]) == [0] * 5 + [5] * 5
+    assert list(frame["success"]) == [*RISE, *RISE]
+    assert frame.iloc[-1][["steps", "seconds", "cpu_seconds"]].tolist() == [5_000, 300, 150]
+
+
+def test_the_curve_is_the_mean_over_the_seeds_and_lies_in_its_interval():
+    rises = [(0.0, 0.4, 1.0), (0.2, 0.6, 1.0), (0.4, 0.5, 1.0)]
+    cards = [training(seed=seed, success=rise) for seed, rise in enumerate(rises)]
+    curve = mean_curves(curve_rows({"ppo": cards}), "steps")
+    assert list(curve["steps"]) == [1_000, 2_000, 3_000]
+    assert curve["success"].to_numpy() == pytest.approx([0.2, 0.5, 1.0])
+    # With three seeds, 1 in 27 resamples holds nothing but the smallest.
+    assert curve["low"].to_numpy() == pytest.approx([0.0, 0.4, 1.0])
+    assert curve["high"].to_numpy() == pytest.approx([0.4, 0.6, 1.0])
+    assert set(curve["seeds"]) == {3}
+
+
+def test_seeds_that_agree_have_an_interval_without_width():
+    curves = curve_rows({"ppo": [training(seed=seed) for seed in range(4)]})
+    for against in ("steps", "cpu_seconds"):
+        curve = mean_curves(curves, against)
+        assert list(curve["success"]) == list(curve["low"]) == list(curve["high"]) == list(RISE)
+
+
+def test_one_seed_has_no_interval():
+    curve = mean_curves(curve_rows({"ppo": [training()]}), "cpu_seconds")
+    assert list(curve["success"]) == list(RISE)
+    assert curve[["low", "high"]].isna().all(axis=None)
+
+
+def test_against_time_a_seed_counts_with_what_was_last_known_of_it():
+    fast = training(seed=0, success=(0.1, 0.2, 0.3, 0.4), seconds_per_leg=10.0)
+    slow = training(seed=1, success=(0.5, 0.7, 0.9), seconds_per_leg=15.0)
+    curve = mean_curves(curve_rows({"ppo": [fast, slow]}), "cpu_seconds")
+    # The slow one is known from 15 s on, the fast one up to 40 s; at 45 s nothing is said.
+    assert list(curve["cpu_seconds"]) == [15, 30, 40]
+    expected = [(0.1 + 0.5) / 2, (0.3 + 0.7) / 2, (0.4 + 0.7) / 2]
+    assert curve["success"].to_numpy() == pytest.approx(expected)
+
+
+def test_seeds_without_a_stretch_in_common_have_no_curve():
+    cards = [training(seed=0, success=(1.0,)), training(seed=1, success=(1.0,), seconds_per_leg=9)]
+    curves = curve_rows({"ppo": cards})
+    assert len(mean_curves(curves, "steps")) == 1
+    assert mean_curves(curves, "cpu_seconds").empty
+
+
+def test_a_level_is_reached_at_the_first_evaluation_there_even_if_it_is_lost_again():
+    card = training(success=(0.2, 0.95, 0.90, 0.96))
+    assert first_reached(card, 0.95, "steps") == 2_000
+    assert first_reached(card, 0.955, "cpu_seconds") == 240
+    assert first_reached(card, 0.98, "steps") == math.inf
+
+
+def test_steps_and_minutes_to_a_level_are_the_median_over_seeds():
+    cards = [
+        training(seed=0, success=(1.0, 1.0, 1.0), seconds_per_leg=30.0),
+        training(seed=1, success=(0.5, 1.0, 1.0), seconds_per_leg=30.0),
+        training(seed=2, success=(0.5, 0.5, 1.0), seconds_per_leg=30.0),
+    ]
+    found = summary_of(*cards)
+    assert interval(found["steps_to_95"]) == (2.0, 1.0, 3.0)
+    assert interval(found["minutes_to_98"]) == (1.0, 0.5, 1.5)
+    assert found["training_minutes"]["estimate"] == 1.5
+    assert found["training_steps"]["estimate"] == 3.0
+    assert found["weights_size"]["estimate"] == 2.0
+
+
+def test_seeds_that_never_reach_a_level_are_later_than_the_others():
+    reached, not_reached = (0.5, 1.0, 1.0), (0.5, 0.5, 0.5)
+    most = [training(seed=seed, success=reached) for seed in range(2)]
+    few = [training(seed=seed, success=not_reached) for seed in range(2, 5)]
+    row = summary_of(*most, few[0])["steps_to_95"]
+    assert (row["estimate"], row["count"], row["missing"]) == (2.0, 2, 1)
+    assert math.isnan(row["low"]) and math.isnan(row["high"])
+    row = summary_of(*most, *few)["steps_to_95"]
+    assert math.isnan(row["estimate"])
+    assert (row["count"], row["missing"]) == (2, 3)
+
+
+def test_the_final_success_has_an_interval_over_the_seeds():
+    scores = [{"success": value, "final_distance": 0.01} for value in (0.9, 0.95, 1.0)]
+    cards = [training(seed=seed, scores=scores[seed]) for seed in range(3)]
+    found = summary_of(*cards)
+    assert interval(found["success"]) == pytest.approx((0.95, 0.9, 1.0))
+    assert interval(found["final_distance"]) == (0.01, 0.01, 0.01)
+    assert found["time_to_target"]["count"] == 0  # the scores lack it
+    assert interval(summary_of(*[cards[0]] * 4)["success"]) == (0.9, 0.9, 0.9)
+
+
+def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
+    cards = {"ppo": [training(seed=seed) for seed in range(3)], "sac": [training("sac")]}
+    curves = curve_rows(cards)
+    figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
+    left, right = figure.axes
+    assert (left.get_xlabel(), left.get_ylabel()) == ("environment steps", "success")
+    assert right.get_xlabel() == "time on one core [min]"
+    assert left.get_xscale() == right.get_xscale() == "log"
+    assert [text.get_text() for text in figure.legends[0].texts] == [
+        "ppo (3 seeds)",
+        "sac (1 seed)",
+    ]
+    drawn = [line for line in right.lines if len(line.get_xdata()) > 2]
+    assert drawn[0].get_xdata() == pytest.approx([1, 2, 3, 4, 5])
+    assert drawn[0].get_ydata() == pytest.approx(RISE)
+    looks = {(line.get_linestyle(), line.get_marker()) for line in drawn}
+    assert len(looks) == 2  # told apart without colour
+
+
+def test_all_files_are_written_and_the_table_is_printed(tmp_path):
+    never = training("sac", success=(0.1, 0.2))
+    write(tmp_path / "in", *(training(seed=seed) for seed in range(3)), never)
+    target, out = console(), tmp_path / "out"
+    cards = learning_curves(tmp_path / "in", out, target)
+    assert list(cards) == ["ppo", "sac"]
+    assert {path.name for path in out.iterdir()} == FILES
+    assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
+    assert len(pd.read_csv(out / "curves.csv")) == 3 * 5 + 2
+    assert len(pd.read_csv(out / "trainings.csv")) == 4
+    table = pd.read_csv(out / "table.csv").set_index(["agent", "measure"])
+    assert table.loc[("ppo", "steps_to_95"), "estimate"] == 3.0
+    markdown = (out / "table.md").read_text().splitlines()
+    assert markdown[0] == "|  | best | ppo | sac |"
+    row = next(line for line in markdown if line.startswith("| time to 98 %"))
+    assert row == "| time to 98 % [min, one core] | low | 5.00 [5.00, 5.00] | – 0 of 1 |"
+    printed = target.file.getvalue()
+    assert printed.isascii() and max(map(len, printed.splitlines())) <= 120
+    assert "training seeds" in printed and "wrote" in printed
+
+
+def test_a_table_and_the_captions_tell_the_true_numbers_of_episodes():
+    assert f"time to target: {FINAL_EPISODES} fixed episodes" in learning_curve_table.NOTE
+    assert f"in the training, {EVALUATION_EPISODES} fixed episodes" in learning_curve_table.NOTE
+
+
+def test_the_command_draws_the_policies_of_a_folder(tmp_path, capsys):
+    write(tmp_path / "in", training())
+    main(["curves", "--folder", str(tmp_path / "in"), "--out", str(tmp_path / "out")])
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+    card = tmp_path / "in" / "ppo-0.json"
+    card.write_text(json.dumps({**json.loads(card.read_text()), "learning_curve": []}))
+    with pytest.raises(SystemExit) as stop:
+        main(["curves", "--folder", str(tmp_path / "in")])
+    assert stop.value.code == 2
+    assert "learning_curve of ppo-0 must have evaluations" in capsys.readouterr().err
+
+
+def test_a_file_in_the_place_of_the_folder_is_told(tmp_path):
+    (tmp_path / "out").write_text("precious")
+    with pytest.raises(ValueError, match="out must be a folder"):
+        learning_curves(write(tmp_path / "in", training()), tmp_path / "out")
+    assert (tmp_path / "out").read_text() == "precious"

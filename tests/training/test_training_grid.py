@@ -1,0 +1,86 @@
+"""A grid of trainings gives what each training alone would have given."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mmc_gym.agents.policy import load_policy
+from mmc_gym.training.grid import TrainingCell, shipped_cells, train_all
+
+POLICIES = [("ppo", 0), ("ppo", 1)]
+STEPS = 8_192  # two rollouts
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.glob("*.safetensors")}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    train_all(POLICIES, folder, steps=STEPS, jobs=1)
+    return folder
+
+
+def test_two_processes_train_what_one_does(trained, tmp_path):
+    seen: list[Any] = []
+    cards = train_all(POLICIES, tmp_path, steps=STEPS, jobs=2, on_policy=seen.append)
+    assert contents(tmp_path) == contents(trained)
+    assert [(card.name, card.seed) for card in cards] == POLICIES
+    assert sorted(card.seed for card in seen) == [0, 1]
+    assert not list(tmp_path.glob("checkpoints/*"))  # of no more use
+
+
+@pytest.mark.slow
+def test_ray_trains_what_one_process_does(trained, tmp_path):
+    train_all(POLICIES, tmp_path, steps=STEPS, cluster="ray")
+    assert contents(tmp_path) == contents(trained)
+
+
+def test_what_is_there_is_not_trained_again(trained, monkeypatch):
+    def fail(cell: Any) -> None:
+        raise AssertionError(f"{cell} is trained again")
+
+    monkeypatch.setattr("mmc_gym.training.grid.train_cell", fail)
+    cards = train_all(POLICIES, trained, steps=STEPS, jobs=1)
+    assert cards == [load_policy(trained / f"ppo-{seed}.json")[1] for seed in (0, 1)]
+
+
+def test_a_damaged_policy_is_trained_again(trained, tmp_path):
+    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1)
+    (tmp_path / "ppo-0.safetensors").write_bytes(b"damaged")
+    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1)
+    assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained)["ppo-0.safetensors"]
+
+
+def test_a_checkpoint_of_another_training_is_discarded(trained, tmp_path):
+    checkpoints = tmp_path / "checkpoints" / "ppo-0"
+    TrainingCell("ppo", 0, 1).training(checkpoints).run()
+    notes: list[str] = []
+    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1, on_note=notes.append)
+    (note,) = notes
+    assert re.match(r"ppo-0 begins anew: .* with n_timesteps 1 \(here 8192", note)
+    assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained)["ppo-0.safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 0}, "steps must be at least 1, got 0"),
+        ({"device": "foo"}, "device must be one that PyTorch can use"),
+        ({"jobs": 0}, "jobs must be at least 1"),
+    ],
+)
+def test_mistakes_are_told_before_anything_is_trained(tmp_path, options, message):
+    with pytest.raises(ValueError, match=message):
+        train_all(POLICIES, tmp_path, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_seeds_that_ship_are_those_asked_for():
+    cells = shipped_cells()
+    assert len(set(cells)) == len(cells)
+    counts = {name: sum(cell[0] == name for cell in cells) for name, _ in cells}
+    assert (counts["ppo"], counts["sac"], counts["tqc-her"]) == (10, 5, 5)

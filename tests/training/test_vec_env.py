@@ -1,0 +1,229 @@
+"""The adapter does what stable-baselines3's DummyVecEnv does with the same environments."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.classic_control import CartPoleEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import TimeLimit
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+
+from mmc_gym import make_agent
+from mmc_gym.training.vec_env import GymnasiumVecEnv
+
+IDS = ("MMCReach-v0", "MMCReachGoal-v0")
+COUNT = 3
+
+
+def native(env_id: str = IDS[0], count: int = COUNT, **arguments: Any) -> GymnasiumVecEnv:
+    return GymnasiumVecEnv(gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments))
+
+
+def of_single_ones(env_id: str = IDS[0], count: int = COUNT, **arguments: Any) -> GymnasiumVecEnv:
+    """Around Gymnasium's own vector environment."""
+    make = lambda: gym.make(env_id, **arguments)  # noqa: E731
+    envs = SyncVectorEnv([make] * count, autoreset_mode=AutoresetMode.SAME_STEP)
+    return GymnasiumVecEnv(envs)
+
+
+def dummy(env_id: str = IDS[0], count: int = COUNT, **arguments: Any) -> VecEnv:
+    return make_vec_env(env_id, count, env_kwargs=arguments)
+
+
+MAKERS = pytest.mark.parametrize("make", [native, of_single_ones])
+
+
+def assert_same(one: Any, other: Any) -> None:
+    if isinstance(one, Mapping):
+        assert set(one) == set(other)
+        for key in one:
+            assert_same(one[key], other[key])
+    else:
+        np.testing.assert_array_equal(one, other, strict=isinstance(one, np.ndarray))
+
+
+def random_actions(count: int = COUNT, seed: int = 0) -> Any:
+    random = np.random.default_rng(seed)
+    while True:
+        yield random.uniform(-1, 1, (count, 3)).astype(np.float32)
+
+
+@MAKERS
+@pytest.mark.parametrize("env_id", IDS)
+def test_plays_what_dummy_vec_env_plays(make, env_id):
+    env, reference = make(env_id), dummy(env_id)
+    assert env.observation_space == reference.observation_space
+    assert env.action_space == reference.action_space
+    assert env.seed(7) == reference.seed(7)
+    assert_same(env.reset(), reference.reset())
+    ends = 0
+    for actions, _ in zip(random_actions(), range(210)):
+        observation, rewards, dones, infos = env.step(actions)
+        expected, expected_rewards, expected_dones, expected_infos = reference.step(actions)
+        assert_same(observation, expected)
+        assert_same(rewards, expected_rewards)
+        assert_same(dones, expected_dones)
+        for done, info, expected_info in zip(dones, infos, expected_infos):
+            expected_info.pop("episode", None)  # of the Monitor around each environment
+            ends += done
+            assert_same(info, expected_info if done else {})
+        for info, expected_info in zip(env.reset_infos, reference.reset_infos):
+            assert_same(info, expected_info)
+    assert ends == 2 * COUNT
+
+
+@MAKERS
+def test_chosen_infos_are_there_in_every_step(make):
+    env, reference = GymnasiumVecEnv(make().vector_env, info_keys=["distance"]), dummy()
+    for each in (env, reference):
+        each.seed(0)
+        each.reset()
+    for actions, _ in zip(random_actions(), range(120)):
+        _, _, dones, infos = env.step(actions)
+        *_, expected = reference.step(actions)
+        assert [info["distance"] for info in infos] == [info["distance"] for info in expected]
+        assert all(done or set(info) == {"distance"} for done, info in zip(dones, infos))
+
+
+def test_a_terminated_episode_is_not_a_truncated_one():
+    makers = [lambda limit=limit: TimeLimit(CartPoleEnv(), limit) for limit in (2, 500)]
+    env = GymnasiumVecEnv(SyncVectorEnv(makers, autoreset_mode=AutoresetMode.SAME_STEP))
+    env.seed(0)
+    env.reset()
+    flags: list[list[bool]] = [[], []]
+    for _ in range(30):
+        _, _, dones, infos = env.step(np.ones(2, dtype=np.int64))
+        for done, info, of_env in zip(dones, infos, flags):
+            if done:
+                of_env.append(info["TimeLimit.truncated"])
+                assert info["terminal_observation"].shape == (4,)
+    assert set(flags[0]) == {True}
+    assert set(flags[1]) == {False}
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
+def test_another_autoreset_mode_is_an_error(mode):
+    env = gym.make_vec("MMCReach-v0", 2, autoreset_mode=mode)
+    with pytest.raises(ValueError, match=rf"autoreset_mode='SameStep'\) does, got .*{mode}"):
+        GymnasiumVecEnv(env)
+
+
+@MAKERS
+def test_options_are_those_of_the_next_reset_only(make):
+    env, reference = make(), dummy()
+    targets = [{"target": (1.0, 0.1 * index)} for index in range(COUNT)]
+    for options in (targets[0], targets, {}):
+        for each in (env, reference):
+            each.seed(3)
+            each.set_options(options)
+        assert_same(env.reset(), reference.reset())
+        for info, expected_info in zip(env.reset_infos, reference.reset_infos):
+            assert_same(info, expected_info)
+    seen = env.reset()
+    assert not np.array_equal(env.reset(), seen)
+
+
+@MAKERS
+def test_attributes_and_methods_of_chosen_environments(make):
+    env, reference = make(IDS[1]), dummy(IDS[1])
+    for name in ("reach", "control", "action_space", "observation_space"):
+        assert env.get_attr(name) == reference.get_attr(name)
+    assert env.get_attr("reach", indices=[0, 2]) == [3.0, 3.0]
+    assert env.get_attr("reach", indices=1) == [3.0]
+    assert not env.has_attr("unheard_of")
+    env.seed(5)
+    env.reset()
+    assert env.get_attr("np_random_seed", [2, 0]) == [7, 5]
+    goals = np.zeros((4, 2)), np.ones((4, 2))
+    (rewards,) = env.env_method("compute_reward", *goals, [{}] * 4, indices=[1])
+    np.testing.assert_array_equal(rewards, [-1.0] * 4)
+    assert len(env.env_method("compute_reward", *goals, {})) == COUNT
+    env.set_attr("remark", "hello")
+    assert env.get_attr("remark") == ["hello"] * COUNT
+
+
+def test_one_of_several_single_environments_can_be_set():
+    env = of_single_ones()
+    env.set_attr("remark", 1)
+    env.set_attr("remark", 2, indices=1)
+    assert env.get_attr("remark") == [1, 2, 1]
+
+
+def test_what_native_arms_cannot_do_one_by_one_is_an_error():
+    env = native()
+    with pytest.raises(ValueError, match=r"indices must be those of all 3 .* got \[1\]"):
+        env.set_attr("remark", 2, indices=1)
+    with pytest.raises(ValueError, match="method_name must not be 'reset'"):
+        env.env_method("reset", indices=0)
+
+
+def test_tells_whether_its_environments_are_wrapped():
+    assert native().env_is_wrapped(TimeLimit) == [False] * COUNT
+    assert of_single_ones().env_is_wrapped(TimeLimit, indices=[0, 1]) == [True, True]
+    assert of_single_ones().env_is_wrapped(Monitor, indices=0) == [False]
+
+
+def test_renders_a_grid_of_pictures():
+    env = native(render_mode="rgb_array")
+    env.reset()
+    pictures = env.get_images()
+    assert len(pictures) == COUNT
+    height, width, _ = pictures[0].shape
+    assert env.render().shape == (2 * height, 2 * width, 3)
+    env.close()
+
+
+def test_without_a_render_mode_there_are_no_pictures():
+    with pytest.warns(UserWarning, match="render_mode must be 'rgb_array'"):
+        assert native().get_images() == [None] * COUNT
+
+
+def test_closing_ends_what_is_inside():
+    env = native()
+    env.close()
+    assert env.vector_env.closed
+
+
+def test_ppo_learns_in_it_and_monitor_and_normalization_wrap_it():
+    env = VecNormalize(VecMonitor(native(), info_keywords=("is_success",)), norm_obs=False)
+    model = PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
+    before = [weights.clone() for weights in model.policy.parameters()]
+    model.learn(600)
+    assert any((old != new).any() for old, new in zip(before, model.policy.parameters()))
+    assert len(model.ep_info_buffer) == 2 * COUNT
+    assert {episode["l"] for episode in model.ep_info_buffer} == {100}
+    assert len(model.ep_success_buffer) == 2 * COUNT
+
+
+def test_hindsight_replay_learns_in_the_goal_environment():
+    env = native(IDS[1])
+    model = SAC(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        policy_kwargs={"net_arch": [16]},
+        learning_starts=300,
+        batch_size=32,
+        seed=0,
+        device="cpu",
+    )
+    model.learn(360)
+    assert model._n_updates > 0
+    assert np.isfinite(model.replay_buffer.sample(8, None).rewards.numpy()).all()
+
+
+def test_stable_baselines3_evaluates_agents_in_it():
+    env, reference = VecMonitor(native(count=4)), dummy(count=4)
+    agent = make_agent("mmc", gym.make("MMCReach-v0"))
+    returns = []
+    for each in (env, reference):
+        each.seed(0)
+        returns.append(evaluate_policy(agent, each, 8, return_episode_rewards=True)[0])
+    np.testing.assert_allclose(*returns, rtol=1e-5)
