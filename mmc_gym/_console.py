@@ -13,6 +13,14 @@ from typing import Any
 import pandas as pd
 from rich.console import Console
 from rich.padding import Padding
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -156,3 +164,15 @@ def _text(content: str, plain: bool) -> Text:
         content = content.translate(_ASCII).encode("ascii", "replace").decode()
     first, line_break, rest = content.partition("\n")
     return Text.assemble(first, line_break, (rest, "dim"))
+
+
+def progress_bar() -> Progress:
+    """A bar on stderr: what, how far, since when, until when."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=Console(stderr=True))

@@ -14,6 +14,7 @@ import logging
 import os
 import pickle
 import socket
+import sys
 import time
 import traceback
 import warnings
@@ -28,7 +29,27 @@ from typing import Any, TypeAlias, TypeVar, cast
 import cloudpickle
 from joblib import Parallel, cpu_count, delayed, parallel_config
 
-from mmc_gym._threads import one_torch_thread, set_torch_threads
+
+def set_torch_threads(threads: int) -> int | None:
+    """Set the number of torch's threads, if it is loaded, and return what it was."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None:
+        return None
+    before: int = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    return before
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Torch on one thread: small networks run faster so, and the same with any number of cores."""
+    threads = set_torch_threads(1)
+    try:
+        yield
+    finally:
+        if threads is not None:
+            set_torch_threads(threads)
+
 
 Cell = TypeVar("Cell")
 Value = TypeVar("Value")

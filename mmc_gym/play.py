@@ -12,7 +12,7 @@ import numpy as np
 import pygame
 
 from mmc_gym.agents import AGENTS
-from mmc_gym.benchmark.entrants import entrants, make_for
+from mmc_gym.benchmark.entries import entrants, make_for
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import shapes as drawing
 from mmc_gym.measures.rollout import Predictor

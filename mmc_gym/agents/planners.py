@@ -19,17 +19,104 @@ trajectory formation and temporal interaction of reach and grasp, J. Motor Behav
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import JointTargetAgent, Sensed
-from mmc_gym.agents.ik.agent import iterate
-from mmc_gym.agents.ik.dead_end import hand_position
-from mmc_gym.agents.ik.jacobian import damped_least_squares
-from mmc_gym.agents.movement import Movement, begin, follow, step, where
+from mmc_gym.agents.ik.agent import iterate, jacobian
+from mmc_gym.agents.ik.dead_end import (
+    SegmentLengths,
+    hand_position,
+    leave_line,
+    nearest_reachable,
+)
+from mmc_gym.agents.ik.jacobian import damped_least_squares, limited, resisted_force
 from mmc_gym.network.chain import Floats
+from mmc_gym.network.time_base import share
+
+SHORTEST = 0.2
+"""T₀: duration of a movement that has nowhere to go, s."""
+AVERAGE_SPEED = 4.0
+"""v̄: growth of distance with duration, segment lengths/s."""
+JUMP = 0.3
+"""A target that moves farther than this in a control step has jumped, segment lengths."""
+HORIZON = 5
+"""Control steps that are left at least while the target moves on."""
+
+
+class Movement(NamedTuple):
+    """A movement under way.
+
+    Attributes:
+        target: segment lengths, (..., 2).
+        elapsed: control steps since it began, (...).
+        duration: T, control steps, (...).
+    """
+
+    target: Floats
+    elapsed: Floats
+    duration: Floats
+
+    @property
+    def remaining(self) -> Floats:
+        """Control steps until it is over, 0 at the least, (...)."""
+        return np.maximum(self.duration - self.elapsed, 0.0)
+
+
+def begin(hand: Floats, target: Floats, control_step: float) -> Movement:
+    """A movement that begins.
+
+    Args:
+        hand: segment lengths, (..., 2).
+        target: segment lengths, (..., 2).
+        control_step: s.
+
+    >>> begin(np.array([1.0, 0.0]), np.array([3.0, 0.0]), control_step=0.02).duration.item()
+    35.0
+    """
+    way = target - hand
+    distance = np.hypot(way[..., 0], way[..., 1])
+    duration = np.ceil((SHORTEST + distance / AVERAGE_SPEED) / control_step - 1e-9)
+    return Movement(target, np.zeros_like(duration), duration)
+
+
+def follow(movement: Movement, hand: Floats, target: Floats, control_step: float) -> Movement:
+    """The movement to where the target is now: a new one if it has jumped.
+
+    Args:
+        movement: under way.
+        hand: where a new movement would begin, segment lengths, (..., 2).
+        target: segment lengths, (..., 2).
+        control_step: s.
+    """
+    shift = target - movement.target
+    moved = np.hypot(shift[..., 0], shift[..., 1])
+    if not moved.any():
+        return movement
+    longer = np.where(moved > 0, movement.elapsed + HORIZON, 0.0)
+    same = Movement(target, movement.elapsed, np.maximum(movement.duration, longer))
+    return where(moved > JUMP, begin(hand, target, control_step), same)
+
+
+def step(movement: Movement) -> Movement:
+    """The movement one control step later."""
+    return movement._replace(elapsed=movement.elapsed + 1.0)
+
+
+Arrays = TypeVar("Arrays", bound="tuple[Floats, ...]")
+
+
+def where(condition: NDArray[np.bool_], yes: Arrays, no: Arrays) -> Arrays:
+    """A named tuple of arrays, from `yes` where a condition on the batch holds, else from `no`."""
+
+    def chosen(first: Floats, second: Floats) -> Floats:
+        trailing = (1,) * (np.ndim(first) - np.ndim(condition))
+        return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), first, second)
+
+    return type(yes)(*map(chosen, yes, no))
+
 
 ITERATIONS = 3
 """Iterations of inverse kinematics in a control step."""
@@ -130,3 +217,97 @@ def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> Hand
     )
     rest = HandPlan(np.broadcast_to(target, way.shape), np.zeros_like(way), np.zeros_like(way))
     return where(np.broadcast_to(remaining <= 1, way.shape[:-1]), rest, after)
+
+
+SUBSTEPS = 3
+"""Integration steps in a control step."""
+MAX_CHANGE = 0.1
+"""Most that a joint turns in an integration step, radians."""
+
+
+CORRECTIONS = 1
+"""Times that the mobility is put right in an integration step."""
+LEAST_RESISTANCE = 0.05**2
+"""Bound of ρ, segment lengths squared, so that a step is bounded where J is singular."""
+MOST_RESISTANCE = 1e30
+"""Bound of ρ, where the time base asks for nothing yet."""
+
+_TINY = np.finfo(np.float64).tiny
+
+
+class PassiveMotionState(NamedTuple):
+    """State of the agent: the movement, and the joint angles of the internal body (..., N)."""
+
+    movement: Movement
+    joint_angles: Floats
+
+
+class PassiveMotionAgent(JointTargetAgent[PassiveMotionState]):
+    """Moves an internal body by the Passive Motion Paradigm; the servos follow its joints."""
+
+    def start(self, sensed: Sensed) -> PassiveMotionState:
+        """Internal bodies in the sensed postures, about to move."""
+        hand = hand_position(sensed.joint_angles, self.interface.segment_lengths)
+        movement = begin(hand, sensed.target, self.interface.control_step)
+        return PassiveMotionState(movement, sensed.joint_angles)
+
+    def restart(
+        self, state: PassiveMotionState, fresh: PassiveMotionState, started: NDArray[np.bool_]
+    ) -> PassiveMotionState:
+        """The movements and postures, new where an episode started."""
+        return PassiveMotionState(
+            where(started, fresh.movement, state.movement),
+            np.where(started[..., None], fresh.joint_angles, state.joint_angles),
+        )
+
+    def batch_shape(self, state: PassiveMotionState) -> tuple[int, ...]:
+        """Those of the internal bodies."""
+        return state.joint_angles.shape[:-1]
+
+    def advance(
+        self, state: PassiveMotionState, sensed: Sensed
+    ) -> tuple[Floats, PassiveMotionState]:
+        """Joint angles of the internal body after one control step."""
+        lengths = self.interface.segment_lengths
+        hand = hand_position(state.joint_angles, lengths)
+        movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
+        target = nearest_reachable(sensed.target, lengths)
+        joint_angles = leave_line(state.joint_angles, target, lengths)
+        for part in range(1, SUBSTEPS + 1):
+            number = SUBSTEPS * movement.elapsed + part
+            pulled = share(number, SUBSTEPS * movement.duration)
+            moved = passive_motion_step(joint_angles, target, pulled, lengths)
+            joint_angles = self.interface.within_limits_from(joint_angles, moved)
+        return joint_angles, PassiveMotionState(step(movement), joint_angles)
+
+
+def passive_motion_step(
+    joint_angles: Floats,
+    target: Floats,
+    share: Floats,
+    segment_lengths: SegmentLengths,
+) -> Floats:
+    """Joint angles (..., N) after an integration step of the internal body.
+
+    Args:
+        joint_angles: radians, (..., N).
+        target: segment lengths, (..., 2).
+        share: ∫ Γ dt over the step, as the share of the distance that is to be covered, (...).
+        segment_lengths: N lengths.
+    """
+    hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
+    error = target - hand
+    distance = np.maximum(np.hypot(error[..., 0], error[..., 1]), _TINY)
+    torque = jacobian_x * error[..., :1] + jacobian_y * error[..., 1:]
+    moved = np.hypot((jacobian_x * torque).sum(axis=-1), (jacobian_y * torque).sum(axis=-1))
+    mobility = moved / distance  # 1/K at the beginning of the step
+    effort = (1 - share) / np.maximum(share, _TINY)  # 1/G
+    for _ in range(1 + CORRECTIONS):
+        resistance = np.clip(mobility * effort, LEAST_RESISTANCE, MOST_RESISTANCE)
+        force_x, force_y = resisted_force(jacobian_x, jacobian_y, error, resistance)
+        covered_x = error[..., 0] - resistance * force_x
+        covered_y = error[..., 1] - resistance * force_y
+        covered = np.hypot(covered_x, covered_y) / distance
+        mobility = resistance * covered / np.maximum(1 - covered, _TINY)
+    change = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
+    return joint_angles + limited(change, MAX_CHANGE)

@@ -18,9 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mmc_gym._console import make_console, print_table
 from mmc_gym._files import write_atomically
-from mmc_gym.benchmark.entrants import AgentLike, entrants, training_steps
+from mmc_gym.benchmark.entries import AgentLike, entrants, training_steps
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
-from mmc_gym.benchmark.statistics_part import CONFIDENCE, RESAMPLES, summarize
+from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
 from mmc_gym.measures.catalogue import MEASURES, leave_out_failures
 from mmc_gym.measures.rollout import (
     Episode,

@@ -3,7 +3,7 @@
     x(t) = x₀ + (g − x₀) (10 τ³ − 15 τ⁴ + 6 τ⁵),     τ = t/T,     T = T₀ + d/v̄
 
 from the start x₀ to the target g at the distance d, and then rest.  T is that of the agents that
-plan (`mmc_gym.agents.movement`: 0.2 s and a further second for each 4 segment lengths), for the
+plan (`mmc_gym.agents.planners`: 0.2 s and a further second for each 4 segment lengths), for the
 comparison with them to be about the shape.  Where the target moves the hand follows by the rest of
 a minimum-jerk movement from its present state, as they plan to.
 
@@ -18,8 +18,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym.agents.movement import begin, follow, step
-from mmc_gym.agents.planners import HandPlan, minimum_jerk_step
+from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
 from mmc_gym.measures.reaching import Floats
 from mmc_gym.measures.rollout import Episode
 

@@ -29,7 +29,7 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from mmc_gym._files import write_atomically
 from mmc_gym.measures.catalogue import MEASURES
 from mmc_gym.measures.rollout import Episode
-from mmc_gym.measures.set_measures import set_measures_in
+from mmc_gym.measures.sets import set_measures_in
 
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"

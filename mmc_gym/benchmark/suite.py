@@ -14,13 +14,13 @@ from typing import Any
 
 import gymnasium as gym
 
-from mmc_gym.envs.body_changes import Perturbation
 from mmc_gym.envs.perturbations import (
     ForceField,
     HandMass,
     JointNoise,
     LockedJoint,
     Obstacles,
+    Perturbation,
     SegmentLength,
     SensoryDelay,
     VisionNoise,

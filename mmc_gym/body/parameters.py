@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 Servo = Literal["position", "velocity", "torque"]
 
@@ -127,3 +129,29 @@ def require(fine: bool, name: str, value: object, accepted: str) -> None:
     """Raise a `ValueError` that names the argument, what is accepted and the value."""
     if not fine:
         raise ValueError(f"{name} must be {accepted}, got {value!r}")
+
+
+class Workers:
+    """Helper threads, begun when they are first asked for, and begun anew in a forked process."""
+
+    def __init__(self, threads: int) -> None:
+        """Be ready for `threads` threads, the caller's among them."""
+        self._threads = threads
+        self._pool: ThreadPoolExecutor | None = None
+        self._process = 0
+
+    def executor(self) -> ThreadPoolExecutor:
+        """The threads of this process; a forked one has inherited none."""
+        if self._pool is None or self._process != os.getpid():
+            self._pool = ThreadPoolExecutor(self._threads - 1, "arms")
+            self._process = os.getpid()
+        return self._pool
+
+    def close(self) -> None:
+        """End the threads; who asks for them later begins new ones."""
+        if self._pool is not None and self._process == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}  # threads belong to a process

@@ -46,7 +46,7 @@ PERTURBATION_TASKS: dict[str, str] = {
 
 def register_all() -> None:
     """Register every environment with Gymnasium."""
-    goal = ("reach_goal:MMCReachGoalEnv", "vector_goal:MMCReachGoalVectorEnv")
+    goal = ("reach:MMCReachGoalEnv", "vector:MMCReachGoalVectorEnv")
     _register("MMCReach", STEPS)
     _register("MMCReachGoal", STEPS, *goal)
     for name, steps in TASK_STEPS.items():

@@ -22,13 +22,83 @@ from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.engines import ArmBatch, make_arms
 from mmc_gym.envs.perturbations import Readings
+from mmc_gym.envs.reach import (
+    GoalRewards,
+    check_goals,
+    goal_observation_space,
+    without_control_weight,
+)
 from mmc_gym.envs.rewards import reward_and_info
-from mmc_gym.envs.rows import check_mask, check_seeds, pick, put, spread
-from mmc_gym.envs.spec import HasSetup, Options, ReachSetup, require_one_of
-from mmc_gym.interface import disturb, encode, relative_speeds
+from mmc_gym.envs.spec import HasSetup, Options, ReachSetup, RewardType, require_one_of
+from mmc_gym.interface import disturb, encode, encode_posture, relative_speeds
 
 if TYPE_CHECKING:
     from mmc_gym.envs.render.renderer import Renderer, Scene
+
+
+def pick(observation: Any, arms: Any) -> Any:
+    """The rows of an observation, an array or a dict of them, that belong to `arms`."""
+    if isinstance(observation, dict):
+        return {key: values[arms] for key, values in observation.items()}
+    return observation[arms]
+
+
+def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
+    """Write rows into an observation, an array or a dict of them."""
+    if isinstance(observation, dict):
+        for key, values in observation.items():
+            values[arms] = rows[key]
+    else:
+        observation[arms] = rows
+
+
+def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
+    """Gymnasium's vector infos: rows of the masked arms in arrays for all, each with its mask."""
+    infos: dict[str, Any] = {}
+    everywhere = mask.all()
+    for name, values in info.items():
+        if everywhere:
+            infos[name] = values
+        else:
+            infos[name] = np.zeros((len(mask), *values.shape[1:]), values.dtype)
+            infos[name][mask] = values
+        infos[f"_{name}"] = mask.copy()
+    return infos
+
+
+def check_mask(mask: Any, count: int) -> Bools:
+    """The mask of the arms to reset; None stands for all.
+
+    Raises:
+        ValueError: if it is no numpy array of `count` bools, or all are False.
+    """
+    if mask is None:
+        return np.ones(count, dtype=bool)
+    fine = isinstance(mask, np.ndarray) and mask.dtype == bool
+    if not fine or mask.shape != (count,) or not mask.any():
+        raise ValueError(
+            f"options['reset_mask'] must be a numpy array of {count} bools, not all False, "
+            f"got {mask!r}"
+        )
+    return np.array(mask)
+
+
+def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """A seed for each arm, or None; from one number, it and those that follow it.
+
+    Raises:
+        ValueError: if there are not `count` of them, or one is negative.
+    """
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, (int, np.integer)):
+        seeds: list[int | None] = [int(seed) + arm for arm in range(count)]
+    else:
+        seeds = list(seed)
+    if len(seeds) != count or any(one is not None and one < 0 for one in seeds):
+        raise ValueError(f"seed must be a number of at least 0, or {count} of them, got {seed!r}")
+    return seeds
+
 
 Info = dict[str, Any]
 Indices = NDArray[np.intp]
@@ -356,3 +426,28 @@ def _distance(hands: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArr
     offset = targets - hands
     x, y = offset[:, 0], offset[:, 1]
     return np.sqrt(x * x + y * y)
+
+
+class MMCReachGoalVectorEnv(GoalRewards, MMCReachVectorEnv):
+    """`MMCReachGoalEnv` as a vector environment; see `MMCReachVectorEnv`."""
+
+    def __init__(
+        self, num_envs: int = 1, *, reward_type: RewardType = "sparse", **kwargs: Any
+    ) -> None:
+        """Make the environment; the arguments are those of `MMCReachVectorEnv`.
+
+        Raises:
+            ValueError: if an argument is outside what it accepts.
+        """
+        super().__init__(num_envs, reward_type=reward_type, **without_control_weight(kwargs))
+        check_goals(self.setup)
+
+    def _make_observation_space(self) -> spaces.Space[Any]:
+        return goal_observation_space(self.setup)
+
+    def _observe(self, readings: Readings) -> Any:
+        return {
+            "observation": encode_posture(self.setup, readings),
+            "achieved_goal": readings.hand.copy(),
+            "desired_goal": readings.target.copy(),
+        }

@@ -14,8 +14,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._threads import one_torch_thread
-from mmc_gym.body.pymunk.servo_watch import ServoWatch
+from mmc_gym._grid import one_torch_thread
+from mmc_gym.agents.base import Agent, ReachInterface
+from mmc_gym.agents.policy import PolicyAgent, PolicyCard
+from mmc_gym.agents.policy_network import PolicyNetwork
+from mmc_gym.body.pymunk.arm import ServoWatch
+from mmc_gym.body.pymunk.batch import BatchServoWatch
+from mmc_gym.envs.vector import MMCReachVectorEnv
 
 REQUIRED_INFO = ("distance", "end_effector", "target")
 MAX_STEPS = 100_000
@@ -221,3 +226,199 @@ def _run_episode(
 
 def _floats(values: ArrayLike) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)
+
+
+Floats = NDArray[np.float64]
+
+
+def run_episodes_together(
+    agent: Predictor,
+    env: gym.vector.VectorEnv[Any, Any, Any],
+    seeds: Sequence[int],
+    options: Sequence[Mapping[str, Any]] | None = None,
+) -> tuple[Episode, ...]:
+    """Let `agent` play one episode per seed, all at once, without exploration.
+
+    Args:
+        agent: whose `predict` takes a batch of observations, and keeps what it remembers in the
+            state it returns.  One that draws random actions draws others than one by one.
+        env: a native vector environment with an arm for each seed, and a time limit.
+        seeds: one per episode, see `episode_seeds`.
+        options: of the environment's reset, for each episode, such as `{"trial": 3}`.
+
+    Returns:
+        The episodes that `run_episodes` returns, with action times NaN.
+
+    Raises:
+        ValueError: if `env` is none such, there are not as many options as seeds, or the agent
+            does not give an action for each episode.
+
+    Example:
+        >>> from mmc_gym import make_agent
+        >>> env = gym.make_vec("MMCReach-v0", num_envs=2)
+        >>> first, second = run_episodes_together(make_agent("mmc", env), env, [5, 6])
+        >>> first.seed, second.hands.shape
+        (5, (101, 2))
+    """
+    asked: Sequence[Mapping[str, Any]] = [{}] * len(seeds) if options is None else options
+    native = _checked(env, len(seeds))
+    if len(asked) != len(seeds):
+        raise ValueError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
+    arms = native.arms
+    shape = (len(seeds), native.setup.joint_count)
+    with one_torch_thread(), BatchServoWatch(arms, shape) as watch:
+        observation, seen = _reset(native, seeds, asked)
+        seen_at = {name: [values] for name, values in seen.items()}
+        postures = [arms.joint_angles.copy()]
+        impulses: list[Floats] = []
+        work: list[Floats] = []
+        rewards: list[Floats] = []
+        state, episode_start = None, np.ones(len(seeds), dtype=bool)
+        for _ in range(native.max_episode_steps or 0):
+            action, state = agent.predict(observation, state, episode_start, deterministic=True)
+            _check_actions(action, shape)
+            observation, reward, _, _, info = native.step(action)
+            for name, record in seen_at.items():
+                record.append(info[name])
+            postures.append(arms.joint_angles.copy())
+            impulses.append(watch.impulses.copy())
+            work.append(watch.work.copy())
+            rewards.append(reward)
+            episode_start = np.zeros(len(seeds), dtype=bool)
+    records = {
+        **{_SEEN[name]: _by_episode(record) for name, record in seen_at.items()},
+        "joint_angles": _by_episode(postures),
+        "servo_impulses": _by_episode(impulses),
+        "servo_work": _by_episode(work),
+        "rewards": _by_episode(rewards),
+    }
+    return tuple(
+        Episode(
+            seed=seed,
+            **{name: values[number] for name, values in records.items()},
+            action_times=np.full(len(rewards), np.nan),
+            control_step=float(native.parameters.control_step),
+            tolerance=float(native.success_distance),
+            reach=float(native.reach),
+        )
+        for number, seed in enumerate(seeds)
+    )
+
+
+_SEEN = {
+    "end_effector": "hands",
+    "distance": "distances",
+    "target": "targets",
+    "cursor": "cursors",  # under a visuomotor rotation only
+}
+
+
+def _checked(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MMCReachVectorEnv:
+    native = env.unwrapped
+    if not isinstance(native, MMCReachVectorEnv) or native.max_episode_steps is None:
+        raise ValueError(
+            "env must be a native vector environment with a time limit, such as "
+            f"gym.make_vec('MMCReach-v0', num_envs={episodes}), got {env}"
+        )
+    if native.num_envs != episodes:
+        raise ValueError(f"env must have {episodes} arms, one per seed, got {native.num_envs}")
+    return native
+
+
+def _reset(
+    env: MMCReachVectorEnv, seeds: Sequence[int], options: Sequence[Mapping[str, Any]]
+) -> tuple[Any, dict[str, Floats]]:
+    """Start every episode with its own seed and options; observation, and what the infos tell."""
+    observation: Any = None
+    seen: dict[str, Floats] = {}
+    for group in _alike(options):
+        mask = np.zeros(len(seeds), dtype=bool)
+        mask[group] = True
+        asked = {**options[group[0]], "reset_mask": mask}
+        observation, info = env.reset(seed=list(seeds), options=asked)
+        for name in _SEEN.keys() & info.keys():
+            values = seen.setdefault(name, np.zeros(info[name].shape))
+            values[group] = info[name][group]
+    return observation, seen
+
+
+def _alike(options: Sequence[Mapping[str, Any]]) -> list[list[int]]:
+    """Numbers of the episodes that have the same options, for they are reset together."""
+    groups: dict[str, list[int]] = {}
+    for number, option in enumerate(options):
+        groups.setdefault(repr(sorted(option.items())), []).append(number)
+    return list(groups.values())
+
+
+def _check_actions(action: ArrayLike, shape: tuple[int, int]) -> None:
+    if np.shape(action) != shape:
+        raise ValueError(f"agent must give actions of shape {shape}, got {np.shape(action)}")
+
+
+def _by_episode(values: Sequence[Floats]) -> Floats:
+    """Arrays (episodes, …) of each step as one, (episodes, steps, …)."""
+    return np.stack(values, axis=1)
+
+
+EVALUATION_SEED = 1_000_000  # far from the seeds that a comparison starts from
+
+
+def evaluate(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
+    """How the deterministic policy does over fixed episodes; see `evaluate_agent`."""
+
+    def make(interface: ReachInterface) -> Agent[Any]:
+        return PolicyAgent(network, card, interface)
+
+    arguments = card.hyperparameters.get("env_kwargs", {})
+    return evaluate_agent(make, card.env_id, arguments, episodes, EVALUATION_SEED)
+
+
+def evaluate_agent(
+    make: Callable[[ReachInterface], Agent[Any]],
+    env_id: str,
+    arguments: dict[str, Any],
+    episodes: int,
+    seed: int,
+) -> dict[str, float]:
+    """How an agent does over episodes that are played at once, each with an arm of its own.
+
+    Args:
+        make: makes the agent.
+        env_id: environment that it acts in.
+        arguments: of the environment.
+        episodes: how many.
+        seed: of the first episode; the others have the next ones.
+
+    Returns:
+        success: part of the episodes that end at the target.
+        final_distance: mean, segment lengths.
+        episode_return: mean.
+        time_at_target: part of the time that is spent at the target.
+        time_to_target: median over the successes, until the hand is there to stay, seconds; there
+            is none without a success.
+    """
+    env = gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)
+    interface = ReachInterface.of(env)
+    agent = make(interface)
+    observations, infos = env.reset(seed=seed)
+    state, over, step = None, np.zeros(episodes, dtype=bool), 0
+    returns, at_target, last_away = (np.zeros(episodes) for _ in range(3))
+    while not over.all():
+        actions, state = agent.predict(observations, state, deterministic=True)
+        observations, rewards, _, over, infos = env.step(actions)
+        step += 1
+        returns += rewards
+        at_target += infos["is_success"]
+        last_away[~infos["is_success"]] = step
+    env.close()
+    success = infos["is_success"]
+    scores = {
+        "success": float(success.mean()),
+        "final_distance": float(infos["distance"].mean()),
+        "episode_return": float(returns.mean()),
+        "time_at_target": float(at_target.mean()) / step,
+    }
+    if success.any():
+        steps = float(np.median(last_away[success])) + 1
+        scores["time_to_target"] = round(steps * interface.control_step, 3)
+    return scores

@@ -34,8 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.network.chain import Floats, triangle_incidence
-from mmc_gym.network.linear import compile_iteration, velocity_rule
-from mmc_gym.network.model import MMCNetwork, MMCState
+from mmc_gym.network.model import MMCNetwork, MMCState, compile_iteration, velocity_rule
 from mmc_gym.network.normalizers import Normalizer
 
 SEGMENT_WEIGHT = 0.05

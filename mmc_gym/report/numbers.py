@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from mmc_gym.benchmark.replication import Estimate
+from mmc_gym.benchmark.statistics import Estimate
 from mmc_gym.measures.catalogue import Measure
 from mmc_gym.report.results import Results
 

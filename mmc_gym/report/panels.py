@@ -6,13 +6,15 @@ in colour, and lines are named where they end.
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,7 +22,35 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from mmc_gym._plotting import STYLE
-from mmc_gym.report.svg import to_svg
+
+_ID = re.compile(r'\bid="([^"]+)"')
+_REFERENCE = re.compile(r'(url\(#|href="#)([^")]+)')
+_DROPPED = re.compile(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>|<!--.*?-->", re.DOTALL)
+_NUMBER = re.compile(r"(?<=[ \"(,])(-?\d+\.\d{2})\d+")
+_FONT = re.compile(r"font: (?:[a-z0-9 ]*?)([\d.]+)px [^;\"]*")
+
+
+def to_svg(figure: Figure, key: str, description: str) -> Markup:
+    """The figure as an `svg` element.
+
+    Args:
+        figure: what to draw.
+        key: unique in the page; all ids begin with it.
+        description: what stands for the figure where it cannot be seen.
+    """
+    buffer = io.StringIO()
+    with rc_context({**STYLE, "svg.hashsalt": key}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
+    text = buffer.getvalue()
+    text = _DROPPED.sub("", text[text.index("<svg") :])
+    used = {name for _, name in _REFERENCE.findall(text)}
+    text = _ID.sub(lambda m: f'id="{key}-{m[1]}"' if m[1] in used else "", text)
+    text = _REFERENCE.sub(lambda m: f"{m[1]}{key}-{m[2]}", text)
+    text = _FONT.sub(lambda m: f"font-size: {m[1]}px", _NUMBER.sub(r"\1", text))
+    text = re.sub(r"\n\s*", "\n", text)
+    label = f'role="img" aria-label="{escape(description)}"'
+    return Markup(text.replace("<svg ", f"<svg {label} ", 1).strip())
+
 
 WIDTH, HEIGHT = 3.5, 2.7  # inches; about the width of a phone
 _LABEL_GAP = 0.075  # of the height of the axes, between two names

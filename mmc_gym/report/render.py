@@ -11,20 +11,31 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.envs.render import shapes as drawing
-from mmc_gym.report import human
+from mmc_gym.report import sentences as human
 from mmc_gym.report import sentences as words
-from mmc_gym.report.figures import PROFILE_RESAMPLES, degradation, dots, profiles
-from mmc_gym.report.identity import main_agents
-from mmc_gym.report.laws import law_table
-from mmc_gym.report.learning_figures import frontier, learning
-from mmc_gym.report.movement_figures import movements
+from mmc_gym.report.figures import (
+    PROFILE_RESAMPLES,
+    degradation,
+    dots,
+    frontier,
+    learning,
+    movements,
+    profiles,
+)
 from mmc_gym.report.numbers import count
-from mmc_gym.report.overall import heat_table, ranking_table
 from mmc_gym.report.panels import looks
 from mmc_gym.report.replay import replay
-from mmc_gym.report.results import Results, read_results
+from mmc_gym.report.results import Results, main_agents, read_results
 from mmc_gym.report.scores import RESAMPLES, Estimates, scoreboard
-from mmc_gym.report.tables import SIGNS, board_table, score_table, told_rows
+from mmc_gym.report.tables import (
+    SIGNS,
+    board_table,
+    heat_table,
+    law_table,
+    ranking_table,
+    score_table,
+    told_rows,
+)
 
 FOCUS = ("mmc", "mmc-closed")
 """The agents whose wins and losses are told: the network alone, and with all loops closed."""

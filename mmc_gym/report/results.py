@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
-from mmc_gym.agents.policy import PRETRAINED, PolicyCard
-from mmc_gym.benchmark.ranking_table import RANKING
+from mmc_gym.agents import AGENTS, is_policy_path
+from mmc_gym.agents.policy import PRETRAINED, PolicyCard, load_policy
+from mmc_gym.agents.views import View
+from mmc_gym.benchmark.ranking import RANKING
+from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import untrained
 from mmc_gym.benchmark.store import (
     MANIFEST,
@@ -25,9 +28,210 @@ from mmc_gym.benchmark.store import (
 )
 from mmc_gym.benchmark.suite import BASELINE
 from mmc_gym.measures.catalogue import MEASURES, Measure, leave_out_failures
-from mmc_gym.report.identity import Identity, agent_order, identify, labelled
-from mmc_gym.report.knowledge import Kind
 from mmc_gym.training.curves import read_cards
+
+Kind = Literal["network", "inverse kinematics", "planner", "learned", "yours", "baseline", "ideal"]
+
+KINDS: tuple[Kind, ...] = (
+    "yours",
+    "network",
+    "inverse kinematics",
+    "planner",
+    "learned",
+    "baseline",
+    "ideal",
+)
+"""In the order of the report; an agent that does not ship with the package is the reader's own."""
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What an agent knows of its body, and how.
+
+    Attributes:
+        kind: what sort of agent it is.
+        lengths: whether it is told the segment lengths.
+        actions: whether it is told what its actions do (the servo and its limits).
+        senses: what it looks at, and when.
+    """
+
+    kind: Kind
+    lengths: str
+    actions: str
+    senses: str
+
+
+_TOLD = "told"
+_NOT_TOLD = "not told: had to learn"
+_ONCE = "posture once, at the start; the target in every step"
+_LOOP = "posture, seen hand and target in every step"
+VIEWS: dict[View, str] = {
+    "arm": "joint angles but the first, joint speeds, target, and offset from hand to target, all "
+    "seen from the arm's first segment",
+    "target": "all joint angles, joint speeds, the target's distance, and offset from hand to "
+    "target, all seen as if the target lay straight ahead, whence its actions are turned back",
+    "world": "all joint angles, joint speeds, target, and offset from hand to target",
+}
+
+
+def _told(kind: Kind, senses: str = _ONCE) -> Knowledge:
+    return Knowledge(kind, _TOLD, _TOLD, senses)
+
+
+_MMC = _told("network")
+_IK = _told("inverse kinematics")
+_PLANNER = _told("planner")
+_LEARNED = Knowledge("learned", _NOT_TOLD, _NOT_TOLD, f"{VIEWS['arm']}, in every step")
+
+
+def _correcting(learned: Knowledge, base: str) -> Knowledge:
+    told = f"told to {base}, which it corrects"
+    senses = f"{learned.senses}; and what {base} proposes"
+    return replace(learned, lengths=told, actions=told, senses=senses)
+
+
+_KNOWN: dict[str, Knowledge] = {
+    "mmc-feedback": _told("network", _LOOP),
+    "mmc-delay": _told("network", f"{_LOOP}; estimates their delay"),
+    "mmc-lengths": Knowledge("network", "told, then identified", _TOLD, _LOOP),
+    "mmc-lock": _told("network", f"{_LOOP}; detects locked joints"),
+    "mmc-closed": Knowledge(
+        "network", "told, then identified", _TOLD, f"{_LOOP}; estimates delay, detects locks"
+    ),
+    "ik-dls-feedback": _told("inverse kinematics", _LOOP),
+    "minimum-jerk": _PLANNER,
+    "pmp": _PLANNER,
+    "ppo-residual": _correcting(_LEARNED, "mmc"),
+    "random": Knowledge("baseline", "not told", "not told", "nothing"),
+    REFERENCE: Knowledge("ideal", "has no arm", "has no arm", "start and target"),
+}
+_FAMILIES = {"mmc": _MMC, "ik": _IK, "ppo": _LEARNED, "sac": _LEARNED, "tqc": _LEARNED}
+UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
+
+
+def knowledge_of(name: str) -> Knowledge:
+    """What an agent of this package is told, by its name in `AGENTS`.
+
+    Example:
+        >>> knowledge_of("mmc").lengths, knowledge_of("sac").lengths
+        ('told', 'not told: had to learn')
+    """
+    if name in _KNOWN:
+        return _KNOWN[name]
+    return _FAMILIES.get(name.partition("-")[0], UNKNOWN)
+
+
+def knowledge_of_policy(card: PolicyCard) -> Knowledge:
+    """What a policy was told, and sees, as its card has it."""
+    learned = replace(_LEARNED, senses=f"{VIEWS[card.view]}, in every step")
+    return _correcting(learned, card.base_agent) if card.base_agent else learned
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who an agent is.
+
+    Attributes:
+        own: its name in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
+        knowledge: what it is told.
+        cards: of its trainings in the benchmark, all of them; empty if any is not there.
+    """
+
+    own: str = ""
+    knowledge: Knowledge = UNKNOWN
+    cards: tuple[PolicyCard, ...] = ()
+
+    @property
+    def kind(self) -> Kind:
+        """What sort of agent it is."""
+        return self.knowledge.kind
+
+    @property
+    def description(self) -> str:
+        """What it is, in a line; empty if that is not known."""
+        return AGENTS[self.own].description if self.own in AGENTS else ""
+
+
+def identify(sources: Iterable[str], shipped: Mapping[str, Sequence[PolicyCard]]) -> Identity:
+    """Who an agent is.
+
+    Args:
+        sources: what each of its trainings was made of, as the manifest has it.
+        shipped: cards of this package's policies, by name.
+    """
+    found = [_identify(source, shipped) for source in sources]
+    if not found or any(_unlike(found[0], other) for other in found[1:]):
+        return Identity()
+    cards = tuple(card for one in found for card in one.cards)
+    return replace(found[0], cards=cards if len(cards) == len(found) else ())
+
+
+def _unlike(one: Identity, other: Identity) -> bool:
+    return (one.own, one.knowledge) != (other.own, other.knowledge)
+
+
+def _identify(source: str, shipped: Mapping[str, Sequence[PolicyCard]]) -> Identity:
+    if is_policy_path(source):
+        return _policy(source)
+    if source in AGENTS or source == REFERENCE:
+        return Identity(source, knowledge_of(source))
+    name, _, seed = source.rpartition("-")
+    if ":" in source or name not in AGENTS or not seed.isdecimal():
+        return Identity()
+    cards = tuple(card for card in shipped.get(name, ()) if card.seed == int(seed))
+    knowledge = knowledge_of_policy(cards[0]) if cards else knowledge_of(name)
+    return Identity(name, knowledge, cards)
+
+
+def _policy(path: str) -> Identity:
+    try:
+        card = load_policy(path)[1]
+    except (OSError, ValueError):
+        return Identity()  # it was there when it was played
+    return Identity("", replace(knowledge_of_policy(card), kind="yours"), (card,))
+
+
+def agent_order(identities: Mapping[str, Identity]) -> tuple[str, ...]:
+    """Agents by kind, and within a kind as `AGENTS` lists them."""
+    listed = list(AGENTS)
+
+    def place(agent: str) -> tuple[int, int, str]:
+        one = identities[agent]
+        position = listed.index(one.own) if one.own in AGENTS else len(listed)
+        return KINDS.index(one.kind), position, agent
+
+    return tuple(sorted(identities, key=place))
+
+
+def labelled(identities: Mapping[str, Identity], name: str) -> str | None:
+    """What an agent of this package is called in the benchmark; None if it did not take part."""
+    labels = [label for label, one in identities.items() if one.own == name]
+    return name if name in labels else next(iter(labels), None)
+
+
+_PREFERRED = (
+    "mmc",
+    "mmc-closed",
+    "mmc-bell",
+    "ik-dls",
+    "ppo",
+    "ppo-smooth",
+    "sac",
+    "tqc-her",
+    "minimum-jerk",
+)
+SHOWN_AT_MOST = 7
+
+
+def main_agents(identities: Mapping[str, Identity]) -> tuple[str, ...]:
+    """The few that figures show: the reader's own, the preferred ones, then what is left."""
+    present = agent_order(identities)
+    yours = [agent for agent in present if identities[agent].kind == "yours"]
+    named = [labelled(identities, name) for name in _PREFERRED]
+    preferred = [agent for agent in named if agent is not None]
+    others = [agent for agent in present if identities[agent].kind not in ("baseline", "ideal")]
+    chosen = list(dict.fromkeys([*yours, *preferred, *others]))[:SHOWN_AT_MOST]
+    return tuple(agent for agent in present if agent in chosen)
 
 
 @dataclass(frozen=True)

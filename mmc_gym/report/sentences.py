@@ -6,13 +6,14 @@ What the network does best and where it is beaten are told by the same rule, in 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import Literal
 
+from mmc_gym.benchmark.statistics import Estimate
 from mmc_gym.benchmark.suite import BASELINE
-from mmc_gym.measures.catalogue import MEASURES
-from mmc_gym.report.environment_scores import COMMON
+from mmc_gym.measures.catalogue import MEASURES, Measure
 from mmc_gym.report.numbers import (
     count,
     decimals_apart,
@@ -24,8 +25,8 @@ from mmc_gym.report.numbers import (
     seeds_in_words,
 )
 from mmc_gym.report.results import Results
-from mmc_gym.report.scores import Comparison, Estimates, Outcome, rivals_of
-from mmc_gym.training.learning_curve_table import LEVELS, first_reached
+from mmc_gym.report.scores import COMMON, Comparison, Estimates, Outcome, rivals_of
+from mmc_gym.training.curves import LEVELS, first_reached
 
 EXAMPLES = 3
 """Environments that a sentence names, those of the largest differences."""
@@ -218,3 +219,147 @@ def base_title(results: Results) -> str:
     """What to call `base_of`: it is perturbed itself where nothing else was played."""
     base = base_of(results)
     return f"Only {base}" if results.environments[base].family else f"Without perturbation ({base})"
+
+
+LEARNED = "ppo-smooth"
+NETWORKS = ("mmc", "mmc-bell")
+
+MARGINS: Mapping[str, float] = {
+    "minimum_jerk_correlation": 0.01,
+    "velocity_peaks": 0.5,
+    "sparc": 0.18,
+}
+HUMAN: tuple[Measure, ...] = tuple(
+    next(measure for measure in MEASURES if measure.name == name) for name in MARGINS
+)
+"""Measures of being like people's movements: bell-shaped, of one stroke, smooth."""
+
+Finding = Literal["same", "more", "less", "unclear"]
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Two agents beside each other in one measure.
+
+    Attributes:
+        measure: what is compared.
+        learned: figure of the one.
+        network: of the other.
+        difference: of the two, paired by instance.
+        finding: for the first of them.
+    """
+
+    measure: Measure
+    learned: Estimate
+    network: Estimate
+    difference: Estimate
+    finding: Finding
+
+
+def human_likeness(estimates: Estimates) -> list[str]:
+    """Whether learning with a reward for smoothness moves as people do, beside the network."""
+    results = estimates.results
+    environment = base_of(results)
+    learned = results.labelled(LEARNED)
+    if learned is None:
+        return ["No agent that was trained with a reward for smoothness took part."]
+    sentences = []
+    for name in NETWORKS:
+        network = results.labelled(name)
+        found = likeness(estimates, environment, learned, network) if network else []
+        if network and found:
+            details = "; ".join(_detail(one) for one in found)
+            instances = count(min(one.difference.instances for one in found), "instance")
+            seeds = seeds_in_words(results, learned, environment)
+            sentences.append(
+                f"{verdict([one.finding for one in found], learned, network)} "
+                f"({environment}, {instances}, {learned}: {seeds}; {details})"
+            )
+    return sentences or [f"There are too few movements to compare {learned} and the network by."]
+
+
+def likeness(estimates: Estimates, environment: str, learned: str, network: str) -> list[Likeness]:
+    """Two agents beside each other, in every measure where both have enough values."""
+    compared = []
+    for measure in HUMAN:
+        if measure not in estimates.results.measures:
+            continue
+        figures = estimates.taking_part(environment, measure, [learned, network])
+        difference = None
+        if len(figures) == 2:
+            difference = estimates.scores(environment).difference(learned, network, measure)
+        if difference is not None:
+            compared.append(
+                Likeness(
+                    measure,
+                    figures[learned],
+                    figures[network],
+                    difference,
+                    find(difference, measure),
+                )
+            )
+    return compared
+
+
+def find(difference: Estimate, measure: Measure) -> Finding:
+    """What the interval of a difference says, beside the measure's margin."""
+    low, high = difference.low, difference.high
+    if measure.best == "low":
+        low, high = -high, -low
+    margin = MARGINS[measure.name]
+    if -margin <= low and high <= margin:
+        return "same"
+    return "more" if low > 0 else "less" if high < 0 else "unclear"
+
+
+def verdict(findings: Sequence[Finding], learned: str, network: str) -> str:
+    """What the findings of all measures come to."""
+    number_of = {one: findings.count(one) for one in ("same", "more", "less", "unclear")}
+    total = count(len(findings), "measure")
+    who = f"Reinforcement learning with a reward for smoothness ({learned})"
+    if number_of["more"] and number_of["less"]:
+        return (
+            f"{who} is more human-like than {network} by {number_of['more']} of {total} and less "
+            f"by {number_of['less']}"
+        )
+    if number_of["less"]:
+        said = f"{who} is less human-like than {network} by {number_of['less']} of {total}"
+    elif number_of["more"]:
+        said = f"{who} is more human-like than {network} by {number_of['more']} of {total}"
+    elif number_of["unclear"] == 0:
+        return f"{who} is as human-like as {network}: the same within the margin by {total}"
+    else:
+        said = f"{who} and {network} cannot be told apart by {number_of['unclear']} of {total}"
+        same = f", and are the same within the margin by {number_of['same']}"
+        return f"{said}{same if number_of['same'] else ''}"
+    rest = [f"the same within the margin by {number_of['same']}"] * (number_of["same"] > 0)
+    rest += [f"not to be told apart by {number_of['unclear']}"] * (number_of["unclear"] > 0)
+    return ", ".join([said, *rest])
+
+
+def margins() -> str:
+    """The margins, and why, for the reader."""
+    each = "; ".join(f"{label(one)} {MARGINS[one.name]:g}" for one in HUMAN)
+    return (
+        "Two agents count as the same in a measure where the 95 % interval of their difference, "
+        f"paired by instance, lies within a margin to both sides ({each}). The margins of the "
+        "first and the last are what lies between two models of how people reach, minimum jerk "
+        "and minimum acceleration, sent through the same measures; that of velocity peaks is half "
+        "a stroke. Where the interval includes both 0 and more than the margin, the instances "
+        "cannot tell two agents apart, which does not make them the same."
+    )
+
+
+def _detail(one: Likeness) -> str:
+    said = {
+        "same": "the same within the margin",
+        "more": "clearly more human-like",
+        "less": "clearly less human-like",
+        "unclear": "cannot be told apart",
+    }[one.finding]
+    measure = one.measure
+    return (
+        f"{label(measure)} {number(measure, one.learned.estimate)} against "
+        f"{number(measure, one.network.estimate)}, difference "
+        f"{number(measure, one.difference.estimate)} {interval(measure, one.difference)}: {said}"
+    )

@@ -26,7 +26,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecMonitor, unwrap_vec_wrapper
 
 from mmc_gym._files import check_folder
-from mmc_gym._threads import one_torch_thread
+from mmc_gym._grid import one_torch_thread
 from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
@@ -36,13 +36,11 @@ from mmc_gym.agents.policy import (
     save_policy,
 )
 from mmc_gym.agents.policy_network import PolicyNetwork
-from mmc_gym.measures.scores import evaluate
+from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.checkpoints import begin_episodes, load_checkpoint, read_head, save_checkpoint
-from mmc_gym.training.export import export_policy
-from mmc_gym.training.hyperparameters import Hyperparameters, algorithm_of
-from mmc_gym.training.residual import Residual
-from mmc_gym.training.settings import Settings
-from mmc_gym.training.vec_env import GymnasiumVecEnv
+from mmc_gym.training.hyperparameters import Hyperparameters, Settings, algorithm_of
+from mmc_gym.training.policies import export_policy
+from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
 CHECKPOINT = "checkpoint.safetensors"
 EVALUATIONS = 25

@@ -11,8 +11,8 @@ from mmc_gym.agents.closed_loop import delay as delay_bridge
 from mmc_gym.agents.closed_loop import lengths as length_identification
 from mmc_gym.agents.closed_loop import locks as lock_detection
 from mmc_gym.agents.closed_loop.agent import LOOPS, closed_loop_mmc, told_lockable
+from mmc_gym.agents.closed_loop.delay import expected_turn
 from mmc_gym.agents.closed_loop.observer import seen_hand
-from mmc_gym.agents.closed_loop.servo_model import expected_turn
 from mmc_gym.envs.perturbations import LockedJoint
 from mmc_gym.network.chain import segments_from_joint_angles
 

@@ -10,10 +10,21 @@ from mmc_gym import make_agent
 from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
 from mmc_gym.agents.ik.agent import jacobian
 from mmc_gym.agents.ik.dead_end import hand_position
-from mmc_gym.agents.movement import AVERAGE_SPEED, HORIZON, JUMP, SHORTEST, begin, follow, step
-from mmc_gym.agents.passive_motion import PassiveMotionAgent, passive_motion_step
-from mmc_gym.agents.planners import HandPlan, MinimumJerkAgent, minimum_jerk_step
-from mmc_gym.agents.timed_mmc import TimedMMCAgent
+from mmc_gym.agents.mmc import TimedMMCAgent
+from mmc_gym.agents.planners import (
+    AVERAGE_SPEED,
+    HORIZON,
+    JUMP,
+    SHORTEST,
+    HandPlan,
+    MinimumJerkAgent,
+    PassiveMotionAgent,
+    begin,
+    follow,
+    minimum_jerk_step,
+    passive_motion_step,
+    step,
+)
 from mmc_gym.measures.speed import minimum_jerk_correlation, time_to_peak, velocity_peaks
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk, share

@@ -16,7 +16,7 @@ from mmc_gym.agents.policy import (
     load_policy,
     save_policy,
 )
-from mmc_gym.benchmark.entrants import entrants
+from mmc_gym.benchmark.entries import entrants
 from mmc_gym.training.grid import shipped_cells
 from mmc_gym.training.hyperparameters import read_hyperparameters
 from mmc_gym.training.training import evaluate

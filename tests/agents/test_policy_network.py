@@ -11,8 +11,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.agents.views import View, features, turned_actions
-from mmc_gym.training.export import export_policy
-from mmc_gym.training.policies import POLICIES
+from mmc_gym.training.policies import POLICIES, export_policy
 
 ENV_IDS = {
     "PPOPolicy": "MMCReach-v0",

@@ -23,10 +23,9 @@ from rich.console import Console
 import mmc_gym
 from mmc_gym import cli
 from mmc_gym.agents.base import ControlError
-from mmc_gym.benchmark import battery_cell
 from mmc_gym.benchmark import entries as contestants
-from mmc_gym.benchmark.ranking import summarize_battery
-from mmc_gym.benchmark.ranking_table import RANKING, print_ranking
+from mmc_gym.benchmark import runner as battery_cell
+from mmc_gym.benchmark.ranking import RANKING, print_ranking, summarize_battery
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import benchmark, not_played, untrained
 from mmc_gym.benchmark.store import (

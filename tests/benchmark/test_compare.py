@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mmc_gym._console import cell
 from mmc_gym.benchmark.compare import compare
-from mmc_gym.benchmark.entrants import entrants, training_steps
+from mmc_gym.benchmark.entries import entrants, training_steps
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.measures.catalogue import MEASURES
 

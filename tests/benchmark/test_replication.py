@@ -7,14 +7,16 @@ import pandas as pd
 import pytest
 from scipy.stats import norm, trim_mean
 
-from mmc_gym.benchmark.replication import (
+from mmc_gym.benchmark.statistics import (
+    arrange,
+    draw,
     paired_difference,
     performance_profile,
     probability_of_improvement,
     stratified_bootstrap,
+    weighted_iqm,
+    weighted_mean,
 )
-from mmc_gym.benchmark.statistics import arrange, draw
-from mmc_gym.benchmark.weighted import weighted_iqm, weighted_mean
 
 
 def rows(agent, values, environment="E", seeds=None):

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmc_gym.benchmark import statistics_part as statistics
-from mmc_gym.benchmark.statistics_part import bootstrap_interval, summarize
+from mmc_gym.benchmark import statistics
+from mmc_gym.benchmark.statistics import bootstrap_interval, summarize
 from mmc_gym.measures.catalogue import MEASURES
 
 

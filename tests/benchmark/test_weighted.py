@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from mmc_gym.benchmark.weighted import (
+from mmc_gym.benchmark.statistics import (
     weighted_iqm,
     weighted_mean,
     weighted_median,

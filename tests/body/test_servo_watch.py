@@ -7,8 +7,7 @@ import pytest
 
 from mmc_gym.body.engines import make_arm
 from mmc_gym.body.parameters import ArmParameters
-from mmc_gym.body.pymunk.arm import Arm
-from mmc_gym.body.pymunk.servo_watch import ServoWatch
+from mmc_gym.body.pymunk.arm import Arm, ServoWatch
 
 ROD = ArmParameters(segment_lengths=(1.0,))  # its moment of inertia about the joint is 1/3
 

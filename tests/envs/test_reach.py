@@ -12,8 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
-from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.reach_goal import MMCReachGoalEnv
+from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.spec import Control
 from mmc_gym.network.chain import segments_from_joint_angles
 

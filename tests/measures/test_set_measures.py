@@ -7,7 +7,7 @@ import pytest
 
 from mmc_gym.benchmark.suite import ENVIRONMENTS
 from mmc_gym.measures.rollout import run_episodes
-from mmc_gym.measures.set_measures import (
+from mmc_gym.measures.sets import (
     FITTS_WIDTHS,
     SET_MEASURES,
     fitts_line,

@@ -9,8 +9,7 @@ import pytest
 import mmc_gym
 from mmc_gym.envs.perturbations import ForceField, LockedJoint
 from mmc_gym.envs.vector import MMCReachVectorEnv
-from mmc_gym.measures.rollout import episode_seeds, run_episodes
-from mmc_gym.measures.together import run_episodes_together
+from mmc_gym.measures.rollout import episode_seeds, run_episodes, run_episodes_together
 
 RECORDS = (
     *("hands", "distances", "targets", "joint_angles"),

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mmc_gym.network import LearnedNormalizer, MMCNetwork, chain, model
-from mmc_gym.network.linear import linear_operator
-from mmc_gym.network.model import NO_CLAMPS
+from mmc_gym.network.model import NO_CLAMPS, linear_operator
 
 DYNAMICS = ("kinematic", "paper", "reference")
 SCHEDULES = ("synchronous", "delayed")

@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from mmc_gym.network import fitting as training
-from mmc_gym.network.fitting import ACCURATE, PAPER, Recipe, train_normalizers
+from mmc_gym.network.fitting import ACCURATE, PAPER, Recipe, Refinement, refine, train_normalizers
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors
-from mmc_gym.network.refinement import Refinement, refine
 
 SHORT = replace(PAPER, samples=400, epochs=8)
 SHORT_ACCURATE = replace(ACCURATE, samples=400, epochs=8, refinement=Refinement(iterations=12))

@@ -6,8 +6,7 @@ import pytest
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.paper.experiment import Settings
 from mmc_gym.paper.experiments.bell_shaped import minimum_jerk_movements, record_timed_movements
-from mmc_gym.paper.protocol import PAIRS, TARGETS, record_movements
-from mmc_gym.paper.summaries import OVERSHOOT, shapes
+from mmc_gym.paper.protocol import OVERSHOOT, PAIRS, TARGETS, record_movements, shapes
 
 NETWORKS = {
     "Euclidean": MMCNetwork(),

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from mmc_gym.paper.catalogue import EXPERIMENTS
 from mmc_gym.paper.experiment import Result, Settings, write_result
-from mmc_gym.paper.points import POINTS
+from mmc_gym.paper.published import POINTS
+from mmc_gym.paper.run import EXPERIMENTS
 
 
 def make_result():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
-from mmc_gym.network.linear import linear_operator
+from mmc_gym.network.model import linear_operator
 from mmc_gym.paper.experiment import Settings
 from mmc_gym.paper.experiments.forward_and_mixed import (
     EXPERIMENT,

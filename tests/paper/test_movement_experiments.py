@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer
-from mmc_gym.paper import summaries
+from mmc_gym.paper import protocol as summaries
 from mmc_gym.paper.experiment import Settings, write_result
 from mmc_gym.paper.experiments import dynamic, example, kinematic
 from mmc_gym.paper.networks import TrainedArchitecture

@@ -10,10 +10,9 @@ from rich.console import Console
 from mmc_gym.cli import main
 from mmc_gym.paper import networks as normalizers
 from mmc_gym.paper import run as reproduce
-from mmc_gym.paper.catalogue import EXPERIMENTS
 from mmc_gym.paper.experiment import Experiment, Result, Row
-from mmc_gym.paper.points import POINTS
-from mmc_gym.paper.report import print_report
+from mmc_gym.paper.published import POINTS
+from mmc_gym.paper.run import EXPERIMENTS, print_report
 
 
 def make_figure():

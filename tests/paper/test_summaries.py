@@ -6,17 +6,20 @@ import pytest
 from mmc_gym.network import EuclideanNormalizer, MMCNetwork
 from mmc_gym.paper.experiments import dynamic, kinematic
 from mmc_gym.paper.experiments.dynamic import catching_up
-from mmc_gym.paper.protocol import PAIRS, TARGETS, Recording, record_movements
-from mmc_gym.paper.published import CLASSICAL_PUBLISHED, DYNAMIC_EUCLIDEAN, KINEMATIC_COURSE
-from mmc_gym.paper.summaries import (
+from mmc_gym.paper.protocol import (
     EUCLIDEAN,
     INNER,
+    PAIRS,
+    TARGETS,
+    Recording,
     over_runs,
     pooled,
+    record_movements,
     shapes,
     summarize,
     summarize_networks,
 )
+from mmc_gym.paper.published import CLASSICAL_PUBLISHED, DYNAMIC_EUCLIDEAN, KINEMATIC_COURSE
 
 
 def movement_along_a_line(distances):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mmc_gym.benchmark.replication import Estimate
+from mmc_gym.benchmark.statistics import Estimate
 from mmc_gym.measures.speed import (
     MINIMUM_JERK_SPAN,
     minimum_jerk_correlation,
     moving_part,
     sparc,
 )
-from mmc_gym.report import human
+from mmc_gym.report import sentences as human
 from mmc_gym.report.results import read_results
 from mmc_gym.report.scores import Estimates
 

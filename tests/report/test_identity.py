@@ -8,10 +8,9 @@ from typing import get_args
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.views import View
 from mmc_gym.report import sentences as words
-from mmc_gym.report.identity import Identity, identify, main_agents
-from mmc_gym.report.learning_figures import learning
+from mmc_gym.report.figures import learning
 from mmc_gym.report.panels import looks
-from mmc_gym.report.results import read_results
+from mmc_gym.report.results import Identity, identify, main_agents, read_results
 from mmc_gym.report.scores import Estimates, rivals_of
 from mmc_gym.report.tables import told_rows
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from mmc_gym.measures.set_measures import SET_MEASURES
-from mmc_gym.report.laws import LAWS, law_table
+from mmc_gym.measures.sets import SET_MEASURES
 from mmc_gym.report.results import read_results
+from mmc_gym.report.tables import LAWS, law_table
 
 
 @pytest.fixture

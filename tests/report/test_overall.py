@@ -9,9 +9,9 @@ import pytest
 from mmc_gym.benchmark.ranking import summarize_battery
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.store import read_episodes
-from mmc_gym.report.overall import heat_table, ranking_table, time_interval
 from mmc_gym.report.results import read_results
 from mmc_gym.report.scores import Estimates
+from mmc_gym.report.tables import heat_table, ranking_table, time_interval
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,7 @@ import pytest
 
 from mmc_gym.report import sentences as words
 from mmc_gym.report import write_report
-from mmc_gym.report.figures import profiles
-from mmc_gym.report.movement_figures import movements
+from mmc_gym.report.figures import movements, profiles
 from mmc_gym.report.numbers import seeds_of
 from mmc_gym.report.panels import looks
 from mmc_gym.report.results import read_results

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mmc_gym.benchmark.replication import Estimate, paired_difference
+from mmc_gym.benchmark.statistics import Estimate, paired_difference
 from mmc_gym.cli import main
 from mmc_gym.measures.catalogue import MEASURES
 from mmc_gym.report import sentences as words

@@ -12,12 +12,12 @@ from stable_baselines3 import PPO
 from mmc_gym.training.hyperparameters import (
     ALGORITHMS,
     EntropyDecay,
+    Settings,
     algorithm_of,
     names,
     policy_name,
     read_hyperparameters,
 )
-from mmc_gym.training.settings import Settings
 from mmc_gym.training.training import make_vec_env
 
 

@@ -13,20 +13,18 @@ from rich.console import Console
 from mmc_gym.agents.policy import PolicyCard, save_policy
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.cli import main
-from mmc_gym.training import learning_curve_table
+from mmc_gym.training import curves as learning_curve_table
 from mmc_gym.training.curves import (
+    QUANTITIES,
     curve_rows,
+    draw_learning_curves,
+    first_reached,
     learning_curves,
     mean_curves,
     read_cards,
-    weights_sizes,
-)
-from mmc_gym.training.learning_curve_figure import draw_learning_curves
-from mmc_gym.training.learning_curve_table import (
-    QUANTITIES,
-    first_reached,
     summarize_trainings,
     trainings,
+    weights_sizes,
 )
 from mmc_gym.training.training import EVALUATION_EPISODES, FINAL_EPISODES
 

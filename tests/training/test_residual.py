@@ -6,8 +6,8 @@ import pytest
 
 from mmc_gym import make_agent
 from mmc_gym.agents.policy import corrected
-from mmc_gym.training.residual import Residual
 from mmc_gym.training.training import make_vec_env
+from mmc_gym.training.vec_env import Residual
 
 COUNT = 6
 

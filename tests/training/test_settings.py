@@ -7,14 +7,19 @@ import pytest
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
-from mmc_gym.training.hyperparameters import EntropyDecay, names, read_hyperparameters
-from mmc_gym.training.residual import Residual
-from mmc_gym.training.settings import Settings, schedule
+from mmc_gym.training.hyperparameters import (
+    EntropyDecay,
+    Settings,
+    names,
+    read_hyperparameters,
+    schedule,
+)
 from mmc_gym.training.training import make_vec_env
+from mmc_gym.training.vec_env import Residual
 
 POLICIES = "mmc_gym.training.policies"
 LEAST = {"n_timesteps": 1000, "policy": f"{POLICIES}.PPOPolicy"}
-RESIDUAL = "mmc_gym.training.residual.Residual"
+RESIDUAL = "mmc_gym.training.vec_env.Residual"
 DECAY = "mmc_gym.training.hyperparameters.EntropyDecay"
 
 

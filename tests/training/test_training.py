@@ -283,11 +283,11 @@ def test_an_environment_that_is_none_to_train_in_is_refused(tmp_path):
 
 @pytest.mark.parametrize("arguments", [{}, {"base_agent": "mmc"}])
 def test_the_card_tells_whose_actions_are_corrected(tmp_path, arguments):
-    wrapper = [{"mmc_gym.training.residual.Residual": arguments}]
+    wrapper = [{"mmc_gym.training.vec_env.Residual": arguments}]
     card = training("ppo-residual", tmp_path, vec_env_wrapper=wrapper, n_timesteps=1).run()
     assert card.base_agent == "mmc"
     with pytest.raises(ValueError, match="base_agent must be one of"):
-        wrapper = [{"mmc_gym.training.residual.Residual": {"base_agent": "ik"}}]
+        wrapper = [{"mmc_gym.training.vec_env.Residual": {"base_agent": "ik"}}]
         training("ppo-residual", tmp_path / "other", vec_env_wrapper=wrapper).run()
 
 

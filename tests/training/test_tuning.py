@@ -13,8 +13,8 @@ import pytest
 from optuna.storages.journal import JournalFileBackend
 
 from mmc_gym.agents import find_agent
-from mmc_gym.measures.scores import evaluate_agent
-from mmc_gym.training import tuning_targets
+from mmc_gym.measures.rollout import evaluate_agent
+from mmc_gym.training import tuning as tuning_targets
 from mmc_gym.training.hyperparameters import read_hyperparameters
 from mmc_gym.training.tuning import TUNING_SEED, tune
 

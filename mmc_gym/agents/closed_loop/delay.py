@@ -16,14 +16,34 @@ predictor?, J. Motor Behavior 25, 203–216.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import ReachInterface
-from mmc_gym.agents.closed_loop.servo_model import expected_turn
 from mmc_gym.network.chain import Floats, wrap_angle
+
+
+def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
+    """By how much joints turn in a control step, radians, (..., N).
+
+    Args:
+        interface: knows gain and speed limit.
+        joint_angles: where the joints are, radians, (..., N).
+        joint_targets: what their servos are sent to, radians, (..., N); the short way
+            round, or the way that joint limits leave.
+
+    >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
+    >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
+    [0.021, 0.12]
+    """
+    step = interface.control_step
+    share, most = 1 - math.exp(-interface.servo_gain * step), interface.speed_limit * step
+    turn: Floats = np.clip(share * interface.turn(joint_angles, joint_targets), -most, most)
+    return turn
+
 
 LONGEST = 25
 """The longest delay that is bridged, control steps."""

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmc_gym.agents.movement import where
+from mmc_gym.agents.planners import where
 from mmc_gym.network.chain import Floats, wrap_angle
 
 PRIOR = 0.3

@@ -47,8 +47,8 @@ from mmc_gym.agents.base import Observation, ReachInterface, Sensed
 from mmc_gym.agents.closed_loop import delay as delay_bridge
 from mmc_gym.agents.closed_loop import lengths as length_identification
 from mmc_gym.agents.closed_loop import locks as lock_detection
-from mmc_gym.agents.closed_loop.servo_model import expected_turn
-from mmc_gym.agents.movement import where
+from mmc_gym.agents.closed_loop.delay import expected_turn
+from mmc_gym.agents.planners import where
 from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
 
 

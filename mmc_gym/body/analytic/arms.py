@@ -19,12 +19,11 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body.parameters import ArmParameters, Servo, require
-from mmc_gym.body.workers import Workers
+from mmc_gym.body.parameters import ArmParameters, Servo, Workers, require
 
 try:
     from mmc_gym.body.analytic import kernel as lanes
-    from mmc_gym.body.analytic._chain_step import step_blocks
+    from mmc_gym.body.analytic.kernel import step_blocks
 except ModuleNotFoundError as error:
     if error.name != "numba":
         raise

@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.body.parameters import ArmParameters, Servo
-from mmc_gym.body.pymunk.solver import segment_inertia
+from mmc_gym.body.pymunk.linkage import segment_inertia
 
+FREE, AT_HIGHEST, AT_LOWEST, STOPPED_ABOVE, STOPPED_BELOW = 0.0, 1.0, -1.0, -2.0, 2.0
 LANES = 32  # arms in a block
+_TINY = 1e-12  # rad/s, and relative for impulses: what is not worth another guess
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
 
 
@@ -224,3 +226,407 @@ def command(state, output, rods, world, values):  # type: ignore[no-untyped-def]
                     a.asked[k] = angle + (way - turns * (2.0 * np.pi))
             else:
                 a.asked[k] = value
+
+
+@compiled
+def step_blocks(  # type: ignore[no-untyped-def]
+    state, output, rods, world, substeps, first, last
+):
+    """Simulate the blocks of `state` from `first` to before `last`; write `output`."""
+    count = output.shape[0] // (3 * rods.shape[0] + 2)
+    segments = rods.shape[0]
+    work = np.zeros(segments, WORK)
+    sums = np.zeros(1, SUMS)
+    matrix = np.zeros((segments, segments, LANES))
+    factor = np.zeros((segments, segments, LANES))
+    inward = np.arange(segments - 1, -1, -1)
+    for block in range(first, last):
+        arms = state[block]
+        lanes = min(LANES, count - block * LANES)
+        _look(arms, work, lanes)
+        release(work, lanes)
+        for _ in range(substeps):
+            _move(arms, work, sums[0], rods, world[0], lanes)
+            _ask(arms, work, sums[0], rods, world[0], lanes)
+            if _need(arms, work, sums[0], rods, world[0], inward, lanes):
+                guess(arms, work, sums[0], world[0], lanes)
+                weigh(work, sums[0], matrix, rods, inward, lanes)
+                limit(work, sums[0], matrix, factor, inward, lanes)
+            else:
+                release(work, lanes)
+            _turn(arms, work, sums[0], lanes)
+        _read(arms, work, sums[0], output, rods, block, lanes)
+
+
+@inner
+def _look(arms, work, lanes):  # type: ignore[no-untyped-def]
+    for i in range(arms.shape[0]):
+        a, w = arms[i], work[i]
+        for k in range(lanes):
+            w.sine[k], w.cosine[k] = sine_cosine(a.angle[k])
+
+
+@inner
+def _move(arms, work, sums, rods, world, lanes):  # type: ignore[no-untyped-def]
+    """Turn the segments; what the hand feels of the force field goes to `sums` x, y and turn."""
+    h = world.substep
+    rate = 1.0 / h
+    segments = arms.shape[0]
+    for k in range(lanes):
+        sums.x[k] = 0.0
+        sums.y[k] = 0.0
+    for i in range(segments):
+        a, w = arms[i], work[i]
+        length = rods[i].length
+        carried = rods[i].centre if i == segments - 1 else length
+        for k in range(lanes):
+            speed, sine, cosine = a.speed[k], w.sine[k], w.cosine[k]
+            lag_x, lag_y = a.lag_x[k], a.lag_y[k]
+            sums.x[k] += carried * lag_x - length * sine * speed
+            sums.y[k] += carried * lag_y + length * cosine * speed
+            angle = a.angle[k] + h * speed
+            new_sine, new_cosine = sine_cosine(angle)
+            new_lag_x = (new_cosine - cosine) * rate + speed * sine
+            new_lag_y = (new_sine - sine) * rate - speed * cosine
+            w.free_x[k] = lag_x - new_lag_x - sine * speed
+            w.free_y[k] = lag_y - new_lag_y + cosine * speed
+            a.lag_x[k] = new_lag_x
+            a.lag_y[k] = new_lag_y
+            a.angle[k] = angle
+            w.load_x[k] = cosine
+            w.load_y[k] = sine
+            w.sine[k] = new_sine
+            w.cosine[k] = new_cosine
+    w = work[segments - 1]
+    reach = rods[segments - 1].length - rods[segments - 1].centre
+    xx, xy = h * world.field[0, 0], h * world.field[0, 1]
+    yx, yy = h * world.field[1, 0], h * world.field[1, 1]
+    for k in range(lanes):
+        x, y = sums.x[k], sums.y[k]
+        push_x, push_y = xx * x + xy * y, yx * x + yy * y
+        sums.turn[k] = reach * (w.load_x[k] * push_y - w.load_y[k] * push_x)
+        sums.x[k] = push_x
+        sums.y[k] = push_y
+
+
+@inner
+def _ask(arms, work, sums, rods, world, lanes):  # type: ignore[no-untyped-def]
+    """What each joint wants, with which impulses, and how much faster its stop would let it be."""
+    fastest, gain, stop, rate = world.speed_limit, world.gain, world.stop_gain, 1.0 / world.substep
+    is_position = world.is_position > 0.0
+    for k in range(lanes):
+        sums.angle[k] = 0.0
+    for i in range(arms.shape[0]):
+        a, w = arms[i], work[i]
+        least, most = rods[i].lowest_angle, rods[i].highest_angle
+        for k in range(lanes):
+            angle = a.angle[k] - sums.angle[k]
+            sums.angle[k] = a.angle[k]
+            wanted = gain * (a.asked[k] - angle) if is_position else a.asked[k]
+            wanted = fastest if wanted > fastest else wanted
+            wanted = -fastest if wanted < -fastest else wanted
+            limit, held = a.limit[k], a.held[k]
+            above = stop * (most - angle) if angle > most else np.inf
+            below = stop * (least - angle) if angle < least else -np.inf
+            lowest = -np.inf if wanted > above else -limit
+            highest = np.inf if wanted < below else limit
+            wanted = above if wanted > above else wanted
+            wanted = below if wanted < below else wanted
+            locked = held == held
+            wanted = rate * (held - angle) if locked else wanted
+            w.wanted[k] = wanted
+            w.lowest[k] = -np.inf if locked else lowest
+            w.highest[k] = np.inf if locked else highest
+            w.stop_above[k] = above - wanted
+            w.stop_below[k] = below - wanted
+
+
+@inner
+def _need(arms, work, sums, rods, world, inward, lanes):  # type: ignore[no-untyped-def]
+    """Impulses that give every joint the wanted velocity; are there any out of bounds?"""
+    segments = arms.shape[0]
+    fall_x, fall_y = world.substep * world.gravity[0], world.substep * world.gravity[1]
+    last = work[segments - 1]
+    for k in range(lanes):
+        last.right[k] = sums.turn[k]
+        last.moment_x[k] = sums.x[k]
+        last.moment_y[k] = sums.y[k]
+        sums.x[k] = 0.0
+        sums.y[k] = 0.0
+        sums.turn[k] = 0.0
+    for i in range(segments):
+        w = work[i]
+        length, mass, centre = rods[i].length, rods[i].mass, rods[i].centre
+        for k in range(lanes):
+            turn = sums.turn[k] + w.wanted[k]
+            change_x = -w.sine[k] * turn - w.free_x[k]
+            change_y = w.cosine[k] * turn - w.free_y[k]
+            w.load_x[k] = mass * ((sums.x[k] + centre * change_x) - fall_x)
+            w.load_y[k] = mass * ((sums.y[k] + centre * change_y) - fall_y)
+            sums.x[k] += length * change_x
+            sums.y[k] += length * change_y
+            sums.turn[k] = turn
+            w.turn[k] = turn
+    for k in range(lanes):
+        last.load_x[k] -= last.moment_x[k]
+        last.load_y[k] -= last.moment_y[k]
+        sums.turn[k] = -last.right[k]
+        sums.x[k] = 0.0
+        sums.y[k] = 0.0
+        sums.changed[k] = 0.0
+    for i in inward:
+        a, w = arms[i], work[i]
+        length, centre, inertia = rods[i].length, rods[i].centre, rods[i].inertia
+        for k in range(lanes):
+            load_x, load_y = w.load_x[k], w.load_y[k]
+            push_x = length * sums.x[k] + centre * load_x
+            push_y = length * sums.y[k] + centre * load_y
+            torque = w.cosine[k] * push_y - w.sine[k] * push_x
+            needed = sums.turn[k] + torque + inertia * (w.turn[k] - a.speed[k])
+            sums.turn[k] = needed
+            sums.x[k] += load_x
+            sums.y[k] += load_y
+            w.needed[k] = needed
+            w.excess[k] = 0.0
+            beyond = (needed > w.highest[k]) | (needed < w.lowest[k])
+            sums.changed[k] += 1.0 if beyond else 0.0
+    return any_lane(sums.changed, lanes)
+
+
+@inner
+def _turn(arms, work, sums, lanes):  # type: ignore[no-untyped-def]
+    """Give the segments the velocities that the joints have found."""
+    for k in range(lanes):
+        sums.turn[k] = 0.0
+    for i in range(arms.shape[0]):
+        a, w = arms[i], work[i]
+        for k in range(lanes):
+            speed = sums.turn[k] + (w.wanted[k] + w.excess[k])
+            sums.turn[k] = speed
+            a.speed[k] = speed
+
+
+@inner
+def _read(arms, work, sums, output, rods, block, lanes):  # type: ignore[no-untyped-def]
+    """Write what the arms show: segment angles, joint angles, joint velocities, hands."""
+    segments = arms.shape[0]
+    size = output.shape[0] // (3 * segments + 2) * segments
+    for k in range(lanes):
+        sums.x[k] = 0.0
+        sums.y[k] = 0.0
+    for i in range(segments):
+        w = work[i]
+        length = rods[i].length
+        for k in range(lanes):
+            sums.x[k] += length * w.cosine[k]
+            sums.y[k] += length * w.sine[k]
+    for k in range(lanes):
+        arm = block * LANES + k
+        parent_angle = parent_speed = 0.0
+        for i in range(segments):
+            angle, speed = arms[i].angle[k], arms[i].speed[k]
+            at = arm * segments + i
+            output[at] = angle
+            output[size + at] = angle - parent_angle
+            output[2 * size + at] = speed - parent_speed
+            parent_angle, parent_speed = angle, speed
+        output[3 * size + 2 * arm] = sums.x[k]
+        output[3 * size + 2 * arm + 1] = sums.y[k]
+
+
+@inner
+def weigh(work, sums, matrix, rods, inward, lanes):  # type: ignore[no-untyped-def]
+    """Joint-space mass matrix: inertia and first moment of the arm beyond the later joint."""
+    segments = work.shape[0]
+    beyond = 0.0
+    for k in range(lanes):
+        sums.x[k] = 0.0
+        sums.y[k] = 0.0
+        sums.turn[k] = 0.0
+    for j in inward:
+        length, mass, centre = rods[j].length, rods[j].mass, rods[j].centre
+        own = mass * centre * centre + rods[j].inertia + beyond * length * length
+        moment = mass * centre + beyond * length
+        beyond += mass
+        w = work[j]
+        for k in range(lanes):
+            cosine, sine, x, y = w.cosine[k], w.sine[k], sums.x[k], sums.y[k]
+            inertia = (sums.turn[k] + 2.0 * length * (cosine * x + sine * y)) + own
+            sums.turn[k] = inertia
+            sums.x[k] = x + moment * cosine
+            sums.y[k] = y + moment * sine
+            w.inertia[k] = inertia
+            w.moment_x[k] = sums.x[k]
+            w.moment_y[k] = sums.y[k]
+    for j in range(segments):
+        w = work[j]
+        for k in range(lanes):
+            matrix[j, j, k] = w.inertia[k]
+            sums.x[k] = 0.0
+            sums.y[k] = 0.0
+        for m in range(segments - j, segments):
+            i = inward[m]
+            v = work[i]
+            length = rods[i].length
+            for k in range(lanes):
+                x = sums.x[k] + length * v.cosine[k]
+                y = sums.y[k] + length * v.sine[k]
+                sums.x[k] = x
+                sums.y[k] = y
+                matrix[j, i, k] = w.inertia[k] + w.moment_x[k] * x + w.moment_y[k] * y
+            for k in range(lanes):
+                matrix[i, j, k] = matrix[j, i, k]
+
+
+@inner
+def release(work, lanes):  # type: ignore[no-untyped-def]
+    """Make no servo and no stop bind."""
+    for i in range(work.shape[0]):
+        w = work[i]
+        for k in range(lanes):
+            w.bound[k] = FREE
+
+
+@inner
+def guess(arms, work, sums, world, lanes):  # type: ignore[no-untyped-def]
+    """Which bounds bind: those of the last substep, or that the needed impulses pass.
+
+    A torque servo is at its bound nearly always.  A lane that stays within its bounds, of which
+    `sums.changed` counts those passed, keeps out of it: alone it would not have come here.
+    """
+    is_torque = world.is_torque > 0.0
+    for k in range(lanes):
+        sums.x[k] = 0.0
+    for i in range(work.shape[0]):
+        w = work[i]
+        for k in range(lanes):
+            sums.x[k] += abs(w.bound[k])
+    for i in range(work.shape[0]):
+        a, w = arms[i], work[i]
+        for k in range(lanes):
+            needed, lowest, highest = w.needed[k], w.lowest[k], w.highest[k]
+            above, below = w.stop_above[k], w.stop_below[k]
+            last, asked = w.bound[k], a.asked[k]
+            new = AT_HIGHEST if needed > highest else FREE
+            new = AT_LOWEST if needed < lowest else new
+            pushed = AT_HIGHEST if asked > 0.0 else AT_LOWEST
+            new = pushed if is_torque else new
+            new = last if sums.x[k] > 0.0 else new
+            new = FREE if (new == AT_HIGHEST) & (highest == np.inf) else new
+            new = FREE if (new == AT_LOWEST) & (lowest == -np.inf) else new
+            new = FREE if (new == STOPPED_ABOVE) & (above == np.inf) else new
+            new = FREE if (new == STOPPED_BELOW) & (below == -np.inf) else new
+            w.bound[k] = new if sums.changed[k] > 0.0 else FREE
+
+
+@inner
+def limit(work, sums, matrix, factor, inward, lanes):  # type: ignore[no-untyped-def]
+    """By how much each joint's velocity has to differ from the wanted one, `excess`."""
+    segments = work.shape[0]
+    for attempt in range(10 * segments + 50):
+        _prescribe(work, sums, matrix, factor, lanes)
+        _solve(work, sums, factor, inward, lanes)
+        # Changing all wrong guesses at once is quick and may cycle; one at a time never does.
+        if not _revise(work, sums, matrix, attempt > segments + 5, lanes):
+            break
+
+
+@inner
+def _prescribe(work, sums, matrix, factor, lanes):  # type: ignore[no-untyped-def]
+    """Equations for the joints at a bound; the others keep the wanted velocity or their stop's."""
+    segments = work.shape[0]
+    for i in range(segments):
+        w = work[i]
+        for k in range(lanes):
+            bound, below, above = w.bound[k], w.stop_below[k], w.stop_above[k]
+            lowest, highest = w.lowest[k], w.highest[k]
+            stop = below if bound > 0.0 else above
+            impulse = highest if bound > 0.0 else lowest
+            w.excess[k] = stop if abs(bound) == 2.0 else 0.0
+            w.right[k] = impulse - w.needed[k]
+    for i in range(segments):
+        w = work[i]
+        for k in range(lanes):
+            sums.x[k] = w.right[k]
+        for j in range(segments):
+            v = work[j]
+            same = 1.0 if i == j else 0.0
+            for k in range(lanes):
+                entry = matrix[i, j, k]
+                sums.x[k] -= entry * v.excess[k]
+                both = (abs(w.bound[k]) == 1.0) & (abs(v.bound[k]) == 1.0)
+                factor[i, j, k] = entry if both else same
+        for k in range(lanes):
+            excess, right = w.excess[k], sums.x[k]
+            w.right[k] = right if abs(w.bound[k]) == 1.0 else excess
+
+
+@inner
+def _solve(work, sums, factor, inward, lanes):  # type: ignore[no-untyped-def]
+    """Solve factor · excess = right by L D Lᵀ."""
+    segments = work.shape[0]
+    for j in range(segments):
+        v = work[j]
+        for k in range(lanes):
+            v.inverse[k] = 1.0 / factor[j, j, k]
+        for i in range(j + 1, segments):
+            w = work[i]
+            for k in range(lanes):
+                ratio = factor[i, j, k] * v.inverse[k]
+                sums.x[k] = ratio
+                w.right[k] -= ratio * v.right[k]
+            for m in range(j + 1, i + 1):
+                for k in range(lanes):
+                    factor[i, m, k] -= sums.x[k] * factor[m, j, k]
+    for i in inward:
+        w = work[i]
+        for k in range(lanes):
+            sums.x[k] = w.right[k]
+        for j in range(i + 1, segments):
+            v = work[j]
+            for k in range(lanes):
+                sums.x[k] -= factor[j, i, k] * v.excess[k]
+        for k in range(lanes):
+            w.excess[k] = sums.x[k] * w.inverse[k]
+
+
+@inner
+def _revise(work, sums, matrix, one_by_one, lanes):  # type: ignore[no-untyped-def]
+    """Change the guesses that the solution contradicts; were there any?"""
+    segments = work.shape[0]
+    single = 1.0 if one_by_one else 0.0
+    for k in range(lanes):
+        sums.changed[k] = 0.0
+        sums.turn[k] = 0.0
+    for i in range(segments):
+        w = work[i]
+        for k in range(lanes):
+            sums.x[k] = w.needed[k]
+        for j in range(segments):
+            v = work[j]
+            for k in range(lanes):
+                sums.x[k] += matrix[i, j, k] * v.excess[k]
+        for k in range(lanes):
+            bound, excess, impulse = w.bound[k], w.excess[k], sums.x[k]
+            lowest, highest, below, above = (
+                w.lowest[k],
+                w.highest[k],
+                w.stop_below[k],
+                w.stop_above[k],
+            )
+            slack = 1e-9 * abs(impulse)
+            new = bound
+            new = AT_HIGHEST if (bound == FREE) & (impulse > highest + slack) else new
+            new = AT_LOWEST if (bound == FREE) & (impulse < lowest - slack) else new
+            new = FREE if (bound == AT_HIGHEST) & (excess > _TINY) else new
+            new = FREE if (bound == AT_LOWEST) & (excess < -_TINY) else new
+            new = STOPPED_BELOW if (bound == AT_HIGHEST) & (excess < below - _TINY) else new
+            new = STOPPED_ABOVE if (bound == AT_LOWEST) & (excess > above + _TINY) else new
+            new = AT_HIGHEST if (bound == STOPPED_BELOW) & (impulse < highest - slack) else new
+            new = AT_LOWEST if (bound == STOPPED_ABOVE) & (impulse > lowest + slack) else new
+            changed = sums.changed[k]
+            new = bound if changed > 0.0 else new
+            w.bound[k] = new
+            sums.changed[k] = single if new != bound else changed
+            sums.turn[k] += 1.0 if new != bound else 0.0
+    return any_lane(sums.turn, lanes)

@@ -17,10 +17,9 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym.envs.perturbations import PERTURBATIONS, SegmentLength
-from mmc_gym.envs.render import drawing_perturbations as perturbed
 from mmc_gym.envs.render import shapes as drawing
-from mmc_gym.envs.render.shapes import SIZE, View
-from mmc_gym.envs.render.strokes import Point
+from mmc_gym.envs.render import shapes as perturbed
+from mmc_gym.envs.render.shapes import SIZE, Point, View
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.envs.tasks import TASKS
 

@@ -32,7 +32,6 @@ from mmc_gym.network.normalizers import (
     Normalizer,
     angle_errors,
 )
-from mmc_gym.paper.accurate_figure import Curves, draw_accurate
 from mmc_gym.paper.experiment import (
     Experiment,
     Progress,
@@ -41,6 +40,7 @@ from mmc_gym.paper.experiment import (
     Settings,
     mean_and_deviation,
 )
+from mmc_gym.paper.figures import Curves, draw_accurate
 from mmc_gym.paper.protocol import record_movements
 
 NEAR_ONE: Floats = np.linspace(0.9, 1.1, 41)

@@ -31,8 +31,17 @@ from mmc_gym.paper.figures import (
     draw_profiles,
     draw_shares,
 )
-from mmc_gym.paper.protocol import PAIRS, STARTING_SEGMENTS, TARGETS, Recording, record_movements
-from mmc_gym.paper.summaries import ACCURATE, FAR, OVERSHOOT, shapes
+from mmc_gym.paper.protocol import (
+    ACCURATE,
+    FAR,
+    OVERSHOOT,
+    PAIRS,
+    STARTING_SEGMENTS,
+    TARGETS,
+    Recording,
+    record_movements,
+    shapes,
+)
 
 ITERATIONS = (40, 100)
 MINIMUM_JERK = "minimum jerk"

@@ -29,14 +29,7 @@ from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalizers import Normalizer
 from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
 from mmc_gym.paper.figures import DISTANCE, VELOCITY, draw_courses
-from mmc_gym.paper.protocol import record_movements
-from mmc_gym.paper.published import (
-    CLASSICAL_PUBLISHED,
-    DYNAMIC_EUCLIDEAN,
-    DYNAMIC_PUBLISHED,
-    PublishedDynamics,
-)
-from mmc_gym.paper.summaries import (
+from mmc_gym.paper.protocol import (
     EUCLIDEAN,
     INNER,
     all_normalizers,
@@ -44,7 +37,14 @@ from mmc_gym.paper.summaries import (
     each,
     over_runs,
     pooled,
+    record_movements,
     summarize_networks,
+)
+from mmc_gym.paper.published import (
+    CLASSICAL_PUBLISHED,
+    DYNAMIC_EUCLIDEAN,
+    DYNAMIC_PUBLISHED,
+    PublishedDynamics,
 )
 
 ITERATIONS = 40

@@ -18,8 +18,7 @@ from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
 from mmc_gym.paper.figures import draw_postures, draw_profiles
 from mmc_gym.paper.networks import trained_architectures
-from mmc_gym.paper.protocol import Recording, record_example
-from mmc_gym.paper.summaries import SECOND_PEAK, over_runs
+from mmc_gym.paper.protocol import SECOND_PEAK, Recording, over_runs, record_example
 
 CLASSICAL = "kinematic (Euclidean)"
 NETWORKS: Mapping[str, MMCNetwork] = {

@@ -32,7 +32,7 @@ from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
 from mmc_gym.paper.figures import draw_errors
-from mmc_gym.paper.summaries import ACCURATE, EUCLIDEAN
+from mmc_gym.paper.protocol import ACCURATE, EUCLIDEAN
 
 ARMS = 1000
 ITERATIONS = 500

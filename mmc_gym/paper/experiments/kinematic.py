@@ -18,19 +18,19 @@ from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import Normalizer
 from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
 from mmc_gym.paper.figures import DISTANCE, draw_courses, draw_final_distances
-from mmc_gym.paper.protocol import record_movements
-from mmc_gym.paper.published import (
-    KINEMATIC_COURSE,
-    KINEMATIC_DISTANCES,
-    KINEMATIC_FAR,
-)
-from mmc_gym.paper.summaries import (
+from mmc_gym.paper.protocol import (
     ACCURATE,
     EUCLIDEAN,
     all_normalizers,
     over_runs,
     pooled,
+    record_movements,
     summarize_networks,
+)
+from mmc_gym.paper.published import (
+    KINEMATIC_COURSE,
+    KINEMATIC_DISTANCES,
+    KINEMATIC_FAR,
 )
 
 ITERATIONS = 100

@@ -30,20 +30,20 @@ from mmc_gym.paper.experiment import (
     Settings,
     mean_and_deviation,
 )
+from mmc_gym.paper.figures import (
+    Errors,
+    VectorField,
+    draw_normalization_errors,
+    draw_surface,
+    draw_training_curves,
+    draw_vector_fields,
+)
 from mmc_gym.paper.networks import (
     QUICK_RECIPE,
     TrainedArchitecture,
     Units,
     architecture_name,
     trained_architectures,
-)
-from mmc_gym.paper.normalization_figures import (
-    Errors,
-    VectorField,
-    draw_errors,
-    draw_surface,
-    draw_training_curves,
-    draw_vector_fields,
 )
 
 
@@ -106,7 +106,7 @@ def run(settings: Settings, progress: Progress) -> Result:
     return Result(
         rows=tuple(_rows(trained, quick)),
         figures={
-            "mse_by_architecture": draw_errors(errors),
+            "mse_by_architecture": draw_normalization_errors(errors),
             "training_curves": draw_training_curves(histories),
             "mse_surface": draw_surface(histories),
             "vector_field": draw_vector_fields(fields),

@@ -37,13 +37,13 @@ from mmc_gym.paper.experiment import (
     Settings,
     mean_and_deviation,
 )
+from mmc_gym.paper.figures import Layer, draw_curves, draw_landscape, draw_tuning
 from mmc_gym.paper.networks import (
     TrainedArchitecture,
     Units,
     architecture_name,
     trained_architectures,
 )
-from mmc_gym.paper.population_figures import Layer, draw_curves, draw_landscape, draw_tuning
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
 WEIGHT_DECAY = 0.0005
