@@ -26,7 +26,12 @@ class SingleArm(Protocol):
     joint_velocities: list[float]
     end_effector: tuple[float, float]
     command: Callable[[Sequence[float]], None]
-    step: Callable[[], None]
+    records_effort: bool
+    servo_impulses: list[float]
+    servo_work: list[float]
+
+    def step(self) -> None:
+        """Simulate one control step."""
 
     def reset(
         self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
@@ -47,6 +52,9 @@ class ArmBatch(Protocol):
     joint_angles: Floats
     joint_velocities: Floats
     end_effectors: Floats
+    records_effort: bool
+    servo_impulses: Floats
+    servo_work: Floats
 
     def command(self, values: Floats) -> None:
         """Hand values (n, N) to the servos."""

@@ -138,7 +138,7 @@ def jitter(hands: ArrayLike, targets: ArrayLike, steps: int) -> float:
 def joint_effort(impulses: ArrayLike) -> float:
     """∫ Σ_i |τ_i| dt over all joints i, from each servo's impulses (steps, N), in their unit.
 
-    Of the servos, mass · length² / s: see `ServoWatch`.  Holding still costs nothing
+    Of the servos, mass · length² / s: see `mmc_gym.body.Arm`.  Holding still costs nothing
     in the horizontal plane.  NaN without joints, or where an engine does not tell.
     """
     values = np.asarray(impulses, dtype=np.float64)

@@ -5,8 +5,10 @@ Episodes may differ in length, so they are a tuple of `Episode`, and nothing is 
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,8 +20,6 @@ from mmc_gym._grid import one_torch_thread
 from mmc_gym.agents.base import Agent, ReachInterface
 from mmc_gym.agents.policy import PolicyAgent, PolicyCard
 from mmc_gym.agents.policy_network import PolicyNetwork
-from mmc_gym.body.pymunk.arm import ServoWatch
-from mmc_gym.body.pymunk.batch import BatchServoWatch
 from mmc_gym.envs.vector import MMCReachVectorEnv
 
 REQUIRED_INFO = ("distance", "end_effector", "target")
@@ -51,7 +51,7 @@ class Episode:
         distances: from hand (or cursor) to target, segment lengths, (n + 1,).
         targets: positions of the target, segment lengths, (n + 1, 2).
         joint_angles: relative, not wrapped, radians, (n + 1, N).
-        servo_impulses: ∫ |τ| dt of each step and joint, (n, N), see `ServoWatch`.
+        servo_impulses: ∫ |τ| dt of each step and joint, (n, N), see `mmc_gym.body.Arm`.
         servo_work: ∫ |τ q̇| dt of each step and joint, (n, N).
         rewards: of each step, (n,).
         action_times: that `predict` took in each step, seconds, (n,).
@@ -161,10 +161,9 @@ def run_episodes(
     episodes = []
     # Senses may be noisy and late, so the posture is the arm's own and not the observed one.
     arm: Any = getattr(env.unwrapped, "arm", None)
-    joint_count = len(getattr(arm, "joint_angles", ()))
-    with one_torch_thread(), ServoWatch(arm, joint_count) as watch:
+    with one_torch_thread(), _recorded_effort(arm):
         for seed, option in zip(seeds, asked, strict=True):
-            episodes.append(_run_episode(agent, env, seed, dict(option), arm, watch))
+            episodes.append(_run_episode(agent, env, seed, dict(option), arm))
             if on_episode is not None:
                 on_episode(episodes[-1])
     return tuple(episodes)
@@ -176,7 +175,6 @@ def _run_episode(
     seed: int,
     options: dict[str, Any],
     arm: Any,
-    watch: ServoWatch,
 ) -> Episode:
     # Not `seed` itself: the space would draw the very numbers that the environment draws for its
     # starting state, and the first random action would be the posture the arm is in.
@@ -185,6 +183,7 @@ def _run_episode(
     hands, distances, targets = [info["end_effector"]], [info["distance"]], [info["target"]]
     cursors = [info["cursor"]] if "cursor" in info else []
     postures = [getattr(arm, "joint_angles", ())]
+    untold = [math.nan] * len(postures[0])
     impulses, work = [], []
     rewards: list[float] = []
     times: list[int] = []
@@ -202,8 +201,8 @@ def _run_episode(
         if cursors:
             cursors.append(info["cursor"])
         postures.append(getattr(arm, "joint_angles", ()))
-        impulses.append(watch.impulses)
-        work.append(watch.work)
+        impulses.append(getattr(arm, "servo_impulses", untold))
+        work.append(getattr(arm, "servo_work", untold))
         rewards.append(float(reward))
         episode_start, over = np.zeros(1, dtype=bool), terminated or truncated
     unwrapped: Any = env.unwrapped
@@ -222,6 +221,20 @@ def _run_episode(
         reach=float(unwrapped.reach),
         cursors=_floats(cursors) if cursors else None,
     )
+
+
+@contextmanager
+def _recorded_effort(arm: Any) -> Iterator[None]:
+    """Let an arm, or many, record the effort of their servos; what is no arm stays as it is."""
+    before = getattr(arm, "records_effort", None)
+    if before is None:
+        yield
+        return
+    arm.records_effort = True
+    try:
+        yield
+    finally:
+        arm.records_effort = before
 
 
 def _floats(values: ArrayLike) -> NDArray[np.float64]:
@@ -266,7 +279,7 @@ def run_episodes_together(
         raise ValueError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
     arms = native.arms
     shape = (len(seeds), native.setup.joint_count)
-    with one_torch_thread(), BatchServoWatch(arms, shape) as watch:
+    with one_torch_thread(), _recorded_effort(arms):
         observation, seen = _reset(native, seeds, asked)
         seen_at = {name: [values] for name, values in seen.items()}
         postures = [arms.joint_angles.copy()]
@@ -281,8 +294,8 @@ def run_episodes_together(
             for name, record in seen_at.items():
                 record.append(info[name])
             postures.append(arms.joint_angles.copy())
-            impulses.append(watch.impulses.copy())
-            work.append(watch.work.copy())
+            impulses.append(arms.servo_impulses.copy())
+            work.append(arms.servo_work.copy())
             rewards.append(reward)
             episode_start = np.zeros(len(seeds), dtype=bool)
     records = {

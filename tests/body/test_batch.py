@@ -215,33 +215,3 @@ def test_arrays_of_another_shape_and_unknown_arms_are_refused() -> None:
         with pytest.raises(ValueError, match="arms must be different indices from 0 to 3"):
             arms.reset(np.zeros((len(unknown), 3)), unknown)
     arms.reset(np.zeros((0, 3)), [])
-
-
-class Looker:
-    """Sums up what it sees of the arms within control steps."""
-
-    def __init__(self, arms):
-        self.begun, self.seen, self.velocities = 0, 0, np.full_like(arms.joint_velocities, np.nan)
-
-    def begin(self, space):
-        self.begun += 1
-
-    def observe(self, space):
-        self.seen += 1
-        self.velocities[space.arms] = space.joint_velocities()
-
-
-@every_condition
-def test_whoever_looks_sees_every_physics_step_and_changes_nothing(parameters):
-    alone, watched = Arms(parameters, 3), Arms(parameters, 3)
-    looker = Looker(watched)
-    watched.observe(looker)
-    for arms in (alone, watched):
-        arms.command(np.full(arms.joint_angles.shape, 0.4))
-        arms.step()
-    assert np.array_equal(alone.segment_angles, watched.segment_angles)
-    assert np.array_equal(looker.velocities, watched.joint_velocities)
-    assert looker.seen == looker.begun * parameters.substeps > 0
-    watched.observe(None)
-    watched.step()
-    assert looker.seen == looker.begun * parameters.substeps

@@ -103,9 +103,8 @@ def test_an_engine_that_tells_nothing_of_its_servos_leaves_them_unknown(frozen):
 
 
 def test_being_recorded_changes_nothing_and_leaves_the_arm_as_it_was(env, oracle):
-    step = env.unwrapped.arm.step
     (episode,) = run_episodes(oracle, env, [11])
-    assert env.unwrapped.arm.step == step
+    assert not env.unwrapped.arm.records_effort
     observation, _ = env.reset(seed=11)
     for k in range(100):
         observation, _, _, _, info = env.step(oracle.predict(observation)[0])

@@ -49,14 +49,18 @@ class AnalyticArms:
         joint_velocities: (n, N) their velocities, rad/s.
         end_effectors: (n, 2) where the hands are.
 
-    These four arrays are the state after the last step or reset.  Every step and reset overwrites
-    them: copy what is to be kept.
+        records_effort: without effect: this engine does not tell the effort of its servos.
+        servo_impulses: (n, N) NaN.
+        servo_work: (n, N) NaN.
+
+    Every step and reset overwrites these arrays: copy what is to be kept.
     """
 
     segment_angles: Floats
     joint_angles: Floats
     joint_velocities: Floats
     end_effectors: Floats
+    records_effort: bool = False
 
     def __init__(
         self,
@@ -96,6 +100,8 @@ class AnalyticArms:
         segments, blocks = len(parameters.segment_lengths), -(-self._count // lanes.LANES)
         self._state = np.zeros((blocks, segments), lanes.STATE)
         self._workers = Workers(self._threads)
+        self.servo_impulses: Floats = np.full((self._count, segments), np.nan)
+        self.servo_work: Floats = np.full((self._count, segments), np.nan)
         self._show(np.zeros(self._count * (3 * segments + 2)))
         self.reset(np.zeros((self._count, segments)))
 
@@ -215,7 +221,9 @@ class AnalyticArm:
         joint_velocities: their velocities, rad/s.
         end_effector: where the hand is, (x, y).
         command: takes N values and hands them to the servos, as `AnalyticArms.command` does.
-        step: simulates one control step.
+        records_effort: without effect: this engine does not tell the effort of its servos.
+        servo_impulses: NaN for each servo.
+        servo_work: NaN for each servo.
     """
 
     segment_angles: list[float]
@@ -223,7 +231,9 @@ class AnalyticArm:
     joint_velocities: list[float]
     end_effector: tuple[float, float]
     command: Callable[[Sequence[float]], None]
-    step: Callable[[], None]
+    records_effort: bool = False
+    servo_impulses: list[float]
+    servo_work: list[float]
 
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
         """Build the arm, stretched along the x axis and at rest.
@@ -235,7 +245,8 @@ class AnalyticArm:
         self.parameters = self._arms.parameters
         self._segments = len(self.parameters.segment_lengths)
         self._values = np.zeros((1, self._segments))
-        self.command, self.step = self._command, self._step
+        self.servo_impulses = self.servo_work = [np.nan] * self._segments
+        self.command = self._command
         self._read()
 
     def reset(
@@ -269,7 +280,7 @@ class AnalyticArm:
         arms = self._arms
         lanes.command(arms._state, arms._output, arms._rods, arms._world, self._values)
 
-    def _step(self) -> None:
+    def step(self) -> None:
         """Simulate one control step."""
         self._arms._step_blocks(0, 1)
         self._read()

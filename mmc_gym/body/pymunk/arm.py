@@ -23,12 +23,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from math import copysign, cos, remainder, sin, tau
-from types import TracebackType
+from math import copysign, cos, nan, remainder, sin, tau
 from typing import Any, get_args
 
-import numpy as np
-from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import lib as chipmunk
 
 from mmc_gym.body.parameters import ArmParameters, Servo, require
@@ -56,7 +53,10 @@ class Arm:
         command: takes N values and hands them to the servos, which hold them until the next
             call: joint targets in radians (reached the short way round, or within the joint
             limits if there are any), joint velocities in rad/s, or torques.
-        step: simulates one control step.
+        records_effort: tells whether steps record the effort of the servos; False unless set.
+        servo_impulses: ∫ |τ| dt of each servo in the last recorded step, mass · length² / s;
+            NaN before it.  Stops and locks are no servos.
+        servo_work: ∫ |τ q̇| dt likewise, mass · length² / s².
     """
 
     segment_angles: list[float]
@@ -64,7 +64,9 @@ class Arm:
     joint_velocities: list[float]
     end_effector: tuple[float, float]
     command: Callable[[Sequence[float]], None]
-    step: Callable[[], None]
+    records_effort: bool = False
+    servo_impulses: list[float]
+    servo_work: list[float]
     _start: tuple[tuple[float, ...], tuple[float, ...]]
     _history: _History  # of every step since the reset, the command before it, if there was one
     _new_command: tuple[float, ...] | None
@@ -80,8 +82,9 @@ class Arm:
         self.parameters = parameters or ArmParameters()
         self._servo = servo
         self.command = getattr(self, f"_command_{servo}")
-        self.step = self._step if self.parameters.force_field is None else self._step_in_field
+        self._pushes_hand = self.parameters.force_field is not None
         self._build()
+        self.servo_impulses = self.servo_work = [nan] * len(self._handles)
         self.reset([0.0] * len(self._handles))
 
     def _build(self) -> None:
@@ -140,31 +143,51 @@ class Arm:
         """Largest distance between the two ends that a pivot should hold together, lengths."""
         return self._linkage.pivot_gap()
 
-    def _step(self) -> None:
+    def step(self) -> None:
         """Simulate one control step."""
-        space, substep = self._space._space, self.parameters.substep
-        for _ in range(self.parameters.substeps):
-            chipmunk.cpSpaceStep(space, substep)
+        if self._pushes_hand or self.records_effort:
+            self._simulate_attended()
+        else:
+            space, substep = self._space._space, self.parameters.substep
+            for _ in range(self.parameters.substeps):
+                chipmunk.cpSpaceStep(space, substep)
         self._read()
-        self._record()
-
-    def _step_in_field(self) -> None:
-        """Simulate one control step, in which a force field acts on the hand."""
-        space, substep = self._space._space, self.parameters.substep
-        for _ in range(self.parameters.substeps):
-            self._push_hand()
-            chipmunk.cpSpaceStep(space, substep)
-        self._read()
-        self._record()
-
-    def _record(self) -> None:
         history = self._history
         history.append(self._new_command)
         self._new_command = None
         if len(history) > _LONGEST_HISTORY:
             self._history = _FORGOTTEN
 
-    def __reduce__(self) -> tuple[Callable[..., Arm], tuple[Any, ...]]:
+    def _simulate_attended(self) -> None:
+        """Simulate a control step in which there is something to do in every physics step."""
+        space, substep = self._space._space, self.parameters.substep
+        records, servos = self.records_effort, self._servo_handles
+        impulses, work = [0.0] * len(servos), [0.0] * len(servos)
+        before = self._velocities() if records else []
+        for _ in range(self.parameters.substeps):
+            if self._pushes_hand:
+                self._push_hand()
+            chipmunk.cpSpaceStep(space, substep)
+            if records:
+                after = self._velocities()
+                for joint, servo in enumerate(servos):
+                    impulse = chipmunk.cpConstraintGetImpulse(servo)  # its size, without a sign
+                    impulses[joint] += impulse
+                    work[joint] += impulse * abs(before[joint] + after[joint]) / 2
+                before = after
+        if records:
+            self.servo_impulses, self.servo_work = impulses, work
+
+    def _velocities(self) -> list[float]:
+        """Return the velocities of the joints as they are within a control step."""
+        velocities, parent = [], 0.0
+        for segment, _ in self._handles:
+            velocity = chipmunk.cpBodyGetAngularVelocity(segment)
+            velocities.append(velocity - parent)
+            parent = velocity
+        return velocities
+
+    def __reduce__(self) -> tuple[Callable[..., Arm], tuple[Any, ...], dict[str, Any]]:
         if self._history is _FORGOTTEN:
             raise RuntimeError(
                 f"an arm cannot be copied or pickled more than {_LONGEST_HISTORY} steps after its "
@@ -172,7 +195,9 @@ class Arm:
                 "that is kept; reset it first, or pickle its parameters"
             )
         told = self._start, list(self._history), self._new_command, self._steps_to_lock
-        return _replay, (type(self), self.parameters, self._servo, *told)
+        effort = ("records_effort", "servo_impulses", "servo_work")
+        state = {name: getattr(self, name) for name in effort}
+        return _replay, (type(self), self.parameters, self._servo, *told), state
 
     def _push_hand(self) -> None:
         """Let the force field act on the hand in the next physics step."""
@@ -259,78 +284,3 @@ def _replay(
 
 def _wrong_count(name: str, count: int, values: Sequence[float]) -> ValueError:
     return ValueError(f"command must be {count} {name}, got {values!r}")
-
-
-Floats = NDArray[np.float64]
-
-
-class ServoWatch:
-    """Watches the servos of an arm as long as it is entered.
-
-    Stops and locks are no servos.  Chipmunk tells the size of impulses only, not their sign.
-
-    Attributes:
-        impulses: of each joint in the last control step, mass · length² / s, (N,); NaN if the
-            engine does not tell (the analytic one does not), or before the first step.
-        work: of each joint in the last control step, mass · length² / s², (N,); NaN likewise.
-
-    Example:
-        >>> arm = Arm(servo="torque")
-        >>> with ServoWatch(arm, 3) as watch:
-        ...     arm.command([6.0, 0.0, -3.0])
-        ...     arm.step()
-        >>> watch.impulses.round(9).tolist()  # torque times the control step of 0.02 s
-        [0.12, 0.0, 0.06]
-    """
-
-    def __init__(self, arm: object, joint_count: int) -> None:
-        """Prepare to watch an arm of any engine, or anything else, which tells nothing."""
-        self._arm = arm if isinstance(arm, Arm) else None
-        self.impulses: Floats = np.full(joint_count, np.nan)
-        self.work: Floats = np.full(joint_count, np.nan)
-
-    def __enter__(self) -> ServoWatch:
-        if self._arm is not None:
-            self._unwatched = self._arm.step
-            self._arm.step = self._step
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._arm is not None:
-            self._arm.step = self._unwatched
-
-    def _step(self) -> None:
-        arm = self._arm
-        assert arm is not None
-        space, parameters = arm._space._space, arm.parameters
-        pushed = parameters.force_field is not None
-        joints = range(len(arm._servo_handles))
-        impulses, work = [0.0] * len(joints), [0.0] * len(joints)
-        before = self._velocities(arm)
-        for _ in range(parameters.substeps):
-            if pushed:
-                arm._push_hand()
-            chipmunk.cpSpaceStep(space, parameters.substep)
-            after = self._velocities(arm)
-            for joint in joints:
-                impulse = chipmunk.cpConstraintGetImpulse(arm._servo_handles[joint])
-                impulses[joint] += impulse
-                work[joint] += impulse * abs(before[joint] + after[joint]) / 2
-            before = after
-        arm._read()
-        arm._record()
-        self.impulses, self.work = np.array(impulses), np.array(work)
-
-    @staticmethod
-    def _velocities(arm: Arm) -> list[float]:
-        velocities, parent = [], 0.0
-        for segment, _ in arm._handles:
-            velocity = chipmunk.cpBodyGetAngularVelocity(segment)
-            velocities.append(velocity - parent)
-            parent = velocity
-        return velocities

@@ -14,8 +14,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from queue import SimpleQueue
-from types import TracebackType
-from typing import Any, NoReturn, Protocol, get_args
+from typing import Any, NoReturn, get_args
 
 import numpy as np
 import pymunk
@@ -29,24 +28,8 @@ from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
 Floats = NDArray[np.float64]
 
 
-class Observer(Protocol):
-    """Whoever looks at the arms of a Space within a control step; nothing may be changed."""
-
-    def begin(self, space: SharedSpace) -> None:
-        """A control step is about to begin."""
-
-    def observe(self, space: SharedSpace) -> None:
-        """A physics step of it is over."""
-
-
 class SharedSpace:
-    """Arms that share a Space: `count` of them, beginning with number `first` of all.
-
-    Attributes:
-        observer: is called in every physics step; None for nobody.
-    """
-
-    observer: Observer | None = None
+    """Arms that share a Space: `count` of them, beginning with number `first` of all."""
 
     def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
         self.first, self.count, self.arms = first, count, slice(first, first + count)
@@ -78,25 +61,31 @@ class SharedSpace:
 
     def step(self) -> None:
         """Simulate one control step."""
-        space, substep, observer = self._space._space, self._parameters.substep, self.observer
-        if observer is not None:
-            observer.begin(self)
         for _ in range(self._parameters.substeps):
-            if self._parameters.force_field is not None:
-                self._push_hands()
-            chipmunk.cpSpaceStep(space, substep)
-            if observer is not None:
-                observer.observe(self)
+            self._simulate()
 
-    def joint_velocities(self) -> Floats:
-        """Velocities of the joints after the last physics step, rad/s, (count, N)."""
+    def step_recording(self, impulses: Floats, work: Floats) -> None:
+        """Simulate one control step, and write the servos' effort to two arrays (count, N)."""
+        impulses[:] = work[:] = 0.0
+        before = self._joint_velocities()
+        for _ in range(self._parameters.substeps):
+            self._simulate()
+            after = self._joint_velocities()
+            sizes = list(map(chipmunk.cpConstraintGetImpulse, self._servo_handles))
+            given = np.array(sizes).reshape(self.count, -1)
+            impulses += given
+            work += given * np.abs(before + after) / 2
+            before = after
+
+    def _simulate(self) -> None:
+        """Simulate one physics step."""
+        if self._parameters.force_field is not None:
+            self._push_hands()
+        chipmunk.cpSpaceStep(self._space._space, self._parameters.substep)
+
+    def _joint_velocities(self) -> Floats:
         absolute = self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0]
         return np.diff(absolute, axis=-1, prepend=0.0)
-
-    def servo_impulses(self) -> Floats:
-        """Sizes of the servos' angular impulses in the last physics step, (count, N)."""
-        given = list(map(chipmunk.cpConstraintGetImpulse, self._servo_handles))
-        return np.array(given).reshape(self.count, -1)
 
     def _get(self, fields: BodyFields) -> Floats:
         """These fields of all segments, (count, N, values), until the next call."""
@@ -184,7 +173,12 @@ class Arms:
         joint_angles: relative angles of the joints, not wrapped, (count, N).
         joint_velocities: their velocities, rad/s, (count, N).
         end_effectors: where the hands are, (count, 2).
+        records_effort: tells whether steps record the effort of the servos; False unless set.
+        servo_impulses: ∫ |τ| dt of each servo in the last recorded step, (count, N); see `Arm`.
+        servo_work: ∫ |τ q̇| dt likewise, (count, N).
     """
+
+    records_effort: bool = False
 
     def __init__(
         self,
@@ -215,6 +209,8 @@ class Arms:
         self.joint_angles: Floats = np.zeros((count, joints))
         self.joint_velocities: Floats = np.zeros((count, joints))
         self.end_effectors: Floats = np.zeros((count, 2))
+        self.servo_impulses: Floats = np.full((count, joints), np.nan)
+        self.servo_work: Floats = np.full((count, joints), np.nan)
         self._segment_velocities: Floats = np.zeros((count, joints))
         most = (
             1
@@ -297,7 +293,10 @@ class Arms:
         space = ready.get()
         if space is None:
             return False
-        space.step()
+        if self.records_effort:
+            space.step_recording(self.servo_impulses[space.arms], self.servo_work[space.arms])
+        else:
+            space.step()
         space.read(self.segment_angles[space.arms], self._segment_velocities[space.arms])
         return True
 
@@ -356,14 +355,6 @@ class Arms:
                 angles = self.joint_angles[space.first + member]
                 space.linkages[member].lock(angles.tolist())
 
-    def observe(self, observer: Observer | None) -> None:
-        """Let `observer` look at every physics step from now on, or nobody.
-
-        Arms of different Spaces are stepped by different threads, if there are several.
-        """
-        for space in self._spaces:
-            space.observer = observer
-
     def pivot_gaps(self) -> Floats:
         """Largest distance between two ends that a pivot should hold together, (count,)."""
         linkages = (linkage for space in self._spaces for linkage in space.linkages)
@@ -406,55 +397,3 @@ def _remainder(x: Floats, y: float) -> Floats:
     other = y - rest
     half = rest - 2.0 * np.fmod(0.5 * (size - rest), y)  # between two n: the even one
     return np.copysign(1.0, x) * np.where(rest < other, rest, np.where(rest > other, -other, half))
-
-
-class BatchServoWatch:
-    """Watches the servos of many arms as long as it is entered; they move as ever.
-
-    Attributes:
-        impulses: of each joint in the last control step, (count, N), see `ServoWatch`; NaN if the
-            engine does not tell, or before the first step.
-        work: of each joint in the last control step, (count, N).
-
-    Example:
-        >>> arms = Arms(count=2, servo="torque")
-        >>> with BatchServoWatch(arms, (2, 3)) as watch:
-        ...     arms.command([[6.0, 0.0, -3.0], [0.0, 0.0, 0.0]])
-        ...     arms.step()
-        >>> watch.impulses.round(9).tolist()  # torque times the control step of 0.02 s
-        [[0.12, 0.0, 0.06], [0.0, 0.0, 0.0]]
-    """
-
-    def __init__(self, arms: object, shape: tuple[int, int]) -> None:
-        """Prepare to watch arms, (count, N), of any engine; some tell nothing."""
-        self._arms = arms if isinstance(arms, Arms) else None
-        self.impulses: Floats = np.full(shape, np.nan)
-        self.work: Floats = np.full(shape, np.nan)
-        self._velocities: Floats = np.zeros(shape)  # of the joints, before each physics step
-
-    def __enter__(self) -> BatchServoWatch:
-        if self._arms is not None:
-            self._arms.observe(self)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._arms is not None:
-            self._arms.observe(None)
-
-    def begin(self, space: SharedSpace) -> None:
-        """See `mmc_gym.body.pymunk.batch.Observer`."""
-        self.impulses[space.arms] = self.work[space.arms] = 0.0
-        self._velocities[space.arms] = space.joint_velocities()
-
-    def observe(self, space: SharedSpace) -> None:
-        """See `mmc_gym.body.pymunk.batch.Observer`."""
-        impulses, after = space.servo_impulses(), space.joint_velocities()
-        before = self._velocities[space.arms]
-        self.impulses[space.arms] += impulses
-        self.work[space.arms] += impulses * np.abs(before + after) / 2
-        self._velocities[space.arms] = after
