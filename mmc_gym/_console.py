@@ -1,8 +1,4 @@
-"""The table of a comparison: a row for each measure, a column for each agent.
-
-Measures are the rows because there will be more of them than agents.  Where the agents do not
-fit side by side, they continue in a further table below.
-"""
+"""Write to the terminal: numbers, tables and progress bars."""
 
 from __future__ import annotations
 
@@ -10,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import pandas as pd
 from rich.console import Console
 from rich.padding import Padding
 from rich.progress import (
@@ -24,51 +19,111 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from mmc_gym.measures.catalogue import Measure
-
 WIDTH = 120  # columns, where there is no terminal to ask
 _GAP = 2
-_AGENT_WIDTH = 16  # of a name; longer ones continue on the next line
-_ASCII = str.maketrans({"µ": "u", "²": "2", "–": "-", "−": "-"})
+_NAME_WIDTH = 16  # of a column's heading; longer ones continue on the next line
+_ASCII = str.maketrans({"µ": "u", "²": "2", "–": "-", "−": "-", "½": "1/2", "×": "x"})
 
 
 def make_console() -> Console:
-    """Standard output, as wide as the terminal, or 120 columns where there is none."""
+    """Return standard output, as wide as the terminal, or 120 columns where there is none."""
     console = Console()
     return console if console.is_terminal else Console(width=WIDTH)
 
 
-def print_table(
-    console: Console,
-    summary: pd.DataFrame,
-    measures: Sequence[Measure],
-    training_steps: Mapping[str, int | None],
-    note: str,
-) -> None:
-    """Print what `summarize` returned, and `note` below it.
+def progress_bar(*, auto_refresh: bool = True) -> Progress:
+    """Return a bar on stderr: what, how far, since when, until when.
 
-    Plain ASCII where the console is no terminal, or has an encoding that lacks the signs.
+    Without a terminal it draws nothing.
 
     Args:
-        console: where to.
-        summary: columns agent, measure, estimate, low, high, count, missing.
-        measures: the rows, in this order.
-        training_steps: environment steps spent in training each agent, None if unknown; the
-            columns, in this order.
-        note: what must be known to read the numbers.
+        auto_refresh: draw from a thread, ten times a second.  Without it the caller refreshes, so
+            that no thread disturbs what is timed.
     """
-    headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in measures]
-    headings.append("training\n[env steps]")
-    best = ["" if m.best == "neither" else m.best for m in measures] + [""]
-    rows = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
-    columns = {
-        agent: [
-            *(cell(rows[agent, measure.name], measure.decimals) for measure in measures),
-            "unknown" if steps is None else f"{steps:,}",
-        ]
-        for agent, steps in training_steps.items()
-    }
-    print_columns(console, {"": headings, "best": best}, columns, note)
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        auto_refresh=auto_refresh,
+        disable=not console.is_terminal,
+    )
+
+
+def number(value: float, decimals: int) -> str:
+    """Return a number with a true minus sign; "–" for NaN; "<0.01" if its digits would hide it.
+
+    >>> number(0.75, 1), number(-0.25, 2), number(-0.001, 2), number(0.001, 2)
+    ('0.8', '−0.25', '0.00', '<0.01')
+    >>> number(float("nan"), 2)
+    '–'
+    """
+    if not math.isfinite(value):
+        return "–"
+    text = _digits(value, decimals)
+    is_hidden = value > 0 and float(f"{value:.{decimals}f}") == 0
+    return f"<{_digits(10.0**-decimals, decimals)}" if is_hidden else text
+
+
+def interval(low: float, high: float, decimals: int) -> str:
+    """Return the ends of an interval in brackets, or "" if it has none.
+
+    >>> interval(0.9, 1.0, 2), interval(float("nan"), float("nan"), 2)
+    ('[0.90, 1.00]', '')
+    """
+    if not math.isfinite(low):
+        return ""
+    return f"[{_digits(low, decimals)}, {_digits(high, decimals)}]"
+
+
+def _digits(value: float, decimals: int) -> str:
+    text = f"{value:.{decimals}f}"
+    return text.removeprefix("-") if float(text) == 0 else text.replace("-", "−")
+
+
+def cell(row: Mapping[Any, Any], decimals: int) -> str:
+    """Return a statistic, its interval below, and how many episodes it is about if not all.
+
+    Args:
+        row: estimate, low, high, count, missing.
+        decimals: at most so many; fewer if the estimate has three digits without them.
+
+    >>> print(cell(dict(estimate=0.5, low=0.4, high=0.61, count=9, missing=1), 2))
+    0.50
+    [0.40, 0.61]
+    9 of 10
+    """
+    decimals = _three_digits(row["estimate"], decimals)
+    lines = [number(row["estimate"], decimals), interval(row["low"], row["high"], decimals)]
+    if row["missing"]:
+        lines.append(f"{row['count']} of {row['count'] + row['missing']}")
+    return "\n".join(line for line in lines if line)
+
+
+def _three_digits(estimate: float, at_most: int) -> int:
+    if not math.isfinite(estimate) or abs(estimate) <= 1:
+        return at_most
+    digits_before_point = int(math.log10(abs(estimate))) + 1
+    return max(0, min(at_most, 3 - digits_before_point))
+
+
+def print_rows(console: Console, rows: Sequence[Mapping[str, str]]) -> None:
+    """Print a table with a row for each mapping, headed by its keys; the first column is text."""
+    headings = list(rows[0])
+    table = _table()
+    for heading in headings:
+        table.add_column(
+            text_for(console, heading),
+            justify="left" if heading == headings[0] else "right",
+            vertical="top",
+        )
+    for row in rows:
+        table.add_row(*(text_for(console, content) for content in row.values()))
+    console.print(Padding(table, (1, 0)))
 
 
 def print_columns(
@@ -77,102 +132,66 @@ def print_columns(
     columns: Mapping[str, Sequence[str]],
     note: str,
 ) -> None:
-    """Print a column of cells for each agent, and `note` below them.
+    """Print a column of cells for each agent, and `note` below.
 
-    Plain ASCII where the console is no terminal, or has an encoding that lacks the signs.
+    Columns that do not fit side by side continue in a further table.
 
     Args:
         console: where to.
-        labels: what the rows are called, repeated where the agents continue in a further table:
-            cells by the heading of their column.
-        columns: the agents' cells; as many for each as there are labels.
+        labels: of the rows, by the heading of their column; repeated in each further table.
+        columns: cells of each agent, as many as there are labels.
         note: what must be known to read the numbers.
     """
-    plain = not console.is_terminal or not console.encoding.lower().startswith("utf")
     widths = {
-        agent: max(_width(cells), min(len(agent), _AGENT_WIDTH)) for agent, cells in columns.items()
+        name: max(_width(cells), min(len(name), _NAME_WIDTH)) for name, cells in columns.items()
     }
     taken = sum(max(_width(cells), len(heading)) for heading, cells in labels.items())
     room = console.width - taken - _GAP * (len(labels) - 1)
-    for agents in _side_by_side(widths, room):
-        table = Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+    for names in _side_by_side(widths, room):
+        table = _table()
         for heading in labels:
             table.add_column(heading, no_wrap=True)
-        for agent in agents:
+        for name in names:
             table.add_column(
-                _text(agent, plain),
+                text_for(console, name),
                 justify="right",
                 overflow="fold",
-                width=widths[agent],
+                width=widths[name],
                 vertical="top",
             )
-        for row in zip(*labels.values(), *(columns[agent] for agent in agents), strict=True):
-            table.add_row(*(_text(content, plain) for content in row))
+        for row in zip(*labels.values(), *(columns[name] for name in names), strict=True):
+            table.add_row(*(text_for(console, content) for content in row))
         console.print(Padding(table, (1, 0)))
-    console.print(_text(note, plain))
+    console.print(text_for(console, note))
 
 
-def cell(row: Mapping[Any, Any], decimals: int) -> str:
-    """Statistic, interval below, and below that how many episodes it is about, if not all.
+def text_for(console: Console, content: str) -> Text:
+    """Return what a console can show: its first line as it is, the others dimmed.
 
-    Example:
-        >>> print(cell(dict(estimate=0.5, low=0.4, high=0.61, count=9, missing=1), 2))
-        0.50
-        [0.40, 0.61]
-        9 of 10
+    Plain ASCII where the console is no terminal, or its encoding lacks the signs.
     """
-    estimate, low, high = row["estimate"], row["low"], row["high"]
-    decimals = _decimals(estimate, decimals)
-    lines = ["-" if math.isnan(estimate) else f"{estimate:.{decimals}f}"]
-    if 0 < estimate < 0.5 * 10**-decimals:
-        lines = [f"<{10**-decimals:.{decimals}f}"]  # small, but not nothing
-    if not math.isnan(low):
-        lines.append(f"[{low:.{decimals}f}, {high:.{decimals}f}]")
-    if row["missing"]:
-        lines.append(f"{row['count']} of {row['count'] + row['missing']}")
-    return "\n".join(lines)
+    if not console.is_terminal or not console.encoding.lower().startswith("utf"):
+        content = content.translate(_ASCII).encode("ascii", "replace").decode()
+    first, line_break, rest = content.partition("\n")
+    return Text.assemble(first, line_break, (rest, "dim"))
 
 
-def _decimals(estimate: float, at_most: int) -> int:
-    """No more decimals than make three digits: nobody reads the fifth."""
-    if not math.isfinite(estimate) or abs(estimate) <= 1:
-        return at_most
-    digits_before_point = int(math.log10(abs(estimate))) + 1
-    return max(0, min(at_most, 3 - digits_before_point))
+def _table() -> Table:
+    return Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
 
 
 def _side_by_side(widths: Mapping[str, int], room: int) -> Iterator[list[str]]:
-    """Groups of agents whose columns fit into `room`, at least one in each."""
+    """Group the names whose columns fit into `room`, at least one in each group."""
     group: list[str] = []
     used = 0
-    for agent, width in widths.items():
+    for name, width in widths.items():
         if group and used + _GAP + width > room:
             yield group
             group, used = [], 0
-        group.append(agent)
+        group.append(name)
         used += _GAP + width
     yield group
 
 
 def _width(texts: Sequence[str]) -> int:
     return max(len(line) for text in texts for line in text.splitlines() or [""])
-
-
-def _text(content: str, plain: bool) -> Text:
-    """The first line as it is, the others dimmed: they are about the first."""
-    if plain:
-        content = content.translate(_ASCII).encode("ascii", "replace").decode()
-    first, line_break, rest = content.partition("\n")
-    return Text.assemble(first, line_break, (rest, "dim"))
-
-
-def progress_bar() -> Progress:
-    """A bar on stderr: what, how far, since when, until when."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    return Progress(*columns, console=Console(stderr=True))

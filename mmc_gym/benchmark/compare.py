@@ -14,9 +14,8 @@ from typing import Any
 import gymnasium as gym
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mmc_gym._console import make_console, print_table
+from mmc_gym._console import cell, make_console, print_columns, progress_bar
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.entries import AgentLike, entrants, training_steps
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
@@ -181,11 +180,29 @@ def compare(
     comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
     console = console or make_console()
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
-    print_table(console, summary, SHOWN, steps, comparison.note)
+    _print_table(console, summary, steps, comparison.note)
     for path in written:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
         console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
     return comparison
+
+
+def _print_table(
+    console: Console, summary: pd.DataFrame, training_steps: Mapping[str, int | None], note: str
+) -> None:
+    """Print a row for each shown measure and a column for each agent."""
+    headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in SHOWN]
+    best = ["" if measure.best == "neither" else measure.best for measure in SHOWN]
+    rows = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
+    columns = {
+        agent: [
+            *(cell(rows[agent, measure.name], measure.decimals) for measure in SHOWN),
+            "unknown" if steps is None else f"{steps:,}",
+        ]
+        for agent, steps in training_steps.items()
+    }
+    labels = {"": [*headings, "training\n[env steps]"], "best": [*best, ""]}
+    print_columns(console, labels, columns, note)
 
 
 def tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
@@ -221,17 +238,8 @@ def _make_env(env_id: str) -> gym.Env[Any, Any]:
 def _play(
     players: Mapping[str, Predictor], envs: Mapping[str, gym.Env[Any, Any]], seeds: Sequence[int]
 ) -> dict[str, tuple[Episode, ...]]:
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     # Drawn between episodes only: a drawing thread would disturb the times of the actions.
-    with Progress(
-        *columns,
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        auto_refresh=False,
-        disable=not console.is_terminal,
-    ) as progress:
+    with progress_bar(auto_refresh=False) as progress:
         task = progress.add_task("", total=len(players) * len(seeds))
         drawn = 0.0
 
@@ -244,7 +252,7 @@ def _play(
 
         recorded = {}
         for label, player in players.items():
-            progress.update(task, description=label.replace("[", r"\["))
+            progress.update(task, description=label)
             recorded[label] = run_episodes(player, envs[label], seeds, advance)
         return recorded
 

@@ -163,7 +163,7 @@ def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
 def test_a_cell_tells_of_missing_and_of_small_values():
     nan = float("nan")
     row = {"estimate": nan, "low": nan, "high": nan, "count": 0, "missing": 7}
-    assert cell(row, 2) == "-\n0 of 7"
+    assert cell(row, 2) == "–\n0 of 7"
     row = {"estimate": 123.4, "low": 99.6, "high": 150.0, "count": 7, "missing": 0}
     assert cell(row, 2) == "123\n[100, 150]"
     row = {"estimate": 0.0001, "low": 0.0, "high": 0.02, "count": 7, "missing": 0}
