@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Hashable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +32,7 @@ from rich.text import Text
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import Manifest, not_played, untrained
-from mmc_gym.benchmark.statistics import (
-    NESTED_RESAMPLES,
-    Estimate,
-    probability_of_improvement,
-    stratified_bootstrap,
-    weighted_iqm,
-    weighted_mean,
-)
+from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
 from mmc_gym.benchmark.store import CellKey, read_episodes, read_manifest
 
 BASELINE_AGENT = "mmc"
@@ -53,7 +45,7 @@ def summarize_battery(
     not_played: Iterable[CellKey] = (),
     untrained: Collection[str] = (),
     baseline: str = BASELINE_AGENT,
-    resamples: int = NESTED_RESAMPLES,
+    resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> pd.DataFrame:
     """Rank agents; the ideal hand, which has not met all environments, is left out.
@@ -78,25 +70,25 @@ def summarize_battery(
     scores = battery_scores(episodes, missing)
     scores["training_seed"] = scores["training_seed"].astype(object)
     scores.loc[scores["agent"].isin(list(untrained)), "training_seed"] = None
-    bootstrap = partial(stratified_bootstrap, scores, resamples=resamples, seed=seed)
-    success = bootstrap(weighted_mean, "success")
-    settled = bootstrap(weighted_iqm, "settled")
+    success, settled = (
+        Bootstrap.of(scores, value, resamples, seed) for value in ("success", "settled")
+    )
     exact = _mean_over_environments(scores, "success", "mean").round(_DIGITS)
     times = _mean_over_environments(scores, "time_to_target", "median").round(_DIGITS)
     present = set(scores["environment"])
     rows = []
-    for agent, found in success.items():
+    for agent in success.scores.values:
+        found = success.estimate(agent, "mean")
         improvement = Estimate(np.nan, np.nan, np.nan, (), 0, 0)
-        if baseline in success:
+        if baseline in success.scores.values:
             pair = scores[scores["agent"].isin([agent, baseline])]
-            improvement = probability_of_improvement(
-                pair, agent, baseline, "high", "settled", resamples, seed
-            )
+            both = Bootstrap.of(pair, "settled", resamples, seed)
+            improvement = both.improvement(agent, baseline)
         rows.append(
             {
                 "agent": agent,
                 **_columns("success", replace(found, estimate=float(exact[agent]))),
-                **_columns("settled", settled[agent]),
+                **_columns("settled", settled.estimate(agent)),
                 **_columns("improvement", improvement),
                 "time_to_target": float(times[agent]),
                 "training_seeds": found.seeds[0],

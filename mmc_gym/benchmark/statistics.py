@@ -1,4 +1,4 @@
-"""Bootstrap resamples of scores: of training seeds, and of the instances that all agents met.
+"""Bootstrap intervals over training seeds, and over the instances that all agents meet.
 
     agent A               instance 1   2   3  …  of environment E
     training seed 1                ·   ·   ·         w_1         w_s: how often seed s is drawn
@@ -7,21 +7,22 @@
 
 A resample draws as many training seeds of each agent as it has, and as many instances as there
 are, both with replacement; the score of seed s at instance i then counts w_s u_i times.  So the
-interval covers both that training again gives another policy, and that other starts and targets are
-easier or harder.  Episodes of one policy are never drawn as if each came from its own training.
+interval covers both that another training gives another policy, and that other starts and targets
+are easier or harder.  Episodes of one policy are never drawn as if each came from its own training.
 
     paired        The u_i are the same for all agents: what makes an instance hard for all of them
                   drops out of their differences.
     stratified    Each environment counts equally, whatever its number of instances.
-    shared        The u_i are the same for all environments with as many instances.  The battery
+    shared        The u_i are the same for all environments with as many instances.  The benchmark
                   draws the i-th start and target from the same seed everywhere: what is hard
-                  without perturbation is hard under all of them, and drawn for each on its own it
-                  would seem to average out (95 % intervals would cover 50 to 70 %).  Sets that
-                  have nothing in common but their size lose nothing: they vary independently.
+                  without perturbation is hard under all of them.  With a draw of its own for each
+                  environment that would seem to average out (95 % intervals would cover 50 to
+                  70 %).  Sets with nothing in common but their size lose nothing.
     seeds         A seed is one policy: it is drawn in all environments or in none.
-    no training   An agent that was not trained has one policy, and only instances are drawn.  A
-                  single trained policy is treated alike: its interval cannot tell what training
-                  again would change.
+    no training   An untrained agent has one policy, and only instances are drawn.  A single trained
+                  policy is treated alike: its interval cannot tell what another training gives.
+
+A plain sample is the smallest case: one policy in one environment (`bootstrap_interval`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -39,19 +40,29 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym.measures.catalogue import Measure, Statistic
 from mmc_gym.measures.reaching import Floats
 
+CONFIDENCE = 0.95
+RESAMPLES = 2_000
+"""Resamples of every bootstrap, unless another number is asked for."""
+
+COLUMNS = ("agent", "training_seed", "environment", "instance")
+_UNTRAINED = "no training"
+_INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
+_BATCH = 250  # resamples at once: bounds the memory
+
+Better: TypeAlias = Literal["high", "low"]
 WeightedStatistic: TypeAlias = Callable[[Floats, Floats], Floats]
-"""Of values (k,), in order, and how much each counts in R resamples, (R, k): (R,)."""
+"""Of sorted values (k,) and their weights in R resamples, (R, k): (R,)."""
 
 
 def weighted_mean(values: Floats, weights: Floats) -> Floats:
-    """A `WeightedStatistic`: Σ w x / Σ w."""
+    """Return Σ w x / Σ w."""
     with np.errstate(invalid="ignore"):
         mean: Floats = weights @ values / weights.sum(axis=-1)
     return mean
 
 
 def weighted_iqm(values: Floats, weights: Floats) -> Floats:
-    """A `WeightedStatistic`: the interquartile mean, of the middle half of the weight.
+    """Return the interquartile mean, that of the middle half of the weight.
 
     Values at the quartiles count in part.  Nearly as robust as the median, and nearly as precise as
     the mean.
@@ -62,27 +73,9 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
         >>> weighted_iqm(np.array([1.0, 2.0, 9.0]), np.ones((1, 3)))  # (¼ · 1 + 2 + ¼ · 9) / 1½
         array([3.])
     """
-    return _between(values, weights, 0.25, 0.75)
-
-
-def weighted_median(values: Floats, weights: Floats) -> Floats:
-    """A `WeightedStatistic`: the median; the middle of two where the weights part there."""
     if values.size == 0:
         return np.full(len(weights), np.nan)
-    total = np.cumsum(weights, axis=-1)
-    half = total[:, -1:] / 2
-    slack = 1e-9 * half  # weights are multiples of one over numbers of instances
-    last = values.size - 1
-    low = np.minimum((total < half - slack).sum(axis=-1), last)
-    high = np.minimum((total <= half + slack).sum(axis=-1), last)
-    middle: Floats = (values[low] + values[high]) / 2
-    return np.where(half[:, 0] > 0, middle, np.nan)
-
-
-def _between(values: Floats, weights: Floats, low: float, high: float) -> Floats:
-    """Mean of values, in order, between two shares of the weight."""
-    if values.size == 0:
-        return np.full(len(weights), np.nan)
+    low, high = 0.25, 0.75
     total = np.cumsum(weights, axis=-1)
     whole = total[:, -1:].copy()
     inside = np.clip(total, low * whole, high * whole, out=total)
@@ -95,9 +88,23 @@ def _between(values: Floats, weights: Floats, low: float, high: float) -> Floats
     return clipped
 
 
-COLUMNS = ("agent", "training_seed", "environment", "instance")
-_UNTRAINED = "no training"
-_INSTANCES, _POLICIES = 0, 1  # streams of random numbers
+def weighted_median(values: Floats, weights: Floats) -> Floats:
+    """Return the median; the middle of two where the weights part there."""
+    if values.size == 0:
+        return np.full(len(weights), np.nan)
+    total = np.cumsum(weights, axis=-1)
+    half = total[:, -1:] / 2
+    slack = 1e-9 * half  # weights are multiples of one over numbers of instances
+    last = values.size - 1
+    low = np.minimum((total < half - slack).sum(axis=-1), last)
+    high = np.minimum((total <= half + slack).sum(axis=-1), last)
+    middle: Floats = (values[low] + values[high]) / 2
+    return np.where(half[:, 0] > 0, middle, np.nan)
+
+
+StatisticLike: TypeAlias = Statistic | WeightedStatistic
+STATISTICS: dict[Statistic, WeightedStatistic] = {"mean": weighted_mean, "median": weighted_median}
+"""What a table says about many episodes, by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +124,7 @@ class Scores:
     seeds: Mapping[str, int]
 
     def of(self, agent: str) -> tuple[Floats, ...]:
-        """The scores of an agent.
-
-        Raises:
-            ValueError: if there is no such agent.
-        """
+        """Return the scores of an agent; raise a `ValueError` if there is no such agent."""
         if agent not in self.values:
             raise ValueError(f"agent must be one of {list(self.values)}, got {agent!r}")
         return self.values[agent]
@@ -141,7 +144,7 @@ class Draws:
 
 
 def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
-    """The scores of a tidy frame as arrays.
+    """Return the scores of a tidy frame as arrays.
 
     Args:
         frame: a row per episode, with the columns agent, training_seed (missing for an agent
@@ -203,130 +206,15 @@ def draw(scores: Scores, resamples: int, seed: int) -> Draws:
     return Draws(of_policies, tuple(of_instances[count] for count in scores.instances))
 
 
+@lru_cache(maxsize=8)
 def _counts(seed: tuple[int, ...], count: int, resamples: int) -> Floats:
+    """Draw `count` out of as many, over and over: how often each was drawn, (R + 1, count)."""
     drawn = np.random.default_rng(seed).integers(count, size=(resamples, count))
     cells: NDArray[np.intp] = drawn + np.arange(resamples)[:, None] * count
     times = np.bincount(cells.ravel(), minlength=resamples * count).reshape(resamples, count)
-    return np.concatenate([np.ones((1, count)), times])
-
-
-CONFIDENCE = 0.95
-RESAMPLES = 9_999
-_RANKS_AT_ONCE = 1_000_000  # bounds the memory
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A statistic of a sample with its confidence interval.
-
-    Attributes:
-        estimate: the statistic; NaN for an empty sample.
-        low: lower end; NaN for fewer than two values.
-        high: upper end; NaN for fewer than two values.
-        count: number of values it is about.
-        missing: number of values that were NaN, and left out.
-    """
-
-    estimate: float
-    low: float
-    high: float
-    count: int
-    missing: int
-
-
-def bootstrap_interval(values: ArrayLike, statistic: Statistic, seed: int = 0) -> Interval:
-    """95 % percentile bootstrap interval of the mean or median of `values` (n,).
-
-    Percentile, not BCa: the jackknife in BCa fails for the median.  Where all values are equal,
-    so are all resamples, and the interval has no width: it cannot know what did not occur (with
-    n successes in n episodes, a failure rate of up to 3/n is still plausible).
-
-    Args:
-        values: one per episode; NaNs are left out and counted.
-        statistic: "mean" or "median".
-        seed: of the resampling; the same seed gives the same interval.
-
-    Source:
-        Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 13.
-
-    Example:
-        >>> bootstrap_interval([2.0, 2.0, float("nan")], "mean")
-        Interval(estimate=2.0, low=2.0, high=2.0, count=2, missing=1)
-    """
-    sample = np.asarray(values, dtype=np.float64)
-    present = sample[~np.isnan(sample)]
-    count, missing = len(present), len(sample) - len(present)
-    if count == 0:
-        return Interval(math.nan, math.nan, math.nan, count, missing)
-    estimate = float(np.mean(present) if statistic == "mean" else np.median(present))
-    if count == 1:
-        return Interval(estimate, math.nan, math.nan, count, missing)
-    if np.all(present == present[0]):
-        estimate = float(present[0])  # a mean may be a rounding error away
-        return Interval(estimate, estimate, estimate, count, missing)
-    ordered = np.sort(present)
-    if statistic == "mean":
-        found = _resampled(count, RESAMPLES, seed, lambda ranks: ordered[ranks].mean(axis=-1))
-    else:
-        found = ordered[_middle(count, RESAMPLES, seed)].mean(axis=-1)
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(found, (tail, 1 - tail)).tolist()
-    return Interval(estimate, low, high, count, missing)
-
-
-def _resampled(
-    count: int, resamples: int, seed: int, of: Callable[[NDArray[np.intp]], NDArray[np.generic]]
-) -> NDArray[Any]:
-    """What `of` makes of resamples (some, count) of ranks, for all of them."""
-    random = np.random.default_rng(seed)
-    batch = max(1, _RANKS_AT_ONCE // count)
-    sizes = [min(batch, resamples - first) for first in range(0, resamples, batch)]
-    return np.concatenate([of(random.integers(count, size=(size, count))) for size in sizes])
-
-
-@lru_cache(maxsize=8)
-def _middle(count: int, resamples: int, seed: int) -> NDArray[np.intp]:
-    """Ranks of the two values in the middle of each resample, (resamples, 2).
-
-    Samples of one size share them: to sort anew for each measure would take as long as to play.
-    """
-    middle = [(count - 1) // 2, count // 2]
-    return _resampled(count, resamples, seed, lambda ranks: np.sort(ranks, axis=-1)[:, middle])
-
-
-def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
-    """Each agent's statistic and interval of each measure, one row for each pair.
-
-    Args:
-        episodes: one row per agent and episode, with a column "agent" and one per measure.
-        measures: which of them to summarize.
-        seed: of the resampling.
-
-    Returns:
-        Columns agent, measure, unit, statistic, and the fields of `Interval`.
-    """
-    rows = []
-    for agent, group in episodes.groupby("agent", sort=False):
-        for measure in measures:
-            interval = bootstrap_interval(
-                group[measure.name].to_numpy(np.float64), measure.statistic, seed
-            )
-            rows.append(
-                {
-                    "agent": agent,
-                    "measure": measure.name,
-                    "unit": measure.unit,
-                    "statistic": measure.statistic,
-                    **vars(interval),
-                }
-            )
-    return pd.DataFrame(rows)
-
-
-NESTED_RESAMPLES = 2_000
-_BATCH = 250  # resamples at once: bounds the memory
-
-Better: TypeAlias = Literal["high", "low"]
+    counts = np.concatenate([np.ones((1, count)), times])
+    counts.flags.writeable = False  # it is shared
+    return counts
 
 
 @dataclass(frozen=True)
@@ -352,206 +240,299 @@ class Estimate:
     missing: int = 0
 
 
-def stratified_bootstrap(
-    frame: pd.DataFrame,
-    statistic: WeightedStatistic = weighted_iqm,
-    value: str = "value",
-    resamples: int = NESTED_RESAMPLES,
-    seed: int = 0,
-) -> dict[str, Estimate]:
-    """A statistic of each agent, over its training seeds and all instances, with its interval.
+@dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """Scores of agents and one set of draws: all that is asked of it is of the same resamples.
+
+    Attributes:
+        scores: of the agents.
+        draws: of their policies and instances.
+    """
+
+    scores: Scores
+    draws: Draws
+
+    @classmethod
+    def of(
+        cls, frame: pd.DataFrame, value: str = "value", resamples: int = RESAMPLES, seed: int = 0
+    ) -> Bootstrap:
+        """Arrange a tidy frame, and draw.
+
+        Args:
+            frame: a row per episode, see `arrange`.
+            value: the column of the scores; episodes where it is NaN are left out.
+            resamples: how many.
+            seed: of the resampling.
+
+        Raises:
+            ValueError: if the agents have not met the same instances.
+
+        Example:
+            >>> frame = pd.DataFrame(
+            ...     {
+            ...         "agent": "network",
+            ...         "training_seed": None,
+            ...         "environment": "MMCReach-v0",
+            ...         "instance": range(4),
+            ...         "value": [0.0, 1.0, 2.0, 3.0],
+            ...     }
+            ... )
+            >>> found = Bootstrap.of(frame).estimate("network")
+            >>> found.estimate, found.seeds, found.instances
+            (1.5, (0,), 4)
+        """
+        scores = arrange(frame, value)
+        return cls(scores, draw(scores, resamples, seed))
+
+    def estimate(self, agent: str, statistic: StatisticLike = weighted_iqm) -> Estimate:
+        """Estimate a statistic of an agent over its training seeds and all instances.
+
+        Args:
+            agent: its name.
+            statistic: "mean", "median", or a `WeightedStatistic` such as `weighted_iqm`.
+
+        Raises:
+            ValueError: if there is no such agent.
+        """
+        return self.summarize(self.distribution(agent, statistic), agent)
+
+    def difference(
+        self, agent: str, other: str, statistic: StatisticLike = weighted_mean
+    ) -> Estimate:
+        """Estimate the statistic of one agent less that of another, on the same instances.
+
+        Both are resampled with the same instances, and each with its own training seeds.  For the
+        mean it is the mean of the differences at each instance.  Arguments as in `estimate`.
+        """
+        one, less = (self.distribution(name, statistic) for name in (agent, other))
+        return self.summarize(one - less, agent, other)
+
+    def improvement(self, agent: str, other: str, better: Better = "high") -> Estimate:
+        """Estimate the probability that a policy of `agent` does better than one of `other`.
+
+        Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of the
+        one and of the other, both at the same instance.  ½ for an agent and its copy.
+
+        Args:
+            agent: its name.
+            other: the other's name; where either score is NaN, the pair is left out.
+            better: whether "high" or "low" scores are better.
+
+        Raises:
+            ValueError: if there is no such agent.
+        """
+        pairs = zip(self.scores.of(agent), self.scores.of(other), self.draws.instances)
+        sign = 1.0 if better == "high" else -1.0
+        policies = self.draws.policies
+        chances = []
+        for mine, theirs, instances in pairs:
+            lead = sign * (mine[:, None] - theirs[None])  # (policies, policies, instances)
+            compared = (~np.isnan(mine))[:, None] & (~np.isnan(theirs))[None]
+            # Not the sign of the difference: of two infinite scores there is none.
+            wins = np.where(mine[:, None] == theirs[None], 0.5, lead > 0) * compared
+            weights = policies[agent][:, :, None] * policies[other][:, None]
+            sums = [
+                (np.tensordot(instances, table.astype(np.float64), (1, 2)) * weights).sum((1, 2))
+                for table in (wins, compared)
+            ]
+            with np.errstate(invalid="ignore"):
+                chances.append(sums[0] / sums[1])
+        return self.summarize(np.mean(chances, axis=0), agent, other)
+
+    def profile(self, thresholds: ArrayLike, better: Better = "high") -> pd.DataFrame:
+        """Estimate the share of each agent's episodes that are better than τ, for all τ.
+
+        The bands are pointwise.  An episode without a score (NaN) is better than no τ.
+        Environments count equally.
+
+        Args:
+            thresholds: τ, (m,).
+            better: "high": the share above τ, "low": below.
+
+        Returns:
+            A row per agent and τ: agent, threshold, and the fields of `Estimate`, seeds a number.
+        """
+        levels = np.asarray(thresholds, dtype=np.float64)
+        rows = []
+        for agent, values in self.scores.values.items():
+            shares = np.zeros((len(self.draws.instances[0]), levels.size))
+            for table, instances in zip(values, self.draws.instances):
+                for policy, weight in zip(table, self.draws.policies[agent].T):
+                    column = levels[:, None]
+                    beyond = policy > column if better == "high" else policy < column
+                    above = instances @ beyond.T.astype(np.float64)
+                    shares += weight[:, None] * above / (policy.size * len(table) * len(values))
+            for level, column in zip(levels.tolist(), shares.T):
+                found = vars(self.summarize(column, agent))
+                row = {"agent": agent, "threshold": level, **found, "seeds": found["seeds"][0]}
+                rows.append(row)
+        return pd.DataFrame(rows)
+
+    def distribution(self, agent: str, statistic: StatisticLike) -> Floats:
+        """Return an agent's statistic in the data themselves and in all resamples, (R + 1,)."""
+        of = STATISTICS[statistic] if isinstance(statistic, str) else statistic
+        tables, policies = self.scores.of(agent), self.draws.policies[agent]
+        values = np.concatenate([table.ravel() for table in tables])
+        order = np.argsort(values, kind="stable")
+        order = order[: values.size - int(np.isnan(values).sum())]  # NaNs are the last
+        policy = np.concatenate([np.repeat(np.arange(len(t)), t.shape[1]) for t in tables])[order]
+        starts = np.cumsum([0, *self.scores.instances])
+        instance = np.concatenate(
+            [np.tile(np.arange(t.shape[1]) + start, len(t)) for t, start in zip(tables, starts)]
+        )[order]
+        equal = np.concatenate([table / table.shape[1] for table in self.draws.instances], axis=1)
+        found = []
+        for first in range(0, len(policies), _BATCH):
+            rows = slice(first, first + _BATCH)
+            weights = np.take(equal[rows], instance, axis=1)
+            weights *= np.take(policies[rows], policy, axis=1)
+            found.append(of(values[order], weights))
+        return np.concatenate(found)
+
+    def summarize(self, distribution: Floats, *agents: str) -> Estimate:
+        """Return the `Estimate` of a distribution of one agent, or of a difference of two."""
+        low, high = _ends(distribution[1:])
+        return Estimate(
+            estimate=float(distribution[0]),
+            low=low,
+            high=high,
+            seeds=tuple(self.scores.seeds[agent] for agent in agents),
+            instances=sum(self.scores.instances),
+            environments=len(self.scores.environments),
+            missing=sum(
+                int(np.isnan(table).sum())
+                for agent in dict.fromkeys(agents)
+                for table in self.scores.values[agent]
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A statistic of a sample with its confidence interval.
+
+    Attributes:
+        estimate: the statistic; NaN for an empty sample.
+        low: lower end; NaN for fewer than two values.
+        high: upper end; NaN for fewer than two values.
+        count: number of values it is about.
+        missing: number of values that were NaN, and left out.
+    """
+
+    estimate: float
+    low: float
+    high: float
+    count: int
+    missing: int
+
+
+def bootstrap_interval(
+    values: ArrayLike, statistic: Statistic, seed: int = 0, resamples: int = RESAMPLES
+) -> Interval:
+    """Return the mean or median of `values` (n,) with its 95 % percentile bootstrap interval.
+
+    Percentile, not BCa: the jackknife in BCa fails for the median.  Where all values are equal,
+    so are all resamples, and the interval has no width: it cannot know what did not occur (with
+    n successes in n episodes, a failure rate of up to 3/n is still plausible).
 
     Args:
-        frame: tidy, a row per episode, see `resampling.arrange`.
-        statistic: `weighted_iqm`, `weighted_mean` or `weighted_median`, or one like them.
-        value: the column of the scores; episodes where it is NaN are left out.
+        values: one per episode; NaNs are left out and counted.
+        statistic: "mean" or "median".
+        seed: of the resampling; the same seed gives the same interval.
         resamples: how many.
-        seed: of the resampling.
 
-    Raises:
-        ValueError: if the agents have not met the same instances.
+    Source:
+        Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 13.
 
     Example:
-        >>> frame = pd.DataFrame(
-        ...     {
-        ...         "agent": "network",
-        ...         "training_seed": None,
-        ...         "environment": "MMCReach-v0",
-        ...         "instance": range(4),
-        ...         "value": [0.0, 1.0, 2.0, 3.0],
-        ...     }
-        ... )
-        >>> found = stratified_bootstrap(frame)["network"]
-        >>> found.estimate, found.seeds, found.instances
-        (1.5, (0,), 4)
+        >>> bootstrap_interval([2.0, 2.0, float("nan")], "mean")
+        Interval(estimate=2.0, low=2.0, high=2.0, count=2, missing=1)
     """
-    scores = arrange(frame, value)
-    draws = draw(scores, resamples, seed)
-    return {
-        agent: estimate(distribution(scores, draws, agent, statistic), scores, agent)
-        for agent in scores.values
-    }
+    sample = np.asarray(values, dtype=np.float64)
+    present = sample[~np.isnan(sample)]
+    count, missing = len(present), len(sample) - len(present)
+    if count == 0:
+        return Interval(math.nan, math.nan, math.nan, count, missing)
+    estimate = float(np.mean(present) if statistic == "mean" else np.median(present))
+    low, high = math.nan, math.nan
+    if count > 1:
+        scores = Scores(("",), (count,), {"": (present[None],)}, {"": 0})
+        found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
+        low, high = _ends(found[1:])
+    # A mean may be a rounding error beyond the values.
+    least, most = present.min(), present.max()
+    estimate, low, high = (float(np.clip(end, least, most)) for end in (estimate, low, high))
+    return Interval(estimate, low, high, count, missing)
 
 
-def paired_difference(
-    frame: pd.DataFrame,
-    agent: str,
-    other: str,
-    statistic: WeightedStatistic = weighted_mean,
-    value: str = "value",
-    resamples: int = NESTED_RESAMPLES,
-    seed: int = 0,
-) -> Estimate:
-    """The statistic of one agent less that of another, on the same instances.
+def success_interval(
+    successes: ArrayLike, episodes: int, seed: int = 0, resamples: int = RESAMPLES
+) -> Interval:
+    """Return the mean success of several trainings, with its 95 % interval over both samplings.
 
-    Both are resampled with the same instances, and each with its own training seeds.  For the
-    mean it is the mean of the differences at each instance.
+    A resample draws training seeds, and for each of them as many episodes as it played: a
+    binomial number of successes.  The seeds alone would give ten trainings that all succeed in
+    499 of 500 episodes an interval without width, though other episodes may find more failures.
 
     Args:
-        frame: as in `stratified_bootstrap`.
-        agent: the one.
-        other: the other.
-        statistic: as in `stratified_bootstrap`.
-        value: the column of the scores.
-        resamples: how many.
+        successes: fraction of the episodes of each training that succeeded, (seeds,); NaNs are
+            left out and counted.
+        episodes: how many each training played.
         seed: of the resampling.
+        resamples: how many.
 
-    Raises:
-        ValueError: if there is no such agent, or they have not met the same instances.
+    Returns:
+        The interval has no ends for a single training, which cannot tell what another would give.
+
+    Example:
+        >>> found = success_interval([0.998, 0.998, 0.998], episodes=500)
+        >>> found.estimate, found.low < 0.997, found.high
+        (0.998, True, 1.0)
     """
-    scores = arrange(frame, value)
-    draws = draw(scores, resamples, seed)
-    one, less = (distribution(scores, draws, name, statistic) for name in (agent, other))
-    return estimate(one - less, scores, agent, other)
+    sample = np.asarray(successes, dtype=np.float64)
+    present = sample[~np.isnan(sample)]
+    count, missing = len(present), len(sample) - len(present)
+    if count < 2:
+        estimate = present.item() if count else math.nan
+        return Interval(estimate, math.nan, math.nan, count, missing)
+    seeds = _counts((seed, _POLICIES, 0), count, resamples)[1:].astype(np.int64)
+    succeeded = np.random.default_rng((seed, _EPISODES)).binomial(seeds * episodes, present)
+    low, high = _ends(succeeded.sum(axis=-1) / (count * episodes))
+    return Interval(float(np.mean(present)), low, high, count, missing)
 
 
-def probability_of_improvement(
-    frame: pd.DataFrame,
-    agent: str,
-    other: str,
-    better: Better = "high",
-    value: str = "value",
-    resamples: int = NESTED_RESAMPLES,
-    seed: int = 0,
-) -> Estimate:
-    """How probable it is that a policy of `agent` does better than one of `other`.
-
-    Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of the one
-    and of the other, both at the same instance.  ½ for an agent and its copy.
+def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
+    """Return each agent's statistic and interval of each measure, one row for each pair.
 
     Args:
-        frame: as in `stratified_bootstrap`; where either is NaN, the pair is left out.
-        agent: the one.
-        other: the other.
-        better: whether "high" or "low" scores are better.
-        value: the column of the scores.
-        resamples: how many.
-        seed: of the resampling.
-
-    Raises:
-        ValueError: if there is no such agent, or they have not met the same instances.
-    """
-    scores = arrange(frame, value)
-    draws = draw(scores, resamples, seed)
-    sign = 1.0 if better == "high" else -1.0
-    chances = []
-    for mine, theirs, instances in zip(scores.of(agent), scores.of(other), draws.instances):
-        lead = sign * (mine[:, None] - theirs[None])  # (policies, policies, instances)
-        compared = (~np.isnan(mine))[:, None] & (~np.isnan(theirs))[None]
-        # Not the sign of the difference: of two infinite scores there is none.
-        wins = np.where(mine[:, None] == theirs[None], 0.5, lead > 0) * compared
-        weights = draws.policies[agent][:, :, None] * draws.policies[other][:, None]
-        sums = [
-            (np.tensordot(instances, table.astype(np.float64), (1, 2)) * weights).sum((1, 2))
-            for table in (wins, compared)
-        ]
-        with np.errstate(invalid="ignore"):
-            chances.append(sums[0] / sums[1])
-    return estimate(np.mean(chances, axis=0), scores, agent, other)
-
-
-def performance_profile(
-    frame: pd.DataFrame,
-    thresholds: ArrayLike,
-    better: Better = "high",
-    value: str = "value",
-    resamples: int = NESTED_RESAMPLES,
-    seed: int = 0,
-) -> pd.DataFrame:
-    """The share of each agent's episodes that are better than τ, for all τ, with 95 % bands.
-
-    The bands are pointwise.  An episode without a score (NaN) is better than no τ.  Environments
-    count equally.
-
-    Args:
-        frame: as in `stratified_bootstrap`.
-        thresholds: τ, (m,).
-        better: "high": the share above τ, "low": below.
-        value: the column of the scores.
-        resamples: how many.
+        episodes: one row per agent and episode, with a column "agent" and one per measure.
+        measures: which of them to summarize.
         seed: of the resampling.
 
     Returns:
-        A row per agent and τ: agent, threshold, and the fields of `Estimate`, seeds a number.
+        Columns agent, measure, unit, statistic, and the fields of `Interval`.
     """
-    scores = arrange(frame, value)
-    draws = draw(scores, resamples, seed)
-    levels = np.asarray(thresholds, dtype=np.float64)
     rows = []
-    for agent, values in scores.values.items():
-        shares = np.zeros((resamples + 1, levels.size))
-        for table, instances in zip(values, draws.instances):
-            for policy, weight in zip(table, draws.policies[agent].T):
-                beyond = policy > levels[:, None] if better == "high" else policy < levels[:, None]
-                above = instances @ beyond.T.astype(np.float64)
-                shares += weight[:, None] * above / (policy.size * len(table) * len(values))
-        for level, column in zip(levels.tolist(), shares.T):
-            found = vars(estimate(column, scores, agent))
-            rows.append({"agent": agent, "threshold": level, **found, "seeds": found["seeds"][0]})
+    for agent, group in episodes.groupby("agent", sort=False):
+        for measure in measures:
+            values = group[measure.name].to_numpy(np.float64)
+            rows.append(
+                {
+                    "agent": agent,
+                    "measure": measure.name,
+                    "unit": measure.unit,
+                    "statistic": measure.statistic,
+                    **vars(bootstrap_interval(values, measure.statistic, seed)),
+                }
+            )
     return pd.DataFrame(rows)
 
 
-def distribution(scores: Scores, draws: Draws, agent: str, statistic: WeightedStatistic) -> Floats:
-    """The statistic of an agent in the data themselves and in all resamples, (R + 1,).
-
-    What the functions of frames are made of, for whoever has many statistics of the same draws.
-    """
-    tables, policies = scores.of(agent), draws.policies[agent]
-    values = np.concatenate([table.ravel() for table in tables])
-    order = np.argsort(values, kind="stable")
-    order = order[: values.size - int(np.isnan(values).sum())]  # NaNs are the last
-    policy = np.concatenate([np.repeat(np.arange(len(t)), t.shape[1]) for t in tables])[order]
-    starts = np.cumsum([0, *scores.instances])
-    instance = np.concatenate(
-        [np.tile(np.arange(t.shape[1]) + start, len(t)) for t, start in zip(tables, starts)]
-    )[order]
-    equal = np.concatenate([table / table.shape[1] for table in draws.instances], axis=1)
-    found = []
-    for first in range(0, len(policies), _BATCH):
-        rows = slice(first, first + _BATCH)
-        weights = np.take(equal[rows], instance, axis=1)
-        weights *= np.take(policies[rows], policy, axis=1)
-        found.append(statistic(values[order], weights))
-    return np.concatenate(found)
-
-
-def estimate(distribution: Floats, scores: Scores, *agents: str) -> Estimate:
-    """What a `distribution`, or a difference of two, says of one agent, or of two."""
-    resampled = distribution[1:][~np.isnan(distribution[1:])]
-    low, high = math.nan, math.nan
-    if resampled.size:
-        tail = (1 - CONFIDENCE) / 2
-        low, high = np.quantile(resampled, (tail, 1 - tail)).tolist()
-    return Estimate(
-        estimate=float(distribution[0]),
-        low=low,
-        high=high,
-        seeds=tuple(scores.seeds[agent] for agent in agents),
-        instances=sum(scores.instances),
-        environments=len(scores.environments),
-        missing=sum(
-            int(np.isnan(table).sum())
-            for agent in dict.fromkeys(agents)
-            for table in scores.values[agent]
-        ),
-    )
+def _ends(resampled: Floats) -> tuple[float, float]:
+    """Return the ends of the 95 % percentile interval; resamples with NaN are left out."""
+    present: Floats = resampled[~np.isnan(resampled)]
+    if not present.size:
+        return math.nan, math.nan
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(present, (tail, 1 - tail)).tolist()
+    return low, high

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mmc_gym._plotting import COLOURS, EXAMPLES, LINES
 from mmc_gym.agents.policy import EVALUATION_EPISODES
-from mmc_gym.benchmark.statistics import performance_profile
+from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures.catalogue import Measure
 from mmc_gym.measures.speed import hand_speed
 from mmc_gym.report.numbers import count, instances_of, listed, quantity, seeds_of, unit
@@ -113,7 +113,7 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
         if not met:
             continue
         used += met
-        curves = performance_profile(frame, taus, "low", "final_distance", PROFILE_RESAMPLES)
+        curves = Bootstrap.of(frame, "final_distance", PROFILE_RESAMPLES).profile(taus, "low")
         groups = {str(agent): curve for agent, curve in curves.groupby("agent", sort=False)}
         groups = {agent: groups[agent] for agent in look if agent in groups}
 

@@ -19,14 +19,10 @@ import numpy as np
 import pandas as pd
 
 from mmc_gym.benchmark.statistics import (
+    Bootstrap,
     Estimate,
     Scores,
-    WeightedStatistic,
-    distribution,
     draw,
-    estimate,
-    weighted_mean,
-    weighted_median,
 )
 from mmc_gym.measures.catalogue import Measure
 from mmc_gym.measures.reaching import Floats
@@ -35,8 +31,6 @@ from mmc_gym.report.results import Results
 
 COMMON = 5
 """Instances at least, on which two agents are compared."""
-
-_STATISTICS: dict[str, WeightedStatistic] = {"mean": weighted_mean, "median": weighted_median}
 
 
 class EnvironmentScores:
@@ -87,15 +81,14 @@ class EnvironmentScores:
         """A measure's statistic in the data themselves, and in all resamples, (R + 1,)."""
         key = (agent, measure.name, measure.statistic)
         if key not in self._known:
-            scores = self._scores({agent: self.values(agent, measure)})
-            statistic = _STATISTICS[measure.statistic]
-            self._known[key] = distribution(scores, self._draws, agent, statistic)
+            bootstrap = self._bootstrap({agent: self.values(agent, measure)})
+            self._known[key] = bootstrap.distribution(agent, measure.statistic)
         return self._known[key]
 
     def estimate(self, agent: str, measure: Measure) -> Estimate:
         """A measure's statistic, with its interval."""
-        scores = self._scores({agent: self.values(agent, measure)})
-        return estimate(self.distribution(agent, measure), scores, agent)
+        bootstrap = self._bootstrap({agent: self.values(agent, measure)})
+        return bootstrap.summarize(self.distribution(agent, measure), agent)
 
     def difference(self, agent: str, other: str, measure: Measure) -> Estimate | None:
         """One agent less the other, on the instances where both have a value; None if few."""
@@ -103,18 +96,18 @@ class EnvironmentScores:
         common = np.all([(~np.isnan(table)).any(axis=0) for table in tables.values()], axis=0)
         if common.sum() < COMMON:
             return None
-        scores = self._scores(
+        bootstrap = self._bootstrap(
             {name: np.where(common, table, np.nan) for name, table in tables.items()}
         )
         if common.all():
             one, less = (self.distribution(name, measure) for name in (agent, other))
         else:
-            statistic = _STATISTICS[measure.statistic]
-            one, less = (
-                distribution(scores, self._draws, name, statistic) for name in (agent, other)
-            )
-        found = estimate(one - less, scores, agent, other)
+            one, less = (bootstrap.distribution(name, measure.statistic) for name in (agent, other))
+        found = bootstrap.summarize(one - less, agent, other)
         return replace(found, instances=int(common.sum()))
+
+    def _bootstrap(self, tables: Mapping[str, Floats]) -> Bootstrap:
+        return Bootstrap(self._scores(tables), self._draws)
 
     def _scores(self, tables: Mapping[str, Floats]) -> Scores:
         """Scores of a measure, (policies, instances) by agent."""

@@ -1,3 +1,5 @@
+"""Intervals cover the truth as often as they say, for plain samples and for training seeds."""
+
 from __future__ import annotations
 
 import math
@@ -5,10 +7,67 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import norm, trim_mean
 
-from mmc_gym.benchmark import statistics
-from mmc_gym.benchmark.statistics import bootstrap_interval, summarize
+from mmc_gym.benchmark.statistics import (
+    Bootstrap,
+    arrange,
+    bootstrap_interval,
+    draw,
+    success_interval,
+    summarize,
+    weighted_iqm,
+    weighted_mean,
+    weighted_median,
+)
 from mmc_gym.measures.catalogue import MEASURES
+
+
+def interquartile_mean(values):
+    present = np.sort(np.array(values, dtype=float)[~np.isnan(values)])
+    return float(weighted_iqm(present, np.ones((1, present.size)))[0])
+
+
+def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_on_each_side():
+    sample = np.random.default_rng(0).normal(size=400)
+    assert interquartile_mean(sample) == pytest.approx(trim_mean(sample, 0.25))
+
+
+def test_outliers_do_not_move_the_interquartile_mean():
+    assert interquartile_mean([0, 1, 2, 3, 4, 5, 6, 1e9]) == 3.5
+    assert math.isnan(interquartile_mean([math.nan]))
+    assert interquartile_mean([7.0]) == 7.0
+
+
+def test_the_interquartile_mean_is_within_the_values():
+    values = np.array([0.0] * 40 + [0.1, 0.7])
+    weights = np.random.default_rng(0).integers(0, 4, size=(500, 42)) / 3
+    assert weighted_iqm(values, weights).min() >= 0
+
+
+@pytest.mark.parametrize("count", range(1, 14))
+@pytest.mark.parametrize(
+    ("statistic", "plain"),
+    [
+        (weighted_mean, np.mean),
+        (weighted_median, np.median),
+        (weighted_iqm, interquartile_mean),
+    ],
+)
+def test_a_whole_weight_counts_as_so_many_equal_values(statistic, plain, count):
+    random = np.random.default_rng(count)
+    values = np.sort(random.normal(size=count))
+    weights = random.integers(0, 4, size=(20, count)).astype(float)
+    weights[:, 0] += 1
+    expected = [plain(np.repeat(values, row.astype(int))) for row in weights]
+    assert statistic(values, weights) == pytest.approx(expected)
+    assert statistic(values, weights / 7) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("statistic", [weighted_mean, weighted_median, weighted_iqm])
+def test_without_weight_there_is_no_statistic(statistic):
+    assert np.isnan(statistic(np.array([1.0, 2.0]), np.zeros((3, 2)))).all()
+    assert np.isnan(statistic(np.array([]), np.zeros((3, 0)))).all()
 
 
 def test_the_interval_of_a_mean_is_the_normal_one_for_a_large_sample():
@@ -23,10 +82,12 @@ def test_the_interval_of_a_mean_is_the_normal_one_for_a_large_sample():
 @pytest.mark.parametrize(
     ("statistic", "truth"), [("mean", 1.0), ("median", math.log(2))], ids=["mean", "median"]
 )
-def test_about_95_percent_of_the_intervals_cover_the_truth(statistic, truth, monkeypatch):
-    monkeypatch.setattr(statistics, "RESAMPLES", 999)
+def test_about_95_percent_of_the_intervals_cover_the_truth(statistic, truth):
     samples = np.random.default_rng(5).exponential(size=(200, 100))
-    intervals = [bootstrap_interval(sample, statistic, seed) for seed, sample in enumerate(samples)]
+    intervals = [
+        bootstrap_interval(sample, statistic, seed, resamples=999)
+        for seed, sample in enumerate(samples)
+    ]
     covered = sum(interval.low <= truth <= interval.high for interval in intervals)
     assert 0.89 <= covered / 200 <= 0.985
 
@@ -79,3 +140,244 @@ def test_a_summary_has_a_row_for_each_agent_and_measure_in_the_order_given():
     assert list(summary["measure"]) == ["success", "final_distance"] * 2
     assert list(summary["estimate"]) == [0.5, pytest.approx(0.255), 1.0, 0.02]
     assert list(summary["missing"]) == [0, 0, 0, 1]
+
+
+def test_an_interval_of_success_covers_the_sampling_of_episodes():
+    found = success_interval([0.998] * 10, episodes=500)
+    spread = math.sqrt(0.998 * 0.002 / 5_000)
+    assert found.estimate == pytest.approx(0.998) and found.count == 10
+    assert found.low == pytest.approx(0.998 - 1.96 * spread, abs=0.4 * spread)
+    assert found.low <= 0.9968 < 0.998 < found.high  # 15,000 fresh episodes found 0.9968
+    assert success_interval([0.998] * 10, episodes=500) == found
+
+
+def test_an_interval_of_success_covers_the_sampling_of_seeds():
+    fractions = np.random.default_rng(0).uniform(0.2, 0.8, size=20)
+    found = success_interval(fractions, episodes=100_000)
+    plain = bootstrap_interval(fractions, "mean")
+    assert (found.low, found.high) == pytest.approx((plain.low, plain.high), abs=0.02)
+    holes = success_interval([*fractions, math.nan], episodes=100_000)
+    assert (holes.low, holes.high, holes.missing) == (found.low, found.high, 1)
+
+
+def test_an_interval_of_success_of_one_training_has_no_ends():
+    one = success_interval([0.5], episodes=100)
+    assert (one.estimate, one.count) == (0.5, 1) and math.isnan(one.low) and math.isnan(one.high)
+    assert math.isnan(success_interval([math.nan], episodes=100).estimate)
+
+
+def rows(agent, values, environment="E", seeds=None):
+    """Tidy rows of values (policies, instances)."""
+    values = np.atleast_2d(np.asarray(values, dtype=float))
+    seeds = range(len(values)) if seeds is None else seeds
+    return pd.DataFrame(
+        {
+            "agent": agent,
+            "training_seed": np.repeat(list(seeds), values.shape[1]),
+            "environment": environment,
+            "instance": np.tile(np.arange(values.shape[1]), len(values)),
+            "value": values.ravel(),
+        }
+    )
+
+
+def simulated(random, seeds, instances, between_seeds, between_instances, noise=0.5):
+    return (
+        between_seeds * random.normal(size=(seeds, 1))
+        + between_instances * random.normal(size=(1, instances))
+        + noise * random.normal(size=(seeds, instances))
+    )
+
+
+def width(estimate):
+    return estimate.high - estimate.low
+
+
+def test_estimates_are_those_of_the_data_and_tell_what_they_are_over():
+    values = np.random.default_rng(0).normal(size=(3, 40))
+    found = Bootstrap.of(rows("a", values), resamples=200).estimate("a")
+    assert found.estimate == pytest.approx(trim_mean(values.ravel(), 0.25))
+    assert (found.seeds, found.instances, found.environments) == ((3,), 40, 1)
+
+
+def test_many_episodes_of_few_seeds_do_not_make_the_interval_narrow():
+    random = np.random.default_rng(1)
+    few = Bootstrap.of(rows("a", simulated(random, 10, 50, 1.0, 0.0))).estimate("a", "mean")
+    many = Bootstrap.of(rows("a", simulated(random, 10, 800, 1.0, 0.0))).estimate("a", "mean")
+    assert width(many) == pytest.approx(width(few), rel=0.6)
+    one_seed = rows("a", simulated(random, 10, 800, 1.0, 0.0).reshape(1, -1))
+    assert width(Bootstrap.of(one_seed).estimate("a", "mean")) < 0.3 * width(many)
+
+
+def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
+    values = simulated(np.random.default_rng(2), 40, 100, 1.0, 2.0, noise=0.0)
+    found = Bootstrap.of(rows("a", values)).estimate("a", "mean")
+    variance = values.mean(1).var() / 40 + values.mean(0).var() / 100
+    assert width(found) == pytest.approx(2 * 1.96 * math.sqrt(variance), rel=0.08)
+
+
+def test_about_95_percent_of_the_intervals_over_seeds_cover_the_truth():
+    covered = 0
+    for number in range(150):
+        values = simulated(np.random.default_rng(number), 20, 30, 1.0, 1.0)
+        found = Bootstrap.of(rows("a", values), resamples=300).estimate("a", "mean")
+        covered += found.low <= 0 <= found.high
+    assert 0.86 <= covered / 150 <= 0.99
+
+
+def test_intervals_cover_the_truth_where_the_same_instances_are_hard_in_all_environments():
+    covered = 0
+    for number in range(150):
+        random = np.random.default_rng(number)
+        hard = random.normal(size=(1, 25))
+        met = [rows("a", hard + 0.5 * random.normal(size=(1, 25)), env) for env in "EFGHIJ"]
+        own = rows("a", random.normal(size=(1, 8)), "numbered")
+        found = Bootstrap.of(pd.concat([*met, own]), resamples=300).estimate("a", "mean")
+        covered += found.low <= 0 <= found.high
+    assert 0.86 <= covered / 150 <= 0.99
+
+
+def test_environments_of_equally_many_instances_share_their_draw():
+    values = np.random.default_rng(8).normal(size=(1, 30))
+    frames = [rows("a", values, "E"), rows("a", values[:, :8], "F"), rows("a", values, "G")[::-1]]
+    scores = arrange(pd.concat(frames))
+    assert np.array_equal(scores.values["a"][0], scores.values["a"][2])
+    first, other, shared = draw(scores, 20, 3).instances
+    assert np.array_equal(first, shared)
+    assert other.shape == (21, 8)
+
+
+def test_an_agent_without_training_is_resampled_over_instances_alone():
+    values = np.random.default_rng(3).normal(size=(1, 400))
+    untrained = rows("a", values, seeds=[None])
+    found = Bootstrap.of(untrained).estimate("a", "mean")
+    assert found.seeds == (0,) and found.instances == 400
+    assert width(found) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
+    (policies,) = draw(arrange(untrained), 50, 0).policies.values()
+    assert (policies == 1).all()
+
+
+def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
+    random = np.random.default_rng(4)
+    hard = 5 * random.normal(size=(1, 200))
+    frame = pd.concat(
+        [
+            rows("a", hard + 0.5 + 0.1 * random.normal(size=(5, 200))),
+            rows("b", hard + 0.1 * random.normal(size=(5, 200))),
+        ]
+    )
+    bootstrap = Bootstrap.of(frame)
+    difference = bootstrap.difference("a", "b")
+    alone = {agent: bootstrap.estimate(agent, "mean") for agent in "ab"}
+    assert difference.estimate == pytest.approx(alone["a"].estimate - alone["b"].estimate, abs=1e-9)
+    assert difference.low > 0.45 and width(difference) < 0.05 * width(alone["a"])
+    assert difference.seeds == (5, 5)
+    other_way = bootstrap.difference("b", "a")
+    assert other_way.estimate == pytest.approx(-difference.estimate)
+    assert bootstrap.difference("a", "a", weighted_iqm).estimate == 0
+
+
+@pytest.mark.parametrize("better", ["high", "low"])
+@pytest.mark.parametrize("seeds", [1, 2, 10])
+def test_a_copy_of_an_agent_is_better_in_exactly_half_of_all_cases(seeds, better):
+    values = simulated(np.random.default_rng(5), seeds, 60, 0.5, 1.0).round(1)
+    frame = pd.concat([rows("a", values), rows("copy", values)])
+    found = Bootstrap.of(frame).improvement("a", "copy", better)
+    assert found.estimate == 0.5
+    assert found.low <= 0.5 <= found.high
+
+
+def test_equal_scores_count_half():
+    frame = pd.concat([rows("a", [[1.0, 1.0, 2.0, 0.0]]), rows("b", [[1.0, 1.0, 1.0, 1.0]])])
+    assert Bootstrap.of(frame).improvement("a", "b").estimate == 0.5
+    frame = pd.concat([rows("a", [[1.0, 1.0, 2.0, 3.0]]), rows("b", [[1.0, 1.0, 1.0, 1.0]])])
+    assert Bootstrap.of(frame).improvement("a", "b").estimate == 0.75
+    assert Bootstrap.of(frame).improvement("a", "b", "low").estimate == 0.25
+
+
+def test_the_probability_of_improvement_of_shifted_normal_scores_is_that_of_the_integral():
+    # Paired by instance: of the difference only the noise of both is left.
+    random = np.random.default_rng(6)
+    hard = 10 * random.normal(size=(1, 4000))
+    frame = pd.concat(
+        [
+            rows("a", hard + 0.7 + random.normal(size=(4, 4000))),
+            rows("b", hard + random.normal(size=(4, 4000))),
+        ]
+    )
+    found = Bootstrap.of(frame, resamples=200).improvement("a", "b")
+    assert found.estimate == pytest.approx(norm.cdf(0.7 / math.sqrt(2)), abs=0.01)
+    assert found.low < found.estimate < found.high
+
+
+def test_missing_scores_are_left_out_of_comparisons_and_beat_no_threshold():
+    frame = pd.concat([rows("a", [[2.0, math.nan, 2.0]]), rows("b", [[1.0, 1.0, math.nan]])])
+    assert Bootstrap.of(frame).improvement("a", "b").estimate == 1.0
+    profile = Bootstrap.of(frame).profile([0.0]).set_index("agent")["estimate"]
+    assert profile.to_dict() == pytest.approx({"a": 2 / 3, "b": 2 / 3})
+    found = Bootstrap.of(frame).estimate("a")
+    assert (found.estimate, found.missing) == (pytest.approx(2.0), 1)
+    assert Bootstrap.of(frame).difference("a", "b").missing == 2
+
+
+def test_a_profile_is_the_share_of_episodes_beyond_each_threshold():
+    values = np.random.default_rng(7).normal(size=(4, 50))
+    levels = np.linspace(-2, 2, 9)
+    found = Bootstrap.of(rows("a", values), resamples=300).profile(levels)
+    assert found["estimate"].to_numpy() == pytest.approx([(values > t).mean() for t in levels])
+    assert (found["low"] <= found["estimate"]).all() and (found["estimate"] <= found["high"]).all()
+    assert set(found["seeds"]) == {4} and set(found["instances"]) == {50}
+    below = Bootstrap.of(rows("a", values), resamples=10).profile(levels, "low")
+    assert below["estimate"].to_numpy() == pytest.approx([(values < t).mean() for t in levels])
+
+
+def test_environments_count_equally_however_many_instances_they_have():
+    frame = pd.concat(
+        [rows("a", np.zeros((2, 10)), "small"), rows("a", np.ones((2, 1000)), "large")]
+    )
+    found = Bootstrap.of(frame, resamples=50).estimate("a", "mean")
+    assert (found.estimate, found.environments, found.instances) == (pytest.approx(0.5), 2, 1010)
+    assert Bootstrap.of(frame, resamples=10).profile([0.5])["estimate"].item() == pytest.approx(0.5)
+
+
+def test_the_instances_drawn_do_not_depend_on_the_agents():
+    values = np.random.default_rng(8).normal(size=(1, 30))
+    alone = draw(arrange(rows("a", values)), 20, 3)
+    among = draw(arrange(pd.concat([rows("b", values), rows("a", values)])), 20, 3)
+    assert np.array_equal(alone.instances[0], among.instances[0])
+    assert (alone.instances[0].sum(axis=1) == 30).all() and (alone.instances[0][0] == 1).all()
+
+
+def test_the_same_seed_gives_the_same_estimate():
+    frame = rows("a", np.random.default_rng(9).normal(size=(3, 20)))
+    first, same, other = (Bootstrap.of(frame, seed=seed).estimate("a") for seed in (1, 1, 2))
+    assert first == same != other
+
+
+def test_the_order_of_the_rows_of_an_agent_does_not_matter():
+    frame = rows("a", np.random.default_rng(9).normal(size=(3, 20)))
+    table = arrange(frame).values["a"][0]
+    turned = arrange(frame.iloc[::-1]).values["a"][0]
+    assert np.array_equal(table, turned[::-1])
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (rows("a", [[1.0, 2.0]]).drop(columns="instance"), "it lacks .'instance'"),
+        (pd.concat([rows("a", [[1.0, 2.0]])] * 2), "'instance': 0.* repeatedly"),
+        (
+            pd.concat([rows("a", [[1.0, 2.0]]), rows("b", [[1.0]])]),
+            "training seeds of 'b', 1 × 2 episodes, got 1",
+        ),
+        (rows("a", [[1.0], [2.0]]).iloc[:0], "must have rows"),
+    ],
+)
+def test_agents_that_have_not_met_the_same_are_not_compared(frame, message):
+    with pytest.raises(ValueError, match=message):
+        Bootstrap.of(frame)
+
+
+def test_unknown_agents_are_told():
+    with pytest.raises(ValueError, match=r"agent must be one of \['a'\], got 'b'"):
+        Bootstrap.of(rows("a", [[1.0, 2.0]])).difference("a", "b")

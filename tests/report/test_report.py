@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mmc_gym.benchmark.statistics import Estimate, paired_difference
+from mmc_gym.benchmark.statistics import Bootstrap, Estimate
 from mmc_gym.cli import main
 from mmc_gym.measures.catalogue import MEASURES
 from mmc_gym.report import sentences as words
@@ -197,7 +197,7 @@ def test_differences_are_those_of_the_paired_bootstrap(estimates):
     measure = next(one for one in MEASURES if one.name == "episode_return")
     mean = replace(measure, statistic="mean")
     found = estimates.scores("random").difference("mmc", "ppo", mean)
-    expected = paired_difference(rows, "mmc", "ppo", value=measure.name, resamples=200)
+    expected = Bootstrap.of(rows, measure.name, resamples=200).difference("mmc", "ppo")
     assert found.estimate == pytest.approx(expected.estimate)
     assert found.seeds == expected.seeds == (0, 2)
     width = expected.high - expected.low  # other draws of training seeds
