@@ -19,11 +19,12 @@ from rich.progress import track
 from rich.table import Table
 
 import mmc_gym  # registers the environments
-from mmc_gym.agents.base import Agent, ReachInterface
+from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import closed_loop_inverse_kinematics, closed_loop_mmc
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.jacobian import damped_least_squares
 from mmc_gym.envs.perturbations import PERTURBATIONS
+from mmc_gym.interface import ReachInterface
 
 AGENTS = (
     "mmc",

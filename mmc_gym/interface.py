@@ -1,63 +1,499 @@
-"""From the state of arms to what is observed of them: arrays in, arrays out, batch axes in front.
+"""The contract between an environment and an agent.
 
-`MMCReachEnv` has its own, quicker way where nothing disturbs the senses; it comes to the same
-bits (a test holds them together).
+It says how an observation is laid out, what an action means, and what agents are told of the arm.
+Environments, agents, policies and wrappers ask here, and write no index of their own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, sin
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
+import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.spec import ReachSetup
+from mmc_gym._errors import UserError
+from mmc_gym.body import ArmParameters, Servo
+from mmc_gym.network.chain import Floats, wrap_angle
 
-Floats = NDArray[np.float64]
+Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
+JointLimits: TypeAlias = "tuple[tuple[float, float], ...]"
+Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
+CONTROLS: tuple[Control, ...] = get_args(Control)
 
 
-def disturb(
-    setup: ReachSetup, readings: Readings, randoms: Sequence[np.random.Generator]
-) -> Readings:
-    """The readings under the noises of a setup.
+class CannotActError(UserError):
+    """An agent cannot act in an environment.
 
-    Args:
-        setup: of the environment.
-        readings: of the arms, (n, …).
-        randoms: the generator of each of the n arms.
+    Factories raise it, yours too, to refuse an environment: the benchmark leaves out that pair
+    and gives the message as the reason.  Any other exception of a factory is a failure.
     """
-    for noise, draws in zip(setup.noises, setup.noise_draws, strict=True):
-        normals = np.stack([random.standard_normal(draws) for random in randoms])
-        readings = noise.disturb(readings, normals)
-    return readings
 
 
-def relative_speeds(setup: ReachSetup, joint_velocities: Floats) -> Floats:
-    """Joint velocities (..., N) as fractions of their limit, clipped to ±1."""
+class ControlError(CannotActError):
+    """An agent cannot act by the actions of an environment, but by those of another control mode.
+
+    Attributes:
+        control: the control mode that it acts by.
+    """
+
+    def __init__(self, message: str, control: str) -> None:
+        """Say what is wrong, and which control mode would be right."""
+        super().__init__(message, control)
+        self.control = control
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class ActionMeaning(NamedTuple):
+    """What an action asks a joint's servo for.
+
+    Attributes:
+        servo: the kind of servo that follows it.
+        scale: what an action of 1 stands for: radians, rad/s, or mass · length² / s².
+        is_relative: whether the present joint angle is added.
+    """
+
+    servo: Servo
+    scale: float
+    is_relative: bool = False
+
+
+def max_joint_delta(*, speed_limit: float, servo_gain: float) -> float:
+    """Return how far an action of 1 puts the joint target ahead under `joint_delta`, radians.
+
+    A target so far ahead asks the servo for its full speed.  The joint's mean speed is less, for it
+    has come nearer to the target when the control step ends.
+    """
+    return speed_limit / servo_gain
+
+
+def action_meaning(control: Control, body: ArmParameters) -> ActionMeaning:
+    """Return what the actions of a control mode mean for an arm."""
+    ahead = max_joint_delta(speed_limit=body.speed_limit, servo_gain=body.servo_gain)
+    meanings: dict[Control, ActionMeaning] = {
+        "joint_position": ActionMeaning("position", math.pi),
+        "joint_delta": ActionMeaning("position", ahead, is_relative=True),
+        "joint_velocity": ActionMeaning("velocity", body.speed_limit),
+        "joint_torque": ActionMeaning("torque", body.torque_limit),
+    }
+    return meanings[control]
+
+
+class ObservationParts(NamedTuple):
+    """The parts of observations, arrays of numpy or torch with the batch in front.
+
+    Attributes:
+        cosines: of the joint angles, (..., N).
+        sines: of the joint angles, (..., N).
+        speeds: joint velocities as fractions of their limit, (..., N).
+        target: its position / reach, (..., 2).
+        offset: (target − hand) / (2 · reach), (..., 2).
+        rest: what else the observation ends with, (..., any number).
+    """
+
+    cosines: Any
+    sines: Any
+    speeds: Any
+    target: Any
+    offset: Any
+    rest: Any
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """Where each number of an observation stands, for an arm of N joints.
+
+    An observation of `MMCReach-v0` is (..., 3 N + 4)::
+
+        cos q, sin q, joint speeds / limit, target / reach, (target − hand) / (2 reach)
+
+    One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
+    `achieved_goal` the hand and `desired_goal` the target, (..., 2), in segment lengths.
+
+    Attributes:
+        joint_count: N.
+        reach: sum of the segment lengths.
+    """
+
+    joint_count: int
+    reach: float
+
+    @cached_property
+    def posture_size(self) -> int:
+        """Number of values that tell posture and joint speeds."""
+        return 3 * self.joint_count
+
+    @cached_property
+    def size(self) -> int:
+        """Number of values of an observation."""
+        return self.posture_size + 4
+
+    def space(self) -> spaces.Box:
+        """Return the observation space of `MMCReach-v0`."""
+        return spaces.Box(-1.0, 1.0, (self.size,), np.float32)
+
+    def goal_space(self, farthest: float) -> spaces.Dict:
+        """Return the observation space of `MMCReachGoal-v0`.
+
+        Args:
+            farthest: largest absolute coordinate of hand and target, segment lengths.
+        """
+        goal = spaces.Box(-farthest, farthest, (2,), np.float64)
+        posture = spaces.Box(-1.0, 1.0, (self.posture_size,), np.float32)
+        return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
+
+    def additions(self, space: spaces.Space[Any]) -> int:
+        """Return how many values an observation space has beyond this layout.
+
+        Raises:
+            UserError: if the space is that of no such observation.
+        """
+        goals = getattr(space, "spaces", None)  # of a goal environment
+        shape = (goals.get("observation", space) if goals else space).shape
+        count = (shape[0] if shape else 0) - (self.posture_size if goals else self.size)
+        if count < 0:
+            raise UserError(
+                "observation_space must be that of a reaching environment with "
+                f"{self.joint_count} joints, got {space}"
+            )
+        return count
+
+    def encode_posture(
+        self, joint_angles: Floats, joint_speeds: Floats, *, more: int = 0
+    ) -> NDArray[np.float32]:
+        """Return cosines and sines of the joint angles, and joint speeds, (..., 3 N + more).
+
+        Args:
+            joint_angles: radians, (..., N).
+            joint_speeds: as fractions of their limit, (..., N), see `relative_speeds`.
+            more: how many values are left at the end for the caller to fill in.
+        """
+        count = self.joint_count
+        seen = np.empty((*joint_angles.shape[:-1], self.posture_size + more), np.float32)
+        seen[..., :count] = np.cos(joint_angles)
+        seen[..., count : 2 * count] = np.sin(joint_angles)
+        seen[..., 2 * count : 3 * count] = joint_speeds
+        return seen
+
+    def encode(
+        self,
+        joint_angles: Floats,
+        joint_speeds: Floats,
+        *,
+        hand: Floats,
+        target: Floats,
+        clip: bool = False,
+    ) -> NDArray[np.float32]:
+        """Return observations of `MMCReach-v0`, (..., 3 N + 4).
+
+        Args:
+            joint_angles: radians, (..., N).
+            joint_speeds: as fractions of their limit, (..., N), see `relative_speeds`.
+            hand: where it is seen, segment lengths, (..., 2).
+            target: segment lengths, (..., 2).
+            clip: to −1 and 1, where hand or target may be seen beyond the reach.
+        """
+        seen = self.encode_posture(joint_angles, joint_speeds, more=4)
+        seen[..., -4:-2] = target / self.reach
+        seen[..., -2:] = (target - hand) / (2 * self.reach)
+        if clip:
+            np.clip(seen, -1.0, 1.0, out=seen)
+        return seen
+
+    def encode_one(
+        self,
+        joint_angles: Sequence[float],
+        joint_speeds: Sequence[float],
+        *,
+        hand: tuple[float, float],
+        target: tuple[float, float],
+        clip: bool = False,
+    ) -> NDArray[np.float32]:
+        """Return the observation of a single arm, as `encode` does, but four times as quickly."""
+        (x, y), (hand_x, hand_y), reach = target, hand, self.reach
+        values = [
+            *_posture_of_one(joint_angles, joint_speeds),
+            x / reach,
+            y / reach,
+            (x - hand_x) / (2 * reach),
+            (y - hand_y) / (2 * reach),
+        ]
+        if clip:
+            values = [min(max(value, -1.0), 1.0) for value in values]
+        return np.array(values, dtype=np.float32)
+
+    def encode_goals(
+        self, joint_angles: Floats, joint_speeds: Floats, *, hand: Floats, target: Floats
+    ) -> dict[str, NDArray[Any]]:
+        """Return observations of `MMCReachGoal-v0`; the arguments are those of `encode`."""
+        return {
+            "observation": self.encode_posture(joint_angles, joint_speeds),
+            "achieved_goal": np.array(hand),
+            "desired_goal": np.array(target),
+        }
+
+    def encode_goals_of_one(
+        self,
+        joint_angles: Sequence[float],
+        joint_speeds: Sequence[float],
+        *,
+        hand: tuple[float, float],
+        target: tuple[float, float],
+    ) -> dict[str, NDArray[Any]]:
+        """Return the observation of a single arm, as `encode_goals` does, but more quickly."""
+        posture = _posture_of_one(joint_angles, joint_speeds)
+        return {
+            "observation": np.array(posture, dtype=np.float32),
+            "achieved_goal": np.array(hand),
+            "desired_goal": np.array(target),
+        }
+
+    def cosines_and_sines(self, observation: Any) -> tuple[Any, Any]:
+        """Return those of the joint angles, (..., N) each, out of an array of observations."""
+        count = self.joint_count
+        return observation[..., :count], observation[..., count : 2 * count]
+
+    def split(self, observation: Any) -> ObservationParts:
+        """Take observations of either kind apart; arrays of numpy or torch, (..., 3 N + 4).
+
+        They may be longer; what follows is `rest`.
+        """
+        count, end = self.joint_count, self.posture_size
+        if isinstance(observation, Mapping):
+            posture, target = observation["observation"], observation["desired_goal"]
+            offset = (target - observation["achieved_goal"]) / (2 * self.reach)
+            target, rest = target / self.reach, posture[..., end:]
+        else:
+            posture, target = observation, observation[..., end : end + 2]
+            offset, rest = observation[..., end + 2 : end + 4], observation[..., end + 4 :]
+        cosines, sines = self.cosines_and_sines(posture)
+        return ObservationParts(
+            cosines=cosines,
+            sines=sines,
+            speeds=posture[..., 2 * count : end],
+            target=target,
+            offset=offset,
+            rest=rest,
+        )
+
+
+def _posture_of_one(joint_angles: Sequence[float], joint_speeds: Sequence[float]) -> list[float]:
+    return [*map(cos, joint_angles), *map(sin, joint_angles), *joint_speeds]
+
+
+def relative_speeds(
+    joint_velocities: NDArray[np.float64], speed_limit: float
+) -> NDArray[np.float64]:
+    """Return joint velocities (..., N) as fractions of their limit, clipped to ±1."""
     # np.clip would take twice as long for few arms.
-    speeds: Floats = np.maximum(joint_velocities / setup.told.speed_limit, -1.0)
+    speeds: NDArray[np.float64] = np.maximum(joint_velocities / speed_limit, -1.0)
     return np.minimum(speeds, 1.0, out=speeds)
 
 
-def encode_posture(setup: ReachSetup, readings: Readings, more: int = 0) -> NDArray[np.float32]:
-    """Cosines and sines of the joint angles, and relative speeds, (..., 3 N + more).
+@dataclass(frozen=True)
+class Sensed:
+    """An observation in physical units; all arrays lead with the batch.
 
-    The last `more` numbers are left for the caller to fill in.
+    Attributes:
+        joint_angles: radians, (..., N).
+        target: segment lengths, (..., 2).
     """
-    angles, count = readings.joint_angles, setup.joint_count
-    seen = np.empty((*angles.shape[:-1], 3 * count + more), np.float32)
-    seen[..., :count] = np.cos(angles)
-    seen[..., count : 2 * count] = np.sin(angles)
-    seen[..., 2 * count : 3 * count] = relative_speeds(setup, readings.joint_velocities)
-    return seen
+
+    joint_angles: Floats
+    target: Floats
 
 
-def encode(setup: ReachSetup, readings: Readings) -> NDArray[np.float32]:
-    """The observation of `MMCReach-v0`, (..., 3 N + 4)."""
-    seen = encode_posture(setup, readings, more=4)
-    seen[..., -4:-2] = readings.target / setup.reach
-    seen[..., -2:] = (readings.target - readings.hand) / (2 * setup.reach)
-    if setup.may_exceed_reach or setup.noises:
-        np.clip(seen, -1.0, 1.0, out=seen)
-    return seen
+@dataclass(frozen=True)
+class ReachInterface:
+    """What an agent is told about a reaching environment.
+
+    Attributes:
+        segment_lengths: N lengths.
+        control: the environment's control mode.
+        speed_limit: largest joint speed, rad/s.
+        servo_gain: speed that a position servo asks for per angle to its target, 1/s.
+        control_step: duration of a control step, s.
+        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
+    """
+
+    segment_lengths: tuple[float, ...]
+    control: str
+    speed_limit: float
+    servo_gain: float
+    control_step: float
+    joint_limits: JointLimits | None = None
+
+    @classmethod
+    def of(cls, env: Any) -> ReachInterface:
+        """Read it off an environment.
+
+        Args:
+            env: an environment, wrapped or not, or a vector of equal ones: Gymnasium's, native or
+                not, or stable-baselines3's.
+
+        Raises:
+            UserError: if it is none of this package's reaching environments, or they differ.
+        """
+        body, control = told_by(env, "parameters"), told_by(env, "control")
+        if body is None or control is None:
+            raise UserError(f"env must be a reaching environment of mmc_gym, got {env!r}")
+        return cls(
+            segment_lengths=body.segment_lengths,
+            control=control,
+            speed_limit=body.speed_limit,
+            servo_gain=body.servo_gain,
+            control_step=body.control_step,
+            joint_limits=body.joint_limits,
+        )
+
+    @cached_property
+    def layout(self) -> ObservationLayout:
+        """The layout of the environment's observations."""
+        return ObservationLayout(len(self.segment_lengths), sum(self.segment_lengths))
+
+    @property
+    def max_joint_delta(self) -> float:
+        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
+        return max_joint_delta(speed_limit=self.speed_limit, servo_gain=self.servo_gain)
+
+    def sense(self, observation: Observation) -> Sensed:
+        """Return posture and target of observations.
+
+        Args:
+            observation: of MMCReach-v0, (..., 13) at N = 3, or of MMCReachGoal-v0, a mapping.
+
+        Raises:
+            ValueError: if its last axis has another length.
+        """
+        layout = self.layout
+        if isinstance(observation, Mapping):
+            values = np.asarray(observation["observation"], dtype=np.float64)
+            target = np.asarray(observation["desired_goal"], dtype=np.float64)
+            expected = layout.posture_size
+        else:
+            values = np.asarray(observation, dtype=np.float64)
+            target = values[..., layout.posture_size : layout.posture_size + 2] * layout.reach
+            expected = layout.size
+        if values.shape[-1:] != (expected,):
+            raise ValueError(f"observation must have shape (..., {expected}), got {values.shape}")
+        cosines, sines = layout.cosines_and_sines(values)
+        return Sensed(self.within_limits(np.arctan2(sines, cosines)), target)
+
+    def seen_hand(self, observation: Observation) -> Floats:
+        """Return where observations show the hand, or its cursor, segment lengths, (..., 2)."""
+        if isinstance(observation, Mapping):
+            return np.asarray(observation["achieved_goal"], dtype=np.float64)
+        reach = self.layout.reach
+        parts = self.layout.split(np.asarray(observation, dtype=np.float64))
+        hand: Floats = parts.target * reach - 2 * reach * parts.offset
+        return hand
+
+    def checked(self, observation: Observation) -> Observation:
+        """Return the observation as arrays.
+
+        Raises:
+            ValueError: if its last axis has another length than that of this environment.
+        """
+        if isinstance(observation, Mapping):
+            arrays = {name: np.asarray(value) for name, value in observation.items()}
+            self.sense(arrays)
+            return arrays
+        array = np.asarray(observation, dtype=np.float32)
+        self.sense(array)
+        return array
+
+    def within_limits(self, joint_angles: Floats) -> Floats:
+        """Return the angles within the joint limits that are nearest to these, (..., N)."""
+        if self.joint_limits is None:
+            return joint_angles
+        low, high = self._low_and_high
+        middle, half = (low + high) / 2, (high - low) / 2
+        near: Floats = middle + np.clip(wrap_angle(joint_angles - middle), -half, half)
+        return near
+
+    def within_limits_from(self, before: Floats, joint_angles: Floats) -> Floats:
+        """Return where joints come to on the short way from `before`, up to the limits, (..., N).
+
+        An internal posture that is advanced by this never jumps from one limit to the other.
+        """
+        if self.joint_limits is None:
+            return joint_angles
+        low, high = self._low_and_high
+        stopped: Floats = np.clip(before + wrap_angle(joint_angles - before), low, high)
+        return stopped
+
+    def turn(self, joint_angles: Floats, joint_targets: Floats) -> Floats:
+        """Return by how much joints turn to their targets, radians, (..., N).
+
+        They take the short way, or with joint limits the way that is allowed.
+        """
+        if self.joint_limits is None:
+            return wrap_angle(joint_targets - joint_angles)
+        return self.within_limits(joint_targets) - self.within_limits(joint_angles)
+
+    @cached_property
+    def _low_and_high(self) -> tuple[Floats, Floats]:
+        low, high = np.transpose(self.joint_limits or ())
+        return low, high
+
+    def act(self, joint_targets: Floats, sensed: Sensed) -> NDArray[np.float32]:
+        """Return the action that sends the joints to their targets (..., N).
+
+        Position control is handed the targets.  Delta and velocity control are asked for the
+        speed that a position servo would ask for.  Targets beyond a joint limit are at the limit,
+        and no joint is sent through the range that it must not enter.
+
+        Returns:
+            float32 within −1 and 1, (..., N).
+
+        Raises:
+            CannotActError: under torque control, which has no servo to hand targets to.
+        """
+        if self.control == "joint_position":
+            action = wrap_angle(self.within_limits(joint_targets)) / math.pi
+        elif self.control in ("joint_delta", "joint_velocity"):
+            action = self.turn(sensed.joint_angles, joint_targets) / self.max_joint_delta
+        else:
+            raise CannotActError(
+                "control must be 'joint_position', 'joint_delta' or 'joint_velocity' for an agent "
+                f"that gives joint targets, got {self.control!r}"
+            )
+        clipped: NDArray[np.float32] = np.clip(action, -1.0, 1.0).astype(np.float32)
+        return clipped
+
+    def check_takes_joint_targets(self) -> None:
+        """Raise a `CannotActError` under torque control, which has no servo to hand targets to."""
+        rest = np.zeros(len(self.segment_lengths))
+        self.act(rest, Sensed(rest, np.zeros(2)))
+
+
+def told_by(env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any] | Any, name: str) -> Any:
+    """Return an attribute of a reaching environment; None if it has none of that name.
+
+    Args:
+        env: an environment, wrapped or not, or a vector of them: Gymnasium's, native or not, or
+            stable-baselines3's.
+        name: of the attribute.
+
+    Raises:
+        UserError: if it is not the same for all environments of a vector.
+    """
+    value = getattr(getattr(env, "unwrapped", None), name, None)
+    if value is not None or not hasattr(env, "get_attr"):
+        return value
+    try:
+        values = list(env.get_attr(name))
+    except AttributeError:
+        return None
+    if any(other != values[0] for other in values):
+        raise UserError(f"env must be of environments with the same {name}, got {values}")
+    return values[0] if values else None

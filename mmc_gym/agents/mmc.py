@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed, State
+from mmc_gym.agents.base import JointTargetAgent, State
 from mmc_gym.agents.ik.dead_end import STRAIGHT, leave_line, nearest_reachable
 from mmc_gym.agents.planners import Movement, begin, follow, step, where
+from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network import Clamps, MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run

@@ -24,7 +24,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import JointTargetAgent, Sensed
+from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.agents.ik.agent import iterate, jacobian
 from mmc_gym.agents.ik.dead_end import (
     SegmentLengths,
@@ -33,6 +33,7 @@ from mmc_gym.agents.ik.dead_end import (
     nearest_reachable,
 )
 from mmc_gym.agents.ik.jacobian import damped_least_squares, limited, resisted_force
+from mmc_gym.interface import Sensed
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share
 

@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, ControlError, Observation, ReachInterface
+from mmc_gym.agents.base import Agent
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
+from mmc_gym.interface import CONTROLS, ControlError, Observation, ReachInterface
 from mmc_gym.network import EuclideanNormalizer
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
-CONTROLS = ("joint_position", "joint_delta", "joint_velocity", "joint_torque")
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 
 
@@ -242,7 +242,7 @@ class PolicyAgent(Agent[Any]):
                 "view 'target' is for policies that act alone, by joint positions, got control "
                 f"{card.control!r} and base_agent {card.base_agent!r}"
             )
-        inputs = feature_count(card.view, count) + (count if card.base_agent else 0)
+        inputs = feature_count(card.view, interface.layout) + (count if card.base_agent else 0)
         if network.input_size != inputs:
             raise ValueError(f"network must take {inputs} features, got {network.input_size}")
         self.card = card
@@ -251,8 +251,7 @@ class PolicyAgent(Agent[Any]):
         self._interface = interface
         self._convert = not same
         self._random = np.random.default_rng(seed)
-        self._shape = (3 * count + 4,)
-        self._joint_count, self._reach = count, sum(interface.segment_lengths)
+        self._layout, self._shape = interface.layout, (interface.layout.size,)
         self._base = None
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
@@ -272,13 +271,14 @@ class PolicyAgent(Agent[Any]):
         """See `Agent.predict`."""
         if not isinstance(observation, np.ndarray) or observation.shape[-1:] != self._shape:
             observation = self._interface.checked(observation)
-        seen = features(np, self.card.view, observation, self._joint_count, self._reach)
+        seen = features(np, self.card.view, observation, self._layout)
         seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random
         if self._base is None:
             action = self._network.act(seen, random)
             if self.card.view == "target":
-                action = turned_actions(np, action, observation, self._joint_count)
+                action = turned_actions(np, action, observation, self._layout)
+                action = action.astype(np.float32, copy=False)  # goals are float64
         else:
             proposal, state = self._base.predict(observation, state, episode_start)
             seen = np.concatenate((seen, proposal), axis=-1)

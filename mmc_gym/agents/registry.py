@@ -12,7 +12,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from mmc_gym.agents.base import Agent, RandomAgent, ReachInterface
+from mmc_gym.agents.base import Agent, RandomAgent
 from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
     closed_loop_inverse_kinematics,
@@ -30,6 +30,7 @@ from mmc_gym.agents.ik.jacobian import (
 )
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc
 from mmc_gym.agents.planners import MinimumJerkAgent, PassiveMotionAgent
+from mmc_gym.interface import ReachInterface
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, Normalizer
 from mmc_gym.network.chain import Floats
 

@@ -28,31 +28,31 @@ shows it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, Literal
+
+from mmc_gym.interface import ObservationLayout
 
 View = Literal["arm", "target", "world"]
 
 OFFSET_GAIN = 6.0
 
 
-def features(arrays: Any, view: View, observation: Any, joint_count: int, reach: float) -> Any:
-    """The features of observations, (..., `feature_count`), and what observations end with.
+def features(arrays: Any, view: View, observation: Any, layout: ObservationLayout) -> Any:
+    """Return the features of observations, (..., `feature_count`), and what they end with.
 
     Args:
         arrays: the module that the observations are arrays of, numpy or torch.
         view: which.
         observation: of MMCReach-v0, (..., 3N + 4) or longer, or of MMCReachGoal-v0, a mapping.
-        joint_count: N.
-        reach: sum of the segment lengths, by which the goals of a mapping are divided.
+        layout: of the observations.
     """
-    posture, target, offset, rest = _parts(observation, joint_count, reach)
+    cosines, sines, speeds, target, offset, rest = layout.split(observation)
     offset = OFFSET_GAIN * offset
     parts: tuple[Any, ...]
     if view == "world":
-        return arrays.concatenate((posture, target, offset, rest), -1)
-    first = posture[..., :1], posture[..., joint_count : joint_count + 1]  # cosine and sine of q_1
-    others = posture[..., 1:joint_count], posture[..., joint_count + 1 :]
+        return arrays.concatenate((cosines, sines, speeds, target, offset, rest), -1)
+    first = cosines[..., :1], sines[..., :1]
+    others = cosines[..., 1:], sines[..., 1:], speeds
     goal = target[..., :1], target[..., 1:]
     left = offset[..., :1], offset[..., 1:]
     if view == "arm":
@@ -65,44 +65,33 @@ def features(arrays: Any, view: View, observation: Any, joint_count: int, reach:
     return arrays.concatenate((*parts, *_turned_back(*left, *direction), rest), -1)
 
 
-def feature_count(view: View, joint_count: int) -> int:
-    """How many features an observation without additions has."""
-    return 3 * joint_count + {"arm": 2, "target": 3, "world": 4}[view]
+def feature_count(view: View, layout: ObservationLayout) -> int:
+    """Return how many features an observation without additions has."""
+    return layout.size + {"arm": -2, "target": -1, "world": 0}[view]
 
 
 def turned_actions(
-    arrays: Any, actions: Any, observation: Any, joint_count: int, *, back: bool = False
+    arrays: Any, actions: Any, observation: Any, layout: ObservationLayout, *, back: bool = False
 ) -> Any:
-    """Joint positions in the target's view as joint positions in the world, or back.
+    """Turn joint positions in the target's view into joint positions in the world, or back.
 
     Args:
         arrays: the module that actions and observations are arrays of, numpy or torch.
         actions: joint angles / π, (..., N).
         observation: that they answer, see `features`.
-        joint_count: N.
+        layout: of the observations.
         back: from the world into the target's view.
 
     Returns:
         Those actions, (..., N); the first is wrapped to the range from −1 to 1, the others are as
         they were.
     """
-    _, target, _, _ = _parts(observation, joint_count, reach=1.0)  # only its direction counts
+    target = layout.split(observation).target
     turn = arrays.arctan2(target[..., 1:], target[..., :1]) / math.pi
     first = (actions[..., :1].clip(-1, 1) + (-turn if back else turn) + 1) % 2 - 1
     return arrays.concatenate((first, actions[..., 1:]), -1)
 
 
-def _parts(observation: Any, joint_count: int, reach: float) -> tuple[Any, Any, Any, Any]:
-    """Posture and joint speeds (..., 3N), target, offset (..., 2), and what else there is."""
-    if isinstance(observation, Mapping):
-        posture, target = observation["observation"], observation["desired_goal"]
-        offset = (target - observation["achieved_goal"]) / (2 * reach)
-        return posture, target / reach, offset, posture[..., :0]
-    end = 3 * joint_count + 4
-    posture, rest = observation[..., : end - 4], observation[..., end:]
-    return posture, observation[..., end - 4 : end - 2], observation[..., end - 2 : end], rest
-
-
 def _turned_back(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
-    """Components of vectors (x, y) in a frame whose x axis points to (cosine, sine)."""
+    """Return the components of vectors (x, y) in a frame whose x axis is (cosine, sine)."""
     return cosine * x + sine * y, cosine * y - sine * x

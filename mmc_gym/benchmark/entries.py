@@ -20,9 +20,9 @@ from typing import Any, TypeAlias, cast
 import gymnasium as gym
 
 from mmc_gym.agents import AGENTS, agent_names, find_agent, is_policy_path
-from mmc_gym.agents.base import ControlError
 from mmc_gym.agents.policy import PRETRAINED, PolicyCard, load_policy
 from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.interface import ControlError
 from mmc_gym.measures.rollout import Predictor
 
 Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from math import cos, sin
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
@@ -17,7 +16,6 @@ from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import dense_reward, reward_and_info, sparse_reward
 from mmc_gym.envs.spec import HasSetup, ReachSetup, RewardType, finite, require_one_of
 from mmc_gym.envs.workspace import REACH_TOLERANCE, Point
-from mmc_gym.interface import disturb, encode
 
 if TYPE_CHECKING:
     from mmc_gym.envs.render.renderer import Renderer, Scene
@@ -117,8 +115,8 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         self.metadata = {**type(self).metadata, "render_fps": round(1 / setup.told.control_step)}
         self.action_space = setup.action_space
         self._action_shape = setup.action_space.shape
-        self.observation_space = self._make_observation_space(setup.joint_count)
-        self._arm = make_arm(setup.engine, setup.body, setup.servo)
+        self.observation_space = self._make_observation_space()
+        self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
         self._has_events = setup.path_length > 1 or bool(setup.lock_step)
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
@@ -155,9 +153,9 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
                 within −1 and 1; the environment stays as it was.
         """
         arm, setup = self._arm, self.setup
-        scale = setup.action_scale
+        scale = setup.action.scale
         command = [scale * value for value in self._check_action(action)]
-        if setup.control == "joint_delta":
+        if setup.action.is_relative:
             command = [angle + delta for angle, delta in zip(arm.joint_angles, command)]
         arm.command(command)
         arm.step()
@@ -236,8 +234,8 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}  # windows belong to a process
 
-    def _make_observation_space(self, count: int) -> spaces.Space[Any]:
-        return spaces.Box(-1.0, 1.0, (3 * count + 4,), np.float32)
+    def _make_observation_space(self) -> spaces.Space[Any]:
+        return self.setup.layout.space()
 
     def _outcome(self) -> tuple[Any, float, Info]:
         """Observation, reward and info of the present state."""
@@ -263,23 +261,24 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
                 np.array([hand]),
                 np.array([target]),
             )
-            return encode(setup, disturb(setup, readings, [self.np_random]))[0], reward, info
-        posture = [*map(cos, arm.joint_angles), *map(sin, arm.joint_angles), *speeds]
-        return self._observation(posture, hand, target), reward, info
+            return setup.observe(setup.disturb(readings, [self.np_random]))[0], reward, info
+        return self._observe(speeds, hand), reward, info
 
     def _seen_hand(self) -> Point:
         """Where the hand is, or the cursor that stands for it."""
         rotation, hand = self.setup.rotation, self._arm.end_effector
         return hand if rotation is None else rotation.cursor(*hand)
 
-    def _observation(self, posture: list[float], hand: Point, target: Point) -> Any:
-        """Observation from cos, sin and speed of the joints, the seen hand and the target."""
-        (x, y), (hand_x, hand_y), reach = target, hand, self.setup.reach
-        diameter = 2 * reach
-        values = [*posture, x / reach, y / reach, (x - hand_x) / diameter, (y - hand_y) / diameter]
-        if self.setup.may_exceed_reach:
-            values = [min(max(value, -1.0), 1.0) for value in values]
-        return np.array(values, dtype=np.float32)
+    def _observe(self, speeds: list[float], hand: Point) -> Any:
+        """Return the observation of undisturbed senses."""
+        setup = self.setup
+        return setup.layout.encode_one(
+            self._arm.joint_angles,
+            speeds,
+            hand=hand,
+            target=self._target,
+            clip=setup.may_exceed_reach,
+        )
 
     def _delayed(self, observation: Any) -> Any:
         """What is observed now, if senses are late; it shares no memory with what comes."""
@@ -386,24 +385,19 @@ class MMCReachGoalEnv(GoalRewards, MMCReachEnv):
         super().__init__(reward_type=reward_type, **without_control_weight(kwargs))
         check_goals(self.setup)
 
-    def _make_observation_space(self, count: int) -> spaces.Space[Any]:
+    def _make_observation_space(self) -> spaces.Space[Any]:
         return goal_observation_space(self.setup)
 
-    def _observation(self, posture: list[float], hand: Point, target: Point) -> Any:
-        return {
-            "observation": np.array(posture, dtype=np.float32),
-            "achieved_goal": np.array(hand),
-            "desired_goal": np.array(target),
-        }
+    def _observe(self, speeds: list[float], hand: Point) -> Any:
+        return self.setup.layout.encode_goals_of_one(
+            self._arm.joint_angles, speeds, hand=hand, target=self._target
+        )
 
 
 def goal_observation_space(setup: ReachSetup) -> spaces.Dict:
-    """The observation space of `MMCReachGoal-v0`."""
+    """Return the observation space of `MMCReachGoal-v0`."""
     # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
-    border = setup.farthest * (1 + REACH_TOLERANCE)
-    goal = spaces.Box(-border, border, (2,), np.float64)
-    posture = spaces.Box(-1.0, 1.0, (3 * setup.joint_count,), np.float32)
-    return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
+    return setup.layout.goal_space(setup.farthest * (1 + REACH_TOLERANCE))
 
 
 def check_goals(setup: ReachSetup) -> None:

@@ -13,30 +13,31 @@ from typing import Any, Literal, TypeVar, cast, get_args
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body import ArmParameters, Servo
+from mmc_gym.body import ArmParameters
 from mmc_gym.body.engines import Engine
 from mmc_gym.envs.perturbations import (
     PERTURBATIONS,
     LockedJoint,
     Perturbation,
+    Readings,
     SensoryDelay,
     rotation_and_noises,
 )
 from mmc_gym.envs.tasks import TASKS, Request, Task, Trial
 from mmc_gym.envs.workspace import Point, Workspace
+from mmc_gym.interface import (
+    CONTROLS,
+    Control,
+    ObservationLayout,
+    action_meaning,
+    max_joint_delta,
+    relative_speeds,
+)
 
-Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
 RewardType = Literal["dense", "sparse"]
 Named = TypeVar("Named", Task, Perturbation)
-
-_SERVO: dict[Control, Servo] = {
-    "joint_position": "position",
-    "joint_delta": "position",
-    "joint_velocity": "velocity",
-    "joint_torque": "torque",
-}
 
 
 class ReachSetup:
@@ -54,9 +55,8 @@ class ReachSetup:
         are_senses_disturbed: whether there is any noise or delay.
         lock_step: after how many control steps the lockable joints lock; None: never.
         path_length: places on the path of the target.
-        action_scale: what an action of 1 means.
-        servo: kind of servo that follows the actions.
-        reach: the sum of the told lengths, by which observed positions are divided.
+        action: what the actions mean.
+        layout: of the observations; its `reach` is the sum of the told lengths.
         farthest: distance from the base within which the hand, or its cursor, always is.
         may_exceed_reach: whether that is beyond `reach`, so that observations must be clipped.
     """
@@ -80,7 +80,7 @@ class ReachSetup:
             ValueError: if one is outside what it accepts.
             TypeError: if one is unknown.
         """
-        require_one_of("control", control, get_args(Control))
+        require_one_of("control", control, CONTROLS)
         require_one_of("reward_type", reward_type, get_args(RewardType))
         require_one_of("engine", engine, get_args(Engine))
         _require_at_least_zero("control_weight", control_weight)
@@ -99,15 +99,10 @@ class ReachSetup:
             _named("perturbations", one, PERTURBATIONS, Perturbation) for one in perturbations
         )
         self._apply_perturbations(ArmParameters(**arm_parameters))
-        self.servo = _SERVO[control]
-        self.action_scale = {
-            "joint_position": math.pi,
-            "joint_delta": self.max_joint_delta,
-            "joint_velocity": self.told.speed_limit,
-            "joint_torque": self.told.torque_limit,
-        }[control]
-        self.joint_count = len(self.told.segment_lengths)
-        self.reach = sum(self.told.segment_lengths)
+        self.action = action_meaning(control, self.told)
+        lengths = self.told.segment_lengths
+        self.joint_count, self.reach = len(lengths), sum(lengths)
+        self.layout = ObservationLayout(self.joint_count, self.reach)
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         self.path_length = self.task.path_length(self.told.control_step)
         self.task.check(self.workspace)
@@ -139,14 +134,41 @@ class ReachSetup:
         self.farthest = sum(self.body.segment_lengths) + math.hypot(*shift)
         self.may_exceed_reach = self.farthest > sum(self.told.segment_lengths)
 
+    def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
+        """Return the readings of n arms under the noises.
+
+        Args:
+            readings: of the arms, (n, …).
+            randoms: the generator of each of the n arms.
+        """
+        for noise, draws in zip(self.noises, self.noise_draws, strict=True):
+            normals = np.stack([random.standard_normal(draws) for random in randoms])
+            readings = noise.disturb(readings, normals)
+        return readings
+
+    def observe(self, readings: Readings) -> NDArray[np.float32]:
+        """Return the observations of `MMCReach-v0` for readings, (..., 3 N + 4)."""
+        return self.layout.encode(
+            readings.joint_angles,
+            relative_speeds(readings.joint_velocities, self.told.speed_limit),
+            hand=readings.hand,
+            target=readings.target,
+            clip=self.may_exceed_reach or bool(self.noises),
+        )
+
+    def observe_goals(self, readings: Readings) -> dict[str, NDArray[Any]]:
+        """Return the observations of `MMCReachGoal-v0` for readings."""
+        return self.layout.encode_goals(
+            readings.joint_angles,
+            relative_speeds(readings.joint_velocities, self.told.speed_limit),
+            hand=readings.hand,
+            target=readings.target,
+        )
+
     @property
     def max_joint_delta(self) -> float:
-        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians.
-
-        A target so far ahead asks the servo for its full speed; the joint's mean speed is less,
-        for it has come nearer when the control step ends.
-        """
-        return self.told.speed_limit / self.told.servo_gain
+        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
+        return max_joint_delta(speed_limit=self.told.speed_limit, servo_gain=self.told.servo_gain)
 
     def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
         """A trial of the task, with what the options decide.

@@ -30,7 +30,7 @@ from mmc_gym.envs.reach import (
 )
 from mmc_gym.envs.rewards import reward_and_info
 from mmc_gym.envs.spec import HasSetup, Options, ReachSetup, RewardType, require_one_of
-from mmc_gym.interface import disturb, encode, encode_posture, relative_speeds
+from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
     from mmc_gym.envs.render.renderer import Renderer, Scene
@@ -161,7 +161,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         self.single_observation_space = self._make_observation_space()
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._body = make_arms(setup.engine, setup.body, num_envs, setup.servo, threads)
+        self._body = make_arms(setup.engine, setup.body, num_envs, setup.action.servo, threads)
         self._all = np.arange(num_envs)
         self._randoms: list[np.random.Generator] = []
         self._seeds: list[int] = []
@@ -358,7 +358,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         is_success = distance <= self.success_distance
         if setup.task.advance == "reach":
             is_success &= self._places[arms] == self._last_places[arms]
-        speeds = relative_speeds(setup, readings.joint_velocities)
+        speeds = relative_speeds(readings.joint_velocities, setup.told.speed_limit)
         before = self._speeds[arms].T
         rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
         self._speeds[arms] = speeds
@@ -368,7 +368,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             info["cursor"] = hands
         if setup.noises:
             randoms = [self._randoms[arm] for arm in self._all[arms]]
-            readings = disturb(setup, readings, randoms)
+            readings = setup.disturb(readings, randoms)
         return self._observe(readings), rewards, info
 
     def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
@@ -379,10 +379,10 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         return np.stack(self.setup.rotation.cursor(*hands.T), axis=-1)
 
     def _make_observation_space(self) -> spaces.Space[Any]:
-        return spaces.Box(-1.0, 1.0, (3 * self.setup.joint_count + 4,), np.float32)
+        return self.setup.layout.space()
 
     def _observe(self, readings: Readings) -> Any:
-        return encode(self.setup, readings)
+        return self.setup.observe(readings)
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
         """Show these arms' observation from now on, also where senses are late."""
@@ -411,8 +411,8 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             raise ValueError(
                 f"actions must lie within -1 and 1, got {values[arm].tolist()} for arm {arm}"
             )
-        values *= self.setup.action_scale
-        if self.control == "joint_delta":
+        values *= self.setup.action.scale
+        if self.setup.action.is_relative:
             values += self._body.joint_angles
         return values
 
@@ -446,8 +446,4 @@ class MMCReachGoalVectorEnv(GoalRewards, MMCReachVectorEnv):
         return goal_observation_space(self.setup)
 
     def _observe(self, readings: Readings) -> Any:
-        return {
-            "observation": encode_posture(self.setup, readings),
-            "achieved_goal": readings.hand.copy(),
-            "desired_goal": readings.target.copy(),
-        }
+        return self.setup.observe_goals(readings)

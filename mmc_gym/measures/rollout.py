@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._grid import one_torch_thread
-from mmc_gym.agents.base import Agent, ReachInterface
+from mmc_gym.agents.base import Agent
 from mmc_gym.agents.policy import PolicyAgent, PolicyCard
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.envs.vector import MMCReachVectorEnv
+from mmc_gym.interface import ReachInterface
 
 REQUIRED_INFO = ("distance", "end_effector", "target")
 MAX_STEPS = 100_000

@@ -19,6 +19,7 @@ from stable_baselines3.sac import policies as sac
 
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
+from mmc_gym.interface import ObservationLayout
 
 ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
     "relu": torch.nn.ReLU,
@@ -40,23 +41,16 @@ class ViewLayer(BaseFeaturesExtractor):
             ValueError: if the observations are those of no such arm.
         """
         goals = getattr(observation_space, "spaces", None)  # of a goal environment
-        posture: Any = goals["observation"] if goals else observation_space
-        additions = posture.shape[0] - (3 * joint_count if goals else 3 * joint_count + 4)
-        if additions < 0:
-            raise ValueError(
-                f"observation_space must be that of a reaching environment with {joint_count} "
-                f"joints, got {observation_space}"
-            )
-        super().__init__(observation_space, feature_count(view, joint_count) + additions)
+        reach = float(goals["desired_goal"].high[0]) if goals else 1.0
+        layout = ObservationLayout(joint_count, reach)
+        additions = layout.additions(observation_space)
+        super().__init__(observation_space, feature_count(view, layout) + additions)
         self.view: View = view
-        self._joint_count = joint_count
-        self._reach = float(goals["desired_goal"].high[0]) if goals else 1.0
+        self.layout = layout
 
     def forward(self, observations: torch.Tensor | Mapping[str, torch.Tensor]) -> torch.Tensor:
         """The features of observations, (batch, features)."""
-        seen: torch.Tensor = features(
-            torch, self.view, observations, self._joint_count, self._reach
-        )
+        seen: torch.Tensor = features(torch, self.view, observations, self.layout)
         return seen
 
 
@@ -124,9 +118,8 @@ class PPOTargetPolicy(PPOPolicy):
     def _turned(
         self, actions: torch.Tensor, observation: PyTorchObs, back: bool = False
     ) -> torch.Tensor:
-        turned: torch.Tensor = turned_actions(
-            torch, actions, observation, actions.shape[-1], back=back
-        )
+        layer: Any = self.features_extractor
+        turned: torch.Tensor = turned_actions(torch, actions, observation, layer.layout, back=back)
         return turned
 
 

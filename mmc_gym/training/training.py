@@ -27,7 +27,6 @@ from stable_baselines3.common.vec_env import VecMonitor, unwrap_vec_wrapper
 
 from mmc_gym._files import check_folder
 from mmc_gym._grid import one_torch_thread
-from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     FINAL_EPISODES,
@@ -36,6 +35,7 @@ from mmc_gym.agents.policy import (
     save_policy,
 )
 from mmc_gym.agents.policy_network import PolicyNetwork
+from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.checkpoints import begin_episodes, load_checkpoint, read_head, save_checkpoint
 from mmc_gym.training.hyperparameters import Hyperparameters, Settings, algorithm_of

@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, ReachInterface
+from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCAgent
 from mmc_gym.agents.closed_loop.observer import BodyObserver, Loops
 from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.benchmark.suite import find_environments
+from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate_agent
 from mmc_gym.network import MMCNetwork
 from mmc_gym.training.hyperparameters import Hyperparameters, algorithm_of, read_hyperparameters

@@ -25,8 +25,8 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvStepReturn,
 )
 
-from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
+from mmc_gym.interface import ReachInterface
 
 Info = dict[str, Any]
 
@@ -263,8 +263,7 @@ class Residual(VecEnvWrapper):
         )
         super().__init__(venv, spaces.Box(low, high, dtype=np.float32))
         self.base_agent = base_agent
-        body, control = venv.get_attr("parameters")[0], venv.get_attr("control")[0]
-        self._base = BASE_AGENTS[base_agent](ReachInterface.told(body, control))
+        self._base = BASE_AGENTS[base_agent](ReachInterface.of(venv))
 
     def reset(self) -> VecEnvObs:
         """Start an episode in every environment."""

@@ -10,10 +10,10 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from mmc_gym import make_agent
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.base import ReachInterface, Sensed
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent
 from mmc_gym.agents.ik.jacobian import damped_least_squares
 from mmc_gym.agents.mmc import MMCAgent, out_of_line
+from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network import MMCNetwork
 from mmc_gym.training.vec_env import GymnasiumVecEnv
 

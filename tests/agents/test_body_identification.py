@@ -6,14 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.closed_loop import delay as delay_bridge
 from mmc_gym.agents.closed_loop import lengths as length_identification
 from mmc_gym.agents.closed_loop import locks as lock_detection
 from mmc_gym.agents.closed_loop.agent import LOOPS, closed_loop_mmc, told_lockable
 from mmc_gym.agents.closed_loop.delay import expected_turn
-from mmc_gym.agents.closed_loop.observer import seen_hand
 from mmc_gym.envs.perturbations import LockedJoint
+from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
 
 SEED = 70_000
@@ -173,5 +172,5 @@ def test_the_hand_is_read_off_both_kinds_of_observation():
         options = {"joint_angles": posture, "target": target}
         observation, info = env.reset(seed=0, options=options)
         interface = ReachInterface.of(env)
-        hand = seen_hand(interface, observation, interface.sense(observation).target)
+        hand = interface.seen_hand(observation)
         np.testing.assert_allclose(hand, info["end_effector"], atol=1e-6)

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym import make_agent
-from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
     closed_loop_inverse_kinematics,
@@ -15,6 +14,7 @@ from mmc_gym.agents.closed_loop.agent import (
 )
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.jacobian import damped_least_squares
+from mmc_gym.interface import ReachInterface
 
 EPISODES = 100
 SEED = 60_000

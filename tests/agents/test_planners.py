@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmc_gym import make_agent
-from mmc_gym.agents.base import JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.agents.ik.agent import jacobian
 from mmc_gym.agents.ik.dead_end import hand_position
 from mmc_gym.agents.mmc import TimedMMCAgent
@@ -25,6 +25,7 @@ from mmc_gym.agents.planners import (
     passive_motion_step,
     step,
 )
+from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.measures.speed import minimum_jerk_correlation, time_to_peak, velocity_peaks
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk, share

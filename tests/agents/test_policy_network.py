@@ -8,9 +8,9 @@ import pytest
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.agents.views import View, features, turned_actions
+from mmc_gym.interface import ObservationLayout, ReachInterface
 from mmc_gym.training.policies import POLICIES, export_policy
 
 ENV_IDS = {
@@ -20,6 +20,8 @@ ENV_IDS = {
     "SACPolicy": "MMCReach-v0",
     "TQCPolicy": "MMCReachGoal-v0",
 }
+
+LAYOUT = ObservationLayout(joint_count=3, reach=3.0)
 
 
 def make_policy(name: str, env_id: str, **options: Any) -> Any:
@@ -46,11 +48,11 @@ def observations(env_id: str, count: int = 20) -> Any:
 
 def act(network: PolicyNetwork, view: View, observed: Any, random: Any = None) -> np.ndarray:
     action = network.act(seen(observed, view), random)
-    return turned_actions(np, action, observed, 3) if view == "target" else action
+    return turned_actions(np, action, observed, LAYOUT) if view == "target" else action
 
 
 def seen(observed: Any, view: View = "arm") -> np.ndarray:
-    return features(np, view, observed, 3, 3.0).astype(np.float32)
+    return features(np, view, observed, LAYOUT).astype(np.float32)
 
 
 @pytest.mark.parametrize("activation", ["relu", "tanh"])
@@ -107,7 +109,7 @@ def test_in_the_targets_view_the_posture_0_points_at_the_target():
     env = gym.make("MMCReach-v0", control="joint_position")
     observed, info = env.reset(seed=4)
     for _ in range(99):
-        action = turned_actions(np, np.zeros(3, np.float32), observed, 3)
+        action = turned_actions(np, np.zeros(3, np.float32), observed, LAYOUT)
         observed, _, _, _, info = env.step(action)
     hand, target = info["end_effector"], info["target"]
     np.testing.assert_allclose(hand / np.hypot(*hand), target / np.hypot(*target), atol=0.01)
@@ -116,20 +118,20 @@ def test_in_the_targets_view_the_posture_0_points_at_the_target():
 def test_actions_turned_and_turned_back_are_what_they_were():
     observed = observations("MMCReach-v0")
     actions = np.random.default_rng(1).uniform(-1, 1, (20, 3)).astype(np.float32)
-    turned = turned_actions(np, actions, observed, 3)
+    turned = turned_actions(np, actions, observed, LAYOUT)
     assert np.abs(turned).max() <= 1
     assert not np.allclose(turned, actions, atol=0.1)
-    back = turned_actions(np, turned, observed, 3, back=True)
+    back = turned_actions(np, turned, observed, LAYOUT, back=True)
     np.testing.assert_allclose(back, actions, atol=1e-6)
     tensors = torch.from_numpy(actions), torch.from_numpy(observed)
-    np.testing.assert_allclose(turned_actions(torch, *tensors, 3), turned, atol=1e-6)
+    np.testing.assert_allclose(turned_actions(torch, *tensors, LAYOUT), turned, atol=1e-6)
 
 
 def test_a_target_at_the_base_has_any_direction():
     observed = gym.make("MMCReach-v0").reset(seed=0)[0]
     observed[9:11] = 0.0
     assert np.isfinite(seen(observed, "target")).all()
-    assert np.isfinite(turned_actions(np, np.zeros(3, np.float32), observed, 3)).all()
+    assert np.isfinite(turned_actions(np, np.zeros(3, np.float32), observed, LAYOUT)).all()
 
 
 def test_probabilities_are_those_of_the_actions_before_they_were_turned():

@@ -22,7 +22,6 @@ from rich.console import Console
 
 import mmc_gym
 from mmc_gym import cli
-from mmc_gym.agents.base import ControlError
 from mmc_gym.benchmark import entries as contestants
 from mmc_gym.benchmark import runner as battery_cell
 from mmc_gym.benchmark.ranking import RANKING, print_ranking, summarize_battery
@@ -37,6 +36,7 @@ from mmc_gym.benchmark.store import (
     read_sets,
 )
 from mmc_gym.benchmark.suite import ENVIRONMENTS, BatteryEnvironment, find_environments
+from mmc_gym.interface import ControlError
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
 
 ENVS = ("random", "centre-out")

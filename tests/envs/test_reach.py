@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
-from mmc_gym.envs.spec import Control
+from mmc_gym.interface import Control
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)

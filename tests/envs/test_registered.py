@@ -19,8 +19,8 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import mmc_gym  # noqa: F401  (registers the environments)
 from mmc_gym.envs.perturbations import JointNoise
-from mmc_gym.envs.spec import Control
 from mmc_gym.envs.tasks import TASKS
+from mmc_gym.interface import Control
 
 PLAIN = ["MMCReach-v0", "MMCReachGoal-v0"]
 IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]

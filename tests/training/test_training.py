@@ -17,8 +17,8 @@ import pytest
 import safetensors.numpy
 import torch
 
-from mmc_gym.agents.base import ReachInterface
 from mmc_gym.agents.policy import PolicyAgent, load_policy
+from mmc_gym.interface import ReachInterface
 from mmc_gym.training.hyperparameters import read_hyperparameters
 from mmc_gym.training.training import CHECKPOINT, Training, library_versions
 

@@ -30,19 +30,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import (
-    Agent,
-    Observation,
-    ReachInterface,
-    Sensed,
-    check_batch,
-    episodes_started,
-    told_by,
-)
+from mmc_gym.agents.base import Agent, check_batch, episodes_started
 from mmc_gym.agents.closed_loop import observer as body_observer
 from mmc_gym.agents.closed_loop.observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
 from mmc_gym.agents.mmc import out_of_line, restarted, run_within_limits
+from mmc_gym.interface import Observation, ReachInterface, Sensed, told_by
 from mmc_gym.network import MMCNetwork, MMCState
 from mmc_gym.network.chain import Floats, segments_from_joint_angles
 from mmc_gym.network.embodied import Embodiment
@@ -116,7 +109,7 @@ class ClosedLoopAgent(Agent[ClosedLoopState[Model]]):
     ) -> tuple[NDArray[np.float32], ClosedLoopState[Model]]:
         """See `Agent.predict`; it is deterministic always."""
         sensed = self.interface.sense(observation)
-        hand = body_observer.seen_hand(self.interface, observation, sensed.target)
+        hand = self.interface.seen_hand(observation)
         batch = sensed.joint_angles.shape[:-1]
         if state is None:
             state = self._fresh(sensed)

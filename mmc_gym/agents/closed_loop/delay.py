@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import ReachInterface
+from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats, wrap_angle
 
 

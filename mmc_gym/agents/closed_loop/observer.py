@@ -36,19 +36,18 @@ A force field that holds the arm up may be taken for a locked joint.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import Observation, ReachInterface, Sensed
 from mmc_gym.agents.closed_loop import delay as delay_bridge
 from mmc_gym.agents.closed_loop import lengths as length_identification
 from mmc_gym.agents.closed_loop import locks as lock_detection
 from mmc_gym.agents.closed_loop.delay import expected_turn
 from mmc_gym.agents.planners import where
+from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
 
 
@@ -196,12 +195,3 @@ def restarted(memory: Memory, fresh: Memory, started: NDArray[np.bool_]) -> Memo
         where(started, fresh.lengths, memory.lengths),
         where(started, fresh.locks, memory.locks),
     )
-
-
-def seen_hand(interface: ReachInterface, observation: Observation, target: Floats) -> Floats:
-    """Where an observation shows the hand, or its cursor, segment lengths, (..., 2)."""
-    if isinstance(observation, Mapping):
-        return np.asarray(observation["achieved_goal"], dtype=np.float64)
-    offset = np.asarray(observation, dtype=np.float64)[..., -2:]
-    hand: Floats = target - 2 * sum(interface.segment_lengths) * offset
-    return hand

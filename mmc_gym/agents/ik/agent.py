@@ -20,8 +20,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import JointLimits, JointTargetAgent, ReachInterface, Sensed
+from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.agents.ik.dead_end import SegmentLengths, leave_line, nearest_reachable
+from mmc_gym.interface import JointLimits, ReachInterface, Sensed
 from mmc_gym.network.chain import Floats, node_positions, segments_from_joint_angles
 
 Solver: TypeAlias = Callable[[Floats, Floats, SegmentLengths], Floats]

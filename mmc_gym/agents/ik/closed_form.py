@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mmc_gym.agents.base import JointLimits
 from mmc_gym.agents.ik.dead_end import SegmentLengths, nearest_reachable
+from mmc_gym.interface import JointLimits
 from mmc_gym.network.chain import Floats, wrap_angle
 
 ORIENTATIONS = 90

@@ -24,8 +24,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import JointLimits
 from mmc_gym.agents.ik.dead_end import SegmentLengths
+from mmc_gym.interface import JointLimits
 from mmc_gym.network.chain import Floats, wrap_angle
 
 Points: TypeAlias = NDArray[np.complex128]

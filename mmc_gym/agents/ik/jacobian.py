@@ -23,9 +23,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mmc_gym.agents.base import JointLimits
 from mmc_gym.agents.ik.agent import jacobian
 from mmc_gym.agents.ik.dead_end import SegmentLengths
+from mmc_gym.interface import JointLimits
 from mmc_gym.network.chain import Floats, wrap_angle
 
 _TINY = np.finfo(np.float64).tiny

@@ -157,12 +157,12 @@ class Renderer:
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
         """The arm as an observation of `MMCReach-v0` tells it."""
         setup = self._setup
-        cos, sin, _, rest = np.split(observation.astype(float), setup.joint_count * np.arange(1, 4))
-        angles = np.cumsum(np.arctan2(sin, cos)).tolist()
-        target, offset = rest[:2] * setup.reach, rest[2:] * 2 * setup.reach
+        seen = setup.layout.split(observation.astype(float))
+        angles = np.cumsum(np.arctan2(seen.sines, seen.cosines)).tolist()
+        target, offset = seen.target * setup.reach, seen.offset * 2 * setup.reach
         nodes = drawing.node_positions(angles, setup.told.segment_lengths)
-        seen = [(float(x), float(y)) for x, y in (target - offset, target)]
-        perturbed.draw_sensed(self._canvas, self._large_view, nodes, *seen)
+        hand_and_target = [(float(x), float(y)) for x, y in (target - offset, target)]
+        perturbed.draw_sensed(self._canvas, self._large_view, nodes, *hand_and_target)
 
 
 def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
