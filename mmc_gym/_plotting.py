@@ -18,8 +18,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from mmc_gym._files import write_atomically
-from mmc_gym.measures.rollout import Episode
-from mmc_gym.measures.speed import hand_speed
+from mmc_gym.measures.episode import Episode, hand_speed
 
 EXAMPLES = 4  # paths shown per agent
 LINES = ("-", "--", "-.", (0, (1, 1)))  # so that episodes differ without colour too

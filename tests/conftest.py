@@ -24,7 +24,7 @@ import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 import mmc_gym  # noqa: E402, F401  registers the environments
-from mmc_gym.measures.rollout import Episode  # noqa: E402
+from mmc_gym.measures import Episode  # noqa: E402
 
 # A deadline measures the machine, not the code.  Where CI is set the examples are the same in
 # every run; elsewhere hypothesis goes on looking for new ones.

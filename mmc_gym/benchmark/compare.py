@@ -20,17 +20,14 @@ from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.entries import AgentLike, entrants, training_steps
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
-from mmc_gym.measures.catalogue import MEASURES, leave_out_failures
+from mmc_gym.measures import MEASURES, Episode, leave_out_failures, measure_all
+from mmc_gym.measures.catalogue import shown_measures
 from mmc_gym.measures.rollout import (
-    Episode,
     Predictor,
     check_environment,
     episode_seeds,
     run_episodes,
 )
-
-SHOWN = tuple(measure for measure in MEASURES if measure.shown)
-"""The measures that the table shows."""
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
 _REFRESH = 0.1  # seconds between two drawings of the progress bar
@@ -64,8 +61,9 @@ class Comparison:
     def note(self) -> str:
         """What must be known to read the numbers; stands below the table and in summary.json."""
         one = next(iter(self.recorded.values()))
-        means = ", ".join(measure.label for measure in SHOWN if measure.statistic == "mean")
-        all_told = ", ".join(measure.label for measure in SHOWN if not measure.successes_only)
+        shown = shown_measures()
+        means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
+        all_told = ", ".join(measure.label for measure in shown if not measure.successes_only)
         reference = (
             f"{REFERENCE}: a hand without an arm, through the same measures. "
             if REFERENCE in self.recorded
@@ -77,7 +75,7 @@ class Comparison:
             f"segment lengths; at the target: within {one[0].tolerance:g}. "
             f"{all_told}: of all episodes; the others: of those that ended at the target, and k of "
             f"{len(one)} have a value (none where the hand started there). {reference}"
-            f"Of {len(MEASURES)} measures {len(SHOWN)} are shown; files hold all. "
+            f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
             "The intervals replicate over episodes (starts and targets), NOT over training seeds: "
             "each agent is the result of one training, or of none."
         )
@@ -176,7 +174,7 @@ def compare(
     steps = {label: training_steps(player) for label, player in players.items()}
     if REFERENCE in recorded:
         steps.setdefault(REFERENCE, 0)
-    summary = summarize(leave_out_failures(table), MEASURES, seed)
+    summary = summarize(leave_out_failures(table), tuple(MEASURES.values()), seed)
     comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
     console = console or make_console()
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
@@ -191,12 +189,13 @@ def _print_table(
     console: Console, summary: pd.DataFrame, training_steps: Mapping[str, int | None], note: str
 ) -> None:
     """Print a row for each shown measure and a column for each agent."""
-    headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in SHOWN]
-    best = ["" if measure.best == "neither" else measure.best for measure in SHOWN]
+    shown = shown_measures()
+    headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in shown]
+    best = ["" if measure.best == "neither" else measure.best for measure in shown]
     rows = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
     columns = {
         agent: [
-            *(cell(rows[agent, measure.name], measure.decimals) for measure in SHOWN),
+            *(cell(rows[agent, measure.name], measure.decimals) for measure in shown),
             "unknown" if steps is None else f"{steps:,}",
         ]
         for agent, steps in training_steps.items()
@@ -220,7 +219,7 @@ def tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
                 "target_x": target_x,
                 "target_y": target_y,
             }
-            rows.append({**row, **{measure.name: measure.of(episode) for measure in MEASURES}})
+            rows.append({**row, **measure_all(episode)})
     return pd.DataFrame(rows)
 
 

@@ -19,8 +19,7 @@ import gymnasium as gym
 import numpy as np
 
 from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
-from mmc_gym.measures.reaching import Floats
-from mmc_gym.measures.rollout import Episode
+from mmc_gym.measures.episode import Episode, Floats
 
 REFERENCE = "minimum jerk (ideal)"
 """Its name in tables and data."""

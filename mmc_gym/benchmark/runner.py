@@ -40,13 +40,11 @@ from mmc_gym.benchmark.store import (
     write_manifest,
 )
 from mmc_gym.benchmark.suite import BatteryEnvironment, find_environments
-from mmc_gym.measures.catalogue import MEASURES
+from mmc_gym.measures import MEASURES, Episode
 from mmc_gym.measures.rollout import (
-    Episode,
     Predictor,
     episode_seeds,
     run_episodes,
-    run_episodes_together,
 )
 
 TIMED = 3
@@ -213,7 +211,7 @@ def _play_together(
     """All episodes at once; None if the agent does not take batches of observations."""
     vector = cell.environment.make_vec(len(seeds), control)
     try:
-        return run_episodes_together(cell.contestant.factory(env), vector, seeds, instances)
+        return run_episodes(cell.contestant.factory(env), vector, seeds, options=instances)
     except Exception:
         if cell.contestant.is_own:
             raise
@@ -242,7 +240,7 @@ def _play_reference(
         raise _CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
     joints = env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
     vector = cell.environment.make_vec(len(seeds))
-    anybody = run_episodes_together(RandomAgent(joints), vector, seeds, instances)
+    anybody = run_episodes(RandomAgent(joints), vector, seeds, options=instances)
     vector.close()
     return _Recorded(minimum_jerk_episodes(anybody), "", True, joints)
 
@@ -392,7 +390,7 @@ def _fresh_manifest(episodes: int, seed: int) -> Manifest:
         "segment_lengths": list(plain.parameters.segment_lengths),
         "tolerance": plain.success_distance,
         "control": plain.control,
-        "measures": {measure.name: measure.unit for measure in MEASURES},
+        "measures": {measure.name: measure.unit for measure in MEASURES.values()},
         "environments": {},
         "agents": {},
         "skipped": [],

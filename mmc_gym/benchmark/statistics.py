@@ -38,7 +38,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.measures.catalogue import Measure, Statistic
-from mmc_gym.measures.reaching import Floats
+from mmc_gym.measures.episode import Floats
 
 CONFIDENCE = 0.95
 RESAMPLES = 2_000

@@ -27,9 +27,8 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from mmc_gym._files import write_atomically
-from mmc_gym.measures.catalogue import MEASURES
-from mmc_gym.measures.rollout import Episode
-from mmc_gym.measures.sets import set_measures_in
+from mmc_gym.measures import MEASURES, Episode
+from mmc_gym.measures.catalogue import set_measures_in
 
 SCHEMA_VERSION = 1
 MANIFEST = "manifest.json"
@@ -92,7 +91,7 @@ def episodes_file(
         "duration": np.array(durations),
         **{
             measure.name: np.array([measure.of(episode) for episode in episodes], np.float64)
-            for measure in MEASURES
+            for measure in MEASURES.values()
         },
     }
     return _parquet(columns, {"settings": settings, "facts": facts})
@@ -183,7 +182,7 @@ def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> dict[
         kept = json.loads((table.schema.metadata or {})[_METADATA])
         facts: dict[str, Any] = kept["facts"]
         fine = kept["settings"] == json.loads(json.dumps(settings))
-        fine &= {measure.name for measure in MEASURES} <= set(table.column_names)
+        fine &= MEASURES.keys() <= set(table.column_names)
         if facts["has_paths"]:
             _read(folder / PATHS / key.file_name)
         if facts.get("has_sets"):

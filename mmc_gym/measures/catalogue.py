@@ -1,434 +1,303 @@
-"""The measures of an episode: names, units, and how tables show them.
+"""The registry of measures: a decorator puts label, unit and direction beside a function.
 
-A new measure is a pure function in `metrics`, `profiles` or `paths`, and an entry in `MEASURES`;
-data and summary follow, and the table if it is `shown`.  `episode_views` says what they look at.
+Every registered measure has a column in the data and a row in the summary of `mmc_gym.compare`, the
+benchmark and its report.  Register your own the same way:
+
+    from mmc_gym.measures import Episode, measure
+
+    @measure(label="half-way time", unit="s", best="low", successes_only=True)
+    def half_way_time(episode: Episode) -> float:
+        halfway = episode.distances[0] / 2
+        return int((episode.distances <= halfway).argmax()) * episode.control_step
 
 Of a movement that did not arrive, path, shape and cost tell nothing: a hand that never moves has
-the shortest path, the least work and no overshoot, and one that ignores where it is wrong moves the
-more smoothly for it.  So, as is the custom for movements of people, such measures are told of the
-episodes that ended at the target, with the fraction of these beside them (`successes_only`).  Data
-hold them for all episodes, and `leave_out_failures` is what tables and comparisons see.
-
-Measures of all episodes of a certain kind together are in `set_measures`.
+the shortest path, the least work and no overshoot.  So, as is the custom for movements of people,
+measures with `successes_only` are reported of the episodes that ended at the target, with the
+fraction of these beside them.  Data hold them for all episodes; `leave_out_failures` gives what
+tables and comparisons see.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
-import pandas as pd
 
-from mmc_gym.measures import path as paths
-from mmc_gym.measures import reaching as metrics
-from mmc_gym.measures import speed as profiles
-from mmc_gym.measures.reaching import Floats
-from mmc_gym.measures.rollout import Episode
+from mmc_gym._console import number
+from mmc_gym._errors import UserError
+from mmc_gym.measures.episode import Episode
 
-DWELL = 0.2
-"""Seconds that the hand must have stayed for a success with dwell."""
+if TYPE_CHECKING:
+    import pandas as pd
 
-REST = 0.5
-"""Seconds at the end of an episode in which the hand's jitter is measured."""
+Statistic: TypeAlias = Literal["mean", "median"]
+Direction: TypeAlias = Literal["high", "low", "neither"]
 
-PARTS_OF_REACH = (1, 2, 5)
-"""Tolerances of successes with dwell, % of reach."""
+Function = TypeVar("Function", bound=Callable[[Episode], float])
+SetFunction = TypeVar("SetFunction", bound=Callable[[Sequence[Episode]], float])
 
+METHODS = ("correlation", "SPARC", "log dimensionless jerk")
+"""How a plain number was computed: stands in place of a unit, and beside the label in a text."""
 
-def _moves(episode: Episode) -> bool:
-    away = np.linalg.norm(episode.hands - episode.hands[0], axis=-1)
-    return bool(away.max() > episode.tolerance)
-
-
-def speeds(episode: Episode) -> Floats:
-    """The speed profile of the hand over the whole episode, segment lengths/s, (n,)."""
-    return profiles.hand_speed(episode.hands, episode.control_step)
-
-
-def of_shape(of: Callable[[Floats, float], float]) -> Callable[[Episode], float]:
-    """A measure of the speeds of the moving part, and the control step."""
-
-    def measure(episode: Episode) -> float:
-        if not _moves(episode):
-            return math.nan
-        profile = speeds(episode)
-        return of(profile[profiles.moving_part(profile)], episode.control_step)
-
-    return measure
-
-
-def of_path(of: Callable[[Floats, Floats], float]) -> Callable[[Episode], float]:
-    """A measure of the hand positions and joint angles of the moving part."""
-
-    def measure(episode: Episode) -> float:
-        if not _moves(episode):
-            return math.nan
-        part = profiles.moving_part(speeds(episode))
-        points = slice(part.start, part.stop + 1)
-        return of(episode.hands[points], episode.joint_angles[points])
-
-    return measure
-
-
-def _steps(seconds: float, episode: Episode) -> int:
-    return round(seconds / episode.control_step)
-
-
-def stays_within(percent: int) -> Callable[[Episode], float]:
-    """Success with dwell, within so many percent of the reach, for the last `DWELL` seconds."""
-
-    def measure(episode: Episode) -> float:
-        tolerance = percent / 100 * episode.reach
-        return metrics.success_with_dwell(episode.distances, tolerance, _steps(DWELL, episode))
-
-    return measure
-
-
-def deviation(episode: Episode) -> float:
-    """Largest deviation from the line between the ends of the moving part; NaN if shorter than ε.
-
-    Not from the line to the target: under a visuomotor rotation the hand is to go elsewhere.
-    """
-    part = profiles.moving_part(speeds(episode))
-    hands = episode.hands[part.start : part.stop + 1]
-    if np.linalg.norm(hands[-1] - hands[0]) < episode.tolerance:
-        return math.nan
-    return paths.maximal_deviation(hands, hands[0], hands[-1])
-
-
-def where_target_stands(of: Callable[[Episode], float]) -> Callable[[Episode], float]:
-    """A measure that is about one target; NaN where it moves, or another follows."""
-
-    def measure(episode: Episode) -> float:
-        stands = bool((episode.targets == episode.targets[0]).all())
-        return of(episode) if stands else math.nan
-
-    return measure
-
-
-def final_jitter(episode: Episode) -> float:
-    """Jitter in the last `REST` seconds; NaN unless the hand is at the target throughout."""
-    steps = _steps(REST, episode)
-    if not metrics.success_with_dwell(episode.distances, episode.tolerance, steps):
-        return math.nan
-    return metrics.jitter(episode.seen_hands, episode.targets, steps)
-
-
-Statistic = Literal["mean", "median"]
-Direction = Literal["high", "low", "neither"]
+_COLUMNS = (
+    *("agent", "training_seed", "training_steps", "environment", "episode", "instance", "seed"),
+    *("start_x", "start_y", "target_x", "target_y", "duration", "measure"),
+)
+"""Other columns of the data, which no measure may be called."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measure:
-    """How a measure is taken from an episode, and how it is shown.
+class Quantity:
+    """A number that tables show.
 
     Attributes:
         name: its column in the data.
         label: its heading in tables.
-        unit: of its values; empty for a number.
+        unit: of its values; empty for a plain number.
         best: whether high or low values are good.
-        statistic: what a table says about many episodes.
         decimals: at most so many are shown.
-        of: the measure of an episode; NaN where it has none.
-        shown: whether tables show it; files hold all.
-        successes_only: whether it tells something only of episodes that ended at the target.
     """
 
     name: str
     label: str
     unit: str
     best: Direction
-    statistic: Statistic
     decimals: int
-    of: Callable[[Episode], float]
-    shown: bool = False
-    successes_only: bool = False
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit that values are written in: fractions in percent."""
+        return "%" if self.unit == "fraction" else self.unit
+
+    @property
+    def full_label(self) -> str:
+        """The label, with how it was computed where that stands in place of a unit."""
+        return f"{self.label} ({self.unit})" if self.unit in METHODS else self.label
+
+    @property
+    def resolution(self) -> float:
+        """The size of the last decimal that is written, in the measure's unit."""
+        scale, decimals = self._scale()
+        return float(10.0**-decimals) / scale
+
+    def _scale(self) -> tuple[int, int]:
+        return (100, 1) if self.unit == "fraction" else (1, self.decimals)
+
+    def number(self, value: float, more: int = 0) -> str:
+        """Write a value without its unit, always with as many decimals, so that columns align.
+
+        Args:
+            value: in the measure's unit; a fraction is written in percent.
+            more: decimals than usual.
+
+        Example:
+            >>> from mmc_gym.measures import MEASURES
+            >>> MEASURES["success"].number(0.975)
+            '97.5'
+        """
+        scale, decimals = self._scale()
+        return number(scale * value, decimals + more)
+
+    def quantity(self, value: float, more: int = 0) -> str:
+        """Write a value with its unit, if it has one; arguments as of `number`."""
+        text = self.number(value, more)
+        has_unit = self.unit and self.unit not in METHODS
+        return f"{text} {self.shown_unit}" if has_unit and text != "–" else text
+
+    def interval(self, low: float, high: float) -> str:
+        """Write the ends of an interval in brackets; empty if there is none."""
+        return f"[{self.number(low)}, {self.number(high)}]" if math.isfinite(low) else ""
 
 
-MEASURES: tuple[Measure, ...] = (
-    Measure(
-        name="success",
-        label="success at the end",
-        unit="fraction",
-        best="high",
-        statistic="mean",
-        decimals=3,
-        of=lambda e: metrics.success_at_end(e.distances, e.tolerance),
-        shown=True,
-    ),
-    *(
-        Measure(
-            name=f"success_{percent}_percent",
-            label=f"within {percent} % of reach",
-            unit="fraction",
-            best="high",
-            statistic="mean",
-            decimals=3,
-            of=stays_within(percent),
-            shown=percent == min(PARTS_OF_REACH),
-        )
-        for percent in PARTS_OF_REACH
-    ),
-    Measure(
-        name="final_distance",
-        label="final distance",
-        unit="lengths",
-        best="low",
-        statistic="median",
-        decimals=3,
-        of=lambda e: metrics.final_distance(e.distances),
-        shown=True,
-    ),
-    Measure(
-        name="time_to_target",
-        label="time to target",
-        unit="s",
-        best="low",
-        statistic="median",
-        decimals=2,
-        of=lambda e: metrics.time_to_target(e.distances, e.tolerance, e.control_step),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="settling_time",
-        label="settling at the target",
-        unit="s",
-        best="low",
-        statistic="median",
-        decimals=2,
-        of=lambda e: metrics.settling_time(e.distances, e.tolerance, e.control_step),
-        successes_only=True,
-    ),
-    Measure(
-        name="overshoot",
-        label="overshoot",
-        unit="lengths",
-        best="low",
-        statistic="median",
-        decimals=3,
-        of=where_target_stands(lambda e: metrics.overshoot(e.distances)),
-        successes_only=True,
-    ),
-    Measure(
-        name="jitter",
-        label="jitter at the target",
-        unit="lengths",
-        best="low",
-        statistic="median",
-        decimals=4,
-        of=final_jitter,
-        successes_only=True,
-    ),
-    Measure(
-        name="path_ratio",
-        label="path / direct line",
-        unit="",
-        best="low",
-        statistic="median",
-        decimals=2,
-        of=where_target_stands(lambda e: paths.path_ratio(e.seen_hands, e.target, e.tolerance)),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="path_efficiency",
-        label="path efficiency",
-        unit="",
-        best="high",
-        statistic="median",
-        decimals=3,
-        of=of_path(lambda hands, _: paths.path_efficiency(hands)),
-        successes_only=True,
-    ),
-    Measure(
-        name="maximal_deviation",
-        label="largest deviation / length",
-        unit="",
-        best="low",
-        statistic="median",
-        decimals=3,
-        of=deviation,
-        successes_only=True,
-    ),
-    Measure(
-        name="joint_path_efficiency",
-        label="path efficiency of the joints",
-        unit="",
-        best="high",
-        statistic="median",
-        decimals=3,
-        of=of_path(lambda _, joints: paths.path_efficiency(joints)),
-        successes_only=True,
-    ),
-    Measure(
-        name="hand_over_joint_straightness",
-        label="straighter in hand than in joint space",
-        unit="",
-        best="neither",
-        statistic="median",
-        decimals=2,
-        of=of_path(paths.hand_over_joint_straightness),
-        successes_only=True,
-    ),
-    Measure(
-        name="peak_speed",
-        label="peak speed",
-        unit="lengths/s",
-        best="neither",
-        statistic="median",
-        decimals=2,
-        of=lambda e: profiles.peak_speed(speeds(e)),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="peak_to_mean",
-        label="peak / mean speed",
-        unit="",
-        best="neither",
-        statistic="median",
-        decimals=2,
-        of=of_shape(lambda profile, _: profiles.peak_to_mean(profile)),
-        successes_only=True,
-    ),
-    Measure(
-        name="time_to_peak",
-        label="time to peak speed",
-        unit="of duration",
-        best="neither",
-        statistic="median",
-        decimals=2,
-        of=of_shape(lambda profile, _: profiles.time_to_peak(profile)),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="velocity_peaks",
-        label="velocity peaks",
-        unit="",
-        best="low",
-        statistic="median",
-        decimals=1,
-        of=lambda e: profiles.velocity_peaks(speeds(e)),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="minimum_jerk_correlation",
-        label="like minimum jerk",
-        unit="correlation",
-        best="high",
-        statistic="median",
-        decimals=3,
-        of=of_shape(
-            lambda profile, _: profiles.minimum_jerk_correlation(
-                profile, profiles.MINIMUM_JERK_SPAN
-            )
-        ),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="minimum_jerk_rmse",
-        label="unlike minimum jerk",
-        unit="mean speeds",
-        best="low",
-        statistic="median",
-        decimals=3,
-        of=of_shape(
-            lambda profile, _: profiles.minimum_jerk_rmse(profile, profiles.MINIMUM_JERK_SPAN)
-        ),
-        successes_only=True,
-    ),
-    Measure(
-        name="sparc",
-        label="smoothness",
-        unit="SPARC",
-        best="high",
-        statistic="median",
-        decimals=2,
-        of=of_shape(profiles.sparc),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="log_dimensionless_jerk",
-        label="smoothness",
-        unit="log dimensionless jerk",
-        best="high",
-        statistic="median",
-        decimals=2,
-        of=of_shape(lambda profile, _: profiles.log_dimensionless_jerk(profile)),
-        successes_only=True,
-    ),
-    Measure(
-        name="joint_effort",
-        label="joint effort",
-        unit="mass len²/s",
-        best="low",
-        statistic="median",
-        decimals=1,
-        of=lambda e: metrics.joint_effort(e.servo_impulses),
-        successes_only=True,
-    ),
-    Measure(
-        name="joint_work",
-        label="joint work",
-        unit="mass len²/s²",
-        best="low",
-        statistic="median",
-        decimals=1,
-        of=lambda e: metrics.joint_work(e.servo_work),
-        shown=True,
-        successes_only=True,
-    ),
-    Measure(
-        name="episode_return",
-        label="sum of rewards",
-        unit="",
-        best="high",
-        statistic="median",
-        decimals=0,
-        of=lambda e: metrics.episode_return(e.rewards),
-        shown=True,
-    ),
-    Measure(
-        name="action_time",
-        label="time per action",
-        unit="µs",
-        best="low",
-        statistic="median",
-        decimals=1,
-        of=lambda e: metrics.action_time(e.action_times * 1e6),
-        shown=True,
-    ),
-    Measure(
-        name="slow_action_time",
-        label="time per action, 99th percentile",
-        unit="µs",
-        best="low",
-        statistic="median",
-        decimals=1,
-        of=lambda e: metrics.slow_action_time(e.action_times * 1e6),
-    ),
-)
+@dataclass(frozen=True, kw_only=True)
+class Measure(Quantity):
+    """A measure of an episode.
+
+    Attributes:
+        statistic: of many episodes, in tables.
+        shown: whether tables show it; files hold all.
+        successes_only: whether it is reported only of episodes that ended at the target.
+        of: the function of an episode; it gives NaN where there is no value.
+    """
+
+    statistic: Statistic
+    shown: bool
+    successes_only: bool
+    of: Callable[[Episode], float] = field(compare=False)
 
 
-def leave_out_failures(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Episodes as tables and comparisons see them: no value where it tells nothing.
+@dataclass(frozen=True, kw_only=True)
+class SetMeasure(Quantity):
+    """A measure of all episodes of an agent in one environment together.
+
+    Attributes:
+        environment: of the benchmark, by its name.
+        of: the function of the episodes; it gives NaN where there is no value.
+    """
+
+    environment: str
+    of: Callable[[Sequence[Episode]], float] = field(compare=False)
+
+
+MEASURES: dict[str, Measure] = {}
+"""All measures of an episode by their names, in the order of the columns."""
+
+SET_MEASURES: dict[str, SetMeasure] = {}
+"""All measures of sets of episodes by their names."""
+
+
+def measure(
+    *,
+    label: str,
+    unit: str = "",
+    best: Direction = "neither",
+    statistic: Statistic = "median",
+    decimals: int = 2,
+    shown: bool = False,
+    successes_only: bool = False,
+) -> Callable[[Function], Function]:
+    """Register a function `Episode -> float` as a measure under its own name.
 
     Args:
-        episodes: a row each, with columns of `MEASURES`, "success" among them.
+        label: heading in tables.
+        unit: of the values; "fraction" is shown in percent, "" is a plain number.
+        best: whether "high" or "low" values are good, or "neither".
+        statistic: of many episodes, in tables: "mean" or "median".
+        decimals: at most so many are shown.
+        shown: whether tables show it; files hold all.
+        successes_only: whether it is reported only of episodes that ended at the target.
+
+    Returns:
+        A decorator that returns the function as it is.
+
+    Raises:
+        UserError: if another measure or another column of the data has this name.
+    """
+
+    def register(function: Function) -> Function:
+        made = Measure(
+            name=function.__name__,
+            label=label,
+            unit=unit,
+            best=best,
+            statistic=statistic,
+            decimals=decimals,
+            shown=shown,
+            successes_only=successes_only,
+            of=function,
+        )
+        _add(made)
+        return function
+
+    return register
+
+
+def set_measure(
+    *,
+    environment: str,
+    label: str,
+    unit: str = "",
+    best: Direction = "neither",
+    decimals: int = 2,
+) -> Callable[[SetFunction], SetFunction]:
+    """Register a function `Sequence[Episode] -> float` as a measure of sets under its own name.
+
+    Args:
+        environment: of the benchmark; the function is given the episodes of an agent there.
+        label: heading in tables.
+        unit: of the values; "fraction" is shown in percent, "" is a plain number.
+        best: whether "high" or "low" values are good, or "neither".
+        decimals: at most so many are shown.
+
+    Returns:
+        A decorator that returns the function as it is.
+
+    Raises:
+        UserError: if another measure or another column of the data has this name.
+    """
+
+    def register(function: SetFunction) -> SetFunction:
+        made = SetMeasure(
+            name=function.__name__,
+            label=label,
+            unit=unit,
+            best=best,
+            decimals=decimals,
+            environment=environment,
+            of=function,
+        )
+        _add(made)
+        return function
+
+    return register
+
+
+def _add(made: Measure | SetMeasure) -> None:
+    known = MEASURES.get(made.name) or SET_MEASURES.get(made.name)
+    # The same function may come again: a notebook's cell that is run twice, a module in a worker.
+    if made.name in _COLUMNS or (known and _origin(known) != _origin(made)):
+        taken = f"{_origin(known)} has it" if known else "a column of the data has it"
+        raise UserError(f"measures must have names of their own, got {made.name!r}: {taken}")
+    if isinstance(made, Measure):
+        MEASURES[made.name] = made
+    else:
+        SET_MEASURES[made.name] = made
+
+
+def _origin(known: Measure | SetMeasure) -> str:
+    return f"{known.of.__module__}.{known.of.__qualname__}"
+
+
+def own_measures() -> tuple[Measure | SetMeasure, ...]:
+    """Return the measures that users have registered, to be handed to worker processes."""
+    known: list[Measure | SetMeasure] = [*MEASURES.values(), *SET_MEASURES.values()]
+    return tuple(one for one in known if not one.of.__module__.startswith("mmc_gym."))
+
+
+def register_measures(measures: Iterable[Measure | SetMeasure]) -> None:
+    """Register `own_measures` of another process in this one.
+
+    Functions of importable modules are pickled by name, and registered as their module is imported
+    here; those of a script or notebook come as they are (`cloudpickle`).
+    """
+    for one in measures:
+        _add(one)
+
+
+def shown_measures() -> tuple[Measure, ...]:
+    """Return the measures that tables show."""
+    return tuple(one for one in MEASURES.values() if one.shown)
+
+
+def set_measures_in(environment: str) -> tuple[SetMeasure, ...]:
+    """Return the measures of sets that are taken in an environment; none in most."""
+    return tuple(one for one in SET_MEASURES.values() if one.environment == environment)
+
+
+def measure_all(episode: Episode) -> dict[str, float]:
+    """Return all measures of an episode by their names."""
+    return {name: one.of(episode) for name, one in MEASURES.items()}
+
+
+def leave_out_failures(
+    episodes: pd.DataFrame, measures: Iterable[Measure] | None = None
+) -> pd.DataFrame:
+    """Return episodes as tables and comparisons see them: no value where it tells nothing.
+
+    Args:
+        episodes: a row each, with a column for each measure, "success" among them.
+        measures: whose columns are looked at; `MEASURES` by default.
 
     Returns:
         The same with NaN for measures of `successes_only` wherever success is not 1.
     """
-    names = [one.name for one in MEASURES if one.successes_only and one.name in episodes]
+    known = MEASURES.values() if measures is None else measures
+    names = [one.name for one in known if one.successes_only and one.name in episodes]
     arrived = episodes["success"].to_numpy() == 1.0
-    return episodes.assign(
-        **{name: np.where(arrived, episodes[name].to_numpy(np.float64), np.nan) for name in names}
-    )
+    columns: dict[str, Any] = {
+        name: np.where(arrived, episodes[name].to_numpy(np.float64), np.nan) for name in names
+    }
+    return episodes.assign(**columns)

@@ -1,4 +1,4 @@
-"""The path of a movement: how long it is, how straight, and in which space it is straighter."""
+"""Measures of the path: how long it is, how straight, and in which space it is straighter."""
 
 from __future__ import annotations
 
@@ -7,31 +7,12 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmc_gym.measures.reaching import Floats
+from mmc_gym.measures.catalogue import measure
+from mmc_gym.measures.episode import Episode, Floats, moving_part
 
 
-def path_ratio(hands: ArrayLike, target: ArrayLike, tolerance: float) -> float:
-    """Length of the hand's path over the straight line from start to target; 1 is straight.
-
-    Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, corrections and tremor at the
-    target included.  Below 1 only if the hand stops short.  Under a visuomotor rotation both are
-    the cursor's: the target is not where the hand is to go.  NaN where the straight line is
-    shorter than ε: there is no movement to make, and the ratio would blow up.
-
-    Args:
-        hands: positions of the hand, or of the cursor, segment lengths, (steps + 1, 2).
-        target: segment lengths, (2,).
-        tolerance: ε, segment lengths.
-    """
-    hands = np.asarray(hands, dtype=np.float64)
-    straight = float(np.linalg.norm(np.asarray(target) - hands[0]))
-    if straight < tolerance:
-        return math.nan
-    return float(np.linalg.norm(np.diff(hands, axis=0), axis=-1).sum()) / straight
-
-
-def path_efficiency(points: ArrayLike) -> float:
-    """Straight line from a path's first to its last point, over the path's length: 1 is straight.
+def straightness(points: ArrayLike) -> float:
+    """Return the straight line between a path's ends over the path's length: 1 is straight.
 
     |x_n − x_0| / Σ|x_{k+1} − x_k|, between 0 and 1; NaN for a path that goes nowhere.
 
@@ -39,59 +20,103 @@ def path_efficiency(points: ArrayLike) -> float:
         points: of the hand, or of the joints, (points, dimensions).
 
     Example:
-        >>> path_efficiency([[0, 0], [3, 0], [3, 4]])  # 5 as the crow flies, 7 on the path
+        >>> straightness([[0, 0], [3, 0], [3, 4]])  # 5 as the crow flies, 7 on the path
         0.714286
     """
     path = np.asarray(points, dtype=np.float64)
-    length = float(np.linalg.norm(np.diff(path, axis=0), axis=-1).sum())
+    length = _length(path)
     return float(np.linalg.norm(path[-1] - path[0])) / length if length > 0.0 else math.nan
 
 
-def maximal_deviation(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> float:
-    """Largest distance of a path from the line through two points, over the distance of these.
+def _length(path: Floats) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=-1).sum())
 
-    max_k |r_k − (r_k·u) u| / |end − start|, with r_k = x_k − start, u the unit vector from start
-    to end.  ½ for a half circle; NaN if start and end are one point.
+
+def linearity_index(points: ArrayLike) -> float:
+    """Return the largest distance of a path from the line between its ends, over its length.
+
+    max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0, u the unit vector from the first
+    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.
 
     Args:
         points: of the hand, or of the joints, (points, dimensions).
-        start: a point of the line, (dimensions,).
-        end: another one.
 
     Source:
         Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
-        https://doi.org/10.1523/JNEUROSCI.05-09-02318.1985, as linearity index.
+        https://doi.org/10.1523/JNEUROSCI.05-09-02318.1985.
+
+    Example:
+        >>> linearity_index([[0, 0], [1, 1], [4, 0]])
+        0.25
     """
-    origin = np.asarray(start, dtype=np.float64)
-    line = np.asarray(end, dtype=np.float64) - origin
+    path = np.asarray(points, dtype=np.float64)
+    line = path[-1] - path[0]
     length = float(np.linalg.norm(line))
     if length == 0.0:
         return math.nan
     along = line / length
-    away = np.asarray(points, dtype=np.float64) - origin
+    away = path - path[0]
     across: Floats = away - (away @ along)[:, None] * along
     return float(np.linalg.norm(across, axis=-1).max()) / length
 
 
-def hand_over_joint_straightness(hands: ArrayLike, joint_angles: ArrayLike) -> float:
-    """Is a movement straighter in hand space (up to 1) or in joint space (down to −1)?
+@measure(label="path / direct line", best="low", decimals=2, shown=True, successes_only=True)
+def path_ratio(episode: Episode) -> float:
+    """Return the length of the hand's path over the line from start to target; 1 is straight.
 
-    (d_joints − d_hand) / (d_joints + d_hand), d the `maximal_deviation` of the path from the line
-    between its ends, in either space.  0 where both are equally bent, NaN where the hand or the
-    joints end where they began, or without joints.
+    Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, corrections and tremor at the
+    target included.  Below 1 only if the hand stops short.  Under a visuomotor rotation both are
+    the cursor's: the target is not where the hand is to go.  NaN where the target moves, and where
+    the line is shorter than ε: there is no movement to make, and the ratio would blow up.
+    """
+    line = float(np.linalg.norm(episode.target - episode.seen_hands[0]))
+    if line < episode.tolerance or not episode.target_stands:
+        return math.nan
+    return _length(episode.seen_hands) / line
 
-    Args:
-        hands: positions, (points, 2).
-        joint_angles: at the same times, not wrapped, radians, (points, N).
+
+@measure(label="path efficiency", best="high", decimals=3, successes_only=True)
+def path_efficiency(episode: Episode) -> float:
+    """Return the `straightness` of the hand's path while it moves."""
+    return straightness(episode.hands[episode.movement_points])
+
+
+@measure(label="largest deviation / length", best="low", decimals=3, successes_only=True)
+def maximal_deviation(episode: Episode) -> float:
+    """Return the `linearity_index` of the hand's path while it moves.
+
+    Not of the line to the target: under a visuomotor rotation the hand is to go elsewhere.  NaN if
+    the ends are closer than ε.
+    """
+    part = moving_part(episode.speeds)
+    hands = episode.hands[part.start : part.stop + 1]
+    if np.linalg.norm(hands[-1] - hands[0]) < episode.tolerance:
+        return math.nan
+    return linearity_index(hands)
+
+
+@measure(label="path efficiency of the joints", best="high", decimals=3, successes_only=True)
+def joint_path_efficiency(episode: Episode) -> float:
+    """Return the `straightness` of the path of the joint angles while the hand moves."""
+    return straightness(episode.joint_angles[episode.movement_points])
+
+
+@measure(label="straighter in hand than in joint space", decimals=2, successes_only=True)
+def hand_over_joint_straightness(episode: Episode) -> float:
+    """Return how much straighter the movement is in hand space (1) than in joint space (−1).
+
+    (d_joints − d_hand) / (d_joints + d_hand), d the `linearity_index` of the path in either space,
+    while the hand moves.  0 where both are equally bent, NaN where the hand or the joints end where
+    they began, or without joints.
 
     Source:
         The question whether movements are planned in hand or in joint space: Morasso (1981), Exp.
         Brain Res. 42, 223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
     """
-    path, posture = np.asarray(hands, dtype=np.float64), np.asarray(joint_angles)
-    if posture.shape[-1] == 0:
+    points = episode.movement_points
+    if episode.joint_angles.shape[-1] == 0:
         return math.nan
-    of_hand = maximal_deviation(path, path[0], path[-1])
-    of_joints = maximal_deviation(posture, posture[0], posture[-1])
+    of_hand = linearity_index(episode.hands[points])
+    of_joints = linearity_index(episode.joint_angles[points])
     total = of_hand + of_joints
     return (of_joints - of_hand) / total if total != 0.0 else math.nan

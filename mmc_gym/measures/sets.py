@@ -1,23 +1,19 @@
-"""Measures of sets of movements: posture variability, Fitts' law, the two-thirds power law.
-
-Pure functions over arrays.  `set_measures` says which episodes they are taken from.
-"""
+"""Measures of sets of movements: posture variability, Fitts' law, the two-thirds power law."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import linregress
 
-from mmc_gym.measures.catalogue import Direction
-from mmc_gym.measures.reaching import Floats, success_at_end, time_to_target
-from mmc_gym.measures.rollout import Episode
+from mmc_gym.measures.catalogue import set_measure
+from mmc_gym.measures.episode import Episode, Floats
+from mmc_gym.measures.reaching import arrival_time, success
 
 SLOWEST = 0.05
 """Share of the highest speed below which the curvature of a path is not defined well enough."""
@@ -31,6 +27,12 @@ STRAIGHTEST = 0.1
 FEWEST = 10
 """Samples that a power law is fitted to at least."""
 
+FITTS_WIDTHS = (0.02, 0.05, 0.1, 0.2)
+"""Diameters of the target, segment lengths."""
+
+WARM_UP = 1.0
+"""Seconds in which a hand finds a moving target, and which the power law leaves out."""
+
 
 class Line(NamedTuple):
     """A straight line through points (x, y): intercept, slope, and the share R² it explains."""
@@ -43,8 +45,17 @@ class Line(NamedTuple):
 NO_LINE = Line(math.nan, math.nan, math.nan)
 
 
-def posture_variability(joint_angles: ArrayLike) -> float:
-    """How much postures that put the hand to one place differ, radians.
+def _fit_line(x: Floats, y: Floats, fewest: int) -> Line:
+    present = ~(np.isnan(x) | np.isnan(y))
+    x, y = x[present], y[present]
+    if np.unique(x).size < fewest:
+        return NO_LINE
+    fit = linregress(x, y)
+    return Line(float(fit.intercept), float(fit.slope), float(fit.rvalue) ** 2)
+
+
+def posture_spread(joint_angles: ArrayLike) -> float:
+    """Return how much postures that put the hand to one place differ, radians.
 
     √((1/N) Σ_i 2 (1 − R_i)), R_i = |mean over the movements of e^{i q_i}|: the root mean square
     over the joints of the angular deviation, which is the standard deviation for small spreads
@@ -59,9 +70,9 @@ def posture_variability(joint_angles: ArrayLike) -> float:
         arm: Soechting, Buneo, Herrmann & Flanders (1995), J. Neurosci. 15, 6271–6280.
 
     Example:
-        >>> posture_variability([[0.1, 3.2], [0.1, 3.2 - 2 * np.pi]])
+        >>> posture_spread([[0.1, 3.2], [0.1, 3.2 - 2 * np.pi]])
         0.0
-        >>> posture_variability([[0.0], [np.pi / 2], [np.pi], [-np.pi / 2]]) ** 2
+        >>> posture_spread([[0.0], [np.pi / 2], [np.pi], [-np.pi / 2]]) ** 2
         2.0
     """
     angles = np.asarray(joint_angles, dtype=np.float64)
@@ -71,8 +82,23 @@ def posture_variability(joint_angles: ArrayLike) -> float:
     return math.sqrt(float(np.clip(2 * (1 - lengths), 0.0, None).mean()))
 
 
+@set_measure(environment="paper", label="posture variability", unit="rad", best="low", decimals=3)
+def posture_variability(episodes: Sequence[Episode]) -> float:
+    """Return the mean over targets of the `posture_spread` at the end of successful episodes.
+
+    A hand elsewhere than at the target would have another posture for that alone.  Targets that
+    were reached fewer than twice are left out.
+    """
+    postures = defaultdict(list)
+    for episode in episodes:
+        if success(episode):
+            postures[tuple(episode.targets[-1].round(9).tolist())].append(episode.joint_angles[-1])
+    spreads = [posture_spread(group) for group in postures.values() if len(group) > 1]
+    return float(np.mean(spreads)) if spreads else math.nan
+
+
 def fitts_law(amplitudes: ArrayLike, widths: ArrayLike, times: ArrayLike) -> Line:
-    """Fitts' law: time = a + b · log2(2 A / W), by least squares over the conditions.
+    """Fit Fitts' law, time = a + b · log2(2 A / W), by least squares over the conditions.
 
     Args:
         amplitudes: A, distance from start to centre of the target, segment lengths, (conditions,).
@@ -90,15 +116,54 @@ def fitts_law(amplitudes: ArrayLike, widths: ArrayLike, times: ArrayLike) -> Lin
         Line(intercept=0.2, slope=0.1, r_squared=1.0)
     """
     bits = np.log2(2 * np.asarray(amplitudes, dtype=np.float64) / np.asarray(widths))
-    return _line(bits, np.asarray(times, dtype=np.float64), fewest=3)
+    return _fit_line(bits, np.asarray(times, dtype=np.float64), fewest=3)
+
+
+def fitts_line(episodes: Sequence[Episode]) -> Line:
+    """Fit `fitts_law` to the mean times to stay within half of each of `FITTS_WIDTHS`.
+
+    A condition, a distance and a width, in which some hand does not settle is left out: the mean
+    of the others would be too short.
+    """
+    groups = defaultdict(list)
+    for episode in episodes:
+        groups[round(float(episode.distances[0]), 3)].append(episode)
+    conditions = [
+        (
+            distance,
+            width,
+            float(np.mean([arrival_time(e.distances, width / 2, e.control_step) for e in group])),
+        )
+        for distance, group in groups.items()
+        for width in FITTS_WIDTHS
+    ]
+    return fitts_law(*np.transpose(conditions)) if conditions else NO_LINE
+
+
+@set_measure(environment="distances", label="Fitts' slope", unit="s/bit", best="low", decimals=3)
+def fitts_slope(episodes: Sequence[Episode]) -> float:
+    """Return b of the `fitts_line`."""
+    return fitts_line(episodes).slope
+
+
+@set_measure(environment="distances", label="Fitts' intercept", unit="s", decimals=2)
+def fitts_intercept(episodes: Sequence[Episode]) -> float:
+    """Return a of the `fitts_line`."""
+    return fitts_line(episodes).intercept
+
+
+@set_measure(environment="distances", label="Fitts' law explains", unit="fraction", decimals=2)
+def fitts_r_squared(episodes: Sequence[Episode]) -> float:
+    """Return R² of the `fitts_line`."""
+    return fitts_line(episodes).r_squared
 
 
 def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
-    """Two-thirds power law: log speed = log K − β log curvature, with β = 1/3 in human drawing.
+    """Fit the two-thirds power law, log speed = log K − β log curvature.
 
-    v = K κ^{−β}, or angular speed A = K κ^{1−β}: two thirds.  κ = |x′y″ − y′x″| / v³ by central
-    differences, where the hand is faster than 5 % of its highest speed, and than 0.01, and κ > 0.1:
-    a straight path has none.  A harmonic ellipse has β = 1/3 exactly.
+    v = K κ^{−β}, or angular speed A = K κ^{1−β}: two thirds, with β = 1/3 in human drawing.
+    κ = |x′y″ − y′x″| / v³ by central differences, where the hand is faster than 5 % of its highest
+    speed, and than 0.01, and κ > 0.1: a straight path has none.  A harmonic ellipse has β = 1/3.
 
     Args:
         hands: positions, segment lengths, (steps + 1, 2).
@@ -120,152 +185,26 @@ def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
     moving = speed > max(SLOWEST * speed.max(), STILLEST)
     speed, curvature = speed[moving], turning[moving] / speed[moving] ** 3
     bent = curvature > STRAIGHTEST
-    return _line(np.log(curvature[bent]), np.log(speed[bent]), fewest=FEWEST)
-
-
-def _line(x: Floats, y: Floats, fewest: int) -> Line:
-    present = ~(np.isnan(x) | np.isnan(y))
-    x, y = x[present], y[present]
-    if np.unique(x).size < fewest:
-        return NO_LINE
-    fit = linregress(x, y)
-    return Line(float(fit.intercept), float(fit.slope), float(fit.rvalue) ** 2)
-
-
-FITTS_WIDTHS = (0.02, 0.05, 0.1, 0.2)
-"""Diameters of the target, segment lengths."""
-
-WARM_UP = 1.0
-"""Seconds in which a hand finds a moving target, and which the power law leaves out."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SetMeasure:
-    """How a measure is taken from the episodes in an environment.
-
-    Attributes:
-        name: its name in the data.
-        label: its heading in tables.
-        unit: of its values; empty for a number.
-        best: whether high or low values are good.
-        decimals: at most so many are shown.
-        environment: that it is taken in, by its name in `battery.ENVIRONMENTS`.
-        of: the measure of one policy's episodes; NaN where they have none.
-    """
-
-    name: str
-    label: str
-    unit: str
-    best: Direction
-    decimals: int
-    environment: str
-    of: Callable[[Sequence[Episode]], float]
-
-
-def set_measures_in(environment: str) -> tuple[SetMeasure, ...]:
-    """The measures that are taken in an environment; none in most."""
-    return tuple(measure for measure in SET_MEASURES if measure.environment == environment)
-
-
-def variability_at_targets(episodes: Sequence[Episode]) -> float:
-    """Mean over targets of `posture_variability` at the end of successful episodes, radians.
-
-    Hands elsewhere than at the target would have other postures for that alone.  Targets that
-    were reached fewer than twice are left out.
-    """
-    postures = defaultdict(list)
-    for episode in episodes:
-        if success_at_end(episode.distances, episode.tolerance):
-            postures[tuple(episode.targets[-1].round(9).tolist())].append(episode.joint_angles[-1])
-    spreads = [posture_variability(group) for group in postures.values() if len(group) > 1]
-    return float(np.mean(spreads)) if spreads else math.nan
-
-
-def fitts_line(episodes: Sequence[Episode]) -> Line:
-    """`fitts_law` over distances and `FITTS_WIDTHS`: mean times to stay within half a width.
-
-    A condition that some episode never settles in is left out: the mean of the others would be
-    too short.
-    """
-    groups = defaultdict(list)
-    for episode in episodes:
-        groups[round(float(episode.distances[0]), 3)].append(episode)
-    conditions = [
-        (
-            distance,
-            width,
-            float(np.mean([time_to_target(e.distances, width / 2, e.control_step) for e in group])),
-        )
-        for distance, group in groups.items()
-        for width in FITTS_WIDTHS
-    ]
-    return fitts_law(*np.transpose(conditions)) if conditions else fitts_law([], [], [])
+    return _fit_line(np.log(curvature[bent]), np.log(speed[bent]), fewest=FEWEST)
 
 
 def power_line(episodes: Sequence[Episode]) -> Line:
-    """`speed_curvature_law` of each episode after `WARM_UP`; medians over the episodes."""
+    """Return medians over the episodes of the `speed_curvature_law` after `WARM_UP`."""
     lines = [
         speed_curvature_law(e.hands[round(WARM_UP / e.control_step) :], e.control_step)
         for e in episodes
     ]
     found = [line for line in lines if not math.isnan(line.slope)]
-    return Line(*np.median(found, axis=0).tolist()) if found else speed_curvature_law([], 1.0)
+    return Line(*np.median(found, axis=0).tolist()) if found else NO_LINE
 
 
-SET_MEASURES: tuple[SetMeasure, ...] = (
-    SetMeasure(
-        name="posture_variability",
-        label="posture variability",
-        unit="rad",
-        best="low",
-        decimals=3,
-        environment="paper",
-        of=variability_at_targets,
-    ),
-    SetMeasure(
-        name="fitts_slope",
-        label="Fitts' slope",
-        unit="s/bit",
-        best="low",
-        decimals=3,
-        environment="distances",
-        of=lambda episodes: fitts_line(episodes).slope,
-    ),
-    SetMeasure(
-        name="fitts_intercept",
-        label="Fitts' intercept",
-        unit="s",
-        best="neither",
-        decimals=2,
-        environment="distances",
-        of=lambda episodes: fitts_line(episodes).intercept,
-    ),
-    SetMeasure(
-        name="fitts_r_squared",
-        label="Fitts' law explains",
-        unit="fraction",
-        best="neither",
-        decimals=2,
-        environment="distances",
-        of=lambda episodes: fitts_line(episodes).r_squared,
-    ),
-    SetMeasure(
-        name="speed_curvature_exponent",
-        label="speed-curvature exponent",
-        unit="",
-        best="neither",
-        decimals=3,
-        environment="pursuit",
-        of=lambda episodes: -power_line(episodes).slope,
-    ),
-    SetMeasure(
-        name="speed_curvature_r_squared",
-        label="power law explains",
-        unit="fraction",
-        best="neither",
-        decimals=2,
-        environment="pursuit",
-        of=lambda episodes: power_line(episodes).r_squared,
-    ),
-)
-"""All of them."""
+@set_measure(environment="pursuit", label="speed-curvature exponent", decimals=3)
+def speed_curvature_exponent(episodes: Sequence[Episode]) -> float:
+    """Return β of the `power_line`."""
+    return -power_line(episodes).slope
+
+
+@set_measure(environment="pursuit", label="power law explains", unit="fraction", decimals=2)
+def speed_curvature_r_squared(episodes: Sequence[Episode]) -> float:
+    """Return R² of the `power_line`."""
+    return power_line(episodes).r_squared

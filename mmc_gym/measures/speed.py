@@ -1,15 +1,12 @@
-"""The shape of a movement: measures of the speed profile of the hand.
+"""Measures of the speed profile of the hand: its shape and its smoothness.
 
-A profile (steps,) holds the hand's speed in each control step.  Where a movement ends and rest
-begins is decided in one place, `moving_part`: a movement lasts from the first to the last step at
-5 % of its peak speed or more.  A minimum-jerk movement of duration 1 is cut by that at
-`MINIMUM_JERK_SPAN`, and so measured it has other numbers than as a whole:
+A profile (steps,) holds the hand's speed in each control step.  Shape and smoothness are those of
+the `moving_part`, from the first to the last step at 5 % of the peak speed or more.  That cuts a
+minimum-jerk movement of duration 1 at `MINIMUM_JERK_SPAN`, which changes its numbers:
 
                                 whole               its moving part
     peak / mean                 15/8 = 1.875        1.658
     log dimensionless jerk      −ln 204.8 = −5.32   −4.41
-
-so that its numbers in tables are those of a reference that went the same way as all others.
 """
 
 from __future__ import annotations
@@ -20,14 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import find_peaks
 
-from mmc_gym.measures.reaching import Floats
+from mmc_gym.measures.catalogue import measure
+from mmc_gym.measures.episode import MOVING, Episode, Floats
 from mmc_gym.network.time_base import minimum_jerk
 
-# A smaller rise is no peak: the paper's figures count re-rises above 5 % of the peak velocity.
 PEAK_PROMINENCE = 0.05
-
-MOVING = 0.05
-"""From this share of its peak speed on the hand counts as moving."""
+"""A smaller rise is no peak: the paper's figures count re-rises above 5 % of the peak velocity."""
 
 MINIMUM_JERK_SPAN = (
     (1 - math.sqrt(1 - math.sqrt(MOVING))) / 2,
@@ -40,54 +35,74 @@ SPARC_THRESHOLD = 0.05
 SPARC_PADDING = 4
 
 
-def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
-    """Speed of the hand in each control step, |p_{k+1} − p_k| / T, segment lengths/s, (steps,).
-
-    The mean over a step as the crow flies, and so the speed at the middle of the step, up to
-    terms in T².
-    """
-    displacements = np.diff(np.asarray(hands, dtype=np.float64), axis=0)
-    speeds: Floats = np.linalg.norm(displacements, axis=-1) / control_step
-    return speeds
-
-
-def moving_part(speeds: ArrayLike) -> slice:
-    """The steps from the first to the last at 5 % of the peak speed or more; none at rest.
-
-    Example:
-        >>> moving_part([0.01, 0.2, 1.0, 0.02, 0.1, 0.04])
-        slice(1, 5, None)
-    """
-    profile = np.asarray(speeds, dtype=np.float64)
-    highest = peak_speed(profile)
-    if highest == 0.0:
-        return slice(0, 0)
-    fast = np.flatnonzero(profile >= MOVING * highest)
-    return slice(int(fast[0]), int(fast[-1]) + 1)
-
-
-def peak_speed(speeds: ArrayLike) -> float:
-    """Largest speed of the hand, segment lengths/s; 0 for an episode without steps."""
+def highest_speed(speeds: ArrayLike) -> float:
+    """Return the largest speed of a profile; 0 without steps."""
     return float(np.max(np.asarray(speeds), initial=0.0))
 
 
-def velocity_peaks(speeds: ArrayLike) -> float:
-    """Number of peaks in a speed profile (steps,) that stand out by 5 % of the highest.
+@measure(label="peak speed", unit="lengths/s", decimals=2, shown=True, successes_only=True)
+def peak_speed(episode: Episode) -> float:
+    """Return the largest speed of the hand, segment lengths/s."""
+    return highest_speed(episode.speeds)
+
+
+def peakedness(speeds: ArrayLike) -> float:
+    """Return the highest over the mean speed: 1 if constant, 15/8 for minimum jerk, NaN at rest.
+
+    Source:
+        As a measure of a profile's shape: Nelson (1983), Biol. Cybern. 46, 135–147.
+    """
+    highest = highest_speed(speeds)
+    return highest / float(np.mean(np.asarray(speeds))) if highest > 0.0 else math.nan
+
+
+@measure(label="peak / mean speed", decimals=2, successes_only=True)
+def peak_to_mean(episode: Episode) -> float:
+    """Return the `peakedness` of the movement."""
+    return peakedness(episode.movement_speeds)
+
+
+def phase_of_peak(speeds: ArrayLike) -> float:
+    """Return the middle of the fastest step, as a share of the duration; NaN at rest.
+
+    (p + ½)/n for the step p = 0 … n − 1.  ½ for every symmetric profile of an odd number of
+    steps; an even number has two middle steps, of which it is the faster or the first.
+
+    Example:
+        >>> phase_of_peak([0.1, 1.0, 0.5, 0.2]), phase_of_peak([0.5, 1.0, 0.5])
+        (0.375, 0.5)
+    """
+    profile = np.asarray(speeds)
+    if highest_speed(profile) == 0.0:
+        return math.nan
+    return (int(profile.argmax()) + 0.5) / profile.size
+
+
+@measure(
+    label="time to peak speed", unit="of duration", decimals=2, shown=True, successes_only=True
+)
+def time_to_peak(episode: Episode) -> float:
+    """Return the `phase_of_peak` of the movement."""
+    return phase_of_peak(episode.movement_speeds)
+
+
+def count_peaks(speeds: ArrayLike) -> float:
+    """Return the number of peaks in a profile that stand out by 5 % of the highest.
 
     Standing out is prominence: how far the speed falls on both sides before it gets higher.  So
-    a second peak is a re-rise by 5 % of the peak speed, as in the published figures.  At both
-    ends the profile is taken to come from rest and go to rest, so a movement that is fastest in
-    its first step has a peak there.  A single smooth submovement has 1, a hand at rest 0.
+    a second peak is a re-rise by 5 % of the peak speed, as in the published figures.  The profile
+    is taken to come from rest and go to rest, so a movement that is fastest in its first step has
+    a peak there.  A single smooth submovement has 1, a hand at rest 0.
 
     Source:
         Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
         8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
 
     Example:
-        >>> velocity_peaks([1.0, 0.5, 0.1]), velocity_peaks([0.1, 1.0, 0.2, 0.3, 0.1])
+        >>> count_peaks([1.0, 0.5, 0.1]), count_peaks([0.1, 1.0, 0.2, 0.3, 0.1])
         (1.0, 2.0)
     """
-    highest = peak_speed(speeds)
+    highest = highest_speed(speeds)
     if highest == 0.0:
         return 0.0
     profile = np.pad(np.asarray(speeds, dtype=np.float64), 1)
@@ -95,60 +110,42 @@ def velocity_peaks(speeds: ArrayLike) -> float:
     return float(len(peaks))
 
 
-def second_rise(speeds: ArrayLike) -> float:
-    """How far the speed rises again after its peak, as a share of the peak.
+@measure(label="velocity peaks", best="low", decimals=1, shown=True, successes_only=True)
+def velocity_peaks(episode: Episode) -> float:
+    """Return the number of peaks in the speed of the whole episode, see `count_peaks`."""
+    return count_peaks(episode.speeds)
 
-    max_{k>j≥p} (s_k − s_j) / s_p, p the step of the peak s_p.  Above 0.05 the published figures
-    speak of a second velocity peak; unlike `velocity_peaks`, which is about both sides of the
-    peak, this is about the return after it.  0 for a hand at rest.
+
+def second_rise(speeds: ArrayLike) -> float:
+    """Return how far the speed rises again after its peak, as a share of the peak.
+
+    max_{k>j≥p} (s_k − s_j) / s_p, p the step of the peak s_p; 0 for a hand at rest.  Above 0.05 the
+    published figures speak of a second velocity peak.  `count_peaks` looks at both sides of the
+    peak, this at the return only.
 
     Example:
         >>> second_rise([0.2, 0.1, 1.0, 0.3, 0.5]), second_rise([0.2, 0.1, 1.0, 0.5, 0.3])
         (0.2, 0.0)
     """
     profile = np.asarray(speeds, dtype=np.float64)
-    highest = peak_speed(profile)
+    highest = highest_speed(profile)
     if highest == 0.0:
         return 0.0
     after = profile[profile.argmax() :]
     return float((after - np.minimum.accumulate(after)).max()) / highest
 
 
-def peak_to_mean(speeds: ArrayLike) -> float:
-    """Highest over mean speed: 1 at constant speed, 15/8 for minimum jerk, NaN at rest.
-
-    Source:
-        As a measure of a profile's shape: Nelson (1983), Biol. Cybern. 46, 135–147.
-    """
-    highest = peak_speed(speeds)
-    return highest / float(np.mean(np.asarray(speeds))) if highest > 0.0 else math.nan
-
-
-def time_to_peak(speeds: ArrayLike) -> float:
-    """Middle of the fastest step, as a share of the movement's duration; NaN at rest.
-
-    (p + ½)/n for the step p = 0 … n − 1.  ½ for every symmetric profile of an odd number of
-    steps; an even number has two middle steps, of which it is the faster or the first.
-
-    Example:
-        >>> time_to_peak([0.1, 1.0, 0.5, 0.2]), time_to_peak([0.5, 1.0, 0.5])
-        (0.375, 0.5)
-    """
-    profile = np.asarray(speeds)
-    if peak_speed(profile) == 0.0:
-        return math.nan
-    return (int(profile.argmax()) + 0.5) / profile.size
-
-
-def minimum_jerk_correlation(speeds: ArrayLike, span: tuple[float, float] = (0.0, 1.0)) -> float:
-    """Pearson's correlation of a speed profile with minimum jerk of the same duration.
+def correlation_with_minimum_jerk(
+    speeds: ArrayLike, span: tuple[float, float] = (0.0, 1.0)
+) -> float:
+    """Return Pearson's correlation of a profile with minimum jerk of the same duration.
 
     With the distances ξ(τ_k) − ξ(τ_{k−1}) that a minimum-jerk movement covers in each of n steps
     between two phases.  1 for minimum jerk of any size, −1 at the least; NaN at constant speed.
 
     Args:
         speeds: the profile, (steps,).
-        span: which part of a minimum-jerk movement it is compared with; for a `moving_part`,
+        span: part of a minimum-jerk movement to compare with; for a `moving_part`
             `MINIMUM_JERK_SPAN`.
 
     Source:
@@ -161,29 +158,52 @@ def minimum_jerk_correlation(speeds: ArrayLike, span: tuple[float, float] = (0.0
     return float(np.corrcoef(profile, _minimum_jerk_profile(profile.size, span))[0, 1])
 
 
-def minimum_jerk_rmse(speeds: ArrayLike, span: tuple[float, float] = (0.0, 1.0)) -> float:
-    """Root mean square difference of a profile from minimum jerk, as a share of the mean speed.
+@measure(
+    label="like minimum jerk",
+    unit="correlation",
+    best="high",
+    decimals=3,
+    shown=True,
+    successes_only=True,
+)
+def minimum_jerk_correlation(episode: Episode) -> float:
+    """Return the `correlation_with_minimum_jerk` of the movement."""
+    return correlation_with_minimum_jerk(episode.movement_speeds, MINIMUM_JERK_SPAN)
+
+
+def difference_from_minimum_jerk(
+    speeds: ArrayLike, span: tuple[float, float] = (0.0, 1.0)
+) -> float:
+    """Return the root mean square difference from minimum jerk, as a share of the mean speed.
 
     √(mean (s_k/s̄ − m_k/m̄)²), m minimum jerk of the same duration and distance, s̄ and m̄ the means.
     0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.
 
     Args:
         speeds: the profile, (steps,).
-        span: as in `minimum_jerk_correlation`.
+        span: as in `correlation_with_minimum_jerk`.
     """
     profile = np.asarray(speeds, dtype=np.float64)
-    if profile.size < 3 or peak_speed(profile) == 0.0:
+    if profile.size < 3 or highest_speed(profile) == 0.0:
         return math.nan
     wanted = _minimum_jerk_profile(profile.size, span)
     return float(np.sqrt(np.mean((profile / profile.mean() - wanted / wanted.mean()) ** 2)))
+
+
+@measure(
+    label="unlike minimum jerk", unit="mean speeds", best="low", decimals=3, successes_only=True
+)
+def minimum_jerk_rmse(episode: Episode) -> float:
+    """Return the `difference_from_minimum_jerk` of the movement."""
+    return difference_from_minimum_jerk(episode.movement_speeds, MINIMUM_JERK_SPAN)
 
 
 def _minimum_jerk_profile(steps: int, span: tuple[float, float]) -> Floats:
     return np.diff(minimum_jerk(np.linspace(*span, steps + 1)))
 
 
-def sparc(speeds: ArrayLike, control_step: float) -> float:
-    """Spectral arc length: minus the length of the profile's spectrum, about −1.4 if smooth.
+def spectral_arc_length(speeds: ArrayLike, control_step: float) -> float:
+    """Return minus the length of the profile's spectrum, about −1.4 if smooth.
 
     −∫₀^{f_c} √((1/f_c)² + (dM̂/df)²) df, where M̂ is the magnitude of the profile's Fourier
     transform over its largest, and f_c the highest frequency, up to 10 Hz, with M̂ ≥ 0.05.  The
@@ -201,11 +221,11 @@ def sparc(speeds: ArrayLike, control_step: float) -> float:
 
     Example:
         >>> time = np.arange(-1, 1, 0.01)
-        >>> round(sparc(np.exp(-5 * time**2), 0.01), 3)
+        >>> round(spectral_arc_length(np.exp(-5 * time**2), 0.01), 3)
         -1.414
     """
     profile = np.asarray(speeds, dtype=np.float64)
-    if peak_speed(profile) == 0.0:
+    if highest_speed(profile) == 0.0:
         return math.nan
     count = 2 ** (math.ceil(math.log2(profile.size)) + SPARC_PADDING)
     frequencies = np.fft.rfftfreq(count, control_step)
@@ -217,8 +237,14 @@ def sparc(speeds: ArrayLike, control_step: float) -> float:
     return -float(np.hypot(1 / (selected.size - 1), np.diff(selected)).sum())
 
 
-def log_dimensionless_jerk(speeds: ArrayLike) -> float:
-    """Minus the logarithm of a profile's jerk, freed of size and duration; high is smooth.
+@measure(label="smoothness", unit="SPARC", best="high", decimals=2, shown=True, successes_only=True)
+def sparc(episode: Episode) -> float:
+    """Return the `spectral_arc_length` of the movement."""
+    return spectral_arc_length(episode.movement_speeds, episode.control_step)
+
+
+def smoothness_by_jerk(speeds: ArrayLike) -> float:
+    """Return minus the logarithm of a profile's jerk, freed of size and duration; high is smooth.
 
     −ln(D³/s_p² ∫₀^D (d²s/dt²)² dt), s_p the peak and D the duration; −ln 204.8 for minimum jerk.
     The second derivative is that of differences over T, and stands for the whole of D: at 50 Hz
@@ -230,12 +256,24 @@ def log_dimensionless_jerk(speeds: ArrayLike) -> float:
         speeds: the profile, (steps,), without the rest before and after it.
 
     Source:
-        Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), see `sparc`.
+        Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), see `spectral_arc_length`.
     """
     profile = np.asarray(speeds, dtype=np.float64)
-    highest = peak_speed(profile)
+    highest = highest_speed(profile)
     if profile.size < 3 or highest == 0.0:
         return math.nan
     # T cancels: D⁴ / T⁴ · mean (Δ²s)² / s_p², with D = n T.
     jerk = profile.size**4 * float(np.mean(np.diff(profile / highest, 2) ** 2))
     return -math.log(jerk) if jerk > 0.0 else math.nan
+
+
+@measure(
+    label="smoothness",
+    unit="log dimensionless jerk",
+    best="high",
+    decimals=2,
+    successes_only=True,
+)
+def log_dimensionless_jerk(episode: Episode) -> float:
+    """Return the `smoothness_by_jerk` of the movement."""
+    return smoothness_by_jerk(episode.movement_speeds)

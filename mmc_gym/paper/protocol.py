@@ -15,8 +15,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.measures import reaching as metrics
 from mmc_gym.measures import speed as profiles
+from mmc_gym.measures.episode import moving_part
+from mmc_gym.measures.reaching import largest_retreat
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
@@ -170,7 +171,7 @@ def summarize(recording: Recording) -> dict[str, float]:
         "far": float((distance[:, -1] > FAR).sum()),
         "peak_velocity": float(mean_velocity.max()),
         "peak_iteration": float(mean_velocity.argmax() + 1),
-        "overshoots": float((each(metrics.overshoot, distance) > OVERSHOOT).sum()),
+        "overshoots": float((each(largest_retreat, distance) > OVERSHOOT).sum()),
         "second_peaks": float((rises > SECOND_PEAK).sum()),
     }
 
@@ -179,11 +180,11 @@ def shapes(recording: Recording) -> dict[str, NDArray[np.float64]]:
     """How bell-shaped each movement is, columns of (movements,): see `profiles` for each."""
     velocity = recording.velocity
     return {
-        "correlation": each(profiles.minimum_jerk_correlation, velocity),
-        "peak_to_mean": each(profiles.peak_to_mean, velocity),
-        "time_to_peak": each(profiles.time_to_peak, velocity),
-        "velocity_peaks": each(profiles.velocity_peaks, velocity),
-        "overshoot": each(metrics.overshoot, recording.distance),
+        "correlation": each(profiles.correlation_with_minimum_jerk, velocity),
+        "peak_to_mean": each(profiles.peakedness, velocity),
+        "time_to_peak": each(profiles.phase_of_peak, velocity),
+        "velocity_peaks": each(profiles.count_peaks, velocity),
+        "overshoot": each(largest_retreat, recording.distance),
         "final": np.asarray(recording.distance[:, -1], dtype=np.float64),
     }
 
@@ -195,7 +196,7 @@ def bulk(velocity: ArrayLike) -> NDArray[np.float64]:
     [0.2, 1.0, 0.02, 0.1]
     """
     profile = np.asarray(velocity, dtype=np.float64)
-    return profile[profiles.moving_part(profile)]
+    return profile[moving_part(profile)]
 
 
 def bulk_shape(velocity: Floats) -> tuple[float, float]:

@@ -1,10 +1,8 @@
-"""The figures of the report: movements, measures at a glance, learning, profiles, degradation.
-
-Each function returns None where there is nothing to show.
-"""
+"""The figures of scores: measures at a glance, performance profiles, degradation."""
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 
@@ -19,107 +17,94 @@ from numpy.typing import NDArray
 from mmc_gym._plotting import COLOURS, EXAMPLES, LINES
 from mmc_gym.agents.policy import EVALUATION_EPISODES
 from mmc_gym.benchmark.statistics import Bootstrap
-from mmc_gym.measures.catalogue import Measure
-from mmc_gym.measures.speed import hand_speed
-from mmc_gym.report.numbers import quantity, unit
+from mmc_gym.measures import Measure
+from mmc_gym.measures.episode import hand_speed
+from mmc_gym.report.numbers import count, instances_of, listed, quantity, seeds_of, unit
 from mmc_gym.report.panels import (
+    Block,
     Look,
     Panel,
-    PanelFigure,
     drawn,
     line_panel,
     name_lines,
     shortened,
     to_svg,
 )
-from mmc_gym.report.results import Results, count, listed
-from mmc_gym.report.scores import SUCCESS, Estimates
-from mmc_gym.report.tables import BETTER
+from mmc_gym.report.results import Results
+from mmc_gym.report.scores import Estimates
+from mmc_gym.report.sentences import SUCCESS, base_of, base_title, families
 from mmc_gym.training.curves import Axis, curve_rows, mean_curves
 
-PROFILE_RESAMPLES = 300
-"""Resamples of the bands of performance profiles, which are over thousands of episodes."""
-
+INTERVALS = "Bands and bars: 95 % bootstrap intervals over instances and training seeds."
+PROFILE_RESAMPLES = 300  # of the bands of profiles, which are over thousands of episodes
 _POINTS = 41  # of a performance profile
 _UNPERTURBED = 0.0
-_MOVEMENT_SIZE = (2.6, 4.3)  # inches
-_AXES: tuple[tuple[Axis, str, float], ...] = (
-    ("steps", "environment steps", 1.0),
-    ("cpu_seconds", "time on one core [min]", 60.0),
-)
 
 
-def dots(
-    estimates: Estimates, measures: Sequence[Measure], look: Mapping[str, Look]
-) -> PanelFigure | None:
-    """Draw each measure of each agent with its interval, without perturbation."""
+def dots(estimates: Estimates, measures: tuple[Measure, ...], look: Mapping[str, Look]) -> Block:
+    """Each measure of each agent with its interval, without perturbation: a panel a measure."""
     results = estimates.results
+    environment = base_of(results)
     panels = []
     for measure in measures:
-        found = estimates.taking_part(results.base, measure, results.agents)
-        if not found:
+        figures = estimates.taking_part(environment, measure, results.agents)
+        if not figures:
             continue
-        with drawn(height=0.75 + 0.17 * len(found)) as (figure, axes):
-            scale = 100 if measure.unit == "fraction" else 1
-            for row, (agent, one) in enumerate(found.items()):
+        with drawn(height=0.75 + 0.17 * len(figures)) as (figure, axes):
+            for row, (agent, estimate) in enumerate(figures.items()):
                 own = look.get(agent)
                 colour = own.colour if own else "0.45"
-                ends = [scale * one.low, scale * one.high]
+                scale = 100 if measure.unit == "fraction" else 1
+                ends = scale * np.array([estimate.low, estimate.high])
                 axes.plot(ends, [row, row], color=colour, linewidth=1.6, solid_capstyle="butt")
                 axes.plot(
-                    scale * one.estimate,
+                    scale * estimate.estimate,
                     row,
                     marker=own.marker if own else "|",
                     color=colour,
                     markersize=5 if own else 6,
                     markerfacecolor="white",
                 )
-            axes.set_yticks(range(len(found)), [shortened(agent, 20) for agent in found])
-            axes.set_ylim(len(found) - 0.4, -0.6)
+            axes.set_yticks(range(len(figures)), [shortened(agent, 20) for agent in figures])
+            axes.set_ylim(len(figures) - 0.4, -0.6)
             axes.grid(axis="y", color="0.92", linewidth=0.6)
             axes.set_axisbelow(True)
             if measure.unit == "fraction":
-                least = min(one.low for one in found.values())
+                least = min(estimate.low for estimate in figures.values())
                 axes.set_xlim(100 * max(0.0, min(least - 0.05, 0.9)), 101)
             elif measure.unit == "lengths":
                 axes.set_xlim(0, max(axes.get_xlim()[1], results.tolerance))
-            axes.set_xlabel(measure.label + (f" [{unit(measure)}]" if unit(measure) else ""))
-        said = "; ".join(f"{agent} {quantity(measure, e.estimate)}" for agent, e in found.items())
-        better = f" ({BETTER[measure.best]})" if BETTER[measure.best] else ""
+            axes.set_xlabel(
+                f"{measure.label} [{unit(measure)}]" if unit(measure) else measure.label
+            )
+        said = "; ".join(f"{a} {quantity(measure, e.estimate)}" for a, e in figures.items())
+        better = {"high": " (more is better)", "low": " (less is better)", "neither": ""}
         panels.append(
             Panel(
-                f"{measure.label}{better}",
-                f"{measure.label}: {said}",
-                to_svg(figure, f"dots-{measure.name}"),
+                f"{measure.label}{better[measure.best]}",
+                to_svg(figure, f"dots-{measure.name}", f"{measure.label}: {said}"),
             )
         )
-    if not panels:
-        return None
-    return PanelFigure(
+    return Block(
         tuple(panels),
-        f"Environment: {results.base}. Marks: means of shares, medians of the others; bars: 95 % "
-        "intervals. Agents are missing where fewer than half of their episodes have a value. "
-        f"{results.sample(results.agents, [results.base])}",
+        f"Environment: {environment}. Marks: means of shares, medians of the others. {INTERVALS} "
+        "Agents are missing where fewer than half of their episodes have a value. "
+        f"{instances_of(results, [environment])} "
+        f"{seeds_of(results, results.agents, [environment])}",
     )
 
 
-def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
-    """Draw the share of episodes that end within τ of the target, for all τ."""
-    results, base = estimates.results, estimates.results.base
+def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
+    """The share of episodes that end within τ of the target, for all τ."""
+    results = estimates.results
     taus = np.geomspace(0.001, 1.0, _POINTS)
-    perturbed = [key for keys in results.families.values() for key in keys if key != base]
-    plain = f"Only {base}" if results.environments[base].family else f"Unperturbed ({base})"
     panels, used, left_out = [], [], 0
-
-    def finish(axes: Axes) -> None:
-        axes.axvline(results.tolerance, color="0.5", linestyle=":", linewidth=0.8)
-        axes.set(xscale="log", ylim=(0, 1.02), xlim=(taus[0], taus[-1]))
-        axes.set_xlabel("τ: final distance [segment lengths]")
-        axes.set_ylabel("episodes that end within τ")
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-    for key, chosen in (("base", [base]), ("perturbed", perturbed)):
+    base = base_of(results)
+    perturbed = [key for keys in families(results).values() for key in keys if key != base]
+    for key, title, chosen in (
+        ("base", base_title(results), [base]),
+        ("perturbed", "", perturbed),
+    ):
         rows = results.episodes["environment"].isin(chosen)
         rows &= results.episodes["agent"].isin(list(look))
         frame = _met_by_all(results.episodes[rows])
@@ -131,12 +116,21 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
         curves = Bootstrap.of(frame, "final_distance", PROFILE_RESAMPLES).profile(taus, "low")
         groups = {str(agent): curve for agent, curve in curves.groupby("agent", sort=False)}
         groups = {agent: groups[agent] for agent in look if agent in groups}
-        title = plain if key == "base" else count(len(met), "perturbed environment")
+
+        def finish(axes: Axes) -> None:
+            axes.axvline(results.tolerance, color="0.5", linestyle=":", linewidth=0.8)
+            axes.set(xscale="log", ylim=(0, 1.02), xlim=(taus[0], taus[-1]))
+            axes.set_xlabel("τ: final distance [segment lengths]")
+            axes.set_ylabel("episodes that end within τ")
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+        named = title or count(len(met), "perturbed environment")
         panels.append(
             line_panel(
                 f"profile-{key}",
-                title,
-                f"Share of episodes that end within a distance, {title}",
+                named,
+                f"Share of episodes that end within a distance, {named}",
                 {a: (c["threshold"], c["estimate"]) for a, c in groups.items()},
                 {a: (c["low"], c["high"]) for a, c in groups.items()},
                 look,
@@ -144,48 +138,41 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
                 markers=False,
             )
         )
-    if not panels:
-        return None
     partly = (
         f"Left out: {count(left_out, 'environment')} that not all these agents have met with all "
         "their training seeds. "
     )
-    return PanelFigure(
+    return Block(
         tuple(panels),
-        "Further to the left and higher is better. Dotted: the distance that counts as success, "
-        f"{results.tolerance:g}. Bands: 95 % intervals. {partly if left_out else ''}"
-        f"{results.sample(look, used)}",
+        "Performance profiles: a curve further to the left and higher is better everywhere. "
+        f"Dotted: the distance that counts as success, {results.tolerance:g}. "
+        f"{partly if left_out else ''}{INTERVALS} {instances_of(results, used)} "
+        f"{seeds_of(results, look, used)}",
     )
 
 
-def _met_by_all(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return only the environments that every policy in the frame has met, as profiles need."""
-    policies = frame[["agent", "training_seed"]].drop_duplicates()
-    cells = frame[["agent", "training_seed", "environment"]].drop_duplicates()
-    met = cells["environment"].value_counts()
-    return frame[frame["environment"].isin(met.index[met == len(policies)])]
-
-
-def degradation(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
-    """Draw success against the strength of each family of perturbations."""
+def degradation(estimates: Estimates, look: Mapping[str, Look]) -> Block:
+    """Success against the strength of each family of perturbations."""
     results = estimates.results
     panels, used = [], []
-    for number, (family, keys) in enumerate(results.families.items()):
-        first = results.environments[keys[0]]
-        is_scale = first.unit != "joint"
-        points = [(results.environments[key].strength, key) for key in keys]
-        if first.baseline in results.environments and is_scale:
-            points = [(_UNPERTURBED, first.baseline), *points]
-        used += [key for _, key in points]
+    for number, (family, keys) in enumerate(families(results).items()):
         lines, bands = {}, {}
+        baseline = results.environments[keys[0]].baseline
+        points = [(results.environments[key].strength, key) for key in keys]
+        is_scale = results.environments[keys[0]].unit != "joint"
+        if baseline in results.environments and is_scale:
+            points = [(_UNPERTURBED, baseline), *points]
+        used += [key for _, key in points]
         for agent in look:
             found = [(x, estimates.of(key, SUCCESS).get(agent)) for x, key in points]
-            known = [(x, one) for x, one in found if one is not None]
+            known = [(x, estimate) for x, estimate in found if estimate is not None]
             if known:
-                lines[agent] = ([x for x, _ in known], [100 * one.estimate for _, one in known])
+                x = [strength for strength, _ in known]
+                lines[agent] = (x, [100 * e.estimate for _, e in known])
                 bands[agent] = ([100 * e.low for _, e in known], [100 * e.high for _, e in known])
+        measured_in = results.environments[keys[0]].unit
 
-        def finish(axes: Axes, unit_of: str = first.unit, name: str = family) -> None:
+        def finish(axes: Axes, unit_of: str = measured_in, name: str = family) -> None:
             axes.set(ylim=(-3, 103), ylabel="success [%]")
             axes.set_xlabel(f"{name} [{unit_of}]" if unit_of else name)
             if unit_of == "joint":
@@ -193,42 +180,54 @@ def degradation(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure |
                 axes.set_xlim(0.6, 3.4)
 
         said = "; ".join(
-            f"{agent} {', '.join(f'{y:.0f} %' for y in line[1])}" for agent, line in lines.items()
+            f"{agent} {', '.join(f'{y:.0f} %' for y in np.asarray(line[1]))}"
+            for agent, line in lines.items()
         )
         strengths = ", ".join(f"{x:g}" for x, _ in points)
         panels.append(
             line_panel(
                 f"degradation-{number}",
                 family,
-                f"Success at strengths {strengths} {first.unit}: {said}",
-                lines,
-                bands,
-                look,
-                finish,
+                f"Success at strengths {strengths} {measured_in}: {said}",
+                *(lines, bands, look, finish),
                 connected=is_scale,
             )
         )
-    if not panels:
-        return None
-    return PanelFigure(
+    return Block(
         tuple(panels),
-        "Success against the strength of the perturbation; at 0, the same task without it. Bands: "
-        f"95 % intervals. {_untrained_for(results)}{results.sample(look, used)}",
+        "Success at the end of the episode against the strength of the perturbation; at 0, the "
+        f"same task without it. {_untrained_for(results)}{INTERVALS} "
+        f"{instances_of(results, used)} {seeds_of(results, look, used)}",
     )
 
 
 def _untrained_for(results: Results) -> str:
-    """Return a sentence if all policies were trained without perturbations."""
+    """Whether any policy was trained in a perturbed environment, as far as the cards tell."""
     plain = {"MMCReach-v0", "MMCReachGoal-v0"}
     met = {card.env_id for cards in results.cards.values() for card in cards}
     return "No policy was trained under these perturbations. " if met and met <= plain else ""
 
 
-def learning(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
-    """Draw success over the course of training, against steps and against time."""
-    cards = {name: cards for name, cards in estimates.results.curves.items() if name in look}
+def _met_by_all(frame: pd.DataFrame) -> pd.DataFrame:
+    """Only environments that every policy in the frame has met, as profiles ask for."""
+    policies = frame[["agent", "training_seed"]].drop_duplicates()
+    cells = frame[["agent", "training_seed", "environment"]].drop_duplicates()
+    met = cells["environment"].value_counts()
+    return frame[frame["environment"].isin(met.index[met == len(policies)])]
+
+
+_AXES: tuple[tuple[Axis, str, float], ...] = (
+    ("steps", "environment steps", 1.0),
+    ("cpu_seconds", "time on one core [min]", 60.0),
+)
+
+
+def learning(estimates: Estimates, look: Mapping[str, Look]) -> Block:
+    """Success over the course of training, against steps and against time."""
+    results = estimates.results
+    cards = {name: cards for name, cards in results.curves.items() if name in look}
     if not cards:
-        return None
+        return Block((), "")
     panels = []
     curves = curve_rows(cards)
     for axis, label, scale in _AXES:
@@ -254,17 +253,20 @@ def learning(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
             )
         )
     counted = "; ".join(f"{name} {len(group)}" for name, group in cards.items())
-    return PanelFigure(
+    return Block(
         tuple(panels),
-        "Success of the policy as it was then, without exploration; mean and 95 % interval over "
-        f"training seeds. Instances: {EVALUATION_EPISODES}, fixed. Training seeds: {counted}.",
+        f"Learning curves: share of {EVALUATION_EPISODES} fixed instances that end at the target, "
+        "of the policy as it was then, without exploration; mean and 95 % bootstrap interval over "
+        f"training seeds (none for a single one). Training seeds: {counted}. Agents that do not "
+        "learn have no curve: what they know was built in.",
     )
 
 
-def frontier(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
-    """Draw success against the environment steps that were spent in training."""
+def frontier(estimates: Estimates, look: Mapping[str, Look]) -> Block:
+    """Success against the environment steps that were spent in training."""
     results = estimates.results
-    found = estimates.of(results.base, SUCCESS)
+    environment = base_of(results)
+    figures = estimates.of(environment, SUCCESS)
     steps = {
         agent: 0.0
         for agent in look
@@ -272,83 +274,95 @@ def frontier(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
     }
     for name, cards in results.cards.items():
         steps[name] = float(np.median([card.training_steps for card in cards]))
-    steps = {agent: steps[agent] for agent in look if agent in steps and agent in found}
+    steps = {agent: steps[agent] for agent in look if agent in steps and agent in figures}
     if not steps:
-        return None
-    success = {agent: 100 * found[agent].estimate for agent in steps}
+        return Block((), "")
     with drawn() as (figure, axes):
         for agent, cost in steps.items():
-            own, one = look[agent], found[agent]
-            ends = [100 * one.low, 100 * one.high]
-            axes.plot([cost, cost], ends, color=own.colour, linewidth=1.4)
+            own, found = look[agent], figures[agent]
+            low, high = 100 * found.low, 100 * found.high
+            axes.plot([cost, cost], [low, high], color=own.colour, linewidth=1.4)
             axes.plot(
-                cost, success[agent], color=own.colour, marker=own.marker, markerfacecolor="white"
+                *(cost, 100 * found.estimate),
+                color=own.colour,
+                marker=own.marker,
+                markerfacecolor="white",
             )
-        corners: list[tuple[float, float]] = []
-        for agent in sorted(steps, key=lambda name: (steps[name], -success[name])):
-            if not corners or success[agent] > corners[-1][1]:
-                corners.append((steps[agent], success[agent]))
-        corners.append((max(*steps.values(), 1.0) * 1.5, corners[-1][1]))
-        axes.step(*zip(*corners, strict=True), where="post", color="0.6", linewidth=0.8, zorder=0)
+        top, corner = -math.inf, []
+        for agent in sorted(steps, key=lambda name: (steps[name], -figures[name].estimate)):
+            if figures[agent].estimate > top:
+                top = figures[agent].estimate
+                corner.append((steps[agent], 100 * top))
+        corner.append((max(*steps.values(), 1.0) * 1.5, 100 * top))
+        axes.step(*zip(*corner, strict=True), where="post", color="0.6", linewidth=0.8, zorder=0)
         axes.set_xscale("symlog", linthresh=1e4, linscale=0.6)
-        axes.set(xlabel="environment steps in training", ylabel=f"success in {results.base} [%]")
+        axes.set(xlabel="environment steps in training", ylabel=f"success in {environment} [%]")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlim(left=-2e3)
         axes.set_ylim(bottom=min(axes.get_ylim()[0], 90), top=101)
-        name_lines(axes, {a: ([cost], [success[a]]) for a, cost in steps.items()}, look)
+        ends = {agent: ([cost], [100 * figures[agent].estimate]) for agent, cost in steps.items()}
+        name_lines(axes, ends, look)
     said = "; ".join(
-        f"{agent} {cost:,.0f} steps, {quantity(SUCCESS, found[agent].estimate)}"
+        f"{agent} {cost:,.0f} steps, {quantity(SUCCESS, figures[agent].estimate)}"
         for agent, cost in steps.items()
     )
-    panel = Panel("Sample cost", f"Success against training: {said}", to_svg(figure, "frontier"))
-    return PanelFigure(
-        (panel,),
-        "Success after training against the environment steps of one training. Grey: the most "
-        "success for at most so many steps. Agents at 0 are told their body. Bars: 95 % intervals. "
-        f"{results.sample(steps, [results.base])}",
+    return Block(
+        (Panel("Sample cost", to_svg(figure, "frontier", f"Success against training: {said}")),),
+        "Sample cost: success after training against the environment steps of one training. Grey: "
+        "the frontier, the most success for at most so many steps. Agents at 0 are told their "
+        f"body instead. {INTERVALS} {instances_of(results, [environment])} "
+        f"{seeds_of(results, steps, [environment])}",
     )
 
 
-def movements(results: Results, look: Mapping[str, Look]) -> PanelFigure | None:
-    """Draw hand paths and speed profile of each agent in the base environment."""
+_SIZE = (2.6, 4.3)  # inches
+
+
+def movements(results: Results, environment: str, look: Mapping[str, Look]) -> Block:
+    """Hand paths and speed profile of each agent in an environment: a panel an agent."""
     if results.paths.empty:
-        return None
-    rows = results.paths[results.paths["environment"] == results.base]
+        return Block((), "")
+    rows = results.paths[results.paths["environment"] == environment]
     fastest, shown, seeds = 0.0, {}, []
     for agent in look:
         mine = rows[rows["agent"] == agent]
-        if mine.empty:
-            continue
-        lowest = mine["training_seed"].min()  # missing without training
-        if not np.isnan(lowest):
-            mine = mine[mine["training_seed"] == lowest]
-            seeds.append(f"{agent} {lowest:.0f}")
-        shown[agent] = mine
-        fastest = max(fastest, float(np.nanmax(_quartiles(mine, results.control_step)[2])))
-    if not shown:
-        return None
+        if not mine.empty:
+            lowest = mine["training_seed"].min()  # missing without training
+            if not np.isnan(lowest):
+                mine = mine[mine["training_seed"] == lowest]
+                seeds.append(f"{agent} seed {lowest:.0f}")
+            shown[agent] = mine
+            speeds = _quartiles(mine, results.control_step)
+            fastest = max(fastest, float(np.nanmax(speeds[2])))
     panels = tuple(
-        Panel(
-            agent,
-            f"Hand paths of {agent} to the first targets, and its hand speed over time",
-            to_svg(_draw_movements(mine, results, fastest), f"movement-{number}"),
-        )
+        Panel(agent, to_svg(_draw(mine, results, fastest), f"movement-{number}", _alt(agent)))
         for number, (agent, mine) in enumerate(shown.items())
     )
     instances = int(rows["instance"].nunique())
-    trainings = f"Training seeds: {listed(seeds)}." if seeds else "Not trained: all agents."
-    return PanelFigure(
+    return Block(
         panels,
-        f"Environment: {results.base}. Above: hand paths in instances 1 to "
-        f"{min(instances, EXAMPLES)}, from the open circle to the dot; the cross is the target, "
-        "the ring around it the distance that counts as success; dotted: reach. Below: hand "
-        f"speed, median and quartiles over {count(instances, 'instance')}. {trainings}",
+        f"Environment: {environment}. Above: hand paths in instances 1 to "
+        f"{min(instances, EXAMPLES)}, from the open "
+        "circle to the dot; the cross is the target, the ring around it the distance that counts "
+        "as success; dotted: reach. Below: hand speed, median (line) and quartiles (grey) over "
+        f"{count(instances, 'instance')}; all panels have the same scales. {_trainings(seeds)}",
     )
 
 
-def _draw_movements(rows: pd.DataFrame, results: Results, fastest: float) -> Figure:
-    with drawn(*_MOVEMENT_SIZE) as (figure, axes):
+def _trainings(seeds: Sequence[str]) -> str:
+    """Of which training the movements are, where there may be several."""
+    if not seeds:
+        return "Not trained: all of these agents."
+    return f"Training seeds: of trained agents, one training: {listed(seeds)}."
+
+
+def _alt(agent: str) -> str:
+    return f"Hand paths of {agent} to the first targets, and its hand speed over time"
+
+
+def _draw(rows: pd.DataFrame, results: Results, fastest: float) -> Figure:
+    with drawn(*_SIZE) as (figure, axes):
         axes.remove()
         above, below = figure.subplots(2, 1, height_ratios=(1.45, 1))
         _draw_paths(above, rows, results)
@@ -376,9 +390,7 @@ def _draw_paths(axes: Axes, rows: pd.DataFrame, results: Results) -> None:
         axes.plot(*hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
         axes.plot(*hands[-1], "o", color=colour, markersize=2.5)
         axes.annotate(
-            str(number + 1),
-            (target[0], target[1]),
-            (5, 4),
+            *(str(number + 1), (target[0], target[1]), (5, 4)),
             textcoords="offset points",
             color=colour,
         )
@@ -388,7 +400,7 @@ def _draw_paths(axes: Axes, rows: pd.DataFrame, results: Results) -> None:
 
 
 def _quartiles(rows: pd.DataFrame, control_step: float) -> NDArray[np.float64]:
-    """Return the quartiles over all movements of the speed over time, (3, steps)."""
+    """Speed over time, the quartiles over all movements, (3, steps)."""
     speeds = [
         hand_speed(steps.sort_values("step")[["hand_x", "hand_y"]].to_numpy(), control_step)
         for _, steps in rows.groupby("instance")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from mmc_gym.benchmark.statistics import Estimate
-from mmc_gym.measures.catalogue import Measure
+from mmc_gym.measures import Measure
 from mmc_gym.report.results import Results
 
 _KINDS = ("correlation", "SPARC", "log dimensionless jerk")
@@ -34,8 +34,8 @@ def number(measure: Measure, value: float, more: int = 0) -> str:
         more: decimals than usual.
 
     Example:
-        >>> from mmc_gym.measures.catalogue import MEASURES
-        >>> number(MEASURES[0], 0.975)
+        >>> from mmc_gym.measures import MEASURES
+        >>> number(MEASURES["success"], 0.975)
         '97.5'
     """
     if not math.isfinite(value):
@@ -62,8 +62,8 @@ def resolution(measure: Measure) -> float:
     """The size of the last decimal that is shown of a measure, in its unit.
 
     Example:
-        >>> from mmc_gym.measures.catalogue import MEASURES
-        >>> resolution(MEASURES[0])
+        >>> from mmc_gym.measures import MEASURES
+        >>> resolution(MEASURES["success"])
         0.001
     """
     return 0.001 if measure.unit == "fraction" else float(10.0**-measure.decimals)
@@ -80,8 +80,9 @@ def decimals_apart(measure: Measure, one: float, other: float) -> int:
     """How many more decimals than usual it takes to see that two values are not the same.
 
     Example:
-        >>> from mmc_gym.measures.catalogue import MEASURES
-        >>> decimals_apart(MEASURES[0], 0.97501, 0.97504), decimals_apart(MEASURES[0], 0.9, 0.8)
+        >>> from mmc_gym.measures import MEASURES
+        >>> success = MEASURES["success"]
+        >>> decimals_apart(success, 0.97501, 0.97504), decimals_apart(success, 0.9, 0.8)
         (2, 0)
     """
     for more in range(_MOST_DECIMALS):

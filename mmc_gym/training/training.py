@@ -14,6 +14,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -171,7 +172,7 @@ class Training:
     def save(self, model: BaseAlgorithm) -> None:
         """Evaluate the policy and write the checkpoint."""
         network, card = self._policy(model)
-        scores = evaluate(network, card, EVALUATION_EPISODES)
+        scores = _scores(network, card, EVALUATION_EPISODES)
         self.curve.append({"steps": model.num_timesteps, **self._times(), **scores})
         if self.tensorboard is not None:
             for name, value in scores.items():
@@ -250,7 +251,7 @@ class Training:
             card,
             training_seconds=self.curve[-1]["seconds"],
             training_cpu_seconds=self.curve[-1]["cpu_seconds"],
-            scores=evaluate(network, card, FINAL_EPISODES),
+            scores=_scores(network, card, FINAL_EPISODES),
             learning_curve=self.curve,
         )
         save_policy(network, card, self.folder)
@@ -329,3 +330,9 @@ def library_versions() -> dict[str, str]:
     """Versions of what a trained policy depends on, for its card."""
     names = ("mmc-gym", "gymnasium", "numpy", "pymunk", "stable-baselines3", "sb3-contrib", "torch")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
+
+
+def _scores(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
+    """Evaluate a policy in the environment that it is trained in."""
+    arguments = card.hyperparameters.get("env_kwargs", {})
+    return evaluate(partial(PolicyAgent, network, card), card.env_id, arguments, episodes)

@@ -26,7 +26,7 @@ from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.benchmark.suite import find_environments
 from mmc_gym.interface import ReachInterface
-from mmc_gym.measures.rollout import evaluate_agent
+from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
 from mmc_gym.training.hyperparameters import Hyperparameters, algorithm_of, read_hyperparameters
 from mmc_gym.training.training import Training
@@ -195,7 +195,7 @@ def _judge_training(name: str, constants: Constants, steps: int) -> float:
 
 
 def _time_at_target(make: MakeAgent, env_id: str, arguments: Constants, episodes: int) -> float:
-    return evaluate_agent(make, env_id, arguments, episodes, TUNING_SEED)["time_at_target"]
+    return evaluate(make, env_id, arguments, episodes, TUNING_SEED)["time_at_target"]
 
 
 def _network_episodes(steps: int) -> int:

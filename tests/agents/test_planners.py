@@ -26,7 +26,7 @@ from mmc_gym.agents.planners import (
     step,
 )
 from mmc_gym.interface import ReachInterface, Sensed
-from mmc_gym.measures.speed import minimum_jerk_correlation, time_to_peak, velocity_peaks
+from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks, phase_of_peak
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk, share
 
@@ -106,7 +106,7 @@ def test_the_hand_of_minimum_jerk_goes_straight_in_bell_shape_and_arrives_in_tim
     expected = start + way * minimum_jerk(np.arange(duration + 1) / duration)[:, None]
     np.testing.assert_allclose(hands, expected, atol=0.02)
     np.testing.assert_allclose(hands[-1], TARGET, atol=1e-4)
-    assert minimum_jerk_correlation(speeds(hands)) > 0.999
+    assert correlation_with_minimum_jerk(speeds(hands)) > 0.999
 
 
 @pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (0.5,) * 6])
@@ -126,9 +126,9 @@ def test_speed_is_bell_shaped_and_the_hand_arrives_at_the_end_time(
         duration = int(begin(hand_position(posture, lengths), target, DT).duration)
         hands = internal_hands(name, posture, [target] * duration, lengths)
         profile = speeds(hands)
-        assert velocity_peaks(profile) == 1
-        assert 0.45 < time_to_peak(profile) < 0.65
-        assert minimum_jerk_correlation(profile) > least_correlation
+        assert count_peaks(profile) == 1
+        assert 0.45 < phase_of_peak(profile) < 0.65
+        assert correlation_with_minimum_jerk(profile) > least_correlation
         assert np.linalg.norm(hands[-1] - target) < accuracy
 
 

@@ -99,7 +99,7 @@ def test_the_files_hold_what_was_found_and_no_temporary_file_stays(tmp_path, fro
     assert {path.name for path in out.iterdir()} == FILES
     episodes = pd.read_csv(out / "episodes.csv")
     pd.testing.assert_frame_equal(episodes, found.episodes, check_exact=True, check_dtype=False)
-    assert list(episodes.columns[-len(MEASURES) :]) == [measure.name for measure in MEASURES]
+    assert list(episodes.columns[-len(MEASURES) :]) == list(MEASURES)
     summary = pd.read_csv(out / "summary.csv")
     assert len(summary) == 3 * len(MEASURES)
     settings = json.loads((out / "summary.json").read_text())

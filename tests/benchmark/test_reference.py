@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
-from mmc_gym.measures.catalogue import MEASURES
+from mmc_gym.measures import measure_all
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
 from mmc_gym.network.time_base import minimum_jerk
 
@@ -23,7 +23,7 @@ def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_epi
 
 def test_its_measures_are_those_of_minimum_jerk(make_episode):
     (ideal,) = minimum_jerk_episodes([make_episode(np.zeros((101, 2)), [1.2, 1.6])])
-    found = {measure.name: measure.of(ideal) for measure in MEASURES}
+    found = measure_all(ideal)
     assert found["success"] == found["success_1_percent"] == 1
     assert found["path_ratio"] == pytest.approx(1)
     assert found["velocity_peaks"] == 1

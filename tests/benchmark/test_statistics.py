@@ -125,9 +125,7 @@ def test_the_same_seed_gives_the_same_interval_and_another_gives_another():
 
 
 def test_a_summary_has_a_row_for_each_agent_and_measure_in_the_order_given():
-    success, distance = (
-        measure for measure in MEASURES if measure.name in ("success", "final_distance")
-    )
+    success, distance = (MEASURES[name] for name in ("success", "final_distance"))
     episodes = pd.DataFrame(
         {
             "agent": ["b", "b", "a", "a"],

@@ -46,7 +46,7 @@ def test_episodes_are_read_back(store, episodes):
     assert list(frame.columns) == [
         *("agent", "training_seed", "environment", "instance", "seed"),
         *("start_x", "start_y", "target_x", "target_y", "duration"),
-        *(measure.name for measure in MEASURES),
+        *MEASURES,
     ]
     assert frame["agent"].tolist() == ["ppo", "ppo"]
     assert frame["training_seed"].tolist() == [3, 3]
@@ -55,7 +55,7 @@ def test_episodes_are_read_back(store, episodes):
     np.testing.assert_allclose(frame["duration"], 0.8)
     np.testing.assert_array_equal(frame[["start_x", "start_y"]], [[0.0, 1.0]] * 2)
     np.testing.assert_array_equal(frame[["target_x", "target_y"]], [[2.0, 1.0], [2.0, 2.0]])
-    for measure in MEASURES:
+    for measure in MEASURES.values():
         np.testing.assert_array_equal(frame[measure.name], [measure.of(e) for e in episodes])
     assert np.isnan(frame["time_to_target"][1])
 

@@ -5,9 +5,12 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit
 
-from mmc_gym.envs.perturbations import VisuomotorRotation
+import mmc_gym
+from mmc_gym.envs.perturbations import ForceField, LockedJoint, VisuomotorRotation
+from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.measures import rollout
-from mmc_gym.measures.rollout import check_environment, episode_seeds, run_episodes
+from mmc_gym.measures.reaching import time_to_target
+from mmc_gym.measures.rollout import check_environment, episode_seeds, evaluate, run_episodes
 
 
 class Sampler:
@@ -192,3 +195,132 @@ def test_an_endless_episode_is_given_up(env, frozen, monkeypatch):
     monkeypatch.setattr(rollout, "MAX_STEPS", 150)
     with pytest.raises(RuntimeError, match="did not end within 150 steps"):
         run_episodes(frozen, env.unwrapped, [1])
+
+
+RECORDS = (
+    *("hands", "distances", "targets", "joint_angles"),
+    *("servo_impulses", "servo_work", "rewards", "seen_hands"),
+)
+SETTINGS = {
+    "random": ("MMCReach-v0", {}),
+    "joint deltas": ("MMCReach-v0", {"control": "joint_delta"}),
+    "field and lock": ("MMCReach-v0", {"perturbations": (ForceField(90.0), LockedJoint(time=0.2))}),
+    "obstacles": ("MMCReachObstacles-v0", {}),
+    "noise": ("MMCReachJointNoise-v0", {}),
+    "delay": ("MMCReachDelay100-v0", {}),
+    "rotation": ("MMCReachRotation30-v0", {}),
+    "via points": ("MMCReachViaPoints-v0", {}),
+    "double step": ("MMCReachDoubleStep100-v0", {}),
+}
+
+
+def assert_same(together, alone, tolerance=1e-9):
+    assert len(together) == len(alone)
+    for one, other in zip(together, alone, strict=True):
+        for name in RECORDS:
+            np.testing.assert_allclose(
+                getattr(one, name), getattr(other, name), rtol=0, atol=tolerance, err_msg=name
+            )
+        for name in ("seed", "control_step", "tolerance", "reach"):
+            assert getattr(one, name) == getattr(other, name)
+        assert one.action_times.shape == other.action_times.shape
+        assert np.isnan(one.action_times).all()
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.parametrize("name", ["mmc", "ik-dls"])
+def test_episodes_together_are_those_one_by_one(setting, name):
+    env_id, arguments = SETTINGS[setting]
+    seeds = episode_seeds(3, 4)
+    env = gym.make(env_id, **arguments)
+    vector = gym.make_vec(env_id, num_envs=len(seeds), **arguments)
+    alone = run_episodes(mmc_gym.make_agent(name, env), env, seeds)
+    assert_same(run_episodes(mmc_gym.make_agent(name, vector), vector, seeds), alone)
+    assert all((one.cursors is None) == (setting != "rotation") for one in alone)
+
+
+def test_every_episode_has_its_own_options():
+    options = [{"trial": trial} for trial in (5, 0, 5, 17)]
+    seeds = episode_seeds(0, 4)
+    env = gym.make("MMCReachPaper-v0")
+    vector = gym.make_vec("MMCReachPaper-v0", num_envs=4)
+    agent = mmc_gym.make_agent("mmc", env)
+    alone = run_episodes(agent, env, seeds, options=options)
+    together = run_episodes(agent, vector, seeds, options=options)
+    assert_same(together, alone)
+    np.testing.assert_array_equal(together[0].hands, together[2].hands)
+
+
+def test_a_vector_environment_can_be_used_again():
+    seeds = episode_seeds(0, 3)
+    vector = gym.make_vec("MMCReach-v0", num_envs=3)
+    agent = mmc_gym.make_agent("mmc", vector)
+    first, second = (run_episodes(agent, vector, seeds) for _ in range(2))
+    assert not vector.unwrapped.arms.records_effort
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one.hands, other.hands)
+        np.testing.assert_array_equal(one.servo_work, other.servo_work)
+
+
+class Single:
+    """Gives one action, whatever it is shown."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.zeros(3, np.float32), None
+
+
+def test_what_cannot_be_played_together_is_refused():
+    vector = gym.make_vec("MMCReach-v0", num_envs=2)
+    agent = mmc_gym.make_agent("mmc", vector)
+    with pytest.raises(ValueError, match=r"actions must have shape \(2, 3\), got \(3,\)"):
+        run_episodes(Single(), vector, [0, 1])
+    with pytest.raises(ValueError, match="env must have 3 arms"):
+        run_episodes(agent, vector, [0, 1, 2])
+    with pytest.raises(ValueError, match="options must be 2"):
+        run_episodes(agent, vector, [0, 1], options=[{}])
+    for other, reason in (
+        (gym.make_vec("MMCReach-v0", 2, vectorization_mode="sync"), "a native vector environment"),
+        (MMCReachVectorEnv(2, max_episode_steps=None), "with a time limit"),
+        (MMCReachVectorEnv(2, autoreset_mode="SameStep"), "got SameStep"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            run_episodes(agent, other, [0, 1])
+
+
+class Hold:
+    """Keeps every arm in the posture that it starts in."""
+
+    def __init__(self, interface):
+        pass
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.arctan2(observation[..., 3:6], observation[..., :3]) / np.float32(np.pi), None
+
+
+def test_an_episode_that_starts_at_its_target_takes_no_time(frozen):
+    arguments = {"success_distance": 6.0}  # of a reach of 3: everywhere is at the target
+    scores = evaluate(Hold, "MMCReach-v0", arguments, 4)
+    assert (scores["success"], scores["time_at_target"], scores["time_to_target"]) == (1, 1, 0)
+    (episode,) = run_episodes(frozen, gym.make("MMCReach-v0", **arguments), [1])
+    assert time_to_target(episode) == 0
+
+
+def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
+    env = gym.make("MMCReach-v0", max_episode_steps=40)
+    agent = mmc_gym.make_agent("mmc", env)
+    scores = evaluate(lambda _: agent, "MMCReach-v0", {"max_episode_steps": 40}, 20, seed=5)
+    episodes = run_episodes(agent, env, range(5, 25))
+    at_target = [one.distances <= one.tolerance for one in episodes]
+    assert scores == {
+        "success": np.mean([one[-1] for one in at_target]),
+        "final_distance": pytest.approx(np.mean([one.distances[-1] for one in episodes])),
+        "episode_return": pytest.approx(np.mean([one.rewards.sum() for one in episodes])),
+        "time_at_target": pytest.approx(np.mean([one[1:].mean() for one in at_target])),
+        "time_to_target": pytest.approx(np.nanmedian([time_to_target(one) for one in episodes])),
+    }
+    assert 0 < scores["success"] < 1
+
+
+def test_an_evaluation_without_a_time_limit_is_refused():
+    with pytest.raises(ValueError, match="with a time limit"):
+        evaluate(Hold, "MMCReach-v0", {"max_episode_steps": None}, 2)

@@ -14,7 +14,7 @@ from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
 from mmc_gym.benchmark.store import CellKey, episodes_file, paths_file, write_cell, write_manifest
 from mmc_gym.benchmark.suite import ENVIRONMENTS
-from mmc_gym.measures.rollout import Episode
+from mmc_gym.measures import Episode
 
 HOSTILE = "<script>alert(1)</script>"
 KEYS = ("random", "centre-out", "rotation-15", "rotation-60", "delay-100", "locked-1", "locked-2")

@@ -13,7 +13,7 @@ import pytest
 from optuna.storages.journal import JournalFileBackend
 
 from mmc_gym.agents import find_agent
-from mmc_gym.measures.rollout import evaluate_agent
+from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training import tuning as tuning_targets
 from mmc_gym.training.hyperparameters import read_hyperparameters
 from mmc_gym.training.tuning import TUNING_SEED, tune
@@ -51,14 +51,14 @@ from pathlib import Path
 from mmc_gym.evaluation import tuning_targets
 from mmc_gym.training.tuning import tune
 
-calls, evaluate = itertools.count(), tuning_targets.evaluate_agent
+calls, evaluate = itertools.count(), tuning_targets.evaluate
 
 def evaluate_or_die(*arguments):
     if next(calls) == int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
     return evaluate(*arguments)
 
-tuning_targets.evaluate_agent = evaluate_or_die
+tuning_targets.evaluate = evaluate_or_die
 tune("mmc", 13, 200, Path(sys.argv[1]))
 """
 
@@ -105,10 +105,10 @@ def test_constants_in_use_are_those_of_the_agent_of_that_name(name):
     constants = target.space(optuna.trial.FixedTrial(target.in_use))
     made = getattr(tuning_targets, {"mmc": "_make_network"}.get(name, "_make_feedback"))
     arguments = {"perturbations": ["rotation-30"]}
-    expected = evaluate_agent(
+    expected = evaluate(
         lambda interface: find_agent(name)(gym.make("MMCReach-v0")), "MMCReach-v0", arguments, 20, 5
     )
-    scores = evaluate_agent(partial(made, constants), "MMCReach-v0", arguments, 20, 5)
+    scores = evaluate(partial(made, constants), "MMCReach-v0", arguments, 20, 5)
     assert scores == expected
 
 
@@ -141,13 +141,13 @@ def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
 @pytest.mark.parametrize(("name", "episodes"), [("mmc", 1), ("mmc-feedback", 10)])
 def test_the_number_of_episodes_is_that_of_those_played(name, episodes, tmp_path, monkeypatch):
     played: list[int] = []
-    evaluate = tuning_targets.evaluate_agent
+    evaluate = tuning_targets.evaluate
 
     def count(make, env_id, arguments, episodes, seed):
         played.append(episodes)
         return evaluate(make, env_id, arguments, episodes, seed)
 
-    monkeypatch.setattr(tuning_targets, "evaluate_agent", count)
+    monkeypatch.setattr(tuning_targets, "evaluate", count)
     result = tune(name, 1, 50, tmp_path)
     assert result["episodes"] == sum(played) == episodes
 

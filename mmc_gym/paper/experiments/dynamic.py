@@ -24,6 +24,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmc_gym.measures import speed as profiles
+from mmc_gym.measures.episode import MOVING
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalizers import Normalizer
@@ -141,7 +142,7 @@ def _shapes_of_movements(exact: Sequence[Normalizer], hidden: Sequence[Normalize
     return (
         "peak over mean, time to peak (and as in bell-shaped, over all of 40 iterations): "
         f"{found}. Medians between targets at radius 1 and 2 from the first to the last of "
-        f"{SHAPE_ITERATIONS} iterations with {100 * profiles.MOVING:g} % of the peak velocity or "
+        f"{SHAPE_ITERATIONS} iterations with {100 * MOVING:g} % of the peak velocity or "
         "more. The data came without a definition; this one was found by trial to give their "
         "numbers, with the Euclidean normalization"
     )
@@ -160,8 +161,7 @@ def _shape(network: MMCNetwork, normalizers: Sequence[Normalizer]) -> str:
     ratio, time = bulk_shape(velocity)
     whole = velocity[:, :ITERATIONS]
     whole_ratio, whole_time = (
-        np.median(each(measure, whole))
-        for measure in (profiles.peak_to_mean, profiles.time_to_peak)
+        np.median(each(measure, whole)) for measure in (profiles.peakedness, profiles.phase_of_peak)
     )
     return f"{ratio:.2f}, {time:.2f} ({whole_ratio:.2f}, {whole_time:.2f})"
 

@@ -1,0 +1,124 @@
+"""One recorded episode: the arrays that all measures are taken from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+
+MOVING = 0.05
+"""From this share of its peak speed on the hand counts as moving."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What an agent did in one episode of n steps, with an arm of N joints.
+
+    A hand without an arm has N = 0.  What an environment does not tell is NaN.
+
+    Attributes:
+        seed: that the environment was reset with.
+        hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
+        distances: from hand (or cursor) to target, segment lengths, (n + 1,).
+        targets: positions of the target, segment lengths, (n + 1, 2).
+        joint_angles: relative, not wrapped, radians, (n + 1, N).
+        servo_impulses: ∫ |τ| dt of each step and joint, mass · length² / s, (n, N), see
+            `mmc_gym.body.Arm`.
+        servo_work: ∫ |τ q̇| dt of each step and joint, mass · length² / s², (n, N).
+        rewards: of each step, (n,).
+        action_times: that `predict` took in each step, seconds, (n,).
+        control_step: duration of a step, seconds.
+        tolerance: distance within which the environment counts the target as reached.
+        reach: of the arm that agents are told of, segment lengths.
+        cursors: positions of the cursor under a visuomotor rotation, (n + 1, 2), which distances
+            and success are about; None where the hand itself is seen.
+    """
+
+    seed: int
+    hands: Floats
+    distances: Floats
+    targets: Floats
+    joint_angles: Floats
+    servo_impulses: Floats
+    servo_work: Floats
+    rewards: Floats
+    action_times: Floats
+    control_step: float
+    tolerance: float
+    reach: float
+    cursors: Floats | None = None
+
+    @property
+    def seen_hands(self) -> Floats:
+        """Positions of what is to reach the target, the cursor or the hand, (n + 1, 2)."""
+        return self.hands if self.cursors is None else self.cursors
+
+    @property
+    def target(self) -> Floats:
+        """Position of the target at the start, segment lengths, (2,)."""
+        first: Floats = self.targets[0]
+        return first
+
+    @property
+    def target_stands(self) -> bool:
+        """True if the target neither moves nor is followed by another."""
+        return bool((self.targets == self.targets[0]).all())
+
+    @cached_property
+    def speeds(self) -> Floats:
+        """Speed of the hand in each step, segment lengths/s, (n,)."""
+        return hand_speed(self.hands, self.control_step)
+
+    @cached_property
+    def movement(self) -> slice:
+        """The steps of the `moving_part`; none if the hand stays within ε of its start."""
+        away = np.linalg.norm(self.hands - self.hands[0], axis=-1)
+        return moving_part(self.speeds) if away.max() > self.tolerance else slice(0, 0)
+
+    @property
+    def movement_speeds(self) -> Floats:
+        """Speeds in the steps of the `movement`, (m,)."""
+        return self.speeds[self.movement]
+
+    @property
+    def movement_points(self) -> slice:
+        """Indices of the m + 1 positions before and after the steps of the `movement`."""
+        return slice(self.movement.start, self.movement.stop + 1)
+
+
+def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
+    """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T.
+
+    The mean over a step as the crow flies, and so the speed at the middle of the step, up to
+    terms in T².
+
+    Args:
+        hands: positions, segment lengths, (steps + 1, 2).
+        control_step: T, seconds.
+
+    Returns:
+        Segment lengths/s, (steps,).
+    """
+    displacements = np.diff(np.asarray(hands, dtype=np.float64), axis=0)
+    speeds: Floats = np.linalg.norm(displacements, axis=-1) / control_step
+    return speeds
+
+
+def moving_part(speeds: ArrayLike) -> slice:
+    """Return the steps from the first to the last at 5 % of the peak speed or more; none at rest.
+
+    Example:
+        >>> moving_part([0.01, 0.2, 1.0, 0.02, 0.1, 0.04])
+        slice(1, 5, None)
+    """
+    profile = np.asarray(speeds, dtype=np.float64)
+    highest = profile.max(initial=0.0)
+    if highest == 0.0:
+        return slice(0, 0)
+    fast = np.flatnonzero(profile >= MOVING * highest)
+    return slice(int(fast[0]), int(fast[-1]) + 1)

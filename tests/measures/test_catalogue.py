@@ -1,0 +1,240 @@
+"""The registry of measures, and all of them at once."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import sys
+
+import cloudpickle
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmc_gym.measures import (
+    MEASURES,
+    SET_MEASURES,
+    Episode,
+    leave_out_failures,
+    measure,
+    measure_all,
+    set_measure,
+)
+from mmc_gym.measures.catalogue import own_measures, register_measures, shown_measures
+
+
+@pytest.fixture(autouse=True)
+def forget_what_is_registered():
+    yield
+    for registry in (MEASURES, SET_MEASURES):
+        for one in own_measures():
+            registry.pop(one.name, None)
+
+
+def register_half_way_time():
+    @measure(label="half-way time", unit="s", best="low", decimals=2, successes_only=True)
+    def half_way_time(episode: Episode) -> float:
+        halfway = episode.distances[0] / 2
+        return int((episode.distances <= halfway).argmax()) * episode.control_step
+
+    return half_way_time
+
+
+def test_a_measure_of_your_own_is_one_decorated_function(make_episode):
+    function = register_half_way_time()
+    episode = make_episode([[0, 0], [0.4, 0], [0.6, 0], [1, 0]], [1, 0])
+    assert measure_all(episode)["half_way_time"] == function(episode) == 0.04
+    own = MEASURES["half_way_time"]
+    assert (own.label, own.unit, own.best, own.statistic) == ("half-way time", "s", "low", "median")
+    assert list(MEASURES)[-1] == "half_way_time" and own_measures() == (own,)
+    failed = pd.DataFrame({"success": [0.0, 1.0], "half_way_time": [0.04, 0.04]})
+    assert leave_out_failures(failed)["half_way_time"].isna().tolist() == [True, False]
+    register_half_way_time()  # as a notebook does that runs a cell twice
+    assert len(own_measures()) == 1
+
+
+def test_two_measures_of_one_name_are_refused():
+    def success(episode):
+        return 0.0
+
+    with pytest.raises(ValueError, match=r"got 'success': mmc_gym.measures.reaching.success has"):
+        measure(label="other")(success)
+    with pytest.raises(ValueError, match="got 'success'"):
+        set_measure(environment="random", label="other")(success)
+    success.__name__ = "target_x"
+    with pytest.raises(ValueError, match="got 'target_x': a column of the data has it"):
+        measure(label="other")(success)
+
+
+def test_measures_of_a_module_are_registered_in_a_process_that_unpickles_them(
+    tmp_path, monkeypatch, make_episode
+):
+    (tmp_path / "my_measures.py").write_text(
+        "from mmc_gym.measures import measure, set_measure\n"
+        "@measure(label='steps')\n"
+        "def steps(episode):\n"
+        "    return float(len(episode.rewards))\n"
+        "@set_measure(label='episodes', environment='random')\n"
+        "def number_of_episodes(episodes):\n"
+        "    return float(len(episodes))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    __import__("my_measures")
+    packed = pickle.dumps(own_measures())
+    for registry, name in ((MEASURES, "steps"), (SET_MEASURES, "number_of_episodes")):
+        registry.pop(name)
+    monkeypatch.delitem(sys.modules, "my_measures")
+    register_measures(pickle.loads(packed))
+    assert [one.name for one in own_measures()] == ["steps", "number_of_episodes"]
+    assert MEASURES["steps"].of(make_episode(np.zeros((4, 2)), [1, 0])) == 3
+
+
+def test_measures_of_a_notebook_travel_as_they_are(make_episode):
+    function = register_half_way_time()
+    packed = cloudpickle.dumps(own_measures())
+    del MEASURES["half_way_time"]
+    register_measures(pickle.loads(packed))
+    episode = make_episode([[0, 0], [0.4, 0], [0.6, 0], [1, 0]], [1, 0])
+    assert MEASURES["half_way_time"].of(episode) == function(episode)
+
+
+def test_a_table_stays_readable():
+    shown = shown_measures()
+    assert 8 <= len(shown) <= 14
+    assert max(len(one.label) for one in shown) <= 20
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "number", "quantity"),
+    [
+        ("success", 0.975, "97.5", "97.5 %"),
+        ("success", 0.0001, "<0.1", "<0.1 %"),
+        ("final_distance", 0.01234, "0.012", "0.012 lengths"),
+        ("sparc", -1.414, "−1.41", "−1.41"),
+        ("episode_return", -0.1, "0", "0"),
+        ("time_to_target", math.nan, "–", "–"),
+    ],
+)
+def test_values_are_written_with_the_decimals_and_units_of_the_measure(
+    name, value, number, quantity
+):
+    one = MEASURES[name]
+    assert (one.number(value), one.quantity(value)) == (number, quantity)
+
+
+def test_labels_intervals_and_resolutions_are_those_of_the_measure():
+    success, sparc = MEASURES["success"], MEASURES["sparc"]
+    assert success.interval(0.5, 0.975) == "[50.0, 97.5]"
+    assert success.interval(math.nan, math.nan) == ""
+    assert success.number(0.97501, more=2) == "97.501"
+    assert (success.resolution, MEASURES["joint_work"].resolution) == (0.001, 0.1)
+    assert (success.shown_unit, success.full_label) == ("%", "success at the end")
+    assert (sparc.shown_unit, sparc.full_label) == ("SPARC", "smoothness (SPARC)")
+
+
+def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(make_episode):
+    hands = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    episode = make_episode(
+        hands,
+        [1.0, 0.0],
+        0.1,
+        joint_angles=[[0.0, 0.0], [3.0, 0.0], [3.0, 4.0], [3.0, 4.0]],
+        rewards=np.array([-0.5, 0.0, 0.25]),
+        action_times=np.array([1e-5, 2e-5, 9e-5]),
+        servo_impulses=np.array([[1.0, 2.0], [1.0, 0.0], [0.0, 0.0]]),
+        servo_work=np.array([[2.0, 2.0], [1.0, 0.0], [0.0, 0.0]]),
+        reach=2.0,
+    )
+    expected = {
+        "success": 1.0,
+        "success_1_percent": 0.0,  # not there for the two steps of the dwell
+        "success_2_percent": 0.0,
+        "success_5_percent": 0.0,
+        "final_distance": 0.0,
+        "time_to_target": 0.2,
+        "settling_time": 0.0,
+        "overshoot": 0.0,
+        "jitter": math.nan,  # nor for the half second of rest
+        "path_ratio": 1.0,
+        "path_efficiency": 1.0,
+        "maximal_deviation": 0.0,
+        "joint_path_efficiency": 5 / 7,
+        "hand_over_joint_straightness": 1.0,
+        "peak_speed": 5.0,
+        "peak_to_mean": 1.0,
+        "time_to_peak": 0.25,
+        "velocity_peaks": 1.0,
+        "minimum_jerk_correlation": math.nan,  # of two equal speeds
+        "minimum_jerk_rmse": math.nan,
+        "sparc": pytest.approx(-1.45, abs=0.1),
+        "log_dimensionless_jerk": math.nan,
+        "joint_effort": 4.0,
+        "joint_work": 5.0,
+        "episode_return": -0.25,
+        "action_time": 20.0,
+        "slow_action_time": pytest.approx(88.6),
+    }
+    found = measure_all(episode)
+    assert found == pytest.approx(expected, nan_ok=True)
+    assert list(found) == list(expected)  # the columns of data, and the rows of tables
+
+
+def test_rest_before_and_after_a_movement_does_not_change_its_shape(make_episode):
+    s = np.linspace(0, 1, 36)[:, None]
+    moving = np.concatenate([10 * s**3 - 15 * s**4 + 6 * s**5, 0.2 * np.sin(2 * s)], axis=-1)
+    joints = np.concatenate([s, s**2, s**3], axis=-1)
+    short = make_episode(moving, moving[-1], joint_angles=joints)
+    long = make_episode(
+        np.pad(moving, ((0, 60), (0, 0)), mode="edge"),
+        moving[-1],
+        joint_angles=np.pad(joints, ((0, 60), (0, 0)), mode="edge"),
+    )
+    one, other = measure_all(short), measure_all(long)
+    for name in (
+        "path_efficiency",
+        "maximal_deviation",
+        "joint_path_efficiency",
+        "hand_over_joint_straightness",
+        "peak_to_mean",
+        "time_to_peak",
+        "minimum_jerk_correlation",
+        "minimum_jerk_rmse",
+        "sparc",
+        "log_dimensionless_jerk",
+    ):
+        assert one[name] == pytest.approx(other[name]), name
+
+
+def test_a_hand_that_stays_where_it_is_makes_no_movement(make_episode):
+    tremor = 0.01 * np.random.default_rng(0).normal(size=(101, 2))
+    found = measure_all(make_episode(tremor, [1.0, 1.0]))
+    for name in ("sparc", "time_to_peak", "minimum_jerk_correlation", "path_efficiency"):
+        assert math.isnan(found[name])
+
+
+@pytest.mark.parametrize("name", ["joint_effort", "joint_work"])
+def test_effort_is_unknown_without_servos_and_where_an_engine_does_not_tell(make_episode, name):
+    hands, untold = np.zeros((6, 2)), np.full((5, 3), np.nan)
+    no_joints = make_episode(hands, [1, 0], joint_angles=np.zeros((6, 0)))
+    assert math.isnan(measure_all(no_joints)[name])
+    silent = make_episode(hands, [1, 0], servo_impulses=untold, servo_work=untold)
+    assert math.isnan(measure_all(silent)[name])
+
+
+def test_an_episode_without_steps_has_no_time_per_action(make_episode):
+    found = measure_all(make_episode(np.zeros((1, 2)), [1, 0]))
+    assert math.isnan(found["action_time"]) and math.isnan(found["slow_action_time"])
+
+
+def test_who_never_arrives_wins_no_measure_of_how_it_moves(make_episode):
+    line = np.linspace([0.0, 0.0], [1.0, 0.0], 51)
+    stays = np.zeros((51, 2))
+    episodes = {"arrives": make_episode(line, line[-1]), "stays": make_episode(stays, line[-1])}
+    frame = pd.DataFrame([measure_all(episode) for episode in episodes.values()], index=episodes)
+    assert frame.loc["stays", "path_ratio"] == 0  # the data keep it
+    seen = leave_out_failures(frame)
+    of_all = [name for name, one in MEASURES.items() if not one.successes_only]
+    assert seen.drop(columns=of_all).loc["stays"].isna().all()
+    pd.testing.assert_frame_equal(seen[of_all], frame[of_all])
+    pd.testing.assert_series_equal(seen.loc["arrives"], frame.loc["arrives"])
+    assert {"success", "final_distance", "episode_return", "action_time"} < set(of_all)

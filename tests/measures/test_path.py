@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym import make_agent
+from mmc_gym.envs.perturbations import VisuomotorRotation
+from mmc_gym.measures import episode_seeds, run_episodes
+from mmc_gym.measures.path import (
+    hand_over_joint_straightness,
+    linearity_index,
+    maximal_deviation,
+    path_efficiency,
+    path_ratio,
+    straightness,
+)
+
+
+def half_circle(points=1001):
+    angles = np.linspace(0, math.pi, points)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(make_episode):
+    hands = half_circle()
+    assert straightness(hands) == pytest.approx(2 / math.pi, rel=1e-5)
+    assert linearity_index(hands) == pytest.approx(0.5)
+    episode = make_episode(hands, hands[-1])
+    assert path_ratio(episode) == pytest.approx(math.pi / 2, rel=1e-5)
+    assert path_efficiency(episode) == pytest.approx(2 / math.pi, rel=1e-5)
+    assert maximal_deviation(episode) == pytest.approx(0.5)
+    there_and_back = make_episode([*hands, *hands[::-1]], [9.0, 9.0])
+    assert math.isnan(maximal_deviation(there_and_back))
+
+
+def test_measures_of_a_path_ignore_place_size_and_orientation(make_episode):
+    random = np.random.default_rng(0)
+    path = random.normal(size=(30, 3))
+    turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    moved = 5 * path @ turn + 7
+    assert straightness(moved) == pytest.approx(straightness(path))
+    assert linearity_index(moved) == pytest.approx(linearity_index(path))
+    hands, target = random.normal(size=(30, 2)), np.array([3.0, 1.0])
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    moved_episode = make_episode(5 * hands @ turn.T + 7, 5 * turn @ target + 7)
+    assert path_ratio(moved_episode) == pytest.approx(path_ratio(make_episode(hands, target)))
+
+
+def test_a_line_is_straight_however_unevenly_it_is_walked():
+    line = np.array([[0.0], [0.1], [0.15], [1.0]]) * [3.0, -4.0]
+    assert straightness(line) == pytest.approx(1)
+    assert linearity_index(line) == pytest.approx(0, abs=1e-12)
+
+
+def test_a_path_that_goes_nowhere_has_no_shape():
+    assert math.isnan(straightness(np.ones((5, 2))))
+    assert math.isnan(linearity_index(np.ones((5, 2))))
+
+
+@pytest.mark.parametrize(
+    ("hands", "target", "ratio"),
+    [
+        ([[0, 0], [1, 0]], [0.049, 0], math.nan),  # starts at its target
+        ([[0, 0], [1, 0]], [0.05, 0], 20),
+        ([[0, 0], [0.5, 0]], [1, 0], 0.5),  # stops short
+        ([[0, 0], [1, 0]], [[1, 0], [2, 0]], math.nan),  # the target moves
+    ],
+)
+def test_path_ratio_is_over_the_line_to_a_standing_target(make_episode, hands, target, ratio):
+    found = path_ratio(make_episode(hands, target))
+    assert found == pytest.approx(ratio, nan_ok=True)
+
+
+def test_a_path_under_a_rotation_is_no_shorter_than_the_direct_line():
+    env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
+    played = run_episodes(make_agent("ik-dls-feedback", env), env, episode_seeds(0, 12))
+    there = [episode for episode in played if episode.distances[-1] <= episode.tolerance]
+    assert len(there) > 2
+    for episode in there:
+        path = np.linalg.norm(np.diff(episode.hands, axis=0), axis=-1).sum()
+        assert path > episode.distances[0] - episode.tolerance
+        assert path_ratio(episode) == pytest.approx(path / episode.distances[0])
+
+
+def hands_of(joint_angles):
+    segments = np.cumsum(joint_angles, axis=-1)
+    return np.stack([np.cos(segments).sum(-1), np.sin(segments).sum(-1)], axis=-1)
+
+
+def test_a_line_in_hand_space_is_told_from_one_in_joint_space(make_episode):
+    joint_angles = np.linspace([0.2, 0.5, 0.9], [1.4, 1.5, 0.3], 100)
+    bent = joint_angles + np.sin(np.linspace(0, math.pi, 100))[:, None] * [0.2, -0.1, 0.0]
+    hands = hands_of(joint_angles)
+    line = np.linspace(hands[0], hands[-1], 100)
+
+    def straighter_in_hand_space(hands, joint_angles):
+        episode = make_episode(hands, hands[-1], joint_angles=joint_angles)
+        return hand_over_joint_straightness(episode)
+
+    assert straighter_in_hand_space(hands, joint_angles) == pytest.approx(-1)
+    assert straighter_in_hand_space(line, bent) == pytest.approx(1)
+    assert -1 < straighter_in_hand_space(hands_of(bent), bent) < 1
+    assert math.isnan(straighter_in_hand_space(line, np.zeros((100, 0))))
