@@ -10,18 +10,32 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
+from math import nan
+from multiprocessing import get_context
+from pathlib import Path
 from typing import TypeAlias
 
+import gymnasium as gym
 import numpy as np
 import tyro
-from contestants import PEER, Contestant
 from gymnasium.error import DependencyNotInstalled
-from lineup import ENGINES, GROWTH, REFERENCE, SINGLE, VECTOR, WHAT_THEY_SIMULATE, Entry
-from memory import bytes_per_arm
 from numpy.typing import NDArray
+from peers import (
+    ENGINES,
+    GROWTH,
+    OURS,
+    PEER,
+    REFERENCE,
+    SINGLE,
+    VECTOR,
+    WHAT_THEY_SIMULATE,
+    Entry,
+    Player,
+)
 from rich.console import Console
 from rich.table import Table
 from timing import interleaved
@@ -45,8 +59,8 @@ class Arguments:
     growth_rounds: int = 3
 
 
-def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Contestant]:
-    """The contestants whose packages are installed; the others are named."""
+def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Player]:
+    """Make those whose packages are installed, and name the others."""
     made = {}
     # Processes fork off while this one still has no threads.
     for entry in sorted(entries, key=lambda entry: entry.variant != "async"):
@@ -58,8 +72,8 @@ def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Contesta
     return made
 
 
-def seconds_per_step(made: Mapping[Entry, Contestant], rounds: int, seconds: float) -> Times:
-    """Mean time of a step, one value per round."""
+def seconds_per_step(made: Mapping[Entry, Player], rounds: int, seconds: float) -> Times:
+    """Return the mean time of a step, one value per round."""
     times = interleaved({entry: one.play for entry, one in made.items()}, rounds, seconds)
     for one in made.values():
         one.close()
@@ -67,12 +81,12 @@ def seconds_per_step(made: Mapping[Entry, Contestant], rounds: int, seconds: flo
 
 
 def speed(seconds: NDArray[np.float64]) -> str:
-    """Steps per second to three digits."""
+    """Return steps per second to three digits."""
     return f"{float(f'{1 / np.median(seconds):.3g}'):,.0f}"
 
 
 def ratios(times: Times, entry: Entry, reference: Entry) -> tuple[str, str]:
-    """How many times as fast as the reference: median and quartiles over the rounds."""
+    """Return how many times as fast as the reference: median and quartiles over the rounds."""
     if reference not in times:
         return "–", "–"
     low, middle, high = np.percentile(times[reference] / times[entry], [25, 50, 75])
@@ -81,7 +95,7 @@ def ratios(times: Times, entry: Entry, reference: Entry) -> tuple[str, str]:
 
 
 def single_table(times: Times) -> Table:
-    """One environment at a time."""
+    """Make the table of single environments."""
     headings = ("µs per step", "steps per second", f"ratio to {PEER}", "quartiles")
     table = empty_table("one arm", ("environment", ""), headings)
     for entry in filter(times.__contains__, SINGLE):
@@ -92,7 +106,7 @@ def single_table(times: Times) -> Table:
 
 
 def vector_table(times: Times) -> Table:
-    """Vector environments, beside EnvPool's with as many threads."""
+    """Make the table of vector environments, beside EnvPool's with as many threads."""
     headings = ("arms", "threads", "steps per second", f"to {PEER}", "quartiles", "to EnvPool")
     title = f"many arms; ratios to one {PEER}, and to EnvPool with as many threads"
     table = empty_table(title, ("environment", ""), headings)
@@ -107,7 +121,7 @@ def vector_table(times: Times) -> Table:
 
 
 def growth_table(times: Times) -> Table:
-    """The native vector environment, by number of arms."""
+    """Make the table of the native vector environment by number of arms."""
     headings = ("arms", "1 thread", "2 threads", "ratio", "µs per arm", "KiB per arm")
     table = empty_table("native, steps per second by number of arms", ("engine",), headings)
     for engine in ENGINES:
@@ -128,8 +142,32 @@ def growth_table(times: Times) -> Table:
     return table
 
 
+def bytes_per_arm(engine: str, counts: Sequence[int]) -> list[float]:
+    """Return by how much a fresh process grows per arm of vector environments of these sizes."""
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(_grow, (engine, counts))
+
+
+def _grow(engine: str, counts: Sequence[int]) -> list[float]:
+    envs, sizes = [], []
+    for count in (1, *counts):  # the first one brings the libraries
+        envs.append(gym.make_vec(OURS, num_envs=count, engine=engine))
+        envs[-1].reset(seed=0)
+        for _ in range(2):
+            envs[-1].step(envs[-1].action_space.sample())
+        sizes.append(_resident_size())
+    grown = (after - before for before, after in pairwise(sizes))
+    return [size / count for size, count in zip(grown, counts, strict=True)]
+
+
+def _resident_size() -> float:
+    """Return the resident size of this process in bytes; NaN where there is no /proc."""
+    pages = Path("/proc/self/statm")
+    return int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if pages.exists() else nan
+
+
 def empty_table(title: str, words: Iterable[str], numbers: Iterable[str]) -> Table:
-    """A table with columns of words, then of numbers."""
+    """Make a table with columns of words, then of numbers."""
     table = Table(title=title)
     for heading in words:
         table.add_column(heading, no_wrap=True)
@@ -139,7 +177,7 @@ def empty_table(title: str, words: Iterable[str], numbers: Iterable[str]) -> Tab
 
 
 def machine() -> str:
-    """What it ran on."""
+    """Name the machine and the versions."""
     found = [f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
     for package in PACKAGES:
         try:

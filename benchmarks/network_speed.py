@@ -3,7 +3,7 @@
 Run it with `python benchmarks/network_speed.py`.  A copy of the state, `ndarray.copy()`, reads
 and writes each byte once, as any iteration must that keeps its input.  `run` iterates blocks of
 arms that stay in the cache; `step` is a single iteration, whose result is a new state.  The
-contestants take turns, and ratios are medians over the rounds of each round's own ratio.
+they take turns, and ratios are medians over the rounds of each round's own ratio.
 
 Below it, microseconds per action of the `mmc` agent beside the shipped PPO policy's.
 """
@@ -35,7 +35,7 @@ class Arguments:
     """Time the network and the agents.
 
     Attributes:
-        rounds: rounds, in each of which every contestant has one turn.
+        rounds: rounds, in each of which each has one turn.
         seconds: least duration of a turn.
     """
 
@@ -89,12 +89,12 @@ def agent_table(arguments: Arguments) -> Table:
     torch.set_num_threads(1)
     env = gym.make("MMCReach-v0")
     observation, _ = env.reset(seed=0)
-    contestants = {}
+    calls = {}
     for name in ("ppo", "mmc", "mmc-classical", "mmc-neural", "ik-dls"):
         agent = make_agent(name, env)
         _, state = agent.predict(observation)
-        contestants[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
-    times = interleaved(contestants, arguments.rounds, arguments.seconds)
+        calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
+    times = interleaved(calls, arguments.rounds, arguments.seconds)
     table = Table(title="predict for one observation")
     table.add_column("agent")
     for heading in ("µs per action", "ratio to ppo"):

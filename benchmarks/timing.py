@@ -1,4 +1,4 @@
-"""Timing by turns: the contestants alternate, so that a drift of the machine's speed meets all."""
+"""Timing by turns: calls alternate, so that a drift of the machine's speed meets all."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def interleaved(
-    contestants: Mapping[Key, Callable[[], object]], rounds: int, seconds: float
+    calls_by_name: Mapping[Key, Callable[[], object]], rounds: int, seconds: float
 ) -> dict[Key, NDArray[np.float64]]:
-    """Seconds per call of each contestant, one value per round.
+    """Return the seconds per call of each, one value per round.
 
     Args:
-        contestants: what is called.  Two calls of each before the first round warm it up.
-        rounds: rounds, in each of which every contestant has one turn.
+        calls_by_name: what is timed.  Two calls of each before the first round warm it up.
+        rounds: rounds, in each of which each has one turn.
         seconds: a turn has as many calls as fit into this time, at least one.
     """
     calls = {}
-    for name, call in contestants.items():
+    for name, call in calls_by_name.items():
         call()
         calls[name] = max(1, round(seconds / _seconds(call, 1)))
-    times: dict[Key, list[float]] = {name: [] for name in contestants}
+    times: dict[Key, list[float]] = {name: [] for name in calls_by_name}
     for _ in range(rounds):
-        for name, call in contestants.items():
+        for name, call in calls_by_name.items():
             times[name].append(_seconds(call, calls[name]) / calls[name])
     return {name: np.array(values) for name, values in times.items()}
 

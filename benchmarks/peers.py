@@ -1,0 +1,190 @@
+"""Environments of this package and of others that are timed: how each plays an episode, and which.
+
+An episode is all its steps and the reset.  The arms of a vector environment begin and end theirs
+together; those with autoreset take one more call for the reset, which is not counted as steps.
+Actions are drawn beforehand, uniformly, and are the same in every episode.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import mmc_gym  # noqa: F401  (registers the environments)
+
+OURS = "MMCReach-v0"
+PEER = "Reacher-v5"
+
+
+@dataclass(frozen=True)
+class Player:
+    """Plays episodes of as many steps each.
+
+    Attributes:
+        play: plays one episode of every arm.
+        steps: steps in it, those of all arms together.
+        close: frees what `play` uses.
+    """
+
+    play: Callable[[], None]
+    steps: int
+    close: Callable[[], None]
+
+
+def single(env_id: str, **arguments: Any) -> Player:
+    """One environment, as `gym.make` returns it."""
+    env = gym.make(env_id, **arguments)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(env.spec.max_episode_steps)]
+
+    def play() -> None:
+        env.reset()
+        for action in actions:
+            env.step(action)
+
+    return Player(play, len(actions), env.close)
+
+
+def vector(env_id: str, num_envs: int, mode: str | None = None, **arguments: Any) -> Player:
+    """A vector environment, as `gym.make_vec` returns it.
+
+    Args:
+        env_id: of the environment.
+        num_envs: arms.
+        mode: Gymnasium's `vectorization_mode`; None chooses the environment's own.
+        arguments: of the environment.
+    """
+    env = gym.make_vec(env_id, num_envs=num_envs, vectorization_mode=mode, **arguments)
+    return _vector(env, num_envs, env.spec.max_episode_steps or 0)
+
+
+def envpool(env_id: str, num_envs: int, threads: int) -> Player:
+    """EnvPool's vector environment, which C++ threads step."""
+    import envpool
+
+    env = envpool.make_gymnasium(env_id, num_envs=num_envs, num_threads=threads, seed=0)
+    return _vector(env, num_envs, env.spec.config.max_episode_steps)
+
+
+def _vector(env: Any, num_envs: int, episode: int) -> Player:
+    low, high = env.action_space.low, env.action_space.high
+    shape = (episode + 1, num_envs, low.shape[-1])
+    actions = np.random.default_rng(0).uniform(low, high, shape).astype(env.action_space.dtype)
+    env.reset()
+
+    def play() -> None:
+        for action in actions[:-1]:
+            _, _, _, truncations, _ = env.step(action)
+        assert all(truncations), "the episodes did not end together"
+        env.step(actions[-1])  # resets
+
+    return Player(play, num_envs * episode, env.close)
+
+
+def dm_control(domain: str, task: str) -> Player:
+    """One environment of dm_control's suite, as it stands."""
+    os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is drawn
+    from dm_control import suite
+
+    env = suite.load(domain, task, task_kwargs={"random": 0})
+    spec = env.action_spec()
+    env.reset()
+    steps = 1
+    while not env.step(np.zeros(spec.shape)).last():
+        steps += 1
+    shape = (steps, *spec.shape)
+    actions = np.random.default_rng(0).uniform(spec.minimum, spec.maximum, shape)
+
+    def play() -> None:
+        env.reset()
+        for action in actions:
+            env.step(action)
+
+    return Player(play, steps, env.close)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One row of a table.
+
+    Attributes:
+        environment: its name.
+        variant: what is particular about it.
+        make: makes it.
+        arms: how many there are.
+        threads: how many threads, or processes, step them.
+    """
+
+    environment: str
+    variant: str
+    make: Callable[[], Player]
+    arms: int = 1
+    threads: int = 1
+
+
+def _vector_entry(environment: str, variant: str, arms: int, mode: str) -> Entry:
+    threads = arms if mode == "async" else 1
+    return Entry(environment, variant, partial(vector, environment, arms, mode), arms, threads)
+
+
+def _envpool_entry(arms: int, threads: int) -> Entry:
+    return Entry(PEER, "EnvPool", partial(envpool, PEER, arms, threads), arms, threads)
+
+
+def _native_entry(variant: str, arms: int, threads: int, **arguments: str) -> Entry:
+    make = partial(vector, OURS, arms, threads=threads, **arguments)
+    return Entry(OURS, variant, make, arms, threads)
+
+
+REFERENCE = Entry(PEER, "", partial(single, PEER))
+
+SINGLE = (
+    REFERENCE,
+    Entry("dm_control reacher", "hard", partial(dm_control, "reacher", "hard")),
+    Entry(OURS, "", partial(single, OURS)),
+    *(
+        Entry(OURS, control, partial(single, OURS, control=control))
+        for control in ("joint_delta", "joint_velocity", "joint_torque")
+    ),
+    Entry(OURS, "analytic", partial(single, OURS, engine="analytic")),
+    Entry("MMCReachGoal-v0", "", partial(single, "MMCReachGoal-v0")),
+)
+
+VECTOR = (
+    _vector_entry(PEER, "sync", 64, "sync"),
+    _vector_entry(PEER, "async", 64, "async"),
+    _envpool_entry(64, 1),
+    _envpool_entry(64, 2),
+    _vector_entry(OURS, "sync", 64, "sync"),
+    _vector_entry(OURS, "async", 64, "async"),
+    *(_native_entry("native", arms, threads) for arms in (64, 256) for threads in (1, 2)),
+    *(_native_entry("native, joint_torque", 256, n, control="joint_torque") for n in (1, 2)),
+    *(
+        _native_entry("native, analytic", arms, threads, engine="analytic")
+        for arms in (256, 4096)
+        for threads in (1, 2)
+    ),
+)
+
+ENGINES = ("pymunk", "analytic")
+
+GROWTH = tuple(
+    _native_entry(engine, arms, threads, engine=engine)
+    for engine in ENGINES
+    for arms in (1, 16, 64, 256, 1024, 4096)
+    for threads in (1, 2)
+)
+
+WHAT_THEY_SIMULATE = f"""\
+Steps are those of all arms; resets are in the time.  What is simulated in a step of 0.02 s:
+{PEER}, EnvPool: 2 joints, MuJoCo, 2 substeps of Runge-Kutta, 4th order; reset after 50 steps.
+dm_control: 2 joints, MuJoCo, 1 substep of Euler, no contacts; reset after 1000 steps.
+{OURS}: 3 joints with servos, 4 substeps of pymunk or of the analytic engine; reset after 100 steps.
+MuJoCo works on the thread that calls it.  EnvPool and {OURS} have their own threads."""
