@@ -326,7 +326,7 @@ class ReachInterface:
     """
 
     segment_lengths: tuple[float, ...]
-    control: str
+    control: Control
     speed_limit: float
     servo_gain: float
     control_step: float

@@ -12,10 +12,10 @@ import numpy as np
 import pygame
 
 from mmc_gym.agents import AGENTS
+from mmc_gym.agents.base import Predictor
 from mmc_gym.benchmark.entries import entrants, make_for
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import shapes as drawing
-from mmc_gym.measures.rollout import Predictor
 
 HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
 _LINE = 26  # height of a line of text, pixels

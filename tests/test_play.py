@@ -232,7 +232,7 @@ def test_an_agent_follows_the_mouse(env: gym.Env) -> None:
 
 
 def test_what_cannot_be_played_is_refused(env: gym.Env, agents: dict[str, Recorder]) -> None:
-    with pytest.raises(ValueError, match=r"agents must be among mmc, .* got 'nobody'"):
+    with pytest.raises(ValueError, match=r"agent must be one of mmc, .* got 'nobody'"):
         play("nobody")
     assert not pygame.display.get_init()
     with pytest.raises(ValueError, match="env must be a reaching environment"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,19 @@ from mmc_gym.interface import Observation, ReachInterface, Sensed
 from mmc_gym.network.chain import Floats
 
 State = TypeVar("State")
+
+
+class Predictor(Protocol):
+    """Whatever acts: it has the `predict` of stable-baselines3, for a single observation."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Return the action for `observation`, and the state to hand back at the next step."""
 
 
 class Agent(ABC, Generic[State]):

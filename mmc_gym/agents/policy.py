@@ -1,7 +1,7 @@
 """Policies trained by reinforcement learning: kept as safetensors and JSON, run as agents.
 
-A policy is two files.  NAME.safetensors holds the weights; NAME.json, its card, says what they
-are weights of, how they were trained, and which weights they are (SHA-256).  Neither holds
+A policy is two files.  NAME-SEED.safetensors holds the weights; NAME-SEED.json, its card, says what
+they are weights of, how they were trained, and which weights they are (SHA-256).  Neither holds
 code: what a card may name is looked up here, never imported or evaluated.
 """
 
@@ -11,36 +11,68 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, replace
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import safetensors.numpy
+from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
+from pydantic import ConfigDict, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
 from safetensors import SafetensorError
+from typing_extensions import Self, override
 
+from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
-from mmc_gym.interface import CONTROLS, ControlError, Observation, ReachInterface
+from mmc_gym.interface import CannotActError, Control, ControlError, Observation, ReachInterface
 from mmc_gym.network import EuclideanNormalizer
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
+SUFFIXES = (".json", ".safetensors")
+CURVE_COLUMNS = ("steps", "seconds", "cpu_seconds", "success")
+"""What every row of a learning curve has; the first and the third never fall."""
+
+Algorithm = Literal["ppo", "sac", "tqc"]
+Count = Annotated[int, Ge(0)]
+Seconds = Annotated[float, Ge(0), Lt(math.inf)]
+if TYPE_CHECKING:
+    Row = dict[str, float]
+else:
+    Row = dict[str, int | float | None]  # whole numbers stay so; None where there is no value
 
 
-@dataclass(frozen=True)
+def is_policy_path(name: str) -> bool:
+    """Tell whether a name is the path of one of a policy's two files."""
+    return name.endswith(SUFFIXES)
+
+
+def file_stem(name: str, seed: int) -> str:
+    """Return the name of a policy's files, without suffix: NAME-SEED."""
+    return f"{name}-{seed}"
+
+
+def shipped_file(name: str, seed: int) -> Path:
+    """Return where the card of a policy is that ships with the package."""
+    return PRETRAINED / f"{file_stem(name, seed)}.json"
+
+
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True))
 class PolicyCard:
     """What a trained policy is and how it came about.
 
     Attributes:
         name: of the hyperparameters, such as "ppo".
-        algorithm: "ppo", "sac" or "tqc".
+        algorithm: what it was trained by.
         env_id: the environment that it was trained in.
         control: the meaning of its actions.
         segment_count: joints of its arm.
@@ -55,37 +87,52 @@ class PolicyCard:
         training_cpu_seconds: time of all cores, of this process alone.
         versions: of the libraries.
         scores: of the evaluation after training.
-        learning_curve: one row per evaluation during training.
+        learning_curve: one row per evaluation during training, with `CURVE_COLUMNS` and more.
         sha256: of the weights file.
     """
 
     name: str
-    algorithm: str
+    algorithm: Algorithm
     env_id: str
-    control: str
-    segment_count: int
+    control: Control
+    segment_count: Annotated[int, Gt(0)]
     view: View
     activation: Activation
     distribution: Distribution
     base_agent: str
     hyperparameters: dict[str, Any]
-    seed: int
-    training_steps: int
-    training_seconds: float
-    training_cpu_seconds: float
+    seed: Count
+    training_steps: Count
+    training_seconds: Seconds
+    training_cpu_seconds: Seconds
     versions: dict[str, str]
-    scores: dict[str, float]
-    learning_curve: list[dict[str, float]]
+    scores: Row
+    learning_curve: list[Row]
     sha256: str = ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.base_agent not in ("", *BASE_AGENTS):
+            raise ValueError(f"base_agent must be one of {list(BASE_AGENTS)} or empty")
+        if self.distribution != ("gaussian" if self.algorithm == "ppo" else "squashed"):
+            raise ValueError(f"distribution must be that of {self.algorithm!r}")
+        for row in self.learning_curve:
+            if any(row.get(name) is None for name in CURVE_COLUMNS):
+                raise ValueError(f"learning_curve must have {CURVE_COLUMNS} in every row")
+        for name in ("steps", "cpu_seconds"):
+            values = [row[name] for row in self.learning_curve]
+            if any(after < before for before, after in pairwise(values)):
+                raise ValueError(f"learning_curve must not fall in {name}")
+        return self
 
     @property
     def file_stem(self) -> str:
         """The name of its files, without suffix."""
-        return f"{self.name}-{self.seed}"
+        return file_stem(self.name, self.seed)
 
 
 def policy_files(network: PolicyNetwork, card: PolicyCard) -> dict[str, bytes]:
-    """The contents of a policy's two files by their names."""
+    """Return the contents of a policy's two files by their names."""
     weights = safetensors.numpy.save(dict(network.tensors))
     description = {**asdict(card), "sha256": hashlib.sha256(weights).hexdigest()}
     return {
@@ -108,23 +155,18 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
 
     Raises:
         FileNotFoundError: if one of them is missing.
-        ValueError: if one is damaged, or they do not belong together; for a folder, too.
+        UserError: if one is damaged, or they do not belong together; for a folder, too.
     """
     path = Path(path)
-    if path.suffix not in (".json", ".safetensors"):
-        raise ValueError(
+    if path.suffix not in SUFFIXES:
+        raise UserError(
             "path must be that of a policy's file, NAME.json or NAME.safetensors, "
             f"got {str(path)!r}"
         )
     text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
     try:
-        values = json.loads(text)
-        known = {field.name for field in fields(PolicyCard)}
-        if not isinstance(values, dict) or set(values) != known:
-            raise ValueError("its card has other entries than a policy's")
-        card = PolicyCard(**values)
-        _check_card(card)
+        card = _read_card(text)
         if hashlib.sha256(weights).hexdigest() != card.sha256:
             raise ValueError("its weights are not those of its card")
         tensors = safetensors.numpy.load(weights)
@@ -135,70 +177,20 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
             raise ValueError(
                 f"its card says {card.segment_count} joints, its weights {network.action_size}"
             )
-    except (ValueError, TypeError, RecursionError, SafetensorError) as error:
-        raise ValueError(f"{path.with_suffix('')} does not hold a policy: {error}") from error
+    except (ValueError, SafetensorError) as error:
+        raise UserError(f"{path.with_suffix('')} does not hold a policy: {error}") from error
     return network, card
 
 
-def _check_card(card: PolicyCard) -> None:
-    """Raise a `ValueError` if an entry of a card is of another type or range than it must be."""
-
-    def is_number(value: object) -> bool:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-    def is_whole(value: object) -> bool:
-        return isinstance(value, int) and not isinstance(value, bool)
-
-    def is_row(value: object) -> bool:
-        """Of measures; one without a value may be None."""
-        return isinstance(value, dict) and all(
-            one is None or is_number(one) for one in value.values()
-        )
-
-    squashed = card.algorithm != "ppo"
-    rules: dict[str, tuple[bool, str]] = {
-        **{
-            name: (isinstance(getattr(card, name), str), "a text")
-            for name in ("name", "env_id", "sha256")
-        },
-        **{
-            name: (isinstance(value, str) and value in accepted, f"one of {accepted}")
-            for name, value, accepted in (
-                ("algorithm", card.algorithm, ("ppo", "sac", "tqc")),
-                ("control", card.control, CONTROLS),
-                ("view", card.view, get_args(View)),
-                ("activation", card.activation, get_args(Activation)),
-                ("base_agent", card.base_agent, ("", *BASE_AGENTS)),
-            )
-        },
-        "segment_count": (is_whole(card.segment_count) and card.segment_count > 0, "a number > 0"),
-        "hyperparameters": (isinstance(card.hyperparameters, dict), "a table"),
-        "seed": (is_whole(card.seed) and card.seed >= 0, "a whole number >= 0"),
-        "versions": (isinstance(card.versions, dict), "a table"),
-        "scores": (is_row(card.scores), "a table of numbers"),
-        "learning_curve": (
-            isinstance(card.learning_curve, list) and all(map(is_row, card.learning_curve)),
-            "tables of numbers",
-        ),
-        "distribution": (
-            card.distribution == ("squashed" if squashed else "gaussian"),
-            f"that of {card.algorithm!r}",
-        ),
-        "training_steps": (
-            is_whole(card.training_steps) and card.training_steps >= 0,
-            "a whole number >= 0",
-        ),
-        **{
-            name: (is_number(value) and 0 <= value < math.inf, "a number >= 0")
-            for name, value in (
-                ("training_seconds", card.training_seconds),
-                ("training_cpu_seconds", card.training_cpu_seconds),
-            )
-        },
-    }
-    for name, (fine, accepted) in rules.items():
-        if not fine:
-            raise ValueError(f"{name} must be {accepted}, got {getattr(card, name)!r}")
+def _read_card(text: bytes) -> PolicyCard:
+    try:
+        return TypeAdapter(PolicyCard).validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name = ".".join(map(str, first["loc"]))
+        message = first["msg"].removeprefix("Value error, ")
+        got = f", got {first['input']!r:.100}" if name and first["type"] != "missing" else ""
+        raise ValueError(f"its card: {name}{': ' if name else ''}{message}{got}") from error
 
 
 class PolicyAgent(Agent[Any]):
@@ -219,12 +211,13 @@ class PolicyAgent(Agent[Any]):
             seed: of its exploration, when it is asked for actions that are not deterministic.
 
         Raises:
-            ValueError: if the arm has another number of joints than the policy's, or the
+            CannotActError: if the arm has another number of joints than the policy's, or the
                 policy's actions have no meaning in the environment.
+            UserError: if network and card do not fit together.
         """
-        count = len(interface.segment_lengths)
+        layout, count = interface.layout, len(interface.segment_lengths)
         if card.segment_count != count:
-            raise ValueError(
+            raise CannotActError(
                 f"env must have {card.segment_count} segments for this policy, got {count}"
             )
         same = card.control == interface.control
@@ -233,34 +226,26 @@ class PolicyAgent(Agent[Any]):
                 f"control must be {card.control!r} for this policy, got {interface.control!r}",
                 card.control,
             )
-        if card.base_agent and card.base_agent not in BASE_AGENTS:
-            raise ValueError(
-                f"base_agent must be one of {list(BASE_AGENTS)}, got {card.base_agent!r}"
-            )
         if card.view == "target" and (card.control != "joint_position" or card.base_agent):
-            raise ValueError(
+            raise UserError(
                 "view 'target' is for policies that act alone, by joint positions, got control "
                 f"{card.control!r} and base_agent {card.base_agent!r}"
             )
-        inputs = feature_count(card.view, interface.layout) + (count if card.base_agent else 0)
+        inputs = feature_count(card.view, layout) + (count if card.base_agent else 0)
         if network.input_size != inputs:
-            raise ValueError(f"network must take {inputs} features, got {network.input_size}")
+            raise UserError(f"network must take {inputs} features, got {network.input_size}")
         self.card = card
         self.training_steps = card.training_steps
         self._network = network
         self._interface = interface
         self._convert = not same
         self._random = np.random.default_rng(seed)
-        self._layout, self._shape = interface.layout, (interface.layout.size,)
+        self._layout, self._shape = layout, (layout.size,)
         self._base = None
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
 
-    @classmethod
-    def shipped(cls, name: str, seed: int, interface: ReachInterface) -> PolicyAgent:
-        """The trained policy of that name and training seed that ships with the package."""
-        return cls(*load_policy(PRETRAINED / f"{name}-{seed}.json"), interface)
-
+    @override
     def predict(
         self,
         observation: Observation,
@@ -268,7 +253,6 @@ class PolicyAgent(Agent[Any]):
         episode_start: Sequence[bool] | NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], Any]:
-        """See `Agent.predict`."""
         if not isinstance(observation, np.ndarray) or observation.shape[-1:] != self._shape:
             observation = self._interface.checked(observation)
         seen = features(np, self.card.view, observation, self._layout)
@@ -299,7 +283,7 @@ BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {
 
 
 def corrected(proposal: Float32, correction: Float32) -> Float32:
-    """A base agent's action, and a policy's correction of it, both within −1 and 1, added.
+    """Return a base agent's action plus a policy's correction of it, within −1 and 1.
 
     Source: residual policy learning, Silver et al. (2018), https://arxiv.org/abs/1812.06298.
     """

@@ -34,6 +34,15 @@ from mmc_gym.interface import ObservationLayout
 
 View = Literal["arm", "target", "world"]
 
+VIEWS: dict[View, str] = {
+    "arm": "joint angles but the first, joint speeds, target, and offset from hand to target, all "
+    "seen from the arm's first segment",
+    "target": "all joint angles, joint speeds, the target's distance, and offset from hand to "
+    "target, all seen as if the target lay straight ahead, whence its actions are turned back",
+    "world": "all joint angles, joint speeds, target, and offset from hand to target",
+}
+"""The views in words."""
+
 OFFSET_GAIN = 6.0
 
 

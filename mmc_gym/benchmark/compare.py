@@ -17,13 +17,14 @@ from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns, progress_bar
 from mmc_gym._files import write_atomically
-from mmc_gym.benchmark.entries import AgentLike, entrants, training_steps
+from mmc_gym.agents.base import Predictor
+from mmc_gym.agents.resolver import AgentLike
+from mmc_gym.benchmark.entries import entrants, training_steps
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
 from mmc_gym.measures import MEASURES, Episode, leave_out_failures, measure_all
 from mmc_gym.measures.catalogue import shown_measures
 from mmc_gym.measures.rollout import (
-    Predictor,
     check_environment,
     episode_seeds,
     run_episodes,

@@ -8,25 +8,18 @@ the path of a policy's file; "LABEL=NAME" for any of these under another name; a
 
 from __future__ import annotations
 
-import hashlib
-import importlib
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any
 
 import gymnasium as gym
 
-from mmc_gym.agents import AGENTS, agent_names, find_agent, is_policy_path
-from mmc_gym.agents.policy import PRETRAINED, PolicyCard, load_policy
+from mmc_gym.agents import AGENTS, agent_names, resolve
+from mmc_gym.agents.base import Predictor
+from mmc_gym.agents.policy import PRETRAINED, PolicyCard, is_policy_path, load_policy
+from mmc_gym.agents.resolver import AgentLike, Factory
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.interface import ControlError
-from mmc_gym.measures.rollout import Predictor
-
-Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
-AgentLike: TypeAlias = str | Predictor | Factory
 
 
 def entrants(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> dict[str, Factory]:
@@ -47,14 +40,14 @@ def entrants(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> dict[str,
     if isinstance(agents, Mapping):
         labelled = list(agents.items())
     else:
-        labelled = [(_label(agent), agent) for agent in agents]
+        labelled = [(resolve(agent).label, agent) for agent in agents]
     if not labelled:
         raise ValueError(f"agents must name at least one of {agent_names()}, got none")
     labels = [label for label, _ in labelled]
     repeated = sorted({label for label in labels if labels.count(label) > 1})
     if repeated:
         raise ValueError(f"agents must have different names, got {', '.join(repeated)} repeatedly")
-    return {label: _factory(agent) for label, agent in labelled}
+    return {label: resolve(agent).factory for label, agent in labelled}
 
 
 def make_for(
@@ -92,44 +85,6 @@ def training_steps(agent: object) -> int | None:
         if steps is not None:
             return int(steps)
     return None
-
-
-def _label(agent: AgentLike) -> str:
-    if isinstance(agent, str):
-        return Path(agent).stem if is_policy_path(agent) else agent
-    return cast(str, getattr(agent, "__name__", type(agent).__name__))
-
-
-def _factory(agent: AgentLike) -> Factory:
-    if not isinstance(agent, str):
-        if hasattr(agent, "predict") and not isinstance(agent, type):
-            predictor = cast(Predictor, agent)
-            return lambda env: predictor
-        if callable(agent):
-            return agent
-    elif (make := find_agent(agent)) is not None:
-        return make
-    elif ":" in agent:
-        return _imported(agent)
-    raise ValueError(
-        f"agents must be among {agent_names()}, or be given as 'module:function' or by the path "
-        f"of a policy's file, got {agent!r}"
-    )
-
-
-def _imported(path: str) -> Factory:
-    module_name, _, function_name = path.partition(":")
-    # A console script, other than `python -m`, does not look into the working directory.
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    try:
-        function = getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"agent {path!r} cannot be imported: {error}") from error
-    if not callable(function):
-        raise ValueError(f"agent {path!r} must be a function of the environment, got {function!r}")
-    return cast(Factory, function)
 
 
 LEFT_OUT = ("ik-transpose", "ik-pinv", "ik-nullspace", "ik-ccd", "ik-fabrik")
@@ -190,11 +145,7 @@ class Contestant:
         Another one is another agent, whatever its name.  Of a module it is that file alone: what it
         imports, or reads, may change unnoticed.  Empty if there is none.
         """
-        if self.is_own:
-            return self.card.sha256 if self.card else ""
-        spec = find_spec(self.source.partition(":")[0])
-        file = Path(spec.origin) if spec is not None and spec.origin else Path()
-        return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+        return "" if self.is_reference else resolve(self.source).fingerprint
 
 
 def default_agents() -> tuple[str, ...]:

@@ -24,7 +24,7 @@ import gymnasium as gym
 import numpy as np
 
 from mmc_gym._grid import check_cluster, run_grid
-from mmc_gym.agents.base import RandomAgent
+from mmc_gym.agents.base import Predictor, RandomAgent
 from mmc_gym.benchmark.entries import Contestant, contestants, make_for
 from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.store import (
@@ -42,7 +42,6 @@ from mmc_gym.benchmark.store import (
 from mmc_gym.benchmark.suite import BatteryEnvironment, find_environments
 from mmc_gym.measures import MEASURES, Episode
 from mmc_gym.measures.rollout import (
-    Predictor,
     episode_seeds,
     run_episodes,
 )

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 
 from mmc_gym._errors import UserError
 from mmc_gym._grid import one_torch_thread
-from mmc_gym.agents.base import Agent
+from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.episode import Episode, Floats
@@ -38,19 +38,6 @@ _REQUIRED = ("distance", "end_effector", "target")
 
 Env: TypeAlias = "gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]"
 Options: TypeAlias = Mapping[str, Any]
-
-
-class Predictor(Protocol):
-    """Whatever acts: has the `predict` of stable-baselines3."""
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:
-        """Return the action for `observation`, and the state to hand back at the next step."""
 
 
 def episode_seeds(seed: int, episodes: int) -> list[int]:

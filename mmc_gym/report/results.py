@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from mmc_gym.agents import AGENTS, is_policy_path
-from mmc_gym.agents.policy import PRETRAINED, PolicyCard, load_policy
-from mmc_gym.agents.views import View
+from mmc_gym.agents import AGENTS
+from mmc_gym.agents.policy import PRETRAINED, PolicyCard, is_policy_path, load_policy
+from mmc_gym.agents.views import VIEWS
 from mmc_gym.benchmark.ranking import RANKING
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import untrained
@@ -65,13 +65,6 @@ _TOLD = "told"
 _NOT_TOLD = "not told: had to learn"
 _ONCE = "posture once, at the start; the target in every step"
 _LOOP = "posture, seen hand and target in every step"
-VIEWS: dict[View, str] = {
-    "arm": "joint angles but the first, joint speeds, target, and offset from hand to target, all "
-    "seen from the arm's first segment",
-    "target": "all joint angles, joint speeds, the target's distance, and offset from hand to "
-    "target, all seen as if the target lay straight ahead, whence its actions are turned back",
-    "world": "all joint angles, joint speeds, target, and offset from hand to target",
-}
 
 
 def _told(kind: Kind, senses: str = _ONCE) -> Knowledge:

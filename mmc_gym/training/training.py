@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -31,6 +31,7 @@ from mmc_gym._grid import one_torch_thread
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     FINAL_EPISODES,
+    Algorithm,
     PolicyAgent,
     PolicyCard,
     save_policy,
@@ -226,7 +227,7 @@ class Training:
         residual = unwrap_vec_wrapper(env, Residual)
         card = PolicyCard(
             name=self.name,
-            algorithm=self.algorithm,
+            algorithm=cast(Algorithm, self.algorithm),
             env_id=self.env_id,
             control=interface.control,
             segment_count=len(interface.segment_lengths),

@@ -354,7 +354,7 @@ def test_a_policy_of_ones_own_takes_part_by_its_path(tmp_path):
 
 def test_wrong_names_are_refused(tmp_path):
     for agents, message in (
-        (["nobody"], "agents must be among mmc"),
+        (["nobody"], "agent must be one of mmc"),
         ([], "agents must name at least one"),
         (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
         (["=mmc"], "agents must have names"),

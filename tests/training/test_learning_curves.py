@@ -160,19 +160,9 @@ def test_damaged_or_misplaced_policies_are_an_error(tmp_path):
         read_cards(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("curve", "message"),
-    [
-        ([], "must have evaluations, got none"),
-        ([{"steps": 1, "success": 0.5}], "must have numbers for steps, seconds, cpu_seconds"),
-        ([{**training().learning_curve[0], "success": "all"}], "must have numbers for .*'all'"),
-        ("lost", "must have numbers for .* got 'l'"),
-        (training().learning_curve[::-1], "must ascend in steps"),
-    ],
-)
-def test_a_curve_that_is_none_is_an_error(curve, message):
-    with pytest.raises(ValueError, match=f"learning_curve of ppo-0 {message}"):
-        curve_rows({"ppo": [training(learning_curve=curve)]})
+def test_a_card_without_a_curve_is_an_error():
+    with pytest.raises(ValueError, match="learning_curve of ppo-0 must have evaluations, got none"):
+        curve_rows({"ppo": [training(learning_curve=[])]})
 
 
 def test_there_is_a_row_for_each_evaluation_of_each_training():

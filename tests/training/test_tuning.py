@@ -12,7 +12,7 @@ import optuna
 import pytest
 from optuna.storages.journal import JournalFileBackend
 
-from mmc_gym.agents import find_agent
+from mmc_gym import make_agent
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training import tuning as tuning_targets
 from mmc_gym.training.hyperparameters import read_hyperparameters
@@ -106,7 +106,7 @@ def test_constants_in_use_are_those_of_the_agent_of_that_name(name):
     made = getattr(tuning_targets, {"mmc": "_make_network"}.get(name, "_make_feedback"))
     arguments = {"perturbations": ["rotation-30"]}
     expected = evaluate(
-        lambda interface: find_agent(name)(gym.make("MMCReach-v0")), "MMCReach-v0", arguments, 20, 5
+        lambda interface: make_agent(name, gym.make("MMCReach-v0")), "MMCReach-v0", arguments, 20, 5
     )
     scores = evaluate(partial(made, constants), "MMCReach-v0", arguments, 20, 5)
     assert scores == expected

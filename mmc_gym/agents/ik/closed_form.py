@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from mmc_gym.agents.ik.dead_end import SegmentLengths, nearest_reachable
-from mmc_gym.interface import JointLimits
+from mmc_gym.interface import CannotActError, JointLimits
 from mmc_gym.network.chain import Floats, wrap_angle
 
 ORIENTATIONS = 90
@@ -52,7 +52,7 @@ def closed_form(
             leave.  If there is no other solution, the one least beyond, brought to the limits.
 
     Raises:
-        ValueError: for another number of segments.
+        CannotActError: for another number of segments.
 
     >>> closed_form(np.array([0.5, 0.5]), np.array([1.0, 1.0]), (1.0, 1.0)).round(6)
     array([0.      , 1.570796])
@@ -84,11 +84,11 @@ def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Flo
         joint_angles: the present posture, radians, (..., N).
 
     Raises:
-        ValueError: for another number of segments.
+        CannotActError: for another number of segments.
     """
     count = len(segment_lengths)
     if count > 3:
-        raise ValueError(
+        raise CannotActError(
             f"segment_lengths must be 1, 2 or 3 for a solution in closed form, got {count}: "
             f"{segment_lengths}"
         )
