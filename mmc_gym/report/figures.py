@@ -1,8 +1,10 @@
-"""The figures of scores: measures at a glance, performance profiles, degradation."""
+"""The figures of the report: movements, measures at a glance, learning, profiles, degradation.
+
+Each function returns None where there is nothing to show.
+"""
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 
@@ -19,92 +21,106 @@ from mmc_gym.agents.policy import EVALUATION_EPISODES
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures import Measure
 from mmc_gym.measures.episode import hand_speed
-from mmc_gym.report.numbers import count, instances_of, listed, quantity, seeds_of, unit
 from mmc_gym.report.panels import (
-    Block,
     Look,
     Panel,
+    PanelFigure,
     drawn,
     line_panel,
     name_lines,
     shortened,
     to_svg,
 )
-from mmc_gym.report.results import Results
-from mmc_gym.report.scores import Estimates
-from mmc_gym.report.sentences import SUCCESS, base_of, base_title, families
+from mmc_gym.report.results import Results, count, listed
+from mmc_gym.report.scores import SUCCESS, Estimates
+from mmc_gym.report.tables import BETTER
 from mmc_gym.training.curves import Axis, curve_rows, mean_curves
 
-INTERVALS = "Bands and bars: 95 % bootstrap intervals over instances and training seeds."
-PROFILE_RESAMPLES = 300  # of the bands of profiles, which are over thousands of episodes
+PROFILE_RESAMPLES = 300
+"""Resamples of the bands of performance profiles, which are over thousands of episodes."""
+
 _POINTS = 41  # of a performance profile
 _UNPERTURBED = 0.0
+_MOVEMENT_SIZE = (2.6, 4.3)  # inches
+_AXES: tuple[tuple[Axis, str, float], ...] = (
+    ("steps", "environment steps", 1.0),
+    ("cpu_seconds", "time on one core [min]", 60.0),
+)
 
 
-def dots(estimates: Estimates, measures: tuple[Measure, ...], look: Mapping[str, Look]) -> Block:
-    """Each measure of each agent with its interval, without perturbation: a panel a measure."""
+def dots(
+    estimates: Estimates, measures: Sequence[Measure], look: Mapping[str, Look]
+) -> PanelFigure | None:
+    """Draw each measure of each agent with its interval, without perturbation."""
     results = estimates.results
-    environment = base_of(results)
     panels = []
     for measure in measures:
-        figures = estimates.taking_part(environment, measure, results.agents)
-        if not figures:
+        found = estimates.taking_part(results.base, measure, results.agents)
+        if not found:
             continue
-        with drawn(height=0.75 + 0.17 * len(figures)) as (figure, axes):
-            for row, (agent, estimate) in enumerate(figures.items()):
+        with drawn(height=0.75 + 0.17 * len(found)) as (figure, axes):
+            scale = 100 if measure.unit == "fraction" else 1
+            for row, (agent, one) in enumerate(found.items()):
                 own = look.get(agent)
                 colour = own.colour if own else "0.45"
-                scale = 100 if measure.unit == "fraction" else 1
-                ends = scale * np.array([estimate.low, estimate.high])
+                ends = [scale * one.low, scale * one.high]
                 axes.plot(ends, [row, row], color=colour, linewidth=1.6, solid_capstyle="butt")
                 axes.plot(
-                    scale * estimate.estimate,
+                    scale * one.estimate,
                     row,
                     marker=own.marker if own else "|",
                     color=colour,
                     markersize=5 if own else 6,
                     markerfacecolor="white",
+                    clip_on=False,
                 )
-            axes.set_yticks(range(len(figures)), [shortened(agent, 20) for agent in figures])
-            axes.set_ylim(len(figures) - 0.4, -0.6)
+            axes.set_yticks(range(len(found)), [shortened(agent, 20) for agent in found])
+            axes.set_ylim(len(found) - 0.4, -0.6)
             axes.grid(axis="y", color="0.92", linewidth=0.6)
             axes.set_axisbelow(True)
             if measure.unit == "fraction":
-                least = min(estimate.low for estimate in figures.values())
+                least = min(one.low for one in found.values())
                 axes.set_xlim(100 * max(0.0, min(least - 0.05, 0.9)), 101)
             elif measure.unit == "lengths":
                 axes.set_xlim(0, max(axes.get_xlim()[1], results.tolerance))
-            axes.set_xlabel(
-                f"{measure.label} [{unit(measure)}]" if unit(measure) else measure.label
-            )
-        said = "; ".join(f"{a} {quantity(measure, e.estimate)}" for a, e in figures.items())
-        better = {"high": " (more is better)", "low": " (less is better)", "neither": ""}
+            unit = measure.shown_unit
+            axes.set_xlabel(f"{measure.label} [{unit}]" if unit else measure.label)
+        said = "; ".join(f"{agent} {measure.quantity(e.estimate)}" for agent, e in found.items())
+        better = f" ({BETTER[measure.best]})" if BETTER[measure.best] else ""
         panels.append(
             Panel(
-                f"{measure.label}{better[measure.best]}",
-                to_svg(figure, f"dots-{measure.name}", f"{measure.label}: {said}"),
+                f"{measure.label}{better}",
+                f"{measure.label}: {said}",
+                to_svg(figure, f"dots-{measure.name}"),
             )
         )
-    return Block(
+    if not panels:
+        return None
+    return PanelFigure(
         tuple(panels),
-        f"Environment: {environment}. Marks: means of shares, medians of the others. {INTERVALS} "
-        "Agents are missing where fewer than half of their episodes have a value. "
-        f"{instances_of(results, [environment])} "
-        f"{seeds_of(results, results.agents, [environment])}",
+        f"Environment: {results.base}. Marks: means of shares, medians of the others; bars: 95 % "
+        "intervals. Agents are missing where fewer than half of their episodes have a value. "
+        f"{results.sample(results.agents, [results.base])}",
     )
 
 
-def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
-    """The share of episodes that end within τ of the target, for all τ."""
-    results = estimates.results
+def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
+    """Draw the share of episodes that end within τ of the target, for all τ."""
+    results, base = estimates.results, estimates.results.base
     taus = np.geomspace(0.001, 1.0, _POINTS)
+    perturbed = [key for keys in results.families.values() for key in keys if key != base]
+    plain = f"Only {base}" if results.environments[base].family else f"Unperturbed ({base})"
     panels, used, left_out = [], [], 0
-    base = base_of(results)
-    perturbed = [key for keys in families(results).values() for key in keys if key != base]
-    for key, title, chosen in (
-        ("base", base_title(results), [base]),
-        ("perturbed", "", perturbed),
-    ):
+
+    def finish(axes: Axes) -> None:
+        axes.axvline(results.tolerance, color="0.5", linestyle=":", linewidth=0.8)
+        axes.set(xscale="log", ylim=(0, 1.02), xlim=(taus[0], taus[-1]))
+        axes.set_xlabel("τ: final distance [segment lengths]")
+        axes.set_ylabel("episodes that end within τ")
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+    for key, chosen in (("base", [base]), ("perturbed", perturbed)):
         rows = results.episodes["environment"].isin(chosen)
         rows &= results.episodes["agent"].isin(list(look))
         frame = _met_by_all(results.episodes[rows])
@@ -116,21 +132,12 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
         curves = Bootstrap.of(frame, "final_distance", PROFILE_RESAMPLES).profile(taus, "low")
         groups = {str(agent): curve for agent, curve in curves.groupby("agent", sort=False)}
         groups = {agent: groups[agent] for agent in look if agent in groups}
-
-        def finish(axes: Axes) -> None:
-            axes.axvline(results.tolerance, color="0.5", linestyle=":", linewidth=0.8)
-            axes.set(xscale="log", ylim=(0, 1.02), xlim=(taus[0], taus[-1]))
-            axes.set_xlabel("τ: final distance [segment lengths]")
-            axes.set_ylabel("episodes that end within τ")
-            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-        named = title or count(len(met), "perturbed environment")
+        title = plain if key == "base" else count(len(met), "perturbed environment")
         panels.append(
             line_panel(
                 f"profile-{key}",
-                named,
-                f"Share of episodes that end within a distance, {named}",
+                title,
+                f"Share of episodes that end within a distance, {title}",
                 {a: (c["threshold"], c["estimate"]) for a, c in groups.items()},
                 {a: (c["low"], c["high"]) for a, c in groups.items()},
                 look,
@@ -138,41 +145,48 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> Block:
                 markers=False,
             )
         )
+    if not panels:
+        return None
     partly = (
         f"Left out: {count(left_out, 'environment')} that not all these agents have met with all "
         "their training seeds. "
     )
-    return Block(
+    return PanelFigure(
         tuple(panels),
-        "Performance profiles: a curve further to the left and higher is better everywhere. "
-        f"Dotted: the distance that counts as success, {results.tolerance:g}. "
-        f"{partly if left_out else ''}{INTERVALS} {instances_of(results, used)} "
-        f"{seeds_of(results, look, used)}",
+        "Further to the left and higher is better. Dotted: the distance that counts as success, "
+        f"{results.tolerance:g}. Bands: 95 % intervals. {partly if left_out else ''}"
+        f"{results.sample(look, used)}",
     )
 
 
-def degradation(estimates: Estimates, look: Mapping[str, Look]) -> Block:
-    """Success against the strength of each family of perturbations."""
+def _met_by_all(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return only the environments that every policy in the frame has met, as profiles need."""
+    policies = frame[["agent", "training_seed"]].drop_duplicates()
+    cells = frame[["agent", "training_seed", "environment"]].drop_duplicates()
+    met = cells["environment"].value_counts()
+    return frame[frame["environment"].isin(met.index[met == len(policies)])]
+
+
+def degradation(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
+    """Draw success against the strength of each family of perturbations."""
     results = estimates.results
     panels, used = [], []
-    for number, (family, keys) in enumerate(families(results).items()):
-        lines, bands = {}, {}
-        baseline = results.environments[keys[0]].baseline
+    for number, (family, keys) in enumerate(results.families.items()):
+        first = results.environments[keys[0]]
+        is_scale = first.unit != "joint"
         points = [(results.environments[key].strength, key) for key in keys]
-        is_scale = results.environments[keys[0]].unit != "joint"
-        if baseline in results.environments and is_scale:
-            points = [(_UNPERTURBED, baseline), *points]
+        if first.baseline in results.environments and is_scale:
+            points = [(_UNPERTURBED, first.baseline), *points]
         used += [key for _, key in points]
+        lines, bands = {}, {}
         for agent in look:
             found = [(x, estimates.of(key, SUCCESS).get(agent)) for x, key in points]
-            known = [(x, estimate) for x, estimate in found if estimate is not None]
+            known = [(x, one) for x, one in found if one is not None]
             if known:
-                x = [strength for strength, _ in known]
-                lines[agent] = (x, [100 * e.estimate for _, e in known])
+                lines[agent] = ([x for x, _ in known], [100 * one.estimate for _, one in known])
                 bands[agent] = ([100 * e.low for _, e in known], [100 * e.high for _, e in known])
-        measured_in = results.environments[keys[0]].unit
 
-        def finish(axes: Axes, unit_of: str = measured_in, name: str = family) -> None:
+        def finish(axes: Axes, unit_of: str = first.unit, name: str = family) -> None:
             axes.set(ylim=(-3, 103), ylabel="success [%]")
             axes.set_xlabel(f"{name} [{unit_of}]" if unit_of else name)
             if unit_of == "joint":
@@ -180,54 +194,42 @@ def degradation(estimates: Estimates, look: Mapping[str, Look]) -> Block:
                 axes.set_xlim(0.6, 3.4)
 
         said = "; ".join(
-            f"{agent} {', '.join(f'{y:.0f} %' for y in np.asarray(line[1]))}"
-            for agent, line in lines.items()
+            f"{agent} {', '.join(f'{y:.0f} %' for y in line[1])}" for agent, line in lines.items()
         )
         strengths = ", ".join(f"{x:g}" for x, _ in points)
         panels.append(
             line_panel(
                 f"degradation-{number}",
                 family,
-                f"Success at strengths {strengths} {measured_in}: {said}",
-                *(lines, bands, look, finish),
+                f"Success at strengths {strengths} {first.unit}: {said}",
+                lines,
+                bands,
+                look,
+                finish,
                 connected=is_scale,
             )
         )
-    return Block(
+    if not panels:
+        return None
+    return PanelFigure(
         tuple(panels),
-        "Success at the end of the episode against the strength of the perturbation; at 0, the "
-        f"same task without it. {_untrained_for(results)}{INTERVALS} "
-        f"{instances_of(results, used)} {seeds_of(results, look, used)}",
+        "Success against the strength of the perturbation; at 0, the same task without it. Bands: "
+        f"95 % intervals. {_untrained_for(results)}{results.sample(look, used)}",
     )
 
 
 def _untrained_for(results: Results) -> str:
-    """Whether any policy was trained in a perturbed environment, as far as the cards tell."""
+    """Return a sentence if all policies were trained without perturbations."""
     plain = {"MMCReach-v0", "MMCReachGoal-v0"}
     met = {card.env_id for cards in results.cards.values() for card in cards}
     return "No policy was trained under these perturbations. " if met and met <= plain else ""
 
 
-def _met_by_all(frame: pd.DataFrame) -> pd.DataFrame:
-    """Only environments that every policy in the frame has met, as profiles ask for."""
-    policies = frame[["agent", "training_seed"]].drop_duplicates()
-    cells = frame[["agent", "training_seed", "environment"]].drop_duplicates()
-    met = cells["environment"].value_counts()
-    return frame[frame["environment"].isin(met.index[met == len(policies)])]
-
-
-_AXES: tuple[tuple[Axis, str, float], ...] = (
-    ("steps", "environment steps", 1.0),
-    ("cpu_seconds", "time on one core [min]", 60.0),
-)
-
-
-def learning(estimates: Estimates, look: Mapping[str, Look]) -> Block:
-    """Success over the course of training, against steps and against time."""
-    results = estimates.results
-    cards = {name: cards for name, cards in results.curves.items() if name in look}
+def learning(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
+    """Draw success over the course of training, against steps and against time."""
+    cards = {name: cards for name, cards in estimates.results.curves.items() if name in look}
     if not cards:
-        return Block((), "")
+        return None
     panels = []
     curves = curve_rows(cards)
     for axis, label, scale in _AXES:
@@ -253,20 +255,17 @@ def learning(estimates: Estimates, look: Mapping[str, Look]) -> Block:
             )
         )
     counted = "; ".join(f"{name} {len(group)}" for name, group in cards.items())
-    return Block(
+    return PanelFigure(
         tuple(panels),
-        f"Learning curves: share of {EVALUATION_EPISODES} fixed instances that end at the target, "
-        "of the policy as it was then, without exploration; mean and 95 % bootstrap interval over "
-        f"training seeds (none for a single one). Training seeds: {counted}. Agents that do not "
-        "learn have no curve: what they know was built in.",
+        "Success of the policy as it was then, without exploration; mean and 95 % interval over "
+        f"training seeds. Instances: {EVALUATION_EPISODES}, fixed. Training seeds: {counted}.",
     )
 
 
-def frontier(estimates: Estimates, look: Mapping[str, Look]) -> Block:
-    """Success against the environment steps that were spent in training."""
+def frontier(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:
+    """Draw success against the environment steps that were spent in training."""
     results = estimates.results
-    environment = base_of(results)
-    figures = estimates.of(environment, SUCCESS)
+    found = estimates.of(results.base, SUCCESS)
     steps = {
         agent: 0.0
         for agent in look
@@ -274,95 +273,83 @@ def frontier(estimates: Estimates, look: Mapping[str, Look]) -> Block:
     }
     for name, cards in results.cards.items():
         steps[name] = float(np.median([card.training_steps for card in cards]))
-    steps = {agent: steps[agent] for agent in look if agent in steps and agent in figures}
+    steps = {agent: steps[agent] for agent in look if agent in steps and agent in found}
     if not steps:
-        return Block((), "")
+        return None
+    success = {agent: 100 * found[agent].estimate for agent in steps}
     with drawn() as (figure, axes):
         for agent, cost in steps.items():
-            own, found = look[agent], figures[agent]
-            low, high = 100 * found.low, 100 * found.high
-            axes.plot([cost, cost], [low, high], color=own.colour, linewidth=1.4)
+            own, one = look[agent], found[agent]
+            ends = [100 * one.low, 100 * one.high]
+            axes.plot([cost, cost], ends, color=own.colour, linewidth=1.4)
             axes.plot(
-                *(cost, 100 * found.estimate),
-                color=own.colour,
-                marker=own.marker,
-                markerfacecolor="white",
+                cost, success[agent], color=own.colour, marker=own.marker, markerfacecolor="white"
             )
-        top, corner = -math.inf, []
-        for agent in sorted(steps, key=lambda name: (steps[name], -figures[name].estimate)):
-            if figures[agent].estimate > top:
-                top = figures[agent].estimate
-                corner.append((steps[agent], 100 * top))
-        corner.append((max(*steps.values(), 1.0) * 1.5, 100 * top))
-        axes.step(*zip(*corner, strict=True), where="post", color="0.6", linewidth=0.8, zorder=0)
+        corners: list[tuple[float, float]] = []
+        for agent in sorted(steps, key=lambda name: (steps[name], -success[name])):
+            if not corners or success[agent] > corners[-1][1]:
+                corners.append((steps[agent], success[agent]))
+        corners.append((max(*steps.values(), 1.0) * 1.5, corners[-1][1]))
+        axes.step(*zip(*corners, strict=True), where="post", color="0.6", linewidth=0.8, zorder=0)
         axes.set_xscale("symlog", linthresh=1e4, linscale=0.6)
-        axes.set(xlabel="environment steps in training", ylabel=f"success in {environment} [%]")
+        axes.set(xlabel="environment steps in training", ylabel=f"success in {results.base} [%]")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlim(left=-2e3)
         axes.set_ylim(bottom=min(axes.get_ylim()[0], 90), top=101)
-        ends = {agent: ([cost], [100 * figures[agent].estimate]) for agent, cost in steps.items()}
-        name_lines(axes, ends, look)
+        name_lines(axes, {a: ([cost], [success[a]]) for a, cost in steps.items()}, look)
     said = "; ".join(
-        f"{agent} {cost:,.0f} steps, {quantity(SUCCESS, figures[agent].estimate)}"
+        f"{agent} {cost:,.0f} steps, {SUCCESS.quantity(found[agent].estimate)}"
         for agent, cost in steps.items()
     )
-    return Block(
-        (Panel("Sample cost", to_svg(figure, "frontier", f"Success against training: {said}")),),
-        "Sample cost: success after training against the environment steps of one training. Grey: "
-        "the frontier, the most success for at most so many steps. Agents at 0 are told their "
-        f"body instead. {INTERVALS} {instances_of(results, [environment])} "
-        f"{seeds_of(results, steps, [environment])}",
+    panel = Panel("Sample cost", f"Success against training: {said}", to_svg(figure, "frontier"))
+    return PanelFigure(
+        (panel,),
+        "Success after training against the environment steps of one training. Grey: the most "
+        "success for at most so many steps. Agents at 0 are told their body. Bars: 95 % intervals. "
+        f"{results.sample(steps, [results.base])}",
     )
 
 
-_SIZE = (2.6, 4.3)  # inches
-
-
-def movements(results: Results, environment: str, look: Mapping[str, Look]) -> Block:
-    """Hand paths and speed profile of each agent in an environment: a panel an agent."""
+def movements(results: Results, look: Mapping[str, Look]) -> PanelFigure | None:
+    """Draw hand paths and speed profile of each agent in the base environment."""
     if results.paths.empty:
-        return Block((), "")
-    rows = results.paths[results.paths["environment"] == environment]
+        return None
+    rows = results.paths[results.paths["environment"] == results.base]
     fastest, shown, seeds = 0.0, {}, []
     for agent in look:
         mine = rows[rows["agent"] == agent]
-        if not mine.empty:
-            lowest = mine["training_seed"].min()  # missing without training
-            if not np.isnan(lowest):
-                mine = mine[mine["training_seed"] == lowest]
-                seeds.append(f"{agent} seed {lowest:.0f}")
-            shown[agent] = mine
-            speeds = _quartiles(mine, results.control_step)
-            fastest = max(fastest, float(np.nanmax(speeds[2])))
+        if mine.empty:
+            continue
+        lowest = mine["training_seed"].min()  # missing without training
+        if not np.isnan(lowest):
+            mine = mine[mine["training_seed"] == lowest]
+            seeds.append(f"{agent} {lowest:.0f}")
+        shown[agent] = mine
+        fastest = max(fastest, float(np.nanmax(_quartiles(mine, results.control_step)[2])))
+    if not shown:
+        return None
     panels = tuple(
-        Panel(agent, to_svg(_draw(mine, results, fastest), f"movement-{number}", _alt(agent)))
+        Panel(
+            agent,
+            f"Hand paths of {agent} to the first targets, and its hand speed over time",
+            to_svg(_draw_movements(mine, results, fastest), f"movement-{number}"),
+        )
         for number, (agent, mine) in enumerate(shown.items())
     )
     instances = int(rows["instance"].nunique())
-    return Block(
+    trainings = f"Training seeds: {listed(seeds)}." if seeds else "Not trained: all agents."
+    return PanelFigure(
         panels,
-        f"Environment: {environment}. Above: hand paths in instances 1 to "
-        f"{min(instances, EXAMPLES)}, from the open "
-        "circle to the dot; the cross is the target, the ring around it the distance that counts "
-        "as success; dotted: reach. Below: hand speed, median (line) and quartiles (grey) over "
-        f"{count(instances, 'instance')}; all panels have the same scales. {_trainings(seeds)}",
+        f"Environment: {results.base}. Above: hand paths in instances 1 to "
+        f"{min(instances, EXAMPLES)}, from the open circle to the dot; the cross is the target, "
+        "the ring around it the distance that counts as success; dotted: reach. Below: hand "
+        f"speed, median and quartiles over {count(instances, 'instance')}. {trainings}",
     )
 
 
-def _trainings(seeds: Sequence[str]) -> str:
-    """Of which training the movements are, where there may be several."""
-    if not seeds:
-        return "Not trained: all of these agents."
-    return f"Training seeds: of trained agents, one training: {listed(seeds)}."
-
-
-def _alt(agent: str) -> str:
-    return f"Hand paths of {agent} to the first targets, and its hand speed over time"
-
-
-def _draw(rows: pd.DataFrame, results: Results, fastest: float) -> Figure:
-    with drawn(*_SIZE) as (figure, axes):
+def _draw_movements(rows: pd.DataFrame, results: Results, fastest: float) -> Figure:
+    with drawn(*_MOVEMENT_SIZE) as (figure, axes):
         axes.remove()
         above, below = figure.subplots(2, 1, height_ratios=(1.45, 1))
         _draw_paths(above, rows, results)
@@ -390,7 +377,9 @@ def _draw_paths(axes: Axes, rows: pd.DataFrame, results: Results) -> None:
         axes.plot(*hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
         axes.plot(*hands[-1], "o", color=colour, markersize=2.5)
         axes.annotate(
-            *(str(number + 1), (target[0], target[1]), (5, 4)),
+            str(number + 1),
+            (target[0], target[1]),
+            (5, 4),
             textcoords="offset points",
             color=colour,
         )
@@ -400,7 +389,7 @@ def _draw_paths(axes: Axes, rows: pd.DataFrame, results: Results) -> None:
 
 
 def _quartiles(rows: pd.DataFrame, control_step: float) -> NDArray[np.float64]:
-    """Speed over time, the quartiles over all movements, (3, steps)."""
+    """Return the quartiles over all movements of the speed over time, (3, steps)."""
     speeds = [
         hand_speed(steps.sort_values("step")[["hand_x", "hand_y"]].to_numpy(), control_step)
         for _, steps in rows.groupby("instance")

@@ -1,4 +1,4 @@
-"""Panels of figures: each its own small picture, so that a phone shows them one below the other.
+"""Panels: small pictures that a phone shows one below the other.
 
 Every agent has one look throughout the report.  Looks differ in line style and marker as well as
 in colour, and lines are named where they end.
@@ -10,11 +10,9 @@ import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from markupsafe import Markup, escape
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -30,14 +28,8 @@ _NUMBER = re.compile(r"(?<=[ \"(,])(-?\d+\.\d{2})\d+")
 _FONT = re.compile(r"font: (?:[a-z0-9 ]*?)([\d.]+)px [^;\"]*")
 
 
-def to_svg(figure: Figure, key: str, description: str) -> Markup:
-    """The figure as an `svg` element.
-
-    Args:
-        figure: what to draw.
-        key: unique in the page; all ids begin with it.
-        description: what stands for the figure where it cannot be seen.
-    """
+def to_svg(figure: Figure, key: str) -> str:
+    """Return the figure as an `svg` element, all ids of which begin with `key`."""
     buffer = io.StringIO()
     with rc_context({**STYLE, "svg.hashsalt": key}):
         figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
@@ -47,22 +39,18 @@ def to_svg(figure: Figure, key: str, description: str) -> Markup:
     text = _ID.sub(lambda m: f'id="{key}-{m[1]}"' if m[1] in used else "", text)
     text = _REFERENCE.sub(lambda m: f"{m[1]}{key}-{m[2]}", text)
     text = _FONT.sub(lambda m: f"font-size: {m[1]}px", _NUMBER.sub(r"\1", text))
-    text = re.sub(r"\n\s*", "\n", text)
-    label = f'role="img" aria-label="{escape(description)}"'
-    return Markup(text.replace("<svg ", f"<svg {label} ", 1).strip())
+    return re.sub(r"\n\s*", "\n", text).strip()
 
 
 WIDTH, HEIGHT = 3.5, 2.7  # inches; about the width of a phone
 _LABEL_GAP = 0.075  # of the height of the axes, between two names
-_NAME_LENGTH = 15
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c", "#a06a00", "#1b1b1b", "#56a0d3")
 _LINES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), "-")
 _MARKERS = "osD^vPX"
 
 
-@dataclass(frozen=True)
-class Look:
+class Look(NamedTuple):
     """How an agent is drawn."""
 
     colour: str
@@ -70,38 +58,37 @@ class Look:
     marker: str
 
 
-@dataclass(frozen=True)
-class Panel:
-    """A picture of a figure, and what stands above it."""
+class Panel(NamedTuple):
+    """A picture: its title, what it shows for those who do not see it, and the `svg` element."""
 
     title: str
-    svg: Markup
+    description: str
+    svg: str
 
 
-@dataclass(frozen=True)
-class Block:
-    """A figure: panels and the caption of all of them."""
+class PanelFigure(NamedTuple):
+    """A figure of the report: panels, and the caption of all of them."""
 
     panels: tuple[Panel, ...]
     caption: str
 
 
 def looks(agents: Sequence[str]) -> dict[str, Look]:
-    """The look of each of the agents that figures show."""
+    """Return the look of each of the agents that figures show."""
     return {
         agent: Look(_COLOURS[n % 7], _LINES[n % 7], _MARKERS[n % 7])
         for n, agent in enumerate(agents)
     }
 
 
-def shortened(name: str, length: int = _NAME_LENGTH) -> str:
-    """A name that fits into a figure."""
+def shortened(name: str, length: int = 15) -> str:
+    """Return a name that fits into a figure."""
     return name if len(name) <= length else f"{name[: length - 1]}…"
 
 
 @contextmanager
 def drawn(width: float = WIDTH, height: float = HEIGHT) -> Iterator[tuple[Figure, Axes]]:
-    """A figure with one pair of axes, in the style of all figures."""
+    """Give a figure with one pair of axes, in the style of all figures."""
     with rc_context({**STYLE, "text.parse_math": False, "font.size": 8.5}):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
@@ -121,18 +108,18 @@ def line_panel(
     markers: bool = True,
     connected: bool = True,
 ) -> Panel:
-    """A panel of a line for each agent, named at its end, on a band of its interval.
+    """Draw a line for each agent, named at its end, on a band of its interval.
 
     Args:
         key: unique in the page.
         title: above the panel.
-        description: instead of the panel, where it cannot be seen.
+        description: for those who do not see it.
         lines: (x, y) by agent.
         bands: (low, high) by agent.
         look: of each agent.
         finish: sets limits, scales and labels of the axes.
-        markers: whether every point is marked; else some are.
-        connected: whether x is a scale along which there is something between the points.
+        markers: whether to mark every point; else some are.
+        connected: whether to connect the points; not if there is nothing between them.
     """
     with drawn() as (figure, axes):
         for number, (agent, (x, y)) in enumerate(lines.items()):
@@ -152,7 +139,7 @@ def line_panel(
             )
         finish(axes)
         name_lines(axes, lines, look)
-    return Panel(title, to_svg(figure, key, description))
+    return Panel(title, description, to_svg(figure, key))
 
 
 def name_lines(
@@ -191,7 +178,7 @@ def name_lines(
 
 
 def spread(positions: Sequence[float], gap: float) -> list[float]:
-    """Positions, in ascending order, moved apart by at least `gap` and as little as possible.
+    """Return ascending positions, moved apart by at least `gap` and as little as possible.
 
     Example:
         >>> [round(p, 2) for p in spread([0.0, 0.5, 0.5], 0.1)]

@@ -1,44 +1,47 @@
-"""`mmc-gym report`: a benchmark's store becomes one HTML file that needs nothing beside it."""
+"""`mmc-gym report`: a benchmark's store becomes one HTML file that needs nothing beside it.
+
+No result is written here: every sentence with a number is computed from the estimates, and wins
+and losses follow from the same rule.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.policy import PRETRAINED
+from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.envs.render import shapes as drawing
-from mmc_gym.report import sentences as human
-from mmc_gym.report import sentences as words
-from mmc_gym.report.figures import (
-    PROFILE_RESAMPLES,
-    degradation,
-    dots,
-    frontier,
-    learning,
-    movements,
-    profiles,
-)
-from mmc_gym.report.numbers import count
+from mmc_gym.report import figures, tables
 from mmc_gym.report.panels import looks
 from mmc_gym.report.replay import replay
-from mmc_gym.report.results import Results, main_agents, read_results
-from mmc_gym.report.scores import RESAMPLES, Estimates, scoreboard
-from mmc_gym.report.tables import (
-    SIGNS,
-    board_table,
-    heat_table,
-    law_table,
-    ranking_table,
-    score_table,
-    told_rows,
+from mmc_gym.report.results import Results, count, listed, main_agents, read_results, reasons
+from mmc_gym.report.scores import (
+    COMMON,
+    MARGINS,
+    SUCCESS,
+    Comparison,
+    Estimates,
+    Outcome,
 )
 
 FOCUS = ("mmc", "mmc-closed")
 """The agents whose wins and losses are told: the network alone, and with all loops closed."""
+
+SMOOTH = "ppo-smooth"
+"""The agent that learned with a reward for smoothness: is it as human-like as `NETWORKS`?"""
+
+NETWORKS = ("mmc", "mmc-bell")
+
+EXAMPLES = 3
+"""Environments that a sentence names, those of the largest differences."""
 
 _SIDE_BY_SIDE = 4  # agents that the replay begins with
 
@@ -52,7 +55,7 @@ def write_report(
     """Write the report of a benchmark.
 
     Args:
-        store: folder of the benchmark, see `data`.
+        store: folder of the benchmark.
         out: the HTML file.
         cards: folder of this package's policies, for what they learned from.
         resamples: of each bootstrap.
@@ -61,17 +64,17 @@ def write_report(
         The file.
 
     Raises:
-        ValueError: if there is no store, or it is damaged, or `out` is a folder.
+        UserError: if there is no store, it is damaged or has no episodes, or `out` is a folder.
     """
     out = Path(out)
     if out.is_dir():
-        raise ValueError(f"out must be a file, got the folder {str(out)!r}")
+        raise UserError(f"out must be a file, got the folder {str(out)!r}")
     results = read_results(Path(store), Path(cards))
     return write_atomically(out, render(Estimates(results, resamples)))
 
 
 def render(estimates: Estimates) -> str:
-    """The report as HTML."""
+    """Return the report as HTML."""
     pages = Environment(
         loader=PackageLoader("mmc_gym.report"),
         autoescape=True,  # names of agents are what users call them
@@ -84,67 +87,187 @@ def render(estimates: Estimates) -> str:
 
 
 def context(estimates: Estimates) -> dict[str, Any]:
-    """What the template shows."""
+    """Return what the template shows."""
     results = estimates.results
     main = main_agents(results.identities)
     look = looks(main)
-    base = words.base_of(results)
     focus = [agent for name in FOCUS if (agent := results.labelled(name)) is not None]
-    boards = {agent: scoreboard(estimates, agent) for agent in focus}
-    boards = {agent: board for agent, board in boards.items() if board}
-    ranking = ranking_table(estimates)
-    ranked = [row[1] for row in ranking.rows] if ranking else []
-    human_measures = tuple(measure for measure in human.HUMAN if measure in results.measures)
-    others = tuple(measure for measure in results.measures if measure not in human_measures)
+    boards = {agent: board for agent in focus if (board := estimates.scoreboard(agent))}
+    smooth, likeness = results.labelled(SMOOTH), _likeness(estimates)
+    human = [measure for measure in results.measures if measure.name in MARGINS]
+    others = [measure for measure in results.measures if measure.name not in MARGINS]
     return {
         "results": results,
-        "base": base,
-        "scope": words.scope(results),
-        "overview": words.overview(estimates),
-        "ranking": ranking,
-        "heat": heat_table(results, list(dict.fromkeys([*ranked, *results.agents]))),
-        "standings": [words.standing(board, agent) for agent, board in boards.items()],
-        "human_likeness": human.human_likeness(estimates),
-        "margins": human.margins(),
-        "sample_cost": words.sample_cost(results),
-        "robustness": [s for agent in focus[:1] for s in words.robustness(estimates, agent)],
-        "told": told_rows(results),
-        "signs": SIGNS,
-        "no_boards": words.nothing_compared(results, focus),
-        "boards": [board_table(results, board, agent) for agent, board in boards.items()],
+        "scope": scope(results),
+        "lead": lead(estimates),
+        "ranking": tables.ranking_table(estimates),
+        "standings": [standing(board, agent) for agent, board in boards.items()],
+        "verdicts": [verdict(board, smooth or "", name) for name, board in likeness.items()],
+        "heat": tables.heat_table(estimates),
+        "told": tables.told_table(results),
         "replay": {
-            **replay(results, _replayed(results, base), main),
+            **replay(results, _replayed(results), main),
             "chosen": _one_of_each_kind(results, main),
             "colours": _colours(),
         },
-        "movements": movements(results, base, look),
-        "laws": law_table(results),
-        "human": dots(estimates, human_measures, look),
-        "at_a_glance": dots(estimates, others, look),
-        "learning": learning(estimates, look),
-        "frontier": frontier(estimates, look),
-        "profiles": profiles(estimates, look),
-        "degradation": degradation(estimates, look),
-        "tables": [score_table(estimates, key) for key in results.environments],
+        "signs": tables.SIGNS,
+        "boards": [tables.board_table(results, board, agent) for agent, board in boards.items()],
+        "no_boards": nothing_compared(results, focus),
+        "movements": figures.movements(results, look),
+        "likeness": tables.likeness_table(results, smooth or "", likeness) if likeness else None,
+        "margins": "; ".join(f"{one.full_label} {MARGINS[one.name]:g}" for one in human),
+        "laws": tables.law_table(results),
+        "human": figures.dots(estimates, human, look),
+        "at_a_glance": figures.dots(estimates, others, look),
+        "learning": figures.learning(estimates, look),
+        "cost": tables.cost_table(results),
+        "frontier": figures.frontier(estimates, look),
+        "profiles": figures.profiles(estimates, look),
+        "degradation": figures.degradation(estimates, look),
+        "tables": {key: tables.score_table(estimates, key) for key in results.environments},
+        "not_played": reasons(results.not_played),
         "main": main,
         "resamples": estimates.resamples,
-        "profile_resamples": PROFILE_RESAMPLES,
-        "not_played": words.not_played(results),
-        "instances": {
-            key: count(results.instances(key), "instance") for key in results.environments
-        },
+        "profile_resamples": figures.PROFILE_RESAMPLES,
         "version": version("mmc-gym"),
     }
 
 
-def _replayed(results: Results, base: str) -> list[str]:
-    """The unperturbed environment, another without perturbation, the strongest of each family."""
+def scope(results: Results) -> str:
+    """Return how much was played."""
+    policies = results.episodes[["agent", "training_seed"]].drop_duplicates()
+    return (
+        f"{count(len(results.agents), 'agent')}, {len(policies):,} policies "
+        f"with all training seeds, {count(len(results.environments), 'environment')}, "
+        f"{count(len(results.episodes), 'episode')}."
+    )
+
+
+def lead(estimates: Estimates) -> str:
+    """Return the success of the best agent of each kind; empty if nothing can be ranked."""
+    results = estimates.results
+    best: dict[str, Mapping[Hashable, Any]] = {}
+    for row in estimates.ranking.to_dict("records"):
+        best.setdefault(results.kind(str(row["agent"])), row)
+    parts = [
+        f"{row['agent']} ({kind}, {_trained(row)}) {SUCCESS.quantity(row['success'])} "
+        f"{SUCCESS.interval(row['success_low'], row['success_high'])}"
+        for kind, row in best.items()
+        if kind not in ("baseline", "ideal")
+    ]
+    environments = count(len(estimates.common), "environment")
+    return f"Success over {environments}, the best of each kind: {listed(parts)}." if parts else ""
+
+
+def _trained(row: Mapping[Hashable, Any]) -> str:
+    seeds = int(row["training_seeds"])
+    return count(seeds, "training seed") if seeds else "not trained"
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where an agent stands among its rivals.
+
+    Attributes:
+        agent: its name.
+        counts: comparisons by outcome.
+        better: a line for each measure, of where it is clearly better than all rivals.
+        worse: lines of the same form, of where the best rival is clearly better.
+    """
+
+    agent: str
+    counts: dict[Outcome, int]
+    better: tuple[str, ...]
+    worse: tuple[str, ...]
+
+    @property
+    def total(self) -> int:
+        """Number of comparisons."""
+        return sum(self.counts.values())
+
+
+def standing(board: Sequence[Comparison], agent: str) -> Standing:
+    """Return where an agent stands, from `Estimates.scoreboard`."""
+    return Standing(agent, _counts(board), _lines(board, "better"), _lines(board, "worse"))
+
+
+def _counts(board: Sequence[Comparison]) -> dict[Outcome, int]:
+    outcomes = [entry.outcome for entry in board]
+    return {outcome: outcomes.count(outcome) for outcome in tables.SIGNS}
+
+
+def _lines(board: Sequence[Comparison], outcome: Outcome) -> tuple[str, ...]:
+    lines = []
+    for measure in dict.fromkeys(entry.measure for entry in board):
+        compared = [entry for entry in board if entry.measure == measure]
+        found = sorted((e for e in compared if e.outcome == outcome), key=_gap, reverse=True)
+        examples = [
+            f"{entry.environment} ({' against '.join(_both(entry))} of {entry.rival})"
+            for entry in found[:EXAMPLES]
+        ]
+        more = [f"{len(found) - EXAMPLES} more"] if len(found) > EXAMPLES else []
+        if found:
+            lines.append(
+                f"{measure.full_label}: in {len(found)} of {count(len(compared), 'environment')}: "
+                f"{listed([*examples, *more])}"
+            )
+    return tuple(lines)
+
+
+def _both(entry: Comparison) -> tuple[str, str]:
+    """Return both values, with as many decimals as it takes to tell them apart."""
+    measure, more = entry.measure, entry.more_decimals
+    return measure.number(entry.mine.estimate, more), measure.quantity(entry.theirs.estimate, more)
+
+
+def _gap(entry: Comparison) -> float:
+    mine, theirs = entry.mine.estimate, entry.theirs.estimate
+    return abs(mine - theirs) / max(abs(mine), abs(theirs), 1e-12)
+
+
+def nothing_compared(results: Results, networks: Sequence[str]) -> str:
+    """Return why there are no comparisons, if there are none."""
+    if not networks:
+        return "The network did not take part in this benchmark."
+    if not any(results.rivals(agent) for agent in networks):
+        return "The network has no rival in this benchmark."
+    return f"There are fewer than {COMMON} instances in common to compare agents on."
+
+
+def _likeness(estimates: Estimates) -> dict[str, list[Comparison]]:
+    """Return the agent that learned to be smooth beside each network, where both have values."""
+    smooth = estimates.results.labelled(SMOOTH)
+    networks = [found for name in NETWORKS if (found := estimates.results.labelled(name))]
+    if smooth is None:
+        return {}
+    return {name: board for name in networks if (board := estimates.likeness(smooth, name))}
+
+
+def verdict(board: Sequence[Comparison], learned: str, network: str) -> str:
+    """Return whether an agent that learned to be smooth is as human-like as a network."""
+    counts = _counts(board)
+    said: dict[Outcome, str] = {
+        "better": "more human-like",
+        "worse": "less human-like",
+        "equal": "the same",
+        "unclear": "not to be told apart",
+    }
+    parts = [f"{words} in {counts[one]}" for one, words in said.items() if counts[one]]
+    who = f"{learned}, rewarded for smoothness, beside {network}"
+    return f"{who}: {listed(parts)} of {count(len(board), 'measure')}"
+
+
+def _replayed(results: Results) -> list[str]:
+    """Return the base, another environment without perturbation, the strongest of each family."""
     if results.paths.empty:
         return []
     recorded = set(results.paths["environment"])
-    plain = [key for key, one in results.environments.items() if not one.family and key != base]
-    strongest = [keys[-1] for keys in words.families(results).values()]
-    return [key for key in (base, *plain[:1], *strongest, *plain[1:]) if key in recorded]
+    plain = [
+        key for key, one in results.environments.items() if not one.family and key != results.base
+    ]
+    strongest = [keys[-1] for keys in results.families.values()]
+    found = dict.fromkeys([results.base, *plain[:1], *strongest, *plain[1:]])
+    return [key for key in found if key in recorded]
 
 
 def _one_of_each_kind(results: Results, agents: tuple[str, ...]) -> list[str]:
@@ -154,6 +277,6 @@ def _one_of_each_kind(results: Results, agents: tuple[str, ...]) -> list[str]:
 
 
 def _colours() -> dict[str, str]:
-    """Those of the environments' pictures."""
+    """Return the colours of the environments' pictures."""
     names = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "BASE", "TRACE", "TARGET")
     return {name.lower(): "#{:02x}{:02x}{:02x}".format(*getattr(drawing, name)) for name in names}

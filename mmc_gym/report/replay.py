@@ -1,15 +1,16 @@
 """The data of the replay: a few movements of the main agents, as compact JSON.
 
-Positions and angles are in thousandths, distances from the target in ten-thousandths, and every
-value but the first of a series is the difference from the one before, so that most are of one to
-three digits.  Where a cursor stands for the hand, under a visuomotor rotation, both are there; the
-distance is that of the cursor, as it is in success and in all measures.
+Positions and angles are in thousandths, distances from the target in ten-thousandths.  Every value
+but the first of a series is the difference from the one before, so that most have one to three
+digits.  Where a cursor stands for the hand, under a visuomotor rotation, both are there, and the
+distance is the cursor's, as it is in success and in all measures.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ _COARSE, _FINE = 1_000, 10_000  # parts of one
 
 
 def replay(results: Results, environments: Sequence[str], agents: Sequence[str]) -> dict[str, Any]:
-    """What the player shows: movements by environment, instance and agent.
+    """Return movements by environment, instance and agent.
 
     Of trained agents the first training seed is shown.  Instances are left out, the last first,
     until everything is within `BUDGET`.
@@ -43,9 +44,7 @@ def replay(results: Results, environments: Sequence[str], agents: Sequence[str])
             "step": results.control_step,
             "lengths": list(results.segment_lengths),
             "tolerance": results.tolerance,
-            "agents": [
-                a for a in agents if any(a in s["agents"] for v in scenes.values() for s in v)
-            ],
+            "agents": [a for a in agents if any(a in s["agents"] for s in chain(*scenes.values()))],
             "scenes": scenes,
         }
         if len(json.dumps(data, separators=(",", ":"))) <= BUDGET:
@@ -57,8 +56,6 @@ def _scenes(
     results: Results, environment: str, agents: Sequence[str], instances: int
 ) -> list[dict[str, Any]]:
     paths = results.paths
-    if paths.empty:
-        return []
     here = paths[(paths["environment"] == environment) & paths["agent"].isin(list(agents))]
     scenes = []
     for instance in sorted(here["instance"].unique())[:instances]:
@@ -106,7 +103,7 @@ def _movement(steps: pd.DataFrame, told: Sequence[float]) -> dict[str, Any]:
 def _lengths(
     angles: NDArray[np.float64], hand: NDArray[np.float64], told: Sequence[float]
 ) -> list[float]:
-    """Segment lengths with which the postures lead to the hand, as near as can be to the told.
+    """Return segment lengths with which the postures lead to the hand, the nearest to the told.
 
     The body may have other lengths than agents are told.
     """
@@ -120,7 +117,7 @@ def _lengths(
 
 
 def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:
-    """In parts of one, such as thousandths, the first and then the differences.
+    """Return values in parts of one, such as thousandths: the first, then the differences.
 
     Example:
         >>> _compact([1.0, 1.002, 0.9995])

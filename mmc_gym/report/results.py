@@ -1,10 +1,10 @@
-"""What the report is made of: episodes, paths and settings, read from a benchmark's store."""
+"""Reading a benchmark's store: episodes, paths, environments, and who the agents are."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import PRETRAINED, PolicyCard, is_policy_path, load_policy
 from mmc_gym.agents.views import VIEWS
@@ -19,7 +20,9 @@ from mmc_gym.benchmark.ranking import RANKING
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import untrained
 from mmc_gym.benchmark.store import (
+    EPISODES,
     MANIFEST,
+    PATHS,
     CellKey,
     read_episodes,
     read_manifest,
@@ -28,7 +31,7 @@ from mmc_gym.benchmark.store import (
 )
 from mmc_gym.benchmark.suite import BASELINE
 from mmc_gym.measures import MEASURES, Measure, leave_out_failures
-from mmc_gym.training.curves import read_cards
+from mmc_gym.training.curves import curve_rows, read_cards
 
 Kind = Literal["network", "inverse kinematics", "planner", "learned", "yours", "baseline", "ideal"]
 
@@ -266,12 +269,14 @@ class Results:
         segment_lengths: of the arm that agents are told of.
         tolerance: distance that counts as reached, segment lengths.
         versions: of the libraries.
-        cell_seconds: that all cells together took.
+        cell_seconds: computing time of all cells together.
         not_played: the cells without episodes, with the reason.
-        sets: columns agent, training_seed, environment, measure, unit, episodes, value: of all
-            episodes of a policy together, see `set_measures`; empty if none was taken.
+        sets: columns agent, training_seed, environment, measure, unit, episodes, value: one for
+            all episodes of a policy together; empty if there is none.
         ranking: of the agents, as `summarize_battery` returns it; empty if the store has none that
             is as new as itself.
+        curves: cards of the agents whose learning curves are known, by name.
+        damaged: why a card or a learning curve cannot be used, a line each.
     """
 
     episodes: pd.DataFrame
@@ -287,31 +292,69 @@ class Results:
     not_played: tuple[tuple[CellKey, str], ...]
     sets: pd.DataFrame
     ranking: pd.DataFrame
+    curves: Mapping[str, tuple[PolicyCard, ...]] = field(default_factory=dict)
+    damaged: tuple[str, ...] = ()
 
     def kind(self, agent: str) -> Kind:
-        """What sort of agent it is."""
+        """Return what sort of agent it is."""
         return self.identities[agent].kind
 
     def labelled(self, name: str) -> str | None:
-        """What an agent of this package is called here; None if it did not take part."""
+        """Return what an agent of this package is called here; None if it did not take part."""
         return labelled(self.identities, name)
 
-    @property
-    def curves(self) -> dict[str, tuple[PolicyCard, ...]]:
-        """The cards of those agents whose learning curves are known."""
-        return {
-            agent: cards
-            for agent, cards in self.cards.items()
-            if all(card.learning_curve for card in cards)
-        }
+    def rivals(self, agent: str) -> tuple[str, ...]:
+        """Return agents of other kinds, but not the random one, nor the hand without an arm."""
+        apart = {self.kind(agent), "baseline", "ideal"}
+        return tuple(other for other in self.agents if self.kind(other) not in apart)
 
     @property
     def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
         """Cards of the policies that took part, by agent; only of agents whose cards are known."""
         return {agent: one.cards for agent, one in self.identities.items() if one.cards}
 
+    @property
+    def base(self) -> str:
+        """The environment without perturbation, or another task without any, or else the first."""
+        plain = [key for key, one in self.environments.items() if not one.family]
+        return BASELINE if BASELINE in plain else next(iter([*plain, *self.environments]))
+
+    @property
+    def families(self) -> dict[str, list[str]]:
+        """Keys of the perturbed environments by family, the weakest first."""
+        found: dict[str, list[str]] = {}
+        for key, environment in self.environments.items():
+            if environment.family:
+                found.setdefault(environment.family, []).append(key)
+        return {
+            family: sorted(keys, key=lambda key: self.environments[key].strength)
+            for family, keys in found.items()
+        }
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """The measures that the report shows: those of `mmc-gym compare` that were stored."""
+        return tuple(
+            measure
+            for measure in MEASURES.values()
+            if measure.shown
+            and measure.name in self.episodes
+            and self.episodes[measure.name].notna().any()
+        )
+
+    @property
+    def numbered_episodes(self) -> pd.DataFrame:
+        """Episodes as they are stored, with training seed 0 for agents without training."""
+        seeds = self.episodes["training_seed"].fillna(0).astype(int)
+        return self.episodes.assign(training_seed=seeds)
+
+    @property
+    def cells_not_played(self) -> list[CellKey]:
+        """Cells without episodes, but for those of the hand without an arm."""
+        return [cell for cell, _ in self.not_played if cell.agent != REFERENCE]
+
     def seeds(self, agent: str, environments: Iterable[str] = ()) -> tuple[int, int] | None:
-        """The least and the most training seeds of an agent in any one of some environments.
+        """Return the least and the most training seeds of an agent in any of some environments.
 
         Args:
             agent: its name; (0, 0) is the answer for one without training.
@@ -325,8 +368,30 @@ class Results:
         return (min(counts), max(counts)) if counts else None
 
     def instances(self, environment: str) -> int:
-        """Number of starts and targets in an environment."""
+        """Return the number of starts and targets in an environment."""
         return self._instances.get(environment, 0)
+
+    def sample(self, agents: Iterable[str], environments: Iterable[str]) -> str:
+        """Return over how many instances and training seeds the figures of agents are.
+
+        Args:
+            agents: in the figure; those that were in none of the environments are left out.
+            environments: keys, in the figure.
+        """
+        keys = tuple(environments)
+        counts = sorted({self.instances(key) for key in keys}) or [0]
+        each = " in each environment" if len(counts) > 1 else ""
+        by_count: dict[tuple[int, int], list[str]] = {}
+        for agent in agents:
+            if (found := self.seeds(agent, keys)) is not None:
+                by_count.setdefault(found, []).append(agent)
+        trained = [
+            f"{listed(names)} {_span(numbers)}"
+            for numbers, names in sorted(by_count.items())
+            if numbers[1]
+        ]
+        seeds = f"Training seeds: {'; '.join(trained)}." if trained else "Not trained: all agents."
+        return f"Instances: {_span((counts[0], counts[-1]))}{each}. {seeds}"
 
     @cached_property
     def _seeds(self) -> dict[tuple[str, str], int]:
@@ -341,16 +406,29 @@ class Results:
         counts = self.episodes.groupby("environment")["instance"].nunique()
         return {str(key): int(number) for key, number in counts.items()}
 
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """The measures that the report shows: those of `mmc-gym compare` that were stored."""
-        return tuple(
-            measure
-            for measure in MEASURES.values()
-            if measure.shown
-            and measure.name in self.episodes
-            and self.episodes[measure.name].notna().any()
-        )
+
+def count(number_of: int, noun: str) -> str:
+    """Return a number and its noun.
+
+    Example:
+        >>> count(1, "seed"), count(1200, "seed")
+        ('1 seed', '1,200 seeds')
+    """
+    return f"{number_of:,} {noun}{'' if number_of == 1 else 's'}"
+
+
+def listed(items: Sequence[str]) -> str:
+    """Return items with commas, the last with "and".
+
+    Example:
+        >>> listed(["a", "b", "c"])
+        'a, b and c'
+    """
+    return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
+
+
+def _span(ends: tuple[int, int]) -> str:
+    return str(ends[0]) if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
 
 
 def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
@@ -361,24 +439,33 @@ def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
         cards: folder of this package's policies, for what they learned from.
 
     Raises:
-        ValueError: if there is no store, or it is damaged.
+        UserError: if there is no store, it is damaged, or it has no episodes; the message then
+            says why its cells were not played.
     """
     manifest = read_manifest(store)
+    not_played = tuple(
+        (CellKey(one["agent"], one["training_seed"], one["environment"]), str(one["reason"]))
+        for one in (*manifest["skipped"], *manifest["failed"])
+    )
+    if not_played and not _has(store, EPISODES):
+        raise UserError(
+            f"store {str(store)!r} must have episodes, got none: {'; '.join(reasons(not_played))}"
+        )
     not_trained = untrained(manifest)
     episodes = leave_out_failures(_without_seeds(read_episodes(store), not_trained))
     present = set(episodes["environment"])
     shipped = _cards(cards)
     identities = {
-        agent: identify(manifest["agents"][agent]["sources"].values(), shipped)
+        agent: identify(manifest["agents"].get(agent, {"sources": {}})["sources"].values(), shipped)
         for agent in map(str, dict.fromkeys(episodes["agent"]))
     }
-    missing = (*manifest["skipped"], *manifest["failed"])
+    curves, damaged = _curves(identities)
     return Results(
         episodes=episodes,
         paths=_paths(store, not_trained),
         environments={
-            key: _environment(key, entry)
-            for key, entry in manifest["environments"].items()
+            key: _environment(key, manifest["environments"].get(key, {}))
+            for key in dict.fromkeys([*manifest["environments"], *sorted(present)])
             if key in present
         },
         identities=identities,
@@ -388,34 +475,62 @@ def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
         tolerance=float(manifest["tolerance"]),
         versions=manifest["versions"],
         cell_seconds=float(sum(manifest["wall_seconds"].values())),
-        not_played=tuple(
-            (CellKey(e["agent"], e["training_seed"], e["environment"]), e["reason"])
-            for e in missing
-        ),
+        not_played=not_played,
         sets=_without_seeds(read_sets(store), not_trained),
         ranking=_ranking(store),
+        curves=curves,
+        damaged=damaged,
     )
+
+
+def reasons(not_played: Iterable[tuple[CellKey, str]]) -> list[str]:
+    """Return a line for each agent and reason, with the environments that were not played."""
+    groups: dict[tuple[str, str], dict[str, None]] = {}
+    for cell, reason in not_played:
+        groups.setdefault((cell.agent, reason), {})[cell.environment] = None
+    return [
+        f"{agent} in {', '.join(environments)}: {reason}"
+        for (agent, reason), environments in groups.items()
+    ]
 
 
 def _environment(key: str, entry: Mapping[str, Any]) -> Environment:
-    strength = entry["strength"]
+    strength = entry.get("strength")
     return Environment(
         key,
-        id=entry["id"],
-        description=entry["description"],
-        family=entry["family"],
+        id=entry.get("id", ""),
+        description=entry.get("description", ""),
+        family=entry.get("family", ""),
         strength=math.nan if strength is None else float(strength),
-        unit=entry["unit"],
-        baseline=entry["baseline"] or BASELINE,
+        unit=entry.get("unit", ""),
+        baseline=entry.get("baseline") or BASELINE,
     )
 
 
+def _has(store: Path, kind: str) -> bool:
+    return any((store / kind).glob("[!.]*.parquet"))
+
+
 def _paths(store: Path, not_trained: Collection[str]) -> pd.DataFrame:
-    try:
-        paths = _without_seeds(read_paths(store), not_trained)
-        return paths.astype({"agent": "category", "environment": "category"})  # quick to compare
-    except ValueError:
+    if not _has(store, PATHS):
         return pd.DataFrame()  # the report can do without
+    paths = _without_seeds(read_paths(store), not_trained)
+    return paths.astype({"agent": "category", "environment": "category"})  # quick to compare
+
+
+def _curves(
+    identities: Mapping[str, Identity],
+) -> tuple[dict[str, tuple[PolicyCard, ...]], tuple[str, ...]]:
+    """Return the cards with learning curves, and why others have none that can be used."""
+    curves, damaged = {}, []
+    for agent, one in identities.items():
+        if one.cards and all(card.learning_curve for card in one.cards):
+            try:
+                curve_rows({agent: one.cards})
+                curves[agent] = one.cards
+            except ValueError as error:
+                damaged.append(f"{agent}: {error}")
+    return curves, tuple(damaged)
 
 
 def _ranking(store: Path) -> pd.DataFrame:

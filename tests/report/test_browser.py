@@ -13,6 +13,15 @@ import shutil
 from pathlib import Path
 
 import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.benchmark.store import read_episodes
+from mmc_gym.report import write_report
 
 CHROMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = (
@@ -43,9 +52,6 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def browser(report_file, tmp_path_factory):
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
     options = webdriver.ChromeOptions()
     options.binary_location = chrome
     for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
@@ -61,9 +67,6 @@ def browser(report_file, tmp_path_factory):
 @pytest.fixture(scope="module")
 def rotated(tmp_path_factory):
     """A benchmark that was played, with a cursor in place of the hand, and its report."""
-    from mmc_gym.benchmark.runner import benchmark
-    from mmc_gym.report import write_report
-
     store = tmp_path_factory.mktemp("rotated")
     benchmark(["mmc", "mmc-closed"], store, ["random", "rotation-30"], episodes=3, jobs=1)
     return store, write_report(store, store / "report.html", resamples=20)
@@ -100,8 +103,6 @@ def pictures(browser):
 
 
 def wait_until(browser, condition):
-    from selenium.webdriver.support.ui import WebDriverWait
-
     WebDriverWait(browser, PATIENCE, 0.1).until(lambda _: condition())
 
 
@@ -114,9 +115,6 @@ def seek(browser, step):
 
 
 def choose(browser, name, value):
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.support.ui import Select
-
     Select(browser.find_element(By.ID, f"replay-{name}")).select_by_value(value)
 
 
@@ -178,9 +176,6 @@ def test_a_frame_that_began_before_the_click_is_no_way_back(page):
 
 
 def test_keys_step_through_the_replay(page):
-    from selenium.webdriver.common.by import By
-    from selenium.webdriver.common.keys import Keys
-
     stage = page.find_element(By.ID, "replay-stage")
     stage.send_keys(Keys.HOME)
     assert page.find_element(By.ID, "replay-clock").text == "0.00 s"
@@ -189,10 +184,6 @@ def test_keys_step_through_the_replay(page):
 
 
 def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
-    from selenium.webdriver.common.by import By
-
-    from mmc_gym.benchmark.store import read_episodes
-
     store, report = rotated
     episodes = read_episodes(store).set_index(["environment", "instance", "agent"])
     load(browser, report)
@@ -216,8 +207,6 @@ def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
 
 
 def test_environment_instance_and_agents_can_be_chosen(page):
-    from selenium.webdriver.common.by import By
-
     first = pictures(page)
     choose(page, "instance", "2")
     second = pictures(page)

@@ -1,0 +1,260 @@
+"""Estimates, and what tables, figures and sentences say of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmc_gym.benchmark.ranking import summarize_battery
+from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.benchmark.statistics import Bootstrap, Estimate
+from mmc_gym.benchmark.store import read_episodes
+from mmc_gym.measures import MEASURES, SET_MEASURES
+from mmc_gym.measures.episode import moving_part
+from mmc_gym.measures.speed import (
+    MINIMUM_JERK_SPAN,
+    correlation_with_minimum_jerk,
+    spectral_arc_length,
+)
+from mmc_gym.report import render, write_report
+from mmc_gym.report.figures import movements, profiles
+from mmc_gym.report.panels import looks, spread
+from mmc_gym.report.results import read_results
+from mmc_gym.report.scores import MARGINS, SUCCESS, Comparison, Estimates, judge
+from mmc_gym.report.tables import LAWS, heat_table, law_table, ranking_table, score_table
+
+MMC, IK, PPO = ((0,), 20, 0.06, 0.02), ((0,), 30, 0.02, 0.02), ((0, 1), 28, 0.02, 0.0001)
+
+
+@pytest.fixture(scope="module")
+def estimates(benchmark_store):
+    return Estimates(read_results(*benchmark_store), resamples=200)
+
+
+@pytest.fixture(scope="module")
+def interrupted(make_store, tmp_path_factory):
+    """A store in which ppo-1 has not come to the end."""
+    folder = tmp_path_factory.mktemp("interrupted")
+    missing = [("ppo", 1, "rotation-15"), ("ppo", 1, "centre-out")]
+    keys = ("random", "centre-out", "rotation-15", "rotation-60")
+    make_store(folder, {"mmc": MMC, "ik-dls": IK, "ppo": PPO}, keys, missing)
+    return folder
+
+
+def between(low, high):
+    return Estimate((low + high) / 2, low, high, (0, 0), 30, 1)
+
+
+@pytest.mark.parametrize(
+    ("measure", "ends", "outcome"),
+    [
+        ("success", (0.1, 0.3), "better"),
+        ("time_to_target", (0.1, 0.3), "worse"),
+        ("success", (-0.1, 0.3), "unclear"),
+        ("success", (0.0, 0.0), "equal"),
+        ("final_distance", (1e-7, 4e-4), "equal"),  # no table shows it
+        ("final_distance", (1e-7, 6e-4), "worse"),
+    ],
+)
+def test_a_difference_is_clear_if_its_interval_excludes_none_that_can_be_seen(
+    measure, ends, outcome
+):
+    assert judge(between(*ends), MEASURES[measure]) == outcome
+
+
+@pytest.mark.parametrize(
+    ("ends", "outcome"),
+    [
+        ((-0.9, 0.9), "equal"),
+        ((0.1, 0.9), "equal"),  # a difference, but a small one
+        ((-0.1, 1.1), "unclear"),
+        ((0.1, 1.1), "better"),
+        ((-1.1, -0.1), "worse"),
+    ],
+)
+def test_only_an_interval_within_the_margin_makes_two_agents_the_same(ends, outcome):
+    margin = MARGINS["sparc"]
+    difference = between(*(end * margin for end in ends))
+    assert judge(difference, MEASURES["sparc"], margin) == outcome
+
+
+def test_the_margins_are_what_lies_between_minimum_jerk_and_minimum_acceleration():
+    step, steps = 0.02, 40
+    phases = np.linspace(0, 1, steps + 1)
+    jerk = np.diff(phases**3 * (10 - 15 * phases + 6 * phases**2)) / step
+    acceleration = np.diff(phases**2 * (3 - 2 * phases)) / step
+    jerk, acceleration = (one[moving_part(one)] for one in (jerk, acceleration))
+    correlation = correlation_with_minimum_jerk(acceleration, MINIMUM_JERK_SPAN)
+    assert 1 - correlation == pytest.approx(MARGINS["minimum_jerk_correlation"], abs=0.002)
+    smoothness = spectral_arc_length(jerk, step) - spectral_arc_length(acceleration, step)
+    assert smoothness == pytest.approx(MARGINS["sparc"], abs=0.02)
+
+
+def test_differences_are_those_of_the_paired_bootstrap(estimates):
+    episodes = estimates.results.episodes
+    rows = episodes[episodes["environment"].eq("random") & episodes["agent"].isin(["mmc", "ppo"])]
+    mean = replace(MEASURES["episode_return"], statistic="mean")
+    found = estimates.scores("random").difference("mmc", "ppo", mean)
+    expected = Bootstrap.of(rows, mean.name, resamples=200).difference("mmc", "ppo")
+    assert found.estimate == pytest.approx(expected.estimate)
+    assert found.seeds == expected.seeds == (0, 2)
+    width = expected.high - expected.low  # other draws of training seeds
+    assert found.low == pytest.approx(expected.low, abs=0.3 * width)
+    assert found.high == pytest.approx(expected.high, abs=0.3 * width)
+
+
+def test_an_agent_that_hardly_ever_arrives_wins_no_race(estimates):
+    assert estimates.compare("rotation-60", MEASURES["time_to_target"], "mmc", ["ppo"]) is None
+
+
+def test_wins_and_losses_are_told_in_the_same_form(estimates):
+    board = estimates.scoreboard("mmc")
+    standing = render.standing(board, "mmc")
+    assert standing.total == len(board)
+    assert any(line.startswith("time to target") for line in standing.better)
+    assert any("rotation-15 (0.0 against 100.0 % of ppo" in line for line in standing.worse)
+
+
+def test_lines_name_the_largest_differences_first():
+    def entry(key, mine):
+        values = [Estimate(value, value, value, (0,), 9, 1) for value in (mine, 1.0, mine - 1.0)]
+        return Comparison(key, SUCCESS, "ppo", *values, "worse")
+
+    board = [entry(f"e{number}", number / 10) for number in range(5, 0, -1)]
+    (line,) = render.standing(board, "mmc").worse
+    assert "in 5 of 5 environments: e1 (10.0 against 100.0 % of ppo), e2" in line
+    assert line.endswith("and 2 more")
+
+
+def test_values_have_as_many_decimals_as_it_takes_to_tell_them_apart():
+    def entry(*values):
+        both = [between(value, value) for value in (*values, 0.0)]
+        return Comparison("random", MEASURES["final_distance"], "ppo", *both, "better")
+
+    assert [entry(0.0101, other).more_decimals for other in (0.0104, 0.02, 0.0101)] == [1, 0, 0]
+
+
+def test_learning_that_is_more_human_like_is_said_to_be(estimates):
+    board = estimates.likeness("ppo-smooth", "mmc")
+    assert {entry.measure.name for entry in board} == set(MARGINS)
+    assert "better" in {entry.outcome for entry in board}
+    said = render.verdict(board, "ppo-smooth", "mmc")
+    assert said.startswith("ppo-smooth, rewarded for smoothness, beside mmc: more human-like in")
+    assert said.endswith("of 3 measures")
+
+
+def test_the_verdict_counts_all_outcomes(estimates):
+    board = estimates.likeness("ppo-smooth", "mmc")
+    entries = [replace(board[0], outcome=one) for one in ("better", "worse", "equal", "unclear")]
+    assert render.verdict(entries, "a", "b") == (
+        "a, rewarded for smoothness, beside b: more human-like in 1, less human-like in 1, the "
+        "same in 1 and not to be told apart in 1 of 4 measures"
+    )
+
+
+def test_the_reason_is_told_why_nothing_is_compared(make_store, tmp_path):
+    make_store(tmp_path / "few", {"mmc": MMC, "ik-dls": IK}, ("random",), instances=3)
+    few = read_results(tmp_path / "few", tmp_path)
+    assert Estimates(few, 50).scoreboard("mmc") == []
+    assert "fewer than 5 instances" in render.nothing_compared(few, ["mmc"])
+    make_store(tmp_path / "alone", {"mmc": MMC}, ("random",))
+    alone = read_results(tmp_path / "alone", tmp_path)
+    assert "has no rival" in render.nothing_compared(alone, ["mmc"])
+    assert "did not take part" in render.nothing_compared(alone, [])
+
+
+def test_the_ranking_is_that_of_the_terminal(benchmark_store, estimates):
+    untrained = ("mmc", "mmc-closed", "ik-dls", "<script>alert(1)</script>")
+    expected = summarize_battery(read_episodes(benchmark_store[0]), [], untrained, resamples=200)
+    table = ranking_table(estimates)
+    assert [row.name for row in table.rows] == expected["agent"].to_list()
+    assert [row.cells[0].text for row in table.rows] == expected["rank"].astype(str).to_list()
+    best = expected.iloc[0]
+    low, high = 100 * best["success_low"], 100 * best["success_high"]
+    success = table.rows[0].cells[1]
+    assert (success.text, success.notes) == (
+        f"{100 * best['success']:.1f}",
+        (f"[{low:.1f}, {high:.1f}]",),
+    )
+    assert {row.name: row.cells[-1].text for row in table.rows}["ppo"] == "2"
+    assert "success over 7 environments, each weighing the same" in table.caption
+    assert "Training seeds: ppo and ppo-smooth 2" in table.caption
+    assert f"{best['agent']} (learned, 2 training seeds)" in render.lead(estimates)
+
+
+def test_the_interval_of_a_time_contains_it(estimates):
+    times = dict(zip(estimates.ranking["agent"], estimates.ranking["time_to_target"]))
+    for agent in ("mmc", "ppo"):
+        low, high = estimates.time_interval(agent)
+        assert low <= times[agent] <= high
+
+
+def test_success_stands_for_each_agent_and_environment(estimates):
+    heat = heat_table(estimates)
+    agents = [heading.label for heading in heat.headings[1:]]
+    assert REFERENCE not in agents
+    assert [row.name for row in heat.rows] == list(estimates.results.environments)
+    cells = {row.name: dict(zip(agents, row.cells)) for row in heat.rows}
+    assert cells["random"]["mmc"][:4] == ("100", (), True, "s10")
+    assert cells["rotation-60"]["mmc"][:4] == ("0", (), False, "s0")
+    assert [row.name for row in heat.rows if row.look] == ["rotation-15", "delay-100", "locked-1"]
+
+
+def test_agents_keep_the_laws_beside_people(benchmark_store):
+    results = read_results(*benchmark_store)
+    assert law_table(results) is None
+    rows = [
+        ("mmc", math.nan, "speed_curvature_exponent", 0.25),
+        ("mmc", math.nan, "speed_curvature_r_squared", 0.9),
+        ("mmc", math.nan, "fitts_slope", math.nan),
+        ("ppo", 0.0, "speed_curvature_exponent", 0.2),
+        ("ppo", 1.0, "speed_curvature_exponent", 0.4),
+    ]
+    columns = ["agent", "training_seed", "measure", "value"]
+    table = law_table(replace(results, sets=pd.DataFrame(rows, columns=columns)))
+    assert table.headings[1:] == (("speed-curvature exponent", "", ""),)
+    assert {row.name: row.cells[0][:2] for row in table.rows} == {
+        "people": ("0.333", ("Lacquaniti et al. 1983",)),
+        "mmc": ("0.250", ("R² 0.90",)),
+        "ppo": ("0.300", ("0.200 to 0.400",)),
+    }
+    names = {name for law in LAWS for name in (law.measure, law.explained) if name}
+    assert names <= SET_MEASURES.keys()
+
+
+def test_an_agent_without_all_seeds_everywhere_does_not_end_the_report(interrupted, tmp_path):
+    text = write_report(interrupted, tmp_path / "report.html", tmp_path, 50).read_text()
+    assert "1 perturbed environments" not in text
+    assert "Left out: 1 environment that not all" in text
+
+
+def test_profiles_are_over_what_every_policy_has_met(interrupted, tmp_path):
+    estimates = Estimates(read_results(interrupted, tmp_path), resamples=50)
+    panels = profiles(estimates, looks(estimates.results.agents)).panels
+    assert [panel.title for panel in panels] == ["Unperturbed (random)", "1 perturbed environment"]
+
+
+def test_seeds_are_counted_where_the_figures_are(interrupted, tmp_path):
+    results = read_results(interrupted, tmp_path)
+    estimates = Estimates(results, resamples=50)
+    assert "Training seeds: ppo 1." in score_table(estimates, "centre-out").caption
+    assert "Training seeds: ppo 2." in score_table(estimates, "random").caption
+    assert results.sample(["mmc"], ["random"]) == "Instances: 14. Not trained: all agents."
+    assert "Training seeds: ppo 1 to 2." in results.sample(results.agents, results.environments)
+
+
+def test_movements_are_of_one_training_seed_and_say_which(make_store, tmp_path):
+    make_store(tmp_path, {"mmc": MMC, "ppo": ((3,), 28, 0.02, 0.0005)}, ("random",))
+    results = read_results(tmp_path, tmp_path)
+    shown = movements(results, looks(results.agents))
+    assert {panel.title for panel in shown.panels} >= {"mmc", "ppo"}
+    assert "Training seeds: ppo 3." in shown.caption
+
+
+def test_names_at_the_ends_of_lines_do_not_overlap():
+    places = spread([0.5, 0.5, 0.51, 0.9], 0.07)
+    assert np.diff(places).min() >= 0.07 - 1e-9
