@@ -40,7 +40,8 @@ from mmc_gym.benchmark.store import (
     write_manifest,
 )
 from mmc_gym.benchmark.suite import BatteryEnvironment, find_environments
-from mmc_gym.measures import MEASURES, Episode
+from mmc_gym.measures import MEASURES, SET_MEASURES, Episode, Measure, SetMeasure
+from mmc_gym.measures.catalogue import digest, own_measures, register_measures
 from mmc_gym.measures.rollout import (
     episode_seeds,
     run_episodes,
@@ -71,6 +72,7 @@ class BatteryCell:
         seed: that the seeds of the episodes are derived from, the same for all cells.
         fingerprint: of the contestant, which it takes long to find.
         keeps_paths: whether its first paths are kept.
+        measures: that the user has registered, for the process that plays it.
     """
 
     contestant: Contestant
@@ -80,6 +82,7 @@ class BatteryCell:
     seed: int
     fingerprint: str = ""
     keeps_paths: bool = True
+    measures: tuple[Measure | SetMeasure, ...] = ()
 
     @property
     def key(self) -> CellKey:
@@ -96,6 +99,11 @@ class BatteryCell:
             "environment": self.environment.settings,
             "episodes": self.episodes,
             "seed": self.seed,
+            **(
+                {"measures": {one.name: digest(one) for one in self.measures}}
+                if self.measures
+                else {}
+            ),
         }
 
 
@@ -128,6 +136,7 @@ class _CannotActError(Exception):
 def run_cell(cell: BatteryCell) -> CellOutcome:
     """Play a cell.  What an agent raises is a result, and ends nothing."""
     begin, processor_begin = time.perf_counter(), time.process_time()
+    register_measures(cell.measures)
     try:
         recorded = _play(cell)
     except _CannotActError as error:
@@ -306,6 +315,7 @@ def benchmark(
         BatteryCell(
             *(one, name, environment, episodes, seed, fingerprints[one]),
             keeps_paths=one.training_seed == lowest[one.agent],
+            measures=own_measures(),
         )
         for one in players
         for name, environment in found.items()
@@ -365,7 +375,12 @@ def _joined_manifest(
         raise ValueError(f"out must be a folder, got the file {str(out)!r}")
     manifest = fresh = _fresh_manifest(episodes, seed)
     if (out / MANIFEST).exists():
-        manifest = {**fresh, **read_manifest(out), "measures": fresh["measures"]}
+        kept = read_manifest(out)
+        # Of a measure that is known to an earlier run alone, its columns are kept as well.
+        measures = {
+            kind: {**kept.get(kind, {}), **fresh[kind]} for kind in ("measures", "set_measures")
+        }
+        manifest = {**fresh, **kept, **measures}
     _require_same(out, "episodes", manifest["episodes"], episodes)
     _require_same(out, "seed", manifest["seed"], seed)
     for name, environment in environments.items():
@@ -389,7 +404,8 @@ def _fresh_manifest(episodes: int, seed: int) -> Manifest:
         "segment_lengths": list(plain.parameters.segment_lengths),
         "tolerance": plain.success_distance,
         "control": plain.control,
-        "measures": {measure.name: measure.unit for measure in MEASURES.values()},
+        "measures": {name: one.facts for name, one in MEASURES.items()},
+        "set_measures": {name: one.facts for name, one in SET_MEASURES.items()},
         "environments": {},
         "agents": {},
         "skipped": [],

@@ -1,7 +1,7 @@
 """The registry of measures: a decorator puts label, unit and direction beside a function.
 
-Every registered measure has a column in the data and a row in the summary of `mmc_gym.compare`, the
-benchmark and its report.  Register your own the same way:
+Every registered measure has a column in the data of comparisons and benchmarks.  Their tables and
+the report show it if it is `shown`.  Register your own the same way:
 
     from mmc_gym.measures import Episode, measure
 
@@ -19,9 +19,12 @@ tables and comparisons see.
 
 from __future__ import annotations
 
+import hashlib
+import inspect
+import json
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -66,6 +69,11 @@ class Quantity:
     unit: str
     best: Direction
     decimals: int
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """All attributes but the function, ready for JSON; `measures_of` reads them."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "of"}
 
     @property
     def shown_unit(self) -> str:
@@ -265,6 +273,43 @@ def register_measures(measures: Iterable[Measure | SetMeasure]) -> None:
     """
     for one in measures:
         _add(one)
+
+
+def digest(known: Measure | SetMeasure) -> str:
+    """Return the SHA-256 of a measure's facts and its function's source, as far as it is known."""
+    try:
+        source = inspect.getsource(known.of)
+    except (OSError, TypeError):  # typed into an interpreter, or a callable object
+        source = _origin(known)
+    return hashlib.sha256(json.dumps([known.facts, source]).encode()).hexdigest()
+
+
+def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
+    """Return the measures of a store by their names, also those that are not registered here.
+
+    Args:
+        facts: of the store's measures, by their names; see `Quantity.facts`.
+    """
+    others = {
+        name: Measure(**told, of=_not_here)
+        for name, told in facts.items()
+        if name not in MEASURES and isinstance(told, Mapping)
+    }
+    return {**MEASURES, **others}
+
+
+def set_measures_of(facts: Mapping[str, Any]) -> dict[str, SetMeasure]:
+    """Return the measures of sets of a store by their names, see `measures_of`."""
+    others = {
+        name: SetMeasure(**told, of=_not_here)
+        for name, told in facts.items()
+        if name not in SET_MEASURES
+    }
+    return {**SET_MEASURES, **others}
+
+
+def _not_here(episode: object) -> float:
+    raise RuntimeError("this measure is known from a store, but its function is not here")
 
 
 def shown_measures() -> tuple[Measure, ...]:

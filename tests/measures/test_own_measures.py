@@ -1,0 +1,106 @@
+"""Measures of users, registered in a module and in a script, in all that shows measures."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+
+from mmc_gym.benchmark.compare import compare
+from mmc_gym.benchmark.store import read_episodes, read_manifest, read_sets
+from mmc_gym.measures import MEASURES, measure
+
+MODULE = """
+from mmc_gym.measures import Episode, measure, set_measure
+
+@measure(label="steps to move", best="low", decimals=0, shown=True)
+def steps_to_move(episode: Episode) -> float:
+    return float((episode.speeds > 0).argmax())
+
+@set_measure(label="episodes", environment="random", decimals=0)
+def number_of_episodes(episodes) -> float:
+    return float(len(episodes))
+"""
+
+SCRIPT = """
+import sys
+from pathlib import Path
+import my_measures
+from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.measures import measure
+
+@measure(label="half-way time", unit="s", best="low", shown=True, successes_only=True)
+def half_way_time(episode):
+    return int((episode.distances <= episode.distances[0] / 2).argmax()) * episode.control_step
+
+if __name__ == "__main__":
+    cluster = sys.argv[2] if len(sys.argv) > 2 else None
+    benchmark(["mmc", "ik-dls"], Path(sys.argv[1]), ["random"], 3, jobs=2, cluster=cluster)
+"""
+
+
+@pytest.fixture
+def run_script(tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "local")
+    monkeypatch.setenv("RAY_TMPDIR", "/tmp")  # short enough for the names of sockets
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
+    (tmp_path / "my_measures.py").write_text(MODULE)
+    (tmp_path / "script.py").write_text(SCRIPT)
+
+    def run(*arguments):
+        command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "store"), *arguments]
+        subprocess.run(command, check=True, timeout=300)
+        return tmp_path / "store"
+
+    return run
+
+
+def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.delitem(MEASURES, "energy", raising=False)  # and so removed afterwards
+
+    @measure(label="kinetic energy", unit="J", best="low", shown=True)
+    def energy(episode):
+        return float((episode.speeds**2).sum())
+
+    compare(["random"], episodes=2, out=tmp_path)
+    assert pd.read_csv(tmp_path / "episodes.csv")["energy"].gt(0).all()
+    assert set(pd.read_csv(tmp_path / "summary.csv").query("measure == 'energy'")["unit"]) == {"J"}
+    assert "kinetic energy" in capsys.readouterr().out
+    del MEASURES["energy"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cluster", [None, "ray"])
+def test_workers_take_the_measures_of_modules_and_scripts(run_script, cluster):
+    if cluster == "ray":
+        pytest.importorskip("ray")
+    store = run_script(*([cluster] if cluster else []))
+    episodes = read_episodes(store)
+    assert episodes["steps_to_move"].notna().all() and episodes["half_way_time"].gt(0).all()
+    sets = read_sets(store).set_index("measure")
+    assert sets.loc["number_of_episodes", "value"].tolist() == [3, 3]
+    facts = read_manifest(store)["measures"]["half_way_time"]
+    assert facts == {
+        "name": "half_way_time",
+        "label": "half-way time",
+        "unit": "s",
+        "best": "low",
+        "decimals": 2,
+        "statistic": "median",
+        "shown": True,
+        "successes_only": True,
+    }
+
+
+@pytest.mark.slow
+def test_a_changed_measure_is_taken_again(run_script, tmp_path):
+    store = run_script()
+    assert run_script() and json.loads((store / "manifest.json").read_text())["reused"] == 2
+    changed = MODULE.replace("float((episode.speeds > 0).argmax())", "-1.0")
+    (tmp_path / "my_measures.py").write_text(changed)
+    run_script()
+    assert json.loads((store / "manifest.json").read_text())["reused"] == 0
+    assert read_episodes(store)["steps_to_move"].eq(-1).all()
