@@ -1,120 +1,199 @@
-"""The command line.
+"""The command line: one function for each command.
 
-    mmc-gym compare | reproduce | train | tune | curves | benchmark | report | play
+    mmc-gym compare | benchmark | report | train | tune | curves | reproduce | play
 
 A mistake of the user's ends with one line on stderr and status 2, a cell of a grid that failed with
 one line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
-environment, all end with the traceback.
+environment all end with the traceback.
 """
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import tyro
+from tyro.conf import Positional
 
-from mmc_gym._console import progress_bar
+from mmc_gym._console import make_console, progress_bar
+from mmc_gym._errors import UserError
+from mmc_gym._grid import CellError
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
+    from mmc_gym.agents.policy import PolicyCard
+    from mmc_gym.benchmark.runner import Progress as BenchmarkProgress
+    from mmc_gym.training.training import Progress as TrainingProgress
+
+TRACEBACK = "MMC_GYM_TRACEBACK"
+
+_app = tyro.extras.SubcommandApp()
 
 
-@dataclass(frozen=True)
-class Tune:
-    """Let Optuna look for better constants; goes on where it stopped."""
+@_app.command
+def compare(
+    agents: tuple[str, ...] = (
+        "mmc",
+        "mmc-classical",
+        "mmc-neural",
+        "ik-dls",
+        "ppo",
+        "sac",
+        "tqc-her",
+        "random",
+    ),
+    env: str = "MMCReach-v0",
+    episodes: int = 200,
+    seed: int = 0,
+    out: Path = Path("runs/compare"),
+) -> None:
+    """Let agents play the same starts and targets; print a table, write data and figure.
 
-    name: Annotated[str, tyro.conf.Positional]
-    """What to tune: mmc, mmc-feedback, or what train takes."""
-    trials: int = 20
-    """Number of trials, those of earlier calls included."""
-    steps: int = 200_000
-    """Environment steps of each trial."""
-    out: Path = Path("runs/tune")
-    """Folder for trials and result."""
+    Args:
+        agents: Names of agents, paths of policies, or module:function, called with the environment.
+        env: Environment id.
+        episodes: Episodes per agent.
+        seed: Seed of the starts and targets.
+        out: Folder for episodes.csv, the summary and the figure.
+    """
+    from mmc_gym.benchmark import compare
 
-    def run(self) -> None:
-        """Tune, with a progress bar."""
-        from mmc_gym.training.tuning import tune
+    compare.compare(agents, env, episodes, seed, out)
 
-        with progress_bar() as bar:
-            task = bar.add_task(f"trials of {self.name}", total=self.trials)
 
-            def on_trial(number: int, value: float) -> None:
-                bar.update(task, completed=number + 1)
-                bar.console.print(f"trial {number:>3}  time at target {value:6.2%}")
+@_app.command
+def benchmark(
+    agents: tuple[str, ...] = (),
+    environments: tuple[str, ...] = (),
+    episodes: int = 100,
+    seed: int = 0,
+    out: Path = Path("runs/benchmark"),
+    jobs: int | None = None,
+    cluster: str | None = None,
+) -> None:
+    """Let agents play many scenarios; keep all in a store, and print a ranking.
 
-            result = tune(self.name, self.trials, self.steps, self.out, on_trial)
-        print(
-            f"{result['name']}: time at target {result['best_value']:.2%} with {result['best']}; "
-            f"{result['value_of_those_in_use']:.2%} with the constants in use"
+    Args:
+        agents: Names (ppo: all its training seeds; ppo-3: one), paths of policies, module:function,
+            or LABEL=NAME (default: most that ship).
+        environments: Names of scenarios, such as random or delay-100 (default: all).
+        episodes: Episodes in each scenario; numbered trials are played once each.
+        seed: Seed of the starts and targets.
+        out: Folder of the store; a benchmark that is there goes on, or is added to.
+        jobs: How many cells at once (default: one per core).
+        cluster: Where, if not here: "ray", or "ray://HOST:PORT", to play on a Ray cluster.
+    """
+    from mmc_gym.benchmark import entries, ranking, runner
+
+    with progress_bar() as bar:
+        task = bar.add_task("cells")
+
+        def report(progress: BenchmarkProgress) -> None:
+            bar.update(task, completed=progress.done, total=progress.total)
+
+        runner.benchmark(
+            agents or entries.default_agents(),
+            out,
+            environments,
+            episodes,
+            seed,
+            jobs=jobs,
+            cluster=cluster,
+            on_progress=report,
         )
+    ranking.print_ranking(make_console(), out)
 
 
-# Options of Train that --all has no use for, and that only --all has one for.
-_FOR_ONE = ("env", "seed", "tensorboard")
-_FOR_ALL = ("jobs", "cluster")
+@_app.command
+def report(store: Path = Path("runs/benchmark"), out: Path | None = None) -> None:
+    """Write the report of a benchmark: one HTML file that needs nothing beside it.
+
+    Args:
+        store: Folder of the benchmark.
+        out: The file to write (default: report.html in the store).
+    """
+    from mmc_gym import report
+
+    print(f"wrote {report.write_report(store, out or store / 'report.html')}")
 
 
-@dataclass(frozen=True)
-class Train:
-    """Train an agent by its YAML hyperparameters; a killed training goes on with --resume."""
+@_app.command
+def train(
+    name: Positional[str] = "",
+    all: bool = False,
+    env: str | None = None,
+    seed: int = 0,
+    steps: int | None = None,
+    out: Path | None = None,
+    resume: bool = False,
+    tensorboard: Path | None = None,
+    device: str = "cpu",
+    jobs: int | None = None,
+    cluster: str | None = None,
+) -> None:
+    """Train an agent by its YAML hyperparameters; a killed training goes on with --resume.
 
-    name: Annotated[str, tyro.conf.Positional] = ""
-    """A name that ships, such as ppo or tqc-her, or a YAML file of one's own: my/ppo-mine.yml."""
-    all: bool = False
-    """Train every policy that ships with the package; goes on where it was interrupted."""
-    env: str | None = None
-    """Environment id, of those in the YAML file (default: the first)."""
-    seed: int = 0
-    """Seed of everything random."""
-    steps: int | None = None
-    """Environment steps, instead of those in the YAML file."""
-    out: Path | None = None
-    """Folder for checkpoint and policy (default: runs/NAME-SEED, or runs/train-all)."""
-    resume: bool = False
-    """Go on from the checkpoint in the folder, if there is one; --all always does."""
-    tensorboard: Path | None = None
-    """Folder for TensorBoard's logs."""
-    device: str = "cpu"
-    """Device that PyTorch computes on: cpu, cuda, cuda:1, auto."""
-    jobs: int | None = None
-    """With --all: how many trainings at once (default: one per core)."""
-    cluster: str | None = None
-    """With --all: "ray", or "ray://HOST:PORT", to train on a Ray cluster."""
+    Args:
+        name: A name that ships, such as ppo or tqc-her, or your own YAML file: my/ppo-mine.yml.
+        all: Train every policy that ships with the package; goes on where it was interrupted.
+        env: Environment id, of those in the YAML file (default: the first).
+        seed: Seed of everything random.
+        steps: Environment steps, instead of those in the YAML file.
+        out: Folder for checkpoint and policy (default: runs/NAME-SEED, or runs/train-all).
+        resume: Go on from the checkpoint in the folder, if there is one; --all always does.
+        tensorboard: Folder for TensorBoard's logs.
+        device: Device that PyTorch computes on: cpu, cuda, cuda:1, auto.
+        jobs: With --all: how many trainings at once (default: one per core).
+        cluster: With --all: "ray", or "ray://HOST:PORT", to train on a Ray cluster.
+    """
+    from mmc_gym.training.hyperparameters import names
 
-    def run(self) -> None:
-        """Train, with a progress bar."""
-        from mmc_gym.training.hyperparameters import names
+    if all == bool(name):
+        raise UserError(
+            f"name must be one of {', '.join(names())}, or the path of a YAML file, "
+            f"or else give --all, got {name!r}{' and --all' if all else ''}"
+        )
+    if all:
+        _only_for("a single training", env=env, seed=seed, tensorboard=tensorboard)
+        _train_all(out or Path("runs/train-all"), steps, device, jobs, cluster)
+    else:
+        _only_for("--all", jobs=jobs, cluster=cluster)
+        _train_one(name, env, seed, steps, out, resume, tensorboard, device)
 
-        if self.all == bool(self.name):
-            raise ValueError(
-                f"name must be one of {', '.join(names())}, or the path of a YAML file, "
-                f"or else give --all, got {self.name!r}{' and --all' if self.all else ''}"
-            )
-        for option in _FOR_ONE if self.all else _FOR_ALL:
-            if getattr(self, option) != getattr(Train, option):
-                other = "a single training" if self.all else "--all"
-                raise ValueError(f"--{option} is for {other} only, got {getattr(self, option)}")
-        with progress_bar() as bar:
-            (self._train_all if self.all else self._train_one)(bar)
 
-    def _train_one(self, bar: Bar) -> None:
-        from mmc_gym.agents.policy import FINAL_EPISODES
-        from mmc_gym.training.hyperparameters import policy_name, read_hyperparameters
-        from mmc_gym.training.training import Progress, Training
+def _only_for(other: str, **options: Any) -> None:
+    """Raise a `UserError` if an option of `train` is given that is for something else only."""
+    parameters = inspect.signature(train).parameters
+    for name, value in options.items():
+        if value != parameters[name].default:
+            raise UserError(f"--{name} is for {other} only, got {value}")
 
-        env_id, hyperparameters = read_hyperparameters(self.name, self.env)
-        if self.steps is not None:
-            hyperparameters["n_timesteps"] = self.steps
-        name = policy_name(self.name)
-        folder = self.out or Path("runs") / f"{name}-{self.seed}"
-        task = bar.add_task(f"{name}, seed {self.seed}")
 
-        def report(progress: Progress) -> None:
+def _train_one(
+    name: str,
+    env: str | None,
+    seed: int,
+    steps: int | None,
+    out: Path | None,
+    resume: bool,
+    tensorboard: Path | None,
+    device: str,
+) -> None:
+    from mmc_gym.agents.policy import FINAL_EPISODES
+    from mmc_gym.training.hyperparameters import policy_name, read_hyperparameters
+    from mmc_gym.training.training import Training
+
+    env_id, hyperparameters = read_hyperparameters(name, env)
+    if steps is not None:
+        hyperparameters["n_timesteps"] = steps
+    name = policy_name(name)
+    folder = out or Path("runs") / f"{name}-{seed}"
+    with progress_bar() as bar:
+        task = bar.add_task(f"{name}, seed {seed}")
+
+        def report(progress: TrainingProgress) -> None:
             bar.update(task, completed=progress.steps)
             if scores := progress.evaluation:
                 bar.console.print(
@@ -126,26 +205,28 @@ class Train:
             name,
             hyperparameters,
             env_id,
-            self.seed,
+            seed,
             folder,
             report,
-            device=self.device,
-            tensorboard=self.tensorboard,
+            device=device,
+            tensorboard=tensorboard,
         )
         bar.update(task, total=training.total_steps)
-        card = training.run(self.resume)
-        bar.stop()
-        print(
-            f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%} over "
-            f"{FINAL_EPISODES} fixed episodes after {card.training_steps:,} steps in "
-            f"{card.training_seconds:.0f} s"
-        )
+        card = training.run(resume)
+    print(
+        f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%} over "
+        f"{FINAL_EPISODES} fixed episodes after {card.training_steps:,} steps in "
+        f"{card.training_seconds:.0f} s"
+    )
 
-    def _train_all(self, bar: Bar) -> None:
-        from mmc_gym.agents.policy import PolicyCard
-        from mmc_gym.training.grid import shipped_cells, train_all
 
-        policies = shipped_cells()
+def _train_all(
+    out: Path, steps: int | None, device: str, jobs: int | None, cluster: str | None
+) -> None:
+    from mmc_gym.training import grid
+
+    policies = grid.shipped_cells()
+    with progress_bar() as bar:
         task = bar.add_task("policies", total=len(policies))
 
         def on_policy(card: PolicyCard) -> None:
@@ -158,196 +239,109 @@ class Train:
         def on_note(note: str) -> None:
             bar.console.print(note, markup=False, highlight=False)
 
-        train_all(
+        grid.train_all(
             policies,
-            self.out or Path("runs/train-all"),
-            steps=self.steps,
-            device=self.device,
-            jobs=self.jobs,
-            cluster=self.cluster,
+            out,
+            steps=steps,
+            device=device,
+            jobs=jobs,
+            cluster=cluster,
             on_policy=on_policy,
             on_note=on_note,
         )
 
 
-@dataclass(frozen=True)
-class Reproduce:
-    """Run the paper's experiments; write figures, data, and a table beside what was published."""
+@_app.command
+def tune(
+    name: Positional[str],
+    trials: int = 20,
+    steps: int = 200_000,
+    out: Path = Path("runs/tune"),
+) -> None:
+    """Let Optuna look for better constants; goes on where it stopped.
 
-    experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
-    """Names of experiments (default: all)."""
-    out: Path = Path("runs/reproduce")
-    """Folder for figures, data and table; trained networks found in it are not trained again."""
-    quick: bool = False
-    """Run a small part of each experiment, to see that everything works."""
-    seed: int = 0
-    """Seed of everything random."""
-    jobs: int | None = None
-    """Number of processes (default: one per core)."""
+    Args:
+        name: What to tune: mmc, mmc-feedback, or what train takes.
+        trials: Number of trials, those of earlier calls included.
+        steps: Environment steps of each trial.
+        out: Folder for trials and result.
+    """
+    from mmc_gym.training import tuning
 
-    def run(self) -> None:
-        """Reproduce."""
-        from mmc_gym.paper.run import reproduce
+    with progress_bar() as bar:
+        task = bar.add_task(f"trials of {name}", total=trials)
 
-        reproduce(self.experiments, self.out, self.quick, self.seed, self.jobs)
+        def on_trial(number: int, value: float) -> None:
+            bar.update(task, completed=number + 1)
+            bar.console.print(f"trial {number:>3}  time at target {value:6.2%}")
 
-
-@dataclass(frozen=True)
-class Report:
-    """Write the report of a benchmark: one HTML file that needs nothing beside it."""
-
-    store: Path = Path("runs/benchmark")
-    """Folder of the benchmark."""
-    out: Path | None = None
-    """The file to write (default: report.html in the store)."""
-
-    def run(self) -> None:
-        """Write."""
-        from mmc_gym.report import write_report
-
-        print(f"wrote {write_report(self.store, self.out or self.store / 'report.html')}")
-
-
-@dataclass(frozen=True)
-class Play:
-    """Open a window in which the mouse is the target of an agent's arm."""
-
-    agent: str = "mmc"
-    """Name of the agent to start with."""
-    env: str = "MMCReach-v0"
-    """Environment id."""
-    seed: int | None = None
-    """Seed of the first posture."""
-
-    def run(self) -> None:
-        """Play."""
-        from mmc_gym.play import play
-
-        play(self.agent, self.env, self.seed)
-
-
-@dataclass(frozen=True)
-class Curves:
-    """Learning curves over training seeds; print a table, write it with data and figure."""
-
-    folder: Path | None = None
-    """Folder of trained policies (default: those that ship with the package)."""
-    out: Path = Path("runs/curves")
-    """Folder for curves.csv, trainings.csv, the table and the figure."""
-
-    def run(self) -> None:
-        """Draw."""
-        from mmc_gym.training.curves import learning_curves
-
-        learning_curves(self.folder, self.out)
-
-
-@dataclass(frozen=True)
-class Compare:
-    """Run agents over the same starts and targets; print a table, write data and figure."""
-
-    agents: tuple[str, ...] = (
-        "mmc",
-        "mmc-classical",
-        "mmc-neural",
-        "ik-dls",
-        "ppo",
-        "sac",
-        "tqc-her",
-        "random",
+        result = tuning.tune(name, trials, steps, out, on_trial)
+    print(
+        f"{result['name']}: time at target {result['best_value']:.2%} with {result['best']}; "
+        f"{result['value_of_those_in_use']:.2%} with the constants in use"
     )
-    """Names of agents, or module:function, called with the environment."""
-    env: str = "MMCReach-v0"
-    """Environment id."""
-    episodes: int = 200
-    """Episodes per agent."""
-    seed: int = 0
-    """Seed of the starts and targets."""
-    out: Path = Path("runs/compare")
-    """Folder for episodes.csv, the summary and the figure."""
-
-    def run(self) -> None:
-        """Compare."""
-        from mmc_gym.benchmark.compare import compare
-
-        compare(self.agents, self.env, self.episodes, self.seed, self.out)
 
 
-@dataclass(frozen=True)
-class Benchmark:
-    """Let agents play a battery of environments; keep all in a store, and print a ranking."""
+@_app.command
+def curves(folder: Path | None = None, out: Path = Path("runs/curves")) -> None:
+    """Draw learning curves over training seeds; print a table, write it with data and figure.
 
-    agents: tuple[str, ...] = ()
-    """Names (ppo: all its training seeds; ppo-3: one), module:function, or LABEL=NAME."""
-    environments: tuple[str, ...] = ()
-    """Names of environments of the battery (default: all)."""
-    episodes: int = 100
-    """Episodes in each environment; numbered trials are played once each."""
-    seed: int = 0
-    """Seed of the starts and targets."""
-    out: Path = Path("runs/benchmark")
-    """Folder of the store; a benchmark that is there goes on, or is added to."""
-    jobs: int | None = None
-    """How many cells at once (default: one per core)."""
-    cluster: str | None = None
-    """Where, if not here: "ray", or "ray://HOST:PORT", to play on a Ray cluster."""
+    Args:
+        folder: Folder of trained policies (default: those that ship with the package).
+        out: Folder for curves.csv, trainings.csv, the table and the figure.
+    """
+    from mmc_gym.training.curves import learning_curves
 
-    def run(self) -> None:
-        """Play, with a progress bar, and print the ranking."""
-        from mmc_gym._console import make_console
-        from mmc_gym.benchmark.entries import default_agents
-        from mmc_gym.benchmark.ranking import print_ranking
-        from mmc_gym.benchmark.runner import Progress, benchmark
-
-        with progress_bar() as bar:
-            task = bar.add_task("cells")
-
-            def report(progress: Progress) -> None:
-                bar.update(task, completed=progress.done, total=progress.total)
-
-            benchmark(
-                self.agents or default_agents(),
-                self.out,
-                self.environments,
-                self.episodes,
-                self.seed,
-                jobs=self.jobs,
-                cluster=self.cluster,
-                on_progress=report,
-            )
-        print_ranking(make_console(), self.out)
+    learning_curves(folder, out)
 
 
-TRACEBACK = "MMC_GYM_TRACEBACK"
+@_app.command
+def reproduce(
+    experiments: Positional[tuple[str, ...]] = (),
+    out: Path = Path("runs/reproduce"),
+    quick: bool = False,
+    seed: int = 0,
+    jobs: int | None = None,
+) -> None:
+    """Run the paper's experiments; write figures, data, and a table beside what was published.
 
-Command = (
-    Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Tune, tyro.conf.subcommand("tune")]
-    | Annotated[Curves, tyro.conf.subcommand("curves")]
-    | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Play, tyro.conf.subcommand("play")]
-)
+    Args:
+        experiments: Names of experiments (default: all).
+        out: Folder for figures, data and table; networks found in it are not trained again.
+        quick: Run a small part of each experiment, to see that everything works.
+        seed: Seed of everything random.
+        jobs: Number of processes (default: one per core).
+    """
+    from mmc_gym.paper import run
+
+    run.reproduce(experiments, out, quick, seed, jobs)
+
+
+@_app.command
+def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) -> None:
+    """Open a window in which the mouse is the target of an agent's arm.
+
+    Args:
+        agent: Name of the agent to start with.
+        env: Environment id.
+        seed: Seed of the first posture.
+    """
+    from mmc_gym import play
+
+    play.play(agent, env, seed)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command."""
-    command: Compare | Reproduce | Train | Tune | Curves | Benchmark | Report | Play = tyro.cli(
-        Command, prog="mmc-gym", args=arguments
-    )
     try:
-        command.run()
+        _app.cli(prog="mmc-gym", args=arguments)
     except KeyboardInterrupt:
         if os.environ.get(TRACEBACK):
             raise
         print("mmc-gym: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
-    except Exception as error:
-        from mmc_gym._grid import CellError
-
-        if os.environ.get(TRACEBACK) or not isinstance(error, (ValueError, OSError, CellError)):
+    except (ValueError, OSError, CellError) as error:
+        if os.environ.get(TRACEBACK):
             raise
         message, status = str(error), 2
         if isinstance(error, CellError):

@@ -33,17 +33,25 @@ def start_writing(path):
     return process
 
 
-def test_what_a_killed_writer_left_goes_with_the_next_write(tmp_path):
+def test_what_a_killed_writer_left_goes_when_another_process_writes(tmp_path):
     path = tmp_path / "checkpoint.safetensors"
     write_atomically(path, b"old")
-    other = write_atomically(tmp_path / "checkpoint.safetensors.txt", "not the same file")
     with start_writing(path) as process:
         os.kill(process.pid, signal.SIGKILL)
     assert path.read_bytes() == b"old"
-    assert len(list(tmp_path.iterdir())) == 3
-    write_atomically(path, b"newer")
-    assert path.read_bytes() == b"newer"
-    assert set(tmp_path.iterdir()) == {path, other}
+    assert len(list(tmp_path.iterdir())) == 2
+    with start_writing(tmp_path / "other") as process:
+        process.communicate("go on")
+    assert set(tmp_path.iterdir()) == {path, tmp_path / "other"}
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_a_file_has_the_mode_that_the_umask_gives(tmp_path, umask, mode):
+    before = os.umask(umask)
+    try:
+        assert write_atomically(tmp_path / "file", b"").stat().st_mode & 0o777 == mode
+    finally:
+        os.umask(before)
 
 
 def test_two_writers_of_one_file_leave_each_other_alone(tmp_path):

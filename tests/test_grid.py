@@ -3,7 +3,9 @@
 import gc
 import os
 import shutil
+import signal
 import socket
+import subprocess
 import sys
 import tempfile
 import time
@@ -14,7 +16,7 @@ import cloudpickle
 import gymnasium as gym
 import numpy as np
 import pytest
-from joblib.externals.loky import process_executor
+from loky import process_executor
 
 from mmc_gym import _grid, make_agent
 from mmc_gym._grid import CellError, run_grid
@@ -98,6 +100,18 @@ def end(number):
     sys.exit(3)
 
 
+def die(cell):
+    """Ends its process unless `cell` is a number, or a file that says that it did so before."""
+    if isinstance(cell, Path):
+        if cell.exists():
+            return "computed again"
+        cell.touch()
+    if not isinstance(cell, int):
+        time.sleep(0.2)  # so that another cell is under way
+        os._exit(9)
+    return cell
+
+
 def threads(number):
     import torch
 
@@ -174,7 +188,7 @@ def test_an_error_of_on_result_ends_the_grid():
 
 
 def test_nothing_dies_where_a_grid_ends_while_a_call_is_handed_over(monkeypatch):
-    # Between the end of one cell and the start of the next, joblib's thread is made to pause: an
+    # Between the end of one cell and the start of the next, loky's thread is made to pause: an
     # error in that thread is a warning of pytest's, and so an error of this test.
     manager = process_executor._ExecutorManagerThread
     process = manager.process_result_item
@@ -188,6 +202,42 @@ def test_nothing_dies_where_a_grid_ends_while_a_call_is_handed_over(monkeypatch)
         with pytest.raises(ZeroDivisionError):
             run_grid(square, range(6), jobs=2, on_result=lambda index, result: 1 / 0)
         assert run_grid(square, range(4), jobs=2) == [0, 1, 4, 9]
+
+
+def test_a_cell_whose_worker_died_is_computed_again(tmp_path):
+    cells = [0, tmp_path / "died", *range(2, 6)]
+    assert run_grid(die, cells, jobs=2) == [0, "computed again", 2, 3, 4, 5]
+
+
+def test_a_cell_that_kills_its_worker_twice_is_named():
+    with pytest.raises(CellError, match="cell 1, 'killer', failed: WorkerDied: its process died"):
+        run_grid(die, [0, "killer", *range(2, 40)], jobs=2)
+    died = {}
+    results = run_grid(die, [0, "killer", 2, 3], jobs=2, on_failure=died.__setitem__)
+    assert results == [0, None, 2, 3]
+    assert isinstance(died[1].__cause__, _grid.WorkerDied)
+
+
+def test_workers_end_when_their_parent_is_killed():
+    code = (
+        "import os, time; from mmc_gym._grid import run_grid\n"
+        "def work(cell):\n"
+        "    print(os.getpid(), flush=True)\n"
+        "    time.sleep(60)\n"
+        "run_grid(work, range(2), jobs=2)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as one:
+        workers = [int(one.stdout.readline()) for _ in range(2)]
+        os.kill(one.pid, signal.SIGKILL)
+    for worker in workers:
+        wait_for(lambda process=worker: not is_running(process))
+
+
+def is_running(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -26,7 +26,7 @@ Pair = tuple[int, int]
 
 
 def vector_pairs(segment_count: int) -> list[Pair]:
-    """Node pairs (i, j) of the chain's N(N+1)/2 vectors, segments first, end effector last.
+    """Return the node pairs (i, j) of the chain's N(N+1)/2 vectors, segments first, R last.
 
     >>> vector_pairs(3)
     [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3), (0, 3)]
@@ -39,10 +39,10 @@ def vector_pairs(segment_count: int) -> list[Pair]:
 
 
 def triangle_incidence(segment_count: int) -> NDArray[np.float64]:
-    """Incidence ∂₂ of vectors and triangles, shape (vectors, triangles), entries −1, 0, 1.
+    """Return the incidence ∂₂ of vectors and triangles, shape (vectors, triangles).
 
     The column of the triangle i < k < j states v_ij − v_ik − v_kj = 0.  A vector is part of
-    m = N − 1 triangles, so every row has N − 1 entries that are not zero.
+    m = N − 1 triangles, so every row has N − 1 entries that are not zero (1 or −1).
     """
     row = {pair: index for index, pair in enumerate(vector_pairs(segment_count))}
     triangles = list(combinations(range(segment_count + 1), 3))
@@ -55,7 +55,7 @@ def triangle_incidence(segment_count: int) -> NDArray[np.float64]:
 
 
 def chain_vectors(segments: Floats) -> Floats:
-    """All vectors v_ij of the chain with the given segment vectors.
+    """Return all vectors v_ij of the chain with the given segment vectors.
 
     Args:
         segments: segment vectors, shape (..., N, 2).
@@ -69,13 +69,13 @@ def chain_vectors(segments: Floats) -> Floats:
 
 
 def node_positions(segments: Floats) -> Floats:
-    """Positions of the nodes p_0 = 0 … p_N, shape (..., N + 1, 2), from segments (..., N, 2)."""
+    """Return the nodes p_0 = 0 … p_N, shape (..., N + 1, 2), from segments (..., N, 2)."""
     base = np.zeros_like(segments[..., :1, :])
     return np.concatenate([base, np.cumsum(segments, axis=-2)], axis=-2)
 
 
 def segments_from_joint_angles(joint_angles: Floats, segment_lengths: ArrayLike) -> Floats:
-    """Segment vectors of a posture (forward kinematics; their sum is the end effector).
+    """Return the segment vectors of a posture (forward kinematics; their sum is the end effector).
 
     Args:
         joint_angles: relative angles in radians, 0 = straight on, shape (..., N).
@@ -94,7 +94,7 @@ def segments_from_joint_angles(joint_angles: Floats, segment_lengths: ArrayLike)
 
 
 def joint_angles_from_segments(segments: Floats) -> Floats:
-    """Relative joint angles in ]−π, π], shape (..., N), of segment vectors (..., N, 2)."""
+    """Return relative joint angles in ]−π, π], shape (..., N), from segments (..., N, 2)."""
     segment_angles = np.arctan2(segments[..., 1], segments[..., 0])
     joint_angles = segment_angles.copy()
     joint_angles[..., 1:] -= segment_angles[..., :-1]
@@ -102,7 +102,7 @@ def joint_angles_from_segments(segments: Floats) -> Floats:
 
 
 def wrap_angle(angle: Floats) -> Floats:
-    """The same angle in ]−π, π] (radians).
+    """Return the same angle in ]−π, π] (radians).
 
     >>> wrap_angle(np.array([-np.pi, 0.0, 3 * np.pi])).round(6).tolist()
     [3.141593, 0.0, 3.141593]
@@ -111,22 +111,10 @@ def wrap_angle(angle: Floats) -> Floats:
 
 
 def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
-    """Inner and outer radius of the disc or ring that the end effector can reach.
+    """Return inner and outer radius of the disc or ring that the end effector can reach.
 
     >>> reachable_radii((1.0, 1.0, 1.0)), reachable_radii((3.0, 1.0))
     ((0.0, 3.0), (2.0, 4.0))
     """
     reach = float(sum(segment_lengths))
     return max(0.0, 2 * max(segment_lengths) - reach), reach
-
-
-def check_segment_lengths(segment_lengths: Sequence[float]) -> tuple[float, ...]:
-    """The lengths as a tuple of floats.
-
-    Raises:
-        ValueError: if there are none, or one is not positive and finite.
-    """
-    lengths = tuple(float(length) for length in segment_lengths)
-    if not lengths or not all(0 < length < np.inf for length in lengths):
-        raise ValueError(f"segment_lengths must be positive and finite, got {lengths}")
-    return lengths

@@ -1,7 +1,7 @@
-"""Iterations of the network for a body that is known as it is used: sensed, measured, or locked.
+"""Iterations of the network when something is known of the body: sensed, measured, or locked.
 
-Three things are added to an iteration with the end effector R held at the target.  Each may differ
-between the arms of a batch, and without them the iteration is `MMCNetwork.run`'s, bit for bit.
+The end effector R is held at the target.  Three things are added, each of which may differ between
+the arms of a batch.  Without them an iteration is that of `MMCNetwork.run`, bit for bit.
 
 **A sensed posture is one more computation in the mean.**  With L^s the sensed segments and w the
 weight of that computation, the mean of a segment becomes
@@ -9,20 +9,20 @@ weight of that computation, the mean of a segment becomes
     L̃ = (Σ_{k≠i,j} (v_ik + v_kj) + (d − m) L + w L^s) / (d + w)
       = L̃⁰ + w/(d + w) (L^s − L̃⁰),                  L̃⁰ the mean without it
 
-**Lengths of an arm's own.**  L ← ℓ · normalize(L̃/ℓ) with other ℓ for each arm.
+**Each arm may have its own lengths**: L ← ℓ · normalize(L̃/ℓ) with these ℓ.
 
 **A locked joint is a clamp on an angle.**  The segments about it are one rigid body, which can turn
-but not bend: segments ℓ_i R(c_i) u, where R(c_i) turns by what the locked joints add up to, and a
-span D = Σ ℓ_i R(c_i) u, the diagonal over them, of fixed length and at a fixed angle to each.  As a
-free segment is brought to the nearest vector of its length, a body is brought to where its proposed
-segments L̃_i and their sum fit best,
+but not bend.  Its segments are ℓ_i R(c_i) u, where R(c_i) turns by the sum of the locked joints'
+angles.  Its span is D = Σ ℓ_i R(c_i) u, of fixed length and at a fixed angle to each segment.  As a
+free segment is brought to the nearest vector of its length, so a body is brought to where its
+proposed segments L̃_i and their sum fit best,
 
     u = normalize(λ Σ ℓ_i R(c_i)ᵀ L̃_i + (Σ ℓ_i R(c_i))ᵀ Σ L̃_i),     L_i ← ℓ_i R(c_i) u
 
 The span decides (λ is small), as it does for a network of one segment less, in which the body is a
-segment.  With the segments alone, a folded body would turn slowly; with the span alone, one folded
-to nothing would have no direction.  A body of one segment is the free segment; a body that the
-locked first joint ties to the base cannot turn.
+segment.  With the segments alone, a folded body would turn slowly.  With the span alone, a body
+folded to nothing would have no direction.  A body of one segment is the free segment.  A body that
+is tied to the base, because the first joint is locked, cannot turn.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._errors import require
 from mmc_gym.network.chain import Floats, triangle_incidence
 from mmc_gym.network.model import MMCNetwork, MMCState, compile_iteration, velocity_rule
 from mmc_gym.network.normalizers import Normalizer
@@ -43,15 +44,18 @@ SEGMENT_WEIGHT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Embodiment:
-    """What is known of the bodies of a batch of arms; None where nothing is.
+    """Knowledge about the bodies of a batch of arms; None where there is none.
 
     Attributes:
-        segment_lengths: of each arm, (..., N), in place of the network's.
+        segment_lengths: lengths of each arm, (..., N), in place of the network's.
         sensed: sensed segments, (..., N, 2).
-        weight: w, of the sensed posture in the mean; at least 0.
-        locked: whether each joint is locked, (..., N).
-        joint_angles: angles at which the locked joints are, radians, (..., N); those of the
-            others do not matter.
+        weight: w, the weight of the sensed posture in the mean; at least 0.
+        locked: tells for each joint whether it is locked, (..., N).
+        joint_angles: angles of the locked joints, radians, (..., N); the others do not matter.
+
+    Raises:
+        UserError: for another weight.
+        ValueError: for a weight without a sensed posture, or locks without angles.
     """
 
     segment_lengths: Floats | None = None
@@ -61,8 +65,7 @@ class Embodiment:
     joint_angles: Floats | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.weight < np.inf:
-            raise ValueError(f"weight must be finite and not negative, got {self.weight!r}")
+        require(0 <= self.weight < np.inf, "weight", self.weight, "finite and not negative")
         if self.weight and self.sensed is None:
             raise ValueError("sensed must be given if it has a weight, got None")
         if self.locked is not None and self.joint_angles is None:
@@ -72,17 +75,17 @@ class Embodiment:
 def embodied_run(
     network: MMCNetwork, state: MMCState, target: ArrayLike, body: Embodiment, iterations: int = 1
 ) -> MMCState:
-    """The state after `iterations` iterations towards a target.
+    """Return the state after `iterations` iterations towards a target.
 
     Args:
-        network: of any dynamics, synchronous.
+        network: a synchronous network of any dynamics.
         state: its state; stays as it is.
-        target: of the end effector, (..., 2).
-        body: what is known of the bodies; its arrays broadcast to the state's batch axes.
-        iterations: how many.
+        target: target of the end effector, (..., 2).
+        body: knowledge about the bodies; its arrays broadcast to the state's batch axes.
+        iterations: number of iterations.
 
     Raises:
-        ValueError: for another schedule.
+        UserError: for another schedule.
 
     >>> network = MMCNetwork()
     >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -91,24 +94,20 @@ def embodied_run(
     >>> end.end_effector.round(2).tolist(), end.joint_angles[1].round(2).item()
     ([-1.0, 1.5], 0.6)
     """
-    if network.schedule != "synchronous":
-        raise ValueError(f"network must be synchronous, got schedule={network.schedule!r}")
+    require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
     clamps = network.inverse(target)
     state = network.run(state, clamps, iterations=0)  # broadcasts, and sets R
     values, count = state.values, network.segment_count
-    compiled = compile_iteration(network, clamps.rows, values.dtype.char)
+    iteration = compile_iteration(network, clamps.rows, values.dtype.char)
     rows = len(values)
     current = values.reshape(rows, 2, -1)
-    told = compiled.lengths
-    lengths = (
-        told
-        if body.segment_lengths is None
-        else _batch_last(body.segment_lengths, values, (count,))
-    )
+    lengths = iteration.lengths
+    if body.segment_lengths is not None:
+        lengths = _batch_last(body.segment_lengths, values, (count,))
     pull = _Pull.of(network, body, values)
     rigid = _RigidBodies.of(body, lengths, values)
     for _ in range(iterations):
-        following = compiled.operator.dot(current.reshape(rows, -1)).reshape(current.shape)
+        following = iteration.operator.dot(current.reshape(rows, -1)).reshape(current.shape)
         if pull is not None:
             pull.apply(current, following)
         if rigid is None:
@@ -121,12 +120,12 @@ def embodied_run(
 
 @dataclass(frozen=True, eq=False)
 class _Pull:
-    """The sensed posture as one more computation: what it adds to an iteration without it."""
+    """The sensed posture as one more computation: what it adds to an iteration."""
 
     sensed: Floats  # (N, 2, batch)
     mean: Floats  # (N, rows): makes L̃⁰ of the state
     share: float  # w/(d + w)
-    gain: float  # of L̃ in the velocity, or in the segments of a kinematic network
+    gain: float  # factor of L̃ in the velocity, or in the segments of a kinematic network
     is_dynamic: bool
 
     @classmethod
@@ -157,9 +156,9 @@ class _RigidBodies:
     """Segments joined by locked joints; arrays (N, batch), complex numbers for vectors."""
 
     lengths: Floats
-    starts: NDArray[np.bool_]  # whether a body begins with this segment
+    starts: NDArray[np.bool_]  # tells whether a body begins with this segment
     turned: NDArray[np.complexfloating]  # R(c_i), as a factor
-    is_tied: NDArray[np.bool_]  # whether it is tied to the base
+    is_tied: NDArray[np.bool_]  # tells whether it is tied to the base
 
     @classmethod
     def of(cls, body: Embodiment, lengths: Floats, values: Floats) -> _RigidBodies | None:
@@ -176,7 +175,7 @@ class _RigidBodies:
         return cls(np.broadcast_to(lengths, locked.shape), ~locked, turned, is_tied)
 
     def nearest(self, normalizer: Normalizer, segments: Floats) -> Floats:
-        """The nearest segments (N, 2, batch) of such bodies."""
+        """Return the nearest segments of such bodies, (N, 2, batch)."""
         proposed = segments[:, 0] + 1j * segments[:, 1]
         own = self.lengths * self.turned  # R(c_i) ℓ_i
         fit = _over_bodies(self.starts, SEGMENT_WEIGHT * own.conj() * proposed)
@@ -193,7 +192,7 @@ class _RigidBodies:
 
 
 def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
-    """Sums over each rigid body, handed to all its segments, (N, batch)."""
+    """Sum over each rigid body, and hand the sum to all its segments, (N, batch)."""
     sums, count = values.copy(), len(values)
     for joint in range(1, count):  # complete at the last segment of each body
         sums[joint] += np.where(starts[joint], 0.0, sums[joint - 1])
@@ -203,7 +202,7 @@ def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any
 
 
 def _batch_last(array: NDArray[Any], values: Floats, trailing: tuple[int, ...]) -> Floats:
-    """An array (..., *trailing) with the batch last and flat, and the state's dtype."""
+    """Return an array (..., *trailing) with the batch last and flat, in the state's dtype."""
     batch = values.ndim - 2
     full = np.broadcast_to(np.asarray(array, values.dtype), (*values.shape[2:], *trailing))
     moved = np.moveaxis(full, range(batch), range(-batch, 0))

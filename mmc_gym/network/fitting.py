@@ -1,24 +1,21 @@
-"""Training the MLPs that learn to normalize, several runs of them at once.
+"""Fit the MLPs that learn to normalize, several runs of them at once.
 
-Each MLP f sees vectors x = r u of random length r in direction u, and is to answer u (paper,
+Each MLP f sees vectors x = r u of random length r in direction u, and should answer u (paper,
 Sect. "Learning the Normalization Network").  There are two recipes:
 
 * `PAPER`: the paper's.  Adam on the mean squared error |f(x) − u|²/2.  For lengths near 1 it
   ends at mean angle errors of .25 to .5 degrees.
 * `ACCURATE`: what the MMC network needs.  Without biases the MLP is odd, f(−x) = −f(x), so that
-  it keeps directions down to the shortest vectors; after Adam, `refinement` takes over.
+  it keeps the direction of even the shortest vectors.  After Adam, `refine` takes over.
+
+Weight decay λ adds the L2 penalty λ Σ w² on the weights of all layers to E, as Keras'
+`kernel_regularizer=l2(λ)` in every layer does: ∂E/∂W_k gains 2 λ W_k.  The paper's sixty networks
+have none.
 
 Runs stand on a leading axis: parameters are (runs, P), values (runs, units, samples), samples
-(runs, 4, n), each a column of x and u.  The gradient is written out, because autograd's
-bookkeeping would cost more than layers of a few units:
+(runs, 4, n), each a column of x and u.
 
-    δ_K = ∂E/∂y_K (1 − y_K²),   δ_k = (W_{k+1}ᵀ δ_{k+1}) (1 − y_k²),   ∂E/∂W_k = δ_k y_{k−1}ᵀ
-
-Weight decay λ is the L2 penalty λ Σ w² on the weights of all layers, added to E, as Keras'
-`kernel_regularizer=l2(λ)` in every layer would do; so ∂E/∂W_k gains 2 λ W_k, and Adam scales it
-as the rest.  The paper's sixty networks have none.
-
-What the package ships was trained, in about a minute, by
+The normalizers that ship with the package were trained, in about a minute, by
 
     OMP_NUM_THREADS=1 python -m mmc_gym.network.fitting
 """
@@ -38,22 +35,25 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from mmc_gym._errors import require
 from mmc_gym._grid import one_torch_thread
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors, mean_squared_error
 
-Array = NDArray[np.float64]
+Array: TypeAlias = NDArray[np.float64]
+Progress: TypeAlias = Callable[[int, int], None]
+_Layers: TypeAlias = "list[tuple[Tensor, Tensor]]"
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """How a normalizer is refined.
+    """Settings of `refine`.
 
     Attributes:
-        iterations: steps to take.
-        near: lengths within this of 1 weigh 1: they are what an arm at rest asks for.
+        iterations: number of steps.
+        near: lengths within this of 1 have weight 1, because an arm at rest asks for them.
         far_weight: weight of all other lengths.
-        short: length below which the weight falls to 0, because near the zero vector, where
-            all directions meet, no MLP does well.
+        short: length below which the weight falls to 0, because no MLP does well near the zero
+            vector, where all directions meet.
         length_weight: c, weight of the length error relative to the angle error.
     """
 
@@ -64,18 +64,321 @@ class Refinement:
     length_weight: float = 0.3
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """A way to train normalization MLPs; the defaults are the paper's values.
+
+    Attributes:
+        name: name that is written on the card.
+        samples: number of vectors, their directions spread evenly over the circle.
+        length_ranges: lengths are uniform in ]low, high]; sample k takes range k mod their number.
+        validation_share: share of the samples, drawn at random, that is left out of the training.
+        epochs: passes of Adam over the training samples.
+        batch_size: samples per update.
+        learning_rate: Adam's step size.
+        weight_decay: λ of the penalty λ Σ w² on the weights, without the biases, during Adam;
+            recorded errors are without it.
+        biases: tells whether units have biases; without them the MLP is odd.
+        precision: floating point type to train in.
+        refinement: what follows Adam; nothing at zero iterations.
+
+    Raises:
+        UserError: if a value is out of range.
+    """
+
+    name: str = "paper"
+    samples: int = 3600
+    length_ranges: tuple[tuple[float, float], ...] = ((0.0, 2.0),)
+    validation_share: float = 0.2
+    epochs: int = 400
+    batch_size: int = 16
+    learning_rate: float = 0.001
+    weight_decay: float = 0.0
+    biases: bool = True
+    precision: Literal["float32", "float64"] = "float32"
+    refinement: Refinement = field(default_factory=lambda: Refinement(iterations=0))
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "epochs", "batch_size"):
+            value = getattr(self, name)
+            require(value >= 1, name, value, "1 or more")
+        decay, share, ranges = self.weight_decay, self.validation_share, self.length_ranges
+        require(0 <= decay < inf, "weight_decay", decay, "finite and not negative")
+        fine = 0 < self.held_out < self.samples
+        accepted = f"a share of {self.samples} that leaves some to train and to validate on"
+        require(fine, "validation_share", share, accepted)
+        fine = bool(ranges) and all(0 <= low < high for low, high in ranges)
+        require(fine, "length_ranges", ranges, "pairs 0 <= low < high")
+
+    @property
+    def held_out(self) -> int:
+        """Number of validation samples."""
+        return round(self.validation_share * self.samples)
+
+
+PAPER = Recipe()
+ACCURATE = Recipe(
+    name="accurate",
+    samples=7200,
+    length_ranges=((0.0, 3.0), (0.8, 1.2)),
+    epochs=100,
+    biases=False,
+    precision="float64",
+    refinement=Refinement(),
+)
+RECIPES = {recipe.name: recipe for recipe in (ACCURATE, PAPER)}
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedNormalizer:
+    """A normalizer and the history of its training.
+
+    Attributes:
+        normalizer: the trained MLP; its card tells recipe, seed, and measured errors.
+        training_mse: mean squared error on the training samples, one entry per epoch (mean over
+            its batches at the time), then one per refinement iteration.
+        validation_mse: the same on the validation samples, after each epoch or iteration.
+    """
+
+    normalizer: LearnedNormalizer
+    training_mse: Array
+    validation_mse: Array
+
+
+def train_normalizers(
+    hidden_units: Sequence[int] = (16, 16),
+    recipe: Recipe = ACCURATE,
+    runs: int = 1,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> list[TrainedNormalizer]:
+    """Train `runs` MLPs of one architecture together.
+
+    Run r depends on `seed` and r only, not on the number of runs, up to rounding.  Its samples are
+    the same for every architecture.  On one machine the same arguments give the same weights, bit
+    for bit; the last digits after a refinement also depend on the number of threads of numpy's
+    BLAS.  Torch's global random numbers are left alone.  Torch computes on one thread, which is
+    fastest for layers this small.
+
+    Args:
+        hidden_units: sizes of the hidden layers.
+        recipe: `ACCURATE`, `PAPER`, or another.
+        runs: number of MLPs, each with its own samples, initial weights and order of samples.
+        seed: seed of all random numbers, not negative.
+        device: torch's name of the device for Adam; refinement runs in numpy.
+        progress: called with (epochs and refinement iterations done, their total number).
+
+    Returns:
+        One trained normalizer per run.
+
+    Raises:
+        UserError: if `runs`, a layer size, or `seed` is out of range.
+    """
+    require(runs >= 1, "runs", runs, "1 or more")
+    require(seed >= 0, "seed", seed, "0 or more")
+    fine = bool(hidden_units) and min(hidden_units) >= 1
+    require(fine, "hidden_units", tuple(hidden_units), "1 or more each")
+    widths = (2, *hidden_units, 2)
+    total = recipe.epochs + runs * recipe.refinement.iterations
+    done = 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(done, total)
+
+    with one_torch_thread():
+        generators = [_generator(seed, run) for run in range(runs)]
+        samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
+        parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
+        parameters, history = _adam(parameters, widths, samples, generators, recipe, device, tick)
+    trained = []
+    for run in range(runs):
+        normalizer = _normalizer(parameters[run], widths)
+        normalizer, refined = _refined(normalizer, samples[run].numpy().T, recipe, tick)
+        training_mse, validation_mse = np.concatenate([history[run], refined]).T
+        card = {"seed": f"{seed}, run {run}", "validation_mse": f"{validation_mse[-1]:.4g}"}
+        card |= _card(normalizer, recipe)
+        normalizer = LearnedNormalizer(normalizer.weights, normalizer.biases, card)
+        trained.append(TrainedNormalizer(normalizer, training_mse, validation_mse))
+    return trained
+
+
+def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
+    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)))
+    everywhere = np.degrees(angle_errors(normalizer, np.geomspace(1e-6, 3.0, 200), directions=720))
+    mse = mean_squared_error(normalizer, directions=360)
+    return {
+        "recipe": repr(recipe),
+        "epochs": str(recipe.epochs),
+        "refinement_iterations": str(recipe.refinement.iterations),
+        "mse": f"{mse:.4g} (all lengths to 2)",
+        "mean_angle_error_deg": f"{near.mean():.4g} (lengths 0.9 to 1.1)",
+        "worst_angle_error_deg": f"{everywhere.max():.4g} (lengths 1e-6 to 3)",
+        "torch": str(torch.__version__),
+    }
+
+
+def _generator(seed: int, run: int) -> torch.Generator:
+    # With a seed sequence run 1 of seed 0 and run 0 of seed 1 share nothing.  Drawing on the CPU
+    # gives every device the same samples.
+    state = np.random.SeedSequence((seed, run)).generate_state(1, np.uint64)
+    return torch.Generator().manual_seed(int(state[0]))
+
+
+def _draw_samples(recipe: Recipe, generator: torch.Generator) -> Tensor:
+    """Draw inputs r u and answers u, shuffled: rows r u_x, r u_y, u_x, u_y, (4, samples)."""
+    count = recipe.samples
+    angles = torch.arange(count, dtype=torch.float64) * (2 * pi / count)
+    ranges = torch.tensor(recipe.length_ranges, dtype=torch.float64)
+    low, high = ranges[torch.arange(count) % len(ranges)].T
+    # rand is in [0, 1[: counted down from the top it leaves out the zero vector.
+    lengths = high - (high - low) * torch.rand(count, dtype=torch.float64, generator=generator)
+    directions = torch.stack([angles.cos(), angles.sin()])
+    samples = torch.cat([lengths * directions, directions])
+    return samples[:, torch.randperm(count, generator=generator)]
+
+
+def _initial_parameters(widths: Sequence[int], generator: torch.Generator) -> Tensor:
+    """Draw Glorot's uniform weights, with zero biases (Keras' defaults), shape (P,)."""
+    parts = []
+    for inputs, outputs in pairwise(widths):
+        limit = sqrt(6 / (inputs + outputs))
+        weights = torch.empty(outputs * inputs, dtype=torch.float64)
+        weights.uniform_(-limit, limit, generator=generator)
+        parts += [weights, weights.new_zeros(outputs)]
+    return torch.cat(parts)
+
+
+def _normalizer(parameters: Tensor, widths: Sequence[int]) -> LearnedNormalizer:
+    layers = _layers(parameters[None], widths)
+    weights = [weights[0].numpy() for weights, _ in layers]
+    return LearnedNormalizer(weights, [biases[0, :, 0].numpy() for _, biases in layers])
+
+
+def _layers(parameters: Tensor, widths: Sequence[int]) -> _Layers:
+    """View parameters (runs, P) as layers: weights (runs, out, in) and biases (runs, out, 1)."""
+    layers, start = [], 0
+    for inputs, outputs in pairwise(widths):
+        middle, end = start + outputs * inputs, start + outputs * (inputs + 1)
+        weights = parameters[:, start:middle].view(-1, outputs, inputs)
+        layers.append((weights, parameters[:, middle:end].unsqueeze(2)))
+        start = end
+    return layers
+
+
+def _forward(layers: _Layers, inputs: Tensor) -> list[Tensor]:
+    """Return the values of all layers, the inputs first, each (runs, units, samples)."""
+    values = [inputs]
+    for weights, biases in layers:
+        values.append(torch.baddbmm(biases, weights, values[-1]).tanh_())
+    return values
+
+
+def _gradient(layers: _Layers, values: list[Tensor], slope: Tensor) -> Tensor:
+    """Return ∂E/∂parameters, (runs, P), from the slope ∂E/∂y_K, (runs, 2, samples).
+
+    It is written out, because autograd's bookkeeping costs more than layers of a few units:
+
+        δ_K = ∂E/∂y_K (1 − y_K²),   δ_k = (W_{k+1}ᵀ δ_{k+1}) (1 − y_k²),   ∂E/∂W_k = δ_k y_{k−1}ᵀ
+    """
+    parts: list[Tensor] = []
+    for index in reversed(range(len(layers))):
+        output = values[index + 1]
+        delta = torch.addcmul(slope, slope * output, output, value=-1)
+        parts = [(delta @ values[index].mT).flatten(1), delta.sum(2), *parts]
+        slope = layers[index][0].mT @ delta
+    return torch.cat(parts, dim=1)
+
+
+def _penalty_gradient(layers: _Layers, weight_decay: float) -> Tensor:
+    """Return ∂(λ Σ w²)/∂parameters, (runs, P): 2 λ w for weights, 0 for biases."""
+    parts: list[Tensor] = []
+    for weights, biases in layers:
+        parts += [2 * weight_decay * weights.flatten(1), torch.zeros_like(biases[..., 0])]
+    return torch.cat(parts, dim=1)
+
+
+def _adam(
+    parameters: Tensor,
+    widths: Sequence[int],
+    samples: Tensor,
+    generators: Sequence[torch.Generator],
+    recipe: Recipe,
+    device: str,
+    tick: Callable[[], None],
+) -> tuple[Tensor, Array]:
+    """Run Adam; return the fitted parameters and the history of errors (runs, epochs, 2)."""
+    dtype = torch.float32 if recipe.precision == "float32" else torch.float64
+    # Only biases start at zero.
+    trainable = (parameters != 0).to(device, dtype) if not recipe.biases else None
+    parameters, samples = parameters.to(device, dtype, copy=True), samples.to(device, dtype)
+    validation, training = samples[..., : recipe.held_out], samples[..., recipe.held_out :]
+    layers, count = _layers(parameters, widths), training.shape[2]
+    mean, variance = torch.zeros_like(parameters), torch.zeros_like(parameters)
+    history, update = [], 0
+    for _ in range(recipe.epochs):
+        orders = [torch.randperm(count, generator=generator) for generator in generators]
+        order = torch.stack(orders).to(device)[:, None].expand_as(training)
+        total = training.new_zeros(len(parameters))
+        for batch in torch.split(training.gather(2, order), recipe.batch_size, dim=2):
+            values = _forward(layers, batch[:, :2])
+            error = values[-1] - batch[:, 2:]
+            total += error.square().sum((1, 2))
+            gradient = _gradient(layers, values, error / batch.shape[2])
+            if recipe.weight_decay:
+                gradient += _penalty_gradient(layers, recipe.weight_decay)
+            if trainable is not None:
+                gradient *= trainable
+            update += 1
+            mean.lerp_(gradient, 0.1)
+            variance.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
+            # Keras adds its 1e-7 before the bias correction, torch's Adam adds 1e-8 after it.
+            step = recipe.learning_rate * sqrt(1 - 0.999**update) / (1 - 0.9**update)
+            parameters.addcdiv_(mean, variance.sqrt().add_(1e-7), value=-step)
+        error = _forward(layers, validation[:, :2])[-1] - validation[:, 2:]
+        history.append(torch.stack([total / (2 * count), error.square().mean((1, 2))], dim=1))
+        tick()
+    return parameters.double().cpu(), torch.stack(history, dim=1).double().cpu().numpy()
+
+
+def _refined(
+    normalizer: LearnedNormalizer, samples: Array, recipe: Recipe, tick: Callable[[], None]
+) -> tuple[LearnedNormalizer, Array]:
+    """Refine on samples (n, 4); return the normalizer and the history (iterations, 2)."""
+    validation, training = np.split(samples, [recipe.held_out])
+    history: list[list[float]] = []
+
+    def record(current: LearnedNormalizer) -> None:
+        errors = [(current(part[:, :2]) - part[:, 2:]) ** 2 for part in (training, validation)]
+        history.append([float(error.mean()) for error in errors])
+        tick()
+
+    normalizer = refine(normalizer, training[:, :2], recipe.refinement, record)
+    return normalizer, np.reshape(history, (-1, 2))
+
+
 def refine(
     normalizer: LearnedNormalizer,
     vectors: ArrayLike,
     refinement: Refinement | None = None,
     after_iteration: Callable[[LearnedNormalizer], None] | None = None,
 ) -> LearnedNormalizer:
-    """A normalizer that turns vectors less than the given one.
+    """Refine a normalizer so that it turns vectors less.
 
-    An odd MLP, one whose biases are all zero, stays odd.
+    Adam leaves angle errors of some tenths of a degree, and with them a floor under an MMC
+    network's distance to its target.  Here the parts of f(x) − u across and along u are made
+    small, with weights w(r) for the lengths of the vectors x = r u,
+
+        E = Σ e²,   e = [w (u × f(x)),  w c (u · f(x) − 1)]
+
+    A small MLP has few enough parameters P to solve (JᵀJ + λ diag JᵀJ) Δ = Jᵀe, with J = ∂e/∂P, for
+    the step Δ (Levenberg and Marquardt).  An odd MLP, whose biases are all zero, stays odd.
 
     Args:
-        normalizer: where to begin.
+        normalizer: the normalizer to begin with.
         vectors: vectors to do better on, none of them zero, shape (n, 2).
         refinement: iterations and weights.
         after_iteration: called with the normalizer of every iteration.
@@ -117,7 +420,7 @@ def refine(
 
 
 def _projections(vectors: Array, refinement: Refinement) -> list[Array]:
-    """What f(x) − u is multiplied with: weighted directions across and along u, each (n, 2)."""
+    """Return the weighted directions across and along u, each (n, 2), to project f(x) − u on."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     along = vectors / lengths
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -127,7 +430,7 @@ def _projections(vectors: Array, refinement: Refinement) -> list[Array]:
 
 
 def _errors(output: Array, projections: list[Array]) -> Array:
-    """The e's of all vectors, (2 n,)."""
+    """Return the errors e of all vectors, (2 n,)."""
     across, along = projections
     # u · (f − u) = u · f − 1, and the weight of u is the length of the projection itself.
     wanted = np.linalg.norm(along, axis=1)
@@ -136,7 +439,7 @@ def _errors(output: Array, projections: list[Array]) -> Array:
 
 
 def _jacobian(normalizer: LearnedNormalizer, values: list[Array], projection: Array) -> Array:
-    """∂(a · y_K)/∂parameters of every vector, (n, P)."""
+    """Return ∂(a · y_K)/∂parameters of every vector, a its `projection`, (n, P)."""
     parts: list[Array] = []
     slope = projection
     for index in reversed(range(len(normalizer.weights))):
@@ -148,7 +451,7 @@ def _jacobian(normalizer: LearnedNormalizer, values: list[Array], projection: Ar
 
 
 def _moved(normalizer: LearnedNormalizer, change: Array) -> LearnedNormalizer:
-    """The normalizer with `change` (P,) added to its weights and biases, layer by layer."""
+    """Return the normalizer with `change` (P,) added to its weights and biases."""
     weights, biases, start = [], [], 0
     for weight, bias in zip(normalizer.weights, normalizer.biases, strict=True):
         middle, end = start + weight.size, start + weight.size + bias.size
@@ -156,309 +459,6 @@ def _moved(normalizer: LearnedNormalizer, change: Array) -> LearnedNormalizer:
         biases.append(bias + change[middle:end])
         start = end
     return LearnedNormalizer(weights, biases)
-
-
-Errors: TypeAlias = NDArray[np.float64]
-Progress: TypeAlias = Callable[[int, int], None]
-_Layers: TypeAlias = "list[tuple[Tensor, Tensor]]"
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """How normalization MLPs are trained; the defaults are the paper's values.
-
-    Attributes:
-        name: written on the card of what was trained.
-        samples: number of vectors, their directions spread evenly over the circle.
-        length_ranges: lengths are uniform in ]low, high]; sample k takes range k mod their number.
-        validation_share: share of the samples, drawn at random, that is not trained on.
-        epochs: passes of Adam over the training samples.
-        batch_size: samples per update.
-        learning_rate: Adam's step size.
-        weight_decay: λ of the penalty λ Σ w² on the weights, biases left out, during Adam; recorded
-            errors are without it.
-        biases: whether units have biases; without them the MLP is odd.
-        precision: floating point type to train in.
-        refinement: what follows Adam, which is nothing at zero iterations.
-
-    Raises:
-        ValueError: if a value is out of range.
-    """
-
-    name: str = "paper"
-    samples: int = 3600
-    length_ranges: tuple[tuple[float, float], ...] = ((0.0, 2.0),)
-    validation_share: float = 0.2
-    epochs: int = 400
-    batch_size: int = 16
-    learning_rate: float = 0.001
-    weight_decay: float = 0.0
-    biases: bool = True
-    precision: Literal["float32", "float64"] = "float32"
-    refinement: Refinement = field(default_factory=lambda: Refinement(iterations=0))
-
-    def __post_init__(self) -> None:
-        for name in ("samples", "epochs", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        if not 0 <= self.weight_decay < inf:
-            raise ValueError(
-                f"weight_decay must be finite and not negative, got {self.weight_decay}"
-            )
-        if not 0 < self.held_out < self.samples:
-            raise ValueError(
-                "validation_share must leave samples to train and to validate on, "
-                f"got {self.validation_share} of {self.samples}"
-            )
-        if not self.length_ranges or any(not 0 <= low < high for low, high in self.length_ranges):
-            raise ValueError(
-                f"length_ranges must be pairs 0 <= low < high, got {self.length_ranges}"
-            )
-
-    @property
-    def held_out(self) -> int:
-        """Number of validation samples."""
-        return round(self.validation_share * self.samples)
-
-
-PAPER = Recipe()
-ACCURATE = Recipe(
-    name="accurate",
-    samples=7200,
-    length_ranges=((0.0, 3.0), (0.8, 1.2)),
-    epochs=100,
-    biases=False,
-    precision="float64",
-    refinement=Refinement(),
-)
-RECIPES = {recipe.name: recipe for recipe in (ACCURATE, PAPER)}
-
-
-@dataclass(frozen=True, eq=False)
-class TrainedNormalizer:
-    """A normalizer and how it came about.
-
-    Attributes:
-        normalizer: the trained MLP; its card tells recipe, seed, and measured errors.
-        training_mse: mean squared error on the training samples, one entry per epoch (mean over
-            its batches, as they were met), then one per refinement iteration.
-        validation_mse: the same on the validation samples, after each epoch or iteration.
-    """
-
-    normalizer: LearnedNormalizer
-    training_mse: NDArray[np.float64]
-    validation_mse: NDArray[np.float64]
-
-
-def train_normalizers(
-    hidden_units: Sequence[int] = (16, 16),
-    recipe: Recipe = ACCURATE,
-    runs: int = 1,
-    seed: int = 0,
-    device: str = "cpu",
-    progress: Progress | None = None,
-) -> list[TrainedNormalizer]:
-    """Train `runs` MLPs of one architecture together.
-
-    Run r depends on `seed` and r only, whatever the number of runs, up to rounding; its samples
-    are the same for every architecture.  On one machine the same arguments give the same
-    weights, bit for bit; a refinement's last digits depend on the number of threads that numpy's
-    BLAS uses as well.  Random numbers come from own generators.  Torch computes on one thread
-    meanwhile, which is fastest for layers this small.
-
-    Args:
-        hidden_units: sizes of the hidden layers.
-        recipe: `ACCURATE`, `PAPER`, or another.
-        runs: number of MLPs, each with its own samples, initial weights and order of samples.
-        seed: not negative.
-        device: torch's name of the device for Adam; the refinement is numpy's.
-        progress: called with (epochs and refinement iterations done, their total number).
-
-    Returns:
-        One trained normalizer per run.
-
-    Raises:
-        ValueError: if `runs`, a layer size, or `seed` is out of range.
-    """
-    for name, value, least in (("runs", runs, 1), ("seed", seed, 0)):
-        if value < least:
-            raise ValueError(f"{name} must be {least} or more, got {value}")
-    if not hidden_units or min(hidden_units) < 1:
-        raise ValueError(f"hidden_units must be 1 or more each, got {tuple(hidden_units)}")
-    widths = (2, *hidden_units, 2)
-    total = recipe.epochs + runs * recipe.refinement.iterations
-    done = 0
-
-    def tick() -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(done, total)
-
-    with one_torch_thread():
-        generators = [_generator(seed, run) for run in range(runs)]
-        samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
-        parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
-        parameters, history = _adam(parameters, widths, samples, generators, recipe, device, tick)
-    trained = []
-    for run in range(runs):
-        normalizer = _normalizer(parameters[run], widths)
-        normalizer, refined = _refined(normalizer, samples[run].numpy().T, recipe, tick)
-        training_mse, validation_mse = np.concatenate([history[run], refined]).T
-        card = {"seed": f"{seed}, run {run}", "validation_mse": f"{validation_mse[-1]:.4g}"}
-        card |= _card(normalizer, recipe)
-        normalizer = LearnedNormalizer(normalizer.weights, normalizer.biases, card)
-        trained.append(TrainedNormalizer(normalizer, training_mse, validation_mse))
-    return trained
-
-
-def _refined(
-    normalizer: LearnedNormalizer, samples: Errors, recipe: Recipe, tick: Callable[[], None]
-) -> tuple[LearnedNormalizer, Errors]:
-    """The normalizer after its refinement on samples (n, 4), and the history (iterations, 2)."""
-    validation, training = np.split(samples, [recipe.held_out])
-    history: list[list[float]] = []
-
-    def record(current: LearnedNormalizer) -> None:
-        errors = [(current(part[:, :2]) - part[:, 2:]) ** 2 for part in (training, validation)]
-        history.append([float(error.mean()) for error in errors])
-        tick()
-
-    normalizer = refine(normalizer, training[:, :2], recipe.refinement, record)
-    return normalizer, np.reshape(history, (-1, 2))
-
-
-def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
-    near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)))
-    everywhere = np.degrees(angle_errors(normalizer, np.geomspace(1e-6, 3.0, 200), directions=720))
-    mse = mean_squared_error(normalizer, directions=360)
-    return {
-        "recipe": repr(recipe),
-        "epochs": str(recipe.epochs),
-        "refinement_iterations": str(recipe.refinement.iterations),
-        "mse": f"{mse:.4g} (all lengths to 2)",
-        "mean_angle_error_deg": f"{near.mean():.4g} (lengths 0.9 to 1.1)",
-        "worst_angle_error_deg": f"{everywhere.max():.4g} (lengths 1e-6 to 3)",
-        "torch": str(torch.__version__),
-    }
-
-
-def _draw_samples(recipe: Recipe, generator: torch.Generator) -> Tensor:
-    """Inputs r u and answers u, shuffled, shape (4, samples), rows r u_x, r u_y, u_x, u_y."""
-    count = recipe.samples
-    angles = torch.arange(count, dtype=torch.float64) * (2 * pi / count)
-    ranges = torch.tensor(recipe.length_ranges, dtype=torch.float64)
-    low, high = ranges[torch.arange(count) % len(ranges)].T
-    # rand is in [0, 1[: counted down from the top it leaves out the zero vector.
-    lengths = high - (high - low) * torch.rand(count, dtype=torch.float64, generator=generator)
-    directions = torch.stack([angles.cos(), angles.sin()])
-    samples = torch.cat([lengths * directions, directions])
-    return samples[:, torch.randperm(count, generator=generator)]
-
-
-def _initial_parameters(widths: Sequence[int], generator: torch.Generator) -> Tensor:
-    """Glorot's uniform weights and zero biases (Keras' defaults), shape (P,)."""
-    parts = []
-    for inputs, outputs in pairwise(widths):
-        limit = sqrt(6 / (inputs + outputs))
-        weights = torch.empty(outputs * inputs, dtype=torch.float64)
-        weights.uniform_(-limit, limit, generator=generator)
-        parts += [weights, weights.new_zeros(outputs)]
-    return torch.cat(parts)
-
-
-def _normalizer(parameters: Tensor, widths: Sequence[int]) -> LearnedNormalizer:
-    layers = _layers(parameters[None], widths)
-    weights = [weights[0].numpy() for weights, _ in layers]
-    return LearnedNormalizer(weights, [biases[0, :, 0].numpy() for _, biases in layers])
-
-
-def _layers(parameters: Tensor, widths: Sequence[int]) -> _Layers:
-    """Views of parameters (runs, P): per layer weights (runs, out, in), biases (runs, out, 1)."""
-    layers, start = [], 0
-    for inputs, outputs in pairwise(widths):
-        middle, end = start + outputs * inputs, start + outputs * (inputs + 1)
-        weights = parameters[:, start:middle].view(-1, outputs, inputs)
-        layers.append((weights, parameters[:, middle:end].unsqueeze(2)))
-        start = end
-    return layers
-
-
-def _forward(layers: _Layers, inputs: Tensor) -> list[Tensor]:
-    """Values of all layers, the inputs first, each (runs, units, samples)."""
-    values = [inputs]
-    for weights, biases in layers:
-        values.append(torch.baddbmm(biases, weights, values[-1]).tanh_())
-    return values
-
-
-def _gradient(layers: _Layers, values: list[Tensor], slope: Tensor) -> Tensor:
-    """∂E/∂parameters, (runs, P), from the slope ∂E/∂y_K, (runs, 2, samples)."""
-    parts: list[Tensor] = []
-    for index in reversed(range(len(layers))):
-        output = values[index + 1]
-        delta = torch.addcmul(slope, slope * output, output, value=-1)
-        parts = [(delta @ values[index].mT).flatten(1), delta.sum(2), *parts]
-        slope = layers[index][0].mT @ delta
-    return torch.cat(parts, dim=1)
-
-
-def _penalty_gradient(layers: _Layers, weight_decay: float) -> Tensor:
-    """∂(λ Σ w²)/∂parameters, (runs, P): 2 λ w for weights, 0 for biases."""
-    parts: list[Tensor] = []
-    for weights, biases in layers:
-        parts += [2 * weight_decay * weights.flatten(1), torch.zeros_like(biases[..., 0])]
-    return torch.cat(parts, dim=1)
-
-
-def _adam(
-    parameters: Tensor,
-    widths: Sequence[int],
-    samples: Tensor,
-    generators: Sequence[torch.Generator],
-    recipe: Recipe,
-    device: str,
-    tick: Callable[[], None],
-) -> tuple[Tensor, Errors]:
-    """Adam on the mean squared error; the fitted parameters, and the history (runs, epochs, 2)."""
-    dtype = torch.float32 if recipe.precision == "float32" else torch.float64
-    # The biases are what starts at zero.
-    trainable = (parameters != 0).to(device, dtype) if not recipe.biases else None
-    parameters, samples = parameters.to(device, dtype, copy=True), samples.to(device, dtype)
-    validation, training = samples[..., : recipe.held_out], samples[..., recipe.held_out :]
-    layers, count = _layers(parameters, widths), training.shape[2]
-    mean, variance = torch.zeros_like(parameters), torch.zeros_like(parameters)
-    history, update = [], 0
-    for _ in range(recipe.epochs):
-        orders = [torch.randperm(count, generator=generator) for generator in generators]
-        order = torch.stack(orders).to(device)[:, None].expand_as(training)
-        total = training.new_zeros(len(parameters))
-        for batch in torch.split(training.gather(2, order), recipe.batch_size, dim=2):
-            values = _forward(layers, batch[:, :2])
-            error = values[-1] - batch[:, 2:]
-            total += error.square().sum((1, 2))
-            gradient = _gradient(layers, values, error / batch.shape[2])
-            if recipe.weight_decay:
-                gradient += _penalty_gradient(layers, recipe.weight_decay)
-            if trainable is not None:
-                gradient *= trainable
-            update += 1
-            mean.lerp_(gradient, 0.1)
-            variance.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
-            # Keras adds its 1e-7 before the bias correction, torch's Adam adds 1e-8 after it.
-            step = recipe.learning_rate * sqrt(1 - 0.999**update) / (1 - 0.9**update)
-            parameters.addcdiv_(mean, variance.sqrt().add_(1e-7), value=-step)
-        error = _forward(layers, validation[:, :2])[-1] - validation[:, 2:]
-        history.append(torch.stack([total / (2 * count), error.square().mean((1, 2))], dim=1))
-        tick()
-    return parameters.double().cpu(), torch.stack(history, dim=1).double().cpu().numpy()
-
-
-def _generator(seed: int, run: int) -> torch.Generator:
-    # A seed sequence, so that run 1 of seed 0 and run 0 of seed 1 share nothing.  Drawing on the
-    # CPU gives every device the same samples.
-    state = np.random.SeedSequence((seed, run)).generate_state(1, np.uint64)
-    return torch.Generator().manual_seed(int(state[0]))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

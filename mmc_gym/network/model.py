@@ -1,28 +1,28 @@
 """The MMC network: a recurrent network whose attractors are the valid postures of the arm.
 
-Every vector v_ij of the chain is computed from each of its m = N − 1 triangles, and the
-computations are averaged with the present value (Eq. 2 of the paper; N = 3 gives it exactly):
+Every vector v_ij of the chain is computed from each of its m = N − 1 triangles.  The results are
+averaged with the present value (Eq. 2 of the paper, exactly so for N = 3):
 
     ṽ_ij = 1/d Σ_{k≠i,j} (v_ik + v_kj) + (d − m)/d v_ij,     v_ba = −v_ab
          ⇔  ṽ = (I − 1/d ∂₂∂₂ᵀ) v                            ∂₂ from `triangle_incidence`
 
-The segments among them are brought back to their length:
+Then the segments are brought back to their lengths:
 
     kinematic:  L ← normalize(L̃)
     dynamic:    v ← rule(L̃ − L, v),   L̂ = L + v,   L ← normalize(L̂)          (Eqs. 3, 4)
 
-with two rules for the velocity, the paper's Eq. 3 and what its figures were made with,
+There are two rules for the velocity, the paper's Eq. 3 and what its figures were made with,
 
     "paper":      v = 1/d_v (L̃ − L) + decay (d_v − 1)/d_v v
     "reference":  v = decay ((L̃ − L) + d_v v) / (d_v + 1)
 
-and two schedules: "synchronous" reads the newest values everywhere, as the equations are
-printed; "delayed" is what the published figures were made with: the triangle terms read the
-normalized segments of one iteration ago, and only the self term and the velocity read the new.
+and two schedules.  "synchronous" reads the newest values everywhere, as the equations are printed.
+"delayed" is what the published figures were made with: the triangle terms read the normalized
+segments of one iteration ago, and only the self term and the velocity read the new ones.
 
 All of this but the normalization is linear.  So the whole state is one array with a row per
-variable, and an iteration is one matrix product and one normalization.  A clamped variable is
-a row of the identity.
+variable, and an iteration is one matrix product and one normalization (`Iteration`).  A clamped
+variable is a row of the identity.
 """
 
 from __future__ import annotations
@@ -35,102 +35,12 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._errors import require
 from mmc_gym.network import chain
-from mmc_gym.network.chain import Floats, Pair, triangle_incidence
+from mmc_gym.network.chain import Floats, Pair
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 
 Rows: TypeAlias = "slice | NDArray[np.intp]"
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledIteration:
-    """What an iteration needs, for one network, set of clamped vectors, and dtype."""
-
-    operator: Floats  # (rows, rows), the linear part of an iteration
-    clamped: Rows  # rows that hold clamp values
-    normalized: Rows  # rows to normalize: the free segments
-    lengths: Floats  # their lengths, (n, 1)
-
-
-@lru_cache(maxsize=256)
-def compile_iteration(
-    network: MMCNetwork, clamped: tuple[int, ...], dtype: str
-) -> CompiledIteration:
-    """Compile an iteration for rows that are held (`Clamps.rows`) and a dtype's character."""
-    count = network.segment_count
-    free = [row for row in range(count) if row not in clamped]
-    offset = count * (count + 1) // 2 if network.schedule == "delayed" else 0
-    return CompiledIteration(
-        operator=linear_operator(network, clamped).astype(dtype),
-        clamped=_as_slice(clamped),
-        normalized=_as_slice(tuple(offset + row for row in free)),
-        lengths=np.array(network.segment_lengths, dtype=dtype)[free, None],
-    )
-
-
-def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray[np.float64]:
-    """The linear part of an iteration, as a matrix over the rows of the state.
-
-    Args:
-        network: the network.
-        clamped: rows that are held (`Clamps.rows`).
-
-    Returns:
-        Matrix K of shape (rows, rows).  Synchronous: the state is normalize(K state).
-        Delayed: K normalize(state), where the pending segments are what is normalized.
-    """
-    count = network.segment_count
-    incidence = triangle_incidence(count)
-    vectors = len(incidence)
-    mean = np.eye(vectors) - incidence @ incidence.T / network.damping
-
-    # Where the segments are read from and written to, and where their velocities stand.
-    delayed = network.schedule == "delayed"
-    dynamic = network.dynamics != "kinematic"
-    size = vectors + count * (delayed + dynamic)
-    if clamped and clamped[-1] >= size:
-        raise ValueError(f"clamps must come from this network, got row {clamped[-1]} of {size}")
-    identity = np.eye(size)
-    segment, vector = slice(0, count), slice(0, vectors)
-    new = slice(vectors, vectors + count) if delayed else segment
-    velocity = slice(size - count, size)
-
-    operator = np.zeros((size, size))
-    operator[vector, vector] = mean
-    proposed = operator[segment].copy()  # L̃
-    if delayed:
-        operator[segment] = identity[new]
-        self_term = np.diag(np.diag(mean)[segment])
-        proposed[:, segment] -= self_term
-        proposed[:, new] += self_term
-    if dynamic:
-        gain, memory = velocity_rule(network)
-        operator[velocity] = gain * (proposed - identity[new]) + memory * identity[velocity]
-        operator[new] = identity[new] + operator[velocity]  # L̂ = L + v
-    else:
-        operator[new] = proposed
-    for row in clamped:
-        operator[row] = identity[row]
-        if row < count and dynamic:
-            operator[size - count + row] = 0.0
-    return operator
-
-
-def velocity_rule(network: MMCNetwork) -> tuple[float, float]:
-    """Factors of (L̃ − L) and of the old velocity in the new velocity."""
-    d_v, decay = network.velocity_damping, network.velocity_decay
-    if network.dynamics == "paper":
-        return 1 / d_v, decay * (d_v - 1) / d_v
-    return decay / (d_v + 1), decay * d_v / (d_v + 1)
-
-
-def _as_slice(rows: tuple[int, ...]) -> Rows:
-    """Neighbouring rows as a slice, which numpy indexes without a copy."""
-    if rows and rows == tuple(range(rows[0], rows[-1] + 1)):
-        return slice(rows[0], rows[-1] + 1)
-    return np.array(rows, dtype=np.intp)
-
-
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]
 
@@ -142,10 +52,13 @@ _BLOCK = 4096
 class MMCState:
     """Values of all variables of a batch of networks.
 
-    `values` holds one row per variable with the batch on the last axes, shape (rows, 2, ...):
-    the chain's vectors, then the segments that await their normalization (schedule "delayed"
-    only), then the segment velocities (dynamic networks only).  The properties show them with
-    the batch first, without a copy.
+    The properties show them with the batch first, without a copy.
+
+    Attributes:
+        values: one row per variable with the batch on the last axes, (rows, 2, ...): the chain's
+            vectors, then the segments that await their normalization (schedule "delayed" only),
+            then the segment velocities (dynamic networks only).
+        segment_count: N.
     """
 
     values: Floats
@@ -168,12 +81,12 @@ class MMCState:
 
     @property
     def end_effector(self) -> Floats:
-        """Sum of the segments: where the hand of this posture is, shape (..., 2)."""
+        """Sum of the segments: the position of the hand in this posture, shape (..., 2)."""
         return np.moveaxis(self.values[: self.segment_count].sum(axis=0), 0, -1)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
-        """Leading axes of all the other properties."""
+        """Leading axes of the other properties."""
         return self.values.shape[2:]
 
     def _rows(self, start: int, stop: int) -> Floats:
@@ -182,9 +95,11 @@ class MMCState:
 
 @dataclass(frozen=True, eq=False)
 class Clamps:
-    """Variables held at given values: rows of the state, and values of shape (rows, 2, ...).
+    """Variables held at given values; made by the network that they are used with.
 
-    Made by the network that they are used with.
+    Attributes:
+        rows: their rows in the state, in ascending order.
+        values: what they are held at, (rows, 2, ...).
     """
 
     rows: tuple[int, ...]
@@ -198,8 +113,8 @@ NO_CLAMPS = Clamps((), np.empty((0, 2)))
 class MMCNetwork:
     """Description of an MMC network for a planar arm of N ≥ 2 segments; it holds no state.
 
-    It converges for d > (N + 1)/2, without oscillation for d ≥ N + 1; the linear part then
-    needs a single iteration at d = N + 1.
+    It converges for d > (N + 1)/2, and without oscillation for d ≥ N + 1.  At d = N + 1 the linear
+    part needs a single iteration.
 
     Attributes:
         segment_lengths: N positive lengths.
@@ -211,7 +126,7 @@ class MMCNetwork:
         schedule: "synchronous" or "delayed".
 
     Raises:
-        ValueError: for fewer than two segments, or a value outside its range.
+        UserError: for fewer than two segments, or a value outside its range.
 
     >>> network = MMCNetwork()
     >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -229,24 +144,18 @@ class MMCNetwork:
     schedule: Schedule = "synchronous"
 
     def __post_init__(self) -> None:
-        lengths = chain.check_segment_lengths(self.segment_lengths)
+        lengths = tuple(float(length) for length in self.segment_lengths)
         object.__setattr__(self, "segment_lengths", lengths)
-        if len(lengths) < 2:
-            raise ValueError(f"segment_lengths must hold two lengths or more, got {lengths}")
-        for name, low, high in (
-            ("damping", 0.0, np.inf),
-            ("velocity_damping", 1.0 if self.dynamics == "paper" else 0.0, np.inf),
-            ("velocity_decay", 0.0, 1.0),
-        ):
-            value = getattr(self, name)
-            inside = low <= value <= high if name != "damping" else low < value
-            if not inside or not np.isfinite(value):
-                raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {value!r}")
+        fine = len(lengths) >= 2 and all(0 < length < np.inf for length in lengths)
+        require(fine, "segment_lengths", lengths, "two or more positive and finite lengths")
+        require(0 < self.damping < np.inf, "damping", self.damping, "positive and finite")
+        least, value = 1 if self.dynamics == "paper" else 0, self.velocity_damping
+        require(least <= value < np.inf, "velocity_damping", value, f"finite, at least {least}")
+        value = self.velocity_decay
+        require(0 <= value <= 1, "velocity_decay", value, "between 0 and 1")
         for name, accepted in (("dynamics", Dynamics), ("schedule", Schedule)):
-            if getattr(self, name) not in get_args(accepted):
-                raise ValueError(
-                    f"{name} must be one of {get_args(accepted)}, got {getattr(self, name)!r}"
-                )
+            choice = getattr(self, name)
+            require(choice in get_args(accepted), name, choice, f"one of {get_args(accepted)}")
 
     @property
     def segment_count(self) -> int:
@@ -256,17 +165,17 @@ class MMCNetwork:
     # States
 
     def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
-        """State of arms at rest in a posture; joint angles (..., N) in radians."""
+        """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
         angles = _as_floats("joint_angles", joint_angles, (self.segment_count,))
         return self.state_from_segments(
             chain.segments_from_joint_angles(angles, self.segment_lengths)
         )
 
     def state_from_segments(self, segments: ArrayLike) -> MMCState:
-        """State at rest with the given segment vectors (..., N, 2) and all others consistent.
+        """Return the state at rest with these segment vectors (..., N, 2), the others consistent.
 
-        The vectors are taken as they are: the network normalizes them in its first iteration.
-        float32 is kept, anything else becomes float64.
+        They are not normalized before the first iteration.  float32 is kept, anything else
+        becomes float64.
 
         Raises:
             ValueError: if the shape is another or a value is not finite.
@@ -283,32 +192,31 @@ class MMCNetwork:
     # Tasks
 
     def inverse(self, target: ArrayLike) -> Clamps:
-        """Inverse task: the end effector held at `target` (..., 2)."""
-        # What `clamp` would do, in a third of the time: agents call this in every control step.
+        """Hold the end effector at `target` (..., 2): the inverse task."""
+        # The same as `clamp`, in a third of the time: agents call it in every control step.
         target = _as_floats("target", target, (2,))
         row = self.segment_count * (self.segment_count + 1) // 2 - 1
         batch = range(target.ndim - 1)
         return Clamps((row,), target.transpose(target.ndim - 1, *batch).copy()[None])
 
     def forward(self, segments: ArrayLike) -> Clamps:
-        """Forward task: every segment held at the given vector, `segments` (..., N, 2)."""
+        """Hold every segment at its vector in `segments` (..., N, 2): the forward task."""
         segments = _as_floats("segments", segments, (self.segment_count, 2))
         return self.clamp({(i, i + 1): segments[..., i, :] for i in range(self.segment_count)})
 
     def clamp(self, vectors: Mapping[Pair, ArrayLike]) -> Clamps:
-        """Any mixed task: the vectors v_ij of the given node pairs held at (..., 2).
+        """Hold the vectors v_ij of the given node pairs at values (..., 2): any mixed task.
 
-        A clamped segment is held as given; it should have its segment's length.
+        A segment is held as it is given, and should have its length.
 
         Raises:
-            ValueError: for a pair that is no vector of the chain, or a value that is not a
-                finite array of shape (..., 2).
+            UserError: for a pair that is no vector of the chain.
+            ValueError: for a value that is not a finite array of shape (..., 2).
         """
         pairs = chain.vector_pairs(self.segment_count)
         held: dict[int, Floats] = {}
         for pair, value in vectors.items():
-            if pair not in pairs:
-                raise ValueError(f"a clamp must be a node pair of {pairs}, got {pair!r}")
+            require(pair in pairs, "a clamp", pair, f"a node pair of {pairs}")
             held[pairs.index(pair)] = _as_floats(f"clamp {pair}", value, (2,))
         if not held:
             return NO_CLAMPS
@@ -322,11 +230,11 @@ class MMCNetwork:
     # Iterating
 
     def step(self, state: MMCState, clamps: Clamps = NO_CLAMPS) -> MMCState:
-        """The state after one iteration."""
+        """Return the state after one iteration."""
         return self.run(state, clamps, iterations=1)
 
     def run(self, state: MMCState, clamps: Clamps = NO_CLAMPS, iterations: int = 1) -> MMCState:
-        """The state after `iterations` iterations; `state` itself stays as it is.
+        """Return the state after `iterations` iterations; `state` itself stays as it is.
 
         Batch axes of state and clamps are broadcast against each other.
 
@@ -334,17 +242,15 @@ class MMCNetwork:
             ValueError: if state or clamps come from another kind of network, or `iterations` is
                 negative.
         """
-        values = state.values
-        compiled = compile_iteration(self, clamps.rows, values.dtype.char)
-        if len(values) != len(compiled.operator) or state.segment_count != self.segment_count:
+        values, clamped = state.values, clamps.values
+        iteration = compile_iteration(self, clamps.rows, values.dtype.char)
+        if len(values) != len(iteration.operator) or state.segment_count != self.segment_count:
             raise ValueError(f"state must come from this network, got {len(values)} rows")
         if iterations < 0:
             raise ValueError(f"iterations must be 0 or more, got {iterations}")
-        clamped = clamps.values
         if clamped.ndim > 2 and clamped.shape[2:] != values.shape[2:]:
             batch = np.broadcast_shapes(values.shape[2:], clamped.shape[2:])
-            values = np.broadcast_to(_pad(values, len(batch)), (*values.shape[:2], *batch))
-            clamped = np.broadcast_to(_pad(clamped, len(batch)), (*clamped.shape[:2], *batch))
+            values, clamped = _broadcast(values, batch), _broadcast(clamped, batch)
         result = np.empty(values.shape, dtype=values.dtype)
         rows, size = len(result), result[0, 0].size
         source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
@@ -353,14 +259,14 @@ class MMCNetwork:
             block = slice(start, start + _BLOCK)
             current = source[:, :, block].copy()
             if clamps.rows:
-                current[compiled.clamped] = held if held.shape[2] == 1 else held[:, :, block]
-            out[:, :, block] = self._iterate(current, compiled, iterations)
+                current[iteration.clamped] = held if held.shape[2] == 1 else held[:, :, block]
+            out[:, :, block] = iteration.repeat(current, iterations)
         return MMCState(result, self.segment_count)
 
     def trajectory(
         self, state: MMCState, clamps: Clamps, iterations: int
     ) -> tuple[MMCState, Floats]:
-        """Run, and record the posture after every iteration.
+        """Run, and record the segments after every iteration.
 
         Returns:
             The last state, and the segments of all iterations, (iterations, ..., N, 2).
@@ -372,38 +278,138 @@ class MMCNetwork:
             postures[iteration] = state.segments
         return state, postures
 
-    def _iterate(self, current: Floats, compiled: CompiledIteration, iterations: int) -> Floats:
-        """Iterate (rows, 2, batch); `current` is overwritten."""
-        following = np.empty_like(current)
-        flat = (len(current), -1)
-        delayed = self.schedule == "delayed"
-        for _ in range(iterations):
-            if delayed:
-                self._normalize(current, compiled)
-            compiled.operator.dot(current.reshape(flat), following.reshape(flat))
-            if not delayed:
-                self._normalize(following, compiled)
-            current, following = following, current
-        return current
 
-    def _normalize(self, values: Floats, compiled: CompiledIteration) -> None:
-        rows = compiled.normalized
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """One iteration of a network, for a set of clamped rows and a dtype.
+
+    Attributes:
+        operator: its linear part, see `linear_operator`.
+        clamped: rows that hold clamp values.
+        normalized: rows to normalize, those of the free segments.
+        lengths: lengths to bring them to, (n, 1).
+        normalizer: what brings them there.
+        normalizes_first: tells whether this is done before the linear part (schedule "delayed").
+    """
+
+    operator: Floats
+    clamped: Rows
+    normalized: Rows
+    lengths: Floats
+    normalizer: Normalizer
+    normalizes_first: bool
+
+    def repeat(self, values: Floats, iterations: int) -> Floats:
+        """Return the state (rows, 2, batch) after so many iterations; `values` is overwritten."""
+        following = np.empty_like(values)
+        flat = (len(values), -1)
+        for _ in range(iterations):
+            if self.normalizes_first:
+                self._normalize(values)
+            self.operator.dot(values.reshape(flat), following.reshape(flat))
+            if not self.normalizes_first:
+                self._normalize(following)
+            values, following = following, values
+        return values
+
+    def _normalize(self, values: Floats) -> None:
+        rows = self.normalized
         if isinstance(rows, slice):
-            self.normalizer.normalize_rows(values[rows], compiled.lengths)
+            self.normalizer.normalize_rows(values[rows], self.lengths)
         elif rows.size:
             segments = values[rows]
-            self.normalizer.normalize_rows(segments, compiled.lengths)
+            self.normalizer.normalize_rows(segments, self.lengths)
             values[rows] = segments
 
 
-def _pad(values: Floats, batch_dimensions: int) -> Floats:
-    """Insert batch axes of size one in front of the present ones, (rows, 2, 1…, ...)."""
-    missing = batch_dimensions - (values.ndim - 2)
-    return values.reshape(*values.shape[:2], *(1,) * missing, *values.shape[2:])
+@lru_cache(maxsize=256)
+def compile_iteration(network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> Iteration:
+    """Prepare the iteration for clamped rows (`Clamps.rows`) and a dtype's character."""
+    count = network.segment_count
+    free = [row for row in range(count) if row not in clamped]
+    delayed = network.schedule == "delayed"
+    offset = len(chain.vector_pairs(count)) if delayed else 0
+    return Iteration(
+        operator=linear_operator(network, clamped).astype(dtype),
+        clamped=_as_slice(clamped),
+        normalized=_as_slice(tuple(offset + row for row in free)),
+        lengths=np.array(network.segment_lengths, dtype=dtype)[free, None],
+        normalizer=network.normalizer,
+        normalizes_first=delayed,
+    )
+
+
+def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray[np.float64]:
+    """Return the linear part of an iteration, a matrix K over the rows of the state, (rows, rows).
+
+    The next state is normalize(K state) if the network is synchronous.  If it is delayed, it is
+    K normalize(state), and the pending segments are normalized.
+
+    Args:
+        network: the network.
+        clamped: rows that are held (`Clamps.rows`).
+    """
+    count = network.segment_count
+    incidence = chain.triangle_incidence(count)
+    vectors = len(incidence)
+    mean = np.eye(vectors) - incidence @ incidence.T / network.damping
+
+    # Where the segments are read from and written to, and where their velocities stand.
+    delayed = network.schedule == "delayed"
+    dynamic = network.dynamics != "kinematic"
+    size = vectors + count * (delayed + dynamic)
+    if clamped and clamped[-1] >= size:
+        raise ValueError(f"clamps must come from this network, got row {clamped[-1]} of {size}")
+    identity = np.eye(size)
+    segment, vector = slice(0, count), slice(0, vectors)
+    new = slice(vectors, vectors + count) if delayed else segment
+    velocity = slice(size - count, size)
+
+    operator = np.zeros((size, size))
+    operator[vector, vector] = mean
+    proposed = operator[segment].copy()  # L̃
+    if delayed:  # the triangle terms read the old segments, the self term the new ones
+        operator[segment] = identity[new]
+        self_term = np.diag(np.diag(mean)[segment])
+        proposed[:, segment] -= self_term
+        proposed[:, new] += self_term
+    if dynamic:
+        gain, memory = velocity_rule(network)
+        operator[velocity] = gain * (proposed - identity[new]) + memory * identity[velocity]
+        operator[new] = identity[new] + operator[velocity]  # L̂ = L + v
+    else:
+        operator[new] = proposed
+    for row in clamped:
+        operator[row] = identity[row]
+        if row < count and dynamic:
+            operator[size - count + row] = 0.0
+    return operator
+
+
+def velocity_rule(network: MMCNetwork) -> tuple[float, float]:
+    """Return the factors of (L̃ − L) and of the old velocity in the new velocity."""
+    d_v, decay = network.velocity_damping, network.velocity_decay
+    if network.dynamics == "paper":
+        return 1 / d_v, decay * (d_v - 1) / d_v
+    return decay / (d_v + 1), decay * d_v / (d_v + 1)
+
+
+def _as_slice(rows: tuple[int, ...]) -> Rows:
+    """Return neighbouring rows as a slice, which numpy indexes without a copy."""
+    if rows and rows == tuple(range(rows[0], rows[-1] + 1)):
+        return slice(rows[0], rows[-1] + 1)
+    return np.array(rows, dtype=np.intp)
+
+
+def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
+    """Broadcast the batch axes of values (rows, 2, ...) to `batch`."""
+    rows, two, *own = values.shape
+    missing = (1,) * (len(batch) - len(own))
+    return np.broadcast_to(values.reshape(rows, two, *missing, *own), (rows, two, *batch))
 
 
 def _as_floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
-    """The value as a finite float array whose last axes are `trailing`."""
+    """Return the value as a finite float array whose last axes are `trailing`."""
     array = np.asarray(value)
     if array.dtype != np.float32:
         array = array.astype(np.float64)

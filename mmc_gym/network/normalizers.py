@@ -1,14 +1,14 @@
-"""Normalization: what brings a segment vector back to its length after each iteration.
+"""Normalizers bring each segment vector back to its length after an iteration.
 
 Euclidean (the classical network):   L = ℓ · L̃ / |L̃|
-Learned (the paper, Sect. "Learning Non-Linearities"): a small MLP f with tanh in hidden and
-output units, trained to map any vector onto the unit circle without turning it,
+Learned (the paper, Sect. "Learning Non-Linearities"): a small MLP f, with tanh in hidden and
+output units, is trained to map any vector onto the unit circle without turning it,
 
     L = ℓ · f(L̃ / ℓ),      f(x) = tanh(W_K … tanh(W_1 x + b_1) … + b_K).
 
-Inside the network the batch stands on the last axis (rows, 2, batch): one iteration is then
-one matrix product over contiguous memory.  `normalize_rows` works on that layout and in
-place; calling a normalizer works on the usual one, (..., 2).
+Inside the network the batch stands on the last axis, (rows, 2, batch), so that an iteration is
+one matrix product over contiguous memory.  `normalize_rows` works on that layout, in place.
+Calling a normalizer works on the usual one, (..., 2).
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ import numpy as np
 import safetensors.numpy
 from numpy.typing import ArrayLike
 from safetensors import SafetensorError, safe_open
+from typing_extensions import override
 
+from mmc_gym._errors import UserError, require
 from mmc_gym._files import write_atomically
 from mmc_gym.network.chain import Floats
 
@@ -39,12 +41,12 @@ class Normalizer(ABC):
 
         Args:
             rows: vectors with the batch last, shape (n, 2, batch).
-            lengths: lengths to bring them to, shape (n, 1), or (n, batch) where each of the
-                batch has its own, of the same dtype.
+            lengths: lengths to bring them to, of the same dtype, shape (n, 1), or (n, batch) if
+                each of the batch has its own.
         """
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
-        """Normalized copies of `vectors` (..., 2); `lengths` broadcasts against (...)."""
+        """Return normalized copies of `vectors` (..., 2); `lengths` broadcasts against (...)."""
         vectors = np.asarray(vectors)
         vectors = vectors if vectors.dtype == np.float32 else vectors.astype(np.float64)
         lengths = np.asarray(lengths, dtype=vectors.dtype)
@@ -58,8 +60,8 @@ class Normalizer(ABC):
 class EuclideanNormalizer(Normalizer):
     """L = ℓ · L̃ / |L̃|, exact.  The zero vector becomes (ℓ, 0), as atan2(0, 0) = 0 says."""
 
+    @override
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
-        """Normalize rows (n, 2, batch) in place."""
         # Far below the rounding error of any vector but zero itself, which it gives a direction.
         rows[:, 0] += _NUDGE[rows.dtype.char]
         squares = rows * rows
@@ -82,7 +84,7 @@ class LearnedNormalizer(Normalizer):
     Attributes:
         weights: one (outputs, inputs) array per layer, float64.
         biases: one (outputs,) array per layer, float64.
-        card: how it was trained (strings), stored with the weights.
+        card: strings that say how it was trained, stored with the weights.
     """
 
     def __init__(
@@ -120,13 +122,13 @@ class LearnedNormalizer(Normalizer):
         return tuple(len(bias) for bias in self.biases[:-1])
 
     def activations(self, vectors: ArrayLike) -> list[Floats]:
-        """Output of every layer for unit-scaled input vectors (..., 2), each (..., units)."""
+        """Return the output of every layer for vectors (..., 2) scaled to 1, each (..., units)."""
         outputs = self._forward(np.asarray(vectors, dtype=np.float64).reshape(-1, 2).T)
         shape = np.shape(vectors)[:-1]
         return [output.T.reshape(*shape, -1) for output in outputs]
 
+    @override
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
-        """Normalize rows (n, 2, batch) in place."""
         count, _, batch = rows.shape
         inputs = np.empty((2, count, batch), dtype=rows.dtype)
         np.divide(rows.transpose(1, 0, 2), lengths, out=inputs)
@@ -164,7 +166,7 @@ class LearnedNormalizer(Normalizer):
 
         Raises:
             FileNotFoundError: if there is none.
-            ValueError: if it is damaged or does not hold a normalizer.
+            UserError: if it is damaged or does not hold a normalizer.
         """
         try:
             with safe_open(path, framework="numpy") as file:
@@ -175,21 +177,21 @@ class LearnedNormalizer(Normalizer):
             biases = [tensors[f"layers.{index}.bias"] for index in layers]
             return cls(weights, biases, card)
         except (SafetensorError, KeyError, ValueError) as error:
-            raise ValueError(f"{path} does not hold a normalizer: {error}") from error
+            raise UserError(f"{path} does not hold a normalizer: {error}") from error
 
     @classmethod
     def shipped(cls, name: ShippedNormalizer = "accurate") -> LearnedNormalizer:
-        """A trained 2-16-16-2 normalizer that ships with the package.
+        """Load a trained 2-16-16-2 normalizer that ships with the package.
 
         Args:
             name: "accurate" (trained for angle accuracy) or "paper" (the paper's recipe).
 
         Raises:
-            ValueError: for any other name.
+            UserError: for any other name.
         """
+        names = get_args(ShippedNormalizer)
+        require(name in names, "name", name, f"one of {names}")
         folder = files("mmc_gym.network") / "weights"
-        if name not in get_args(ShippedNormalizer):
-            raise ValueError(f"name must be one of {get_args(ShippedNormalizer)}, got {name!r}")
         return cls.load(Path(str(folder / f"{name}-16x16.safetensors")))
 
     def __repr__(self) -> str:
@@ -197,10 +199,10 @@ class LearnedNormalizer(Normalizer):
 
 
 def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3600) -> Floats:
-    """How far a normalizer turns vectors, which it should not.
+    """Measure how far a normalizer turns vectors, which it should not.
 
     Args:
-        normalizer: what to measure.
+        normalizer: the normalizer to measure.
         lengths: lengths of the vectors it is given, shape (n,).
         directions: number of directions, spread evenly over the circle.
 
@@ -223,12 +225,12 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
 def mean_squared_error(
     normalizer: Normalizer, lengths: ArrayLike | None = None, directions: int = 3600
 ) -> float:
-    """Mean of |output − direction|²/2, the paper's loss, free of the luck of a test set.
+    """Return the mean of |output − direction|²/2, the paper's loss, without the luck of a test set.
 
     Args:
-        normalizer: what to measure.
+        normalizer: the normalizer to measure.
         lengths: lengths of the vectors it is given, shape (n,); by default, 1,000 spread evenly
-            over the ]0, 2] of the paper.
+            over the paper's ]0, 2].
         directions: number of directions, spread evenly over the circle.
     """
     lengths = np.arange(0.001, 2.0, 0.002) if lengths is None else np.asarray(lengths)

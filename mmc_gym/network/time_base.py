@@ -4,29 +4,28 @@ With the end effector R held at the target, an iteration of the network with dam
 
     v ← v − g ∂₂∂₂ᵀ v,     L ← normalize(L)          g = 1/d, the rows that are held left out
 
-and the distance of the hand decays exponentially: fastest at once, then ever slower.  Here g
+and the distance of the hand decays exponentially: fastest at first, then ever slower.  Here g
 varies in time, so that the hand follows a time base ξ, the minimum-jerk course of a movement
 that takes T iterations (Flash and Hogan 1985),
 
     ξ(τ) = 10 τ³ − 15 τ⁴ + 6 τ⁵,     τ = k/T
 
-A terminal attractor ẋ = Γ (R − x) with Γ = ξ̇/(1 − ξ) reaches R at ξ = 1 whatever the start, and
-its speed is bell-shaped (Zak 1988; Morasso, Sanguineti and Spada 1997; Tsuji et al. 2002).  In
+A terminal attractor ẋ = Γ (R − x) with Γ = ξ̇/(1 − ξ) reaches R at ξ = 1 from any start, with a
+bell-shaped speed (Zak 1988; Morasso, Sanguineti and Spada 1997; Tsuji et al. 2002).  In
 iterations it is a rule for the step of the hand x = ΣL:
 
     |x_k − x_{k−1}| = σ_k |R − x_{k−1}|,     σ_k = (ξ_k − ξ_{k−1}) / (1 − ξ_{k−1})
 
-The linear part of the network moves the hand by the slow mode, of eigenvalue 2: it takes the
-share 2g of the distance, which gives g = σ/2, or d = 2/σ.  Normalization makes the hand slower
-than that, by a factor that depends on the posture.  So g = σ/2 is only the first guess, and a
-few secant steps correct it until the hand's step is the one that is wanted; they need the
-normalization alone, since what g multiplies stays the same.  g is at most 2/(2 + (N + 1)), which
-damps the slow modes, of eigenvalue 2, and the fast ones, N + 1, equally well; postures from
-which this is too little, as those with the arm folded or stretched out, arrive late.  The
-network's own damping plays no part.
+The rule is about the length of the step, not about the distance that is left: a path that sets
+out sideways would need large steps to come nearer, and its speed would have a second peak.
 
-The rule is about the length of the step rather than what is left of the distance, because a
-path that sets out sideways would need large steps to come nearer, and have a second peak.
+The linear part of the network moves the hand by the slow mode, of eigenvalue 2.  It covers the
+share 2g of the distance, so that g = σ/2, or d = 2/σ.  Normalization makes the hand slower than
+that, by a factor that depends on the posture.  So g = σ/2 is a first guess, which a few secant
+steps correct until the hand's step has the wanted length.  They need the normalization alone:
+what g multiplies stays the same.  g is at most 2/(2 + (N + 1)), which damps the slow modes, of
+eigenvalue 2, and the fast ones, N + 1, equally well.  Where this is too little, as with the arm
+folded or stretched out, the hand arrives late.  The network's own damping plays no part.
 
 Literature: T. Flash, N. Hogan (1985), J. Neurosci. 5, 1688–1703.  M. Zak (1988), Terminal
 attractors for addressable memory in neural networks, Phys. Lett. A 133, 18–22.  P. Morasso,
@@ -44,6 +43,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._errors import UserError, require
 from mmc_gym.network.chain import Floats, triangle_incidence
 from mmc_gym.network.model import MMCNetwork, MMCState
 
@@ -52,7 +52,7 @@ CORRECTIONS = 4
 
 
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
-    """The time base ξ: share of a minimum-jerk movement covered at a phase of its duration.
+    """Return the time base ξ, the share of a minimum-jerk movement covered at a phase of it.
 
     Args:
         phase: time over duration; before 0 the movement has not begun, after 1 it is over.
@@ -66,22 +66,24 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
 
 
 def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
-    """σ: the share of the remaining distance that the hand is to go in an iteration.
+    """Return σ, the share of the remaining distance that the hand is to go in an iteration.
+
+    After `duration` iterations the share is 1: what the hand has not covered by then, it covers
+    as fast as the network can.
 
     Args:
-        iteration: its number k, from 1.  From `duration` on the share is 1: what the hand has
-            not covered by then, it covers as fast as the network can.
+        iteration: its number k, from 1.
         duration: T, of the movement or of each, in iterations.
 
     Raises:
-        ValueError: if a duration is not positive.
+        UserError: if a duration is not positive and finite.
 
     >>> share([1, 2, 3, 4, 5], duration=4).round(4).tolist()
     [0.1035, 0.4423, 0.793, 1.0, 1.0]
     """
     duration = np.asarray(duration, dtype=np.float64)
-    if not ((duration > 0) & (duration < np.inf)).all():
-        raise ValueError(f"duration must be positive and finite, got {duration}")
+    fine = bool(((duration > 0) & (duration < np.inf)).all())
+    require(fine, "duration", duration.tolist(), "positive and finite")
     number = np.asarray(iteration, dtype=np.float64)
     remaining = 1 - minimum_jerk((number - 1) / duration)
     covered = minimum_jerk(number / duration) - minimum_jerk((number - 1) / duration)
@@ -91,24 +93,24 @@ def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
 def timed_step(
     network: MMCNetwork, state: MMCState, target: ArrayLike, share: ArrayLike
 ) -> MMCState:
-    """The state after one iteration that takes the hand a share of its way to the target.
+    """Return the state after one iteration that takes the hand a share of its way to the target.
 
     Args:
-        network: kinematic and synchronous.
+        network: a kinematic and synchronous network.
         state: its state; stays as it is.
-        target: of the end effector, (..., 2).
+        target: target of the end effector, (..., 2).
         share: σ, between 0 and 1, for all arms or each, (...).
 
     Raises:
-        ValueError: for another kind of network, or a share outside its range.
+        UserError: for another kind of network, or a share outside its range.
     """
     _check(network)
     state = network.run(state, network.inverse(target), iterations=0)  # broadcasts, sets R
     count, batch = network.segment_count, state.batch_shape
     values = state.values.reshape(len(state.values), 2, -1)
     shares = np.broadcast_to(np.asarray(share, dtype=values.dtype), batch).reshape(-1)
-    if not ((shares >= 0) & (shares <= 1)).all():
-        raise ValueError(f"share must lie between 0 and 1, got {share!r}")
+    fine = bool(((shares >= 0) & (shares <= 1)).all())
+    require(fine, "share", share, "between 0 and 1")
     change = -np.tensordot(_coupling(count).astype(values.dtype), values, 1)  # −∂₂∂₂ᵀ v
     lengths = np.array(network.segment_lengths, dtype=values.dtype)[:, None]
     hand = values[:count].sum(axis=0)
@@ -137,14 +139,14 @@ def timed_trajectory(
     duration: float,
     iterations: int | None = None,
 ) -> tuple[MMCState, Floats]:
-    """Move to a target in `duration` iterations, and record the posture after every iteration.
+    """Move to a target in `duration` iterations, and record the segments after every iteration.
 
     Args:
-        network: kinematic and synchronous.
+        network: a kinematic and synchronous network.
         state: where the movement starts.
-        target: of the end effector, (..., 2).
+        target: target of the end effector, (..., 2).
         duration: T, in iterations.
-        iterations: recorded iterations, by default `duration` of them.
+        iterations: number of recorded iterations, by default `duration`.
 
     Returns:
         The last state, and the segments of all iterations, (iterations, ..., N, 2).
@@ -169,9 +171,9 @@ def timed_trajectory(
 def _solve(
     function: Callable[[Floats], Floats], wanted: Floats, first: Floats, largest: float
 ) -> Floats:
-    """Where in [0, largest] an increasing function is as wanted; its value at 0 is taken as 0.
+    """Find where in [0, largest] an increasing function is as wanted; at 0 it is taken to be 0.
 
-    The proportional step until the answer is bracketed, secants of the bracket thereafter.
+    Steps are proportional until the answer is bracketed, and secants of the bracket from then on.
     """
     tiny = np.finfo(wanted.dtype).tiny
     low, low_value = np.zeros_like(wanted), np.zeros_like(wanted)
@@ -193,7 +195,7 @@ def _solve(
 
 @lru_cache(maxsize=16)
 def _coupling(segment_count: int) -> NDArray[np.float64]:
-    """∂₂∂₂ᵀ with the row of R, which is held, set to zero."""
+    """Return ∂₂∂₂ᵀ with the row of R, which is held, set to zero."""
     incidence = triangle_incidence(segment_count)
     coupling = incidence @ incidence.T
     coupling[-1] = 0.0
@@ -203,7 +205,7 @@ def _coupling(segment_count: int) -> NDArray[np.float64]:
 
 def _check(network: MMCNetwork) -> None:
     if network.dynamics != "kinematic" or network.schedule != "synchronous":
-        raise ValueError(
+        raise UserError(
             "network must be kinematic and synchronous to follow a time base, "
             f"got dynamics={network.dynamics!r}, schedule={network.schedule!r}"
         )

@@ -171,7 +171,7 @@ def test_segments_folded_to_nothing_by_a_lock_stay_finite():
 
 def test_what_is_accepted():
     network = MMCNetwork(schedule="delayed")
-    with pytest.raises(ValueError, match="network must be synchronous, got schedule='delayed'"):
+    with pytest.raises(ValueError, match="schedule must be 'synchronous', got 'delayed'"):
         embodied_run(network, network.state_from_joint_angles(np.zeros(3)), [1, 1], Embodiment())
     with pytest.raises(ValueError, match=r"weight must be finite and not negative, got -1"):
         Embodiment(weight=-1.0)

@@ -9,6 +9,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from mmc_gym._errors import UserError
 from mmc_gym.network import LearnedNormalizer, MMCNetwork, chain, model
 from mmc_gym.network.model import NO_CLAMPS, linear_operator
 
@@ -369,19 +370,23 @@ def test_no_iterations_change_no_posture():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"segment_lengths": (1.0,)}, r"segment_lengths must hold two lengths or more, got \(1.0,"),
-        ({"segment_lengths": (1.0, -0.5)}, r"segment_lengths must be positive.*got \(1.0, -0.5\)"),
-        ({"damping": 0}, "damping must .*0.* got 0"),
+        ({"segment_lengths": ()}, r"segment_lengths must be two or more .*, got \(\)"),
+        ({"segment_lengths": (1.0,)}, r"segment_lengths must be two or more .*, got \(1.0,"),
+        ({"segment_lengths": (1.0, 0.0)}, r"must be two or more positive .* got \(1.0, 0.0\)"),
+        ({"segment_lengths": (1.0, -0.5)}, r"segment_lengths must be .* got \(1.0, -0.5\)"),
+        ({"segment_lengths": (np.inf, 1.0)}, r"segment_lengths must be .* got \(inf, 1.0\)"),
+        ({"segment_lengths": (1.0, np.nan)}, r"segment_lengths must be .* got \(1.0, nan\)"),
+        ({"damping": 0}, "damping must be positive and finite, got 0"),
         ({"damping": np.nan}, "damping must .* got nan"),
         ({"damping": np.inf}, "damping must .* got inf"),
-        ({"velocity_decay": 1.1}, "velocity_decay must lie between 0 and 1, got 1.1"),
+        ({"velocity_decay": 1.1}, "velocity_decay must be between 0 and 1, got 1.1"),
         ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping must .*1.* got 0.5"),
         ({"dynamics": "newton"}, r"dynamics must be one of \('kinematic', .*got 'newton'"),
         ({"schedule": "late"}, r"schedule must be one of \('synchronous', .*got 'late'"),
     ],
 )
 def test_a_network_that_cannot_be_says_why(settings, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(UserError, match=message):
         MMCNetwork(**settings)
 
 

@@ -139,7 +139,7 @@ def test_what_is_out_of_range_is_refused():
     network = MMCNetwork()
     with pytest.raises(ValueError, match="duration must be positive"):
         share(1, 0)
-    with pytest.raises(ValueError, match="share must lie between 0 and 1"):
+    with pytest.raises(ValueError, match="share must be between 0 and 1"):
         timed_step(network, start(network), [1.0, 1.0], 1.5)
 
 

@@ -176,7 +176,7 @@ def test_a_training_that_cannot_be_says_why(settings, message):
         ({"epochs": 0}, "epochs must be 1 or more, got 0"),
         ({"weight_decay": -0.1}, "weight_decay must be finite and not negative, got -0.1"),
         ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
-        ({"validation_share": 1.0}, "validation_share must leave samples .* got 1.0 of 3600"),
+        ({"validation_share": 1.0}, "validation_share must be a share of 3600 that .* got 1.0"),
         ({"length_ranges": ((1.0, 1.0),)}, r"length_ranges must be pairs .* got \(\(1.0, 1.0\),\)"),
     ],
 )
