@@ -23,7 +23,7 @@ from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import closed_loop_inverse_kinematics, closed_loop_mmc
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.jacobian import damped_least_squares
-from mmc_gym.envs.perturbations import PERTURBATIONS
+from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
 from mmc_gym.interface import ReachInterface
 
 AGENTS = (
@@ -76,7 +76,7 @@ class Arguments:
     """
 
     agents: tuple[str, ...] = AGENTS
-    perturbations: tuple[str, ...] = ("none", *PERTURBATIONS)
+    perturbations: tuple[str, ...] = ("none", *PERTURBATION_NAMES)
     episodes: int = 200
     seed: int = 30_000
     task: str = "random"
@@ -101,14 +101,11 @@ class Outcome:
 def measure(make: MakeAgent, perturbation: str, arguments: Arguments, seed: int) -> Outcome:
     """Let an agent play all episodes side by side."""
     names = [] if perturbation == "none" else [perturbation]
-    options: dict[str, Any] = {
-        "perturbations": names,
-        "task": arguments.task,
-        "control": arguments.control,
-    }
-    agent = make(gym.make("MMCReach-v0", **options))
+    options: dict[str, Any] = {"perturbations": names, "control": arguments.control}
+    env_id = environment_id(arguments.task)
+    agent = make(gym.make(env_id, **options))
     envs = gym.make_vec(
-        "MMCReach-v0",
+        env_id,
         num_envs=arguments.episodes,
         max_episode_steps=arguments.steps + 1,
         **options,

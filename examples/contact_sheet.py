@@ -15,7 +15,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 import mmc_gym
-from mmc_gym.envs.scenarios import PERTURBATION_TASKS, TASK_STEPS, camel_case
+from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
+from mmc_gym.envs.tasks import TASKS
 
 COLUMNS = 7
 STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}
@@ -30,11 +31,9 @@ OPTIONS = {
 
 def picture(name):
     """The arm in the environment of a task or perturbation, driven by the MMC network."""
-    env_id = "MMCReach-v0" if name == "random" else f"MMCReach{camel_case(name)}-v0"
-    env = gym.make(env_id, render_mode="rgb_array")
+    env = gym.make(environment_id(name), render_mode="rgb_array")
     agent = mmc_gym.make_agent("mmc", env)
-    task = name if name in TASK_STEPS else PERTURBATION_TASKS.get(name, "random")
-    observation, _ = env.reset(seed=6, options=OPTIONS.get(task, START))
+    observation, _ = env.reset(seed=6, options=OPTIONS.get(name, START))
     state = None
     for _ in range(STEPS.get(name, OTHERS)):
         action, state = agent.predict(observation, state)
@@ -45,7 +44,7 @@ def picture(name):
     return frame[28:-28, 28:-28]
 
 
-names = ["random", *TASK_STEPS, *PERTURBATION_TASKS]
+names = [*TASKS, *PERTURBATION_NAMES]
 rows = ceil(len(names) / COLUMNS)
 figure, axes = plt.subplots(rows, COLUMNS, figsize=(1.6 * COLUMNS, 1.8 * rows), dpi=125)
 for axis in axes.flat:

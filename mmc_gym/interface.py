@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, sin
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -20,8 +20,10 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
-from mmc_gym.body import ArmParameters, Servo
 from mmc_gym.network.chain import Floats, wrap_angle
+
+if TYPE_CHECKING:  # `import mmc_gym` loads no physics
+    from mmc_gym.body import ArmParameters, Servo
 
 Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
 JointLimits: TypeAlias = "tuple[tuple[float, float], ...]"

@@ -39,7 +39,8 @@ from mmc_gym.benchmark.store import (
     write_cell,
     write_manifest,
 )
-from mmc_gym.benchmark.suite import BatteryEnvironment, find_environments
+from mmc_gym.benchmark.suite import find_scenarios
+from mmc_gym.envs.scenarios import Scenario, scenario
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode, Measure, SetMeasure
 from mmc_gym.measures.catalogue import digest, own_measures, register_measures
 from mmc_gym.measures.rollout import (
@@ -77,7 +78,7 @@ class BatteryCell:
 
     contestant: Contestant
     name: str
-    environment: BatteryEnvironment
+    environment: Scenario
     episodes: int
     seed: int
     fingerprint: str = ""
@@ -289,7 +290,7 @@ def benchmark(
     Args:
         agents: names, see `contestants`.
         out: folder of the store; one that is there is added to.
-        environments: names in `battery.ENVIRONMENTS`; all by default.
+        environments: names of scenarios; all of the benchmark by default.
         episodes: in each environment; where trials are numbered each is played once instead.
         seed: decides on starts and targets, which are the same for all agents.
         jobs: how many cells are played at once, see `run_grid`.
@@ -302,7 +303,7 @@ def benchmark(
     Raises:
         ValueError: for unknown names, or a store that was made with other settings.
     """
-    found = find_environments(environments)
+    found = find_scenarios(environments)
     players = contestants(agents)
     episode_seeds(seed, episodes)
     check_cluster(cluster)
@@ -365,7 +366,7 @@ def untrained(manifest: Manifest) -> list[str]:
 
 def _joined_manifest(
     out: Path,
-    environments: dict[str, BatteryEnvironment],
+    environments: dict[str, Scenario],
     players: Sequence[Contestant],
     episodes: int,
     seed: int,
@@ -396,7 +397,7 @@ def _joined_manifest(
 
 
 def _fresh_manifest(episodes: int, seed: int) -> Manifest:
-    plain: Any = BatteryEnvironment("").make().unwrapped
+    plain: Any = scenario("random").make().unwrapped
     return {
         "episodes": episodes,
         "seed": seed,

@@ -1,28 +1,33 @@
-"""Perturbations: what goes wrong with the body, with what is seen of the hand, or with the senses.
+"""Perturbations: what goes wrong with the body, with the sight of the hand, or with the senses.
 
-Each is a frozen dataclass of physical parameters, and they can be combined.  One that changes the
-body says how by `change_body`; a visuomotor rotation moves the cursor that stands for the hand;
-noise and delay change what is observed, not what is rewarded.
+Each is a frozen dataclass of physical parameters.  They can be combined.  Some change the body
+(`change_body`); a visuomotor rotation moves the cursor that stands for the hand; noise and delay
+change what is observed, not what is rewarded.  Lengths are in segment lengths.
 
-Lengths are in segment lengths.
+Their names, with any strength, are in `mmc_gym.envs.scenarios`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from mmc_gym.body import ArmParameters
-from mmc_gym.body.parameters import require
+from mmc_gym._errors import require
+
+if TYPE_CHECKING:  # names are registered without loading the physics
+    from mmc_gym.body import ArmParameters
+
+Floats = NDArray[np.float64]
+Coordinate = TypeVar("Coordinate", float, Floats)
 
 
 class Perturbation:
-    """Something that goes wrong; by itself it changes nothing.
+    """Something that goes wrong; this base class changes nothing.
 
     Attributes:
         told: whether agents are told of the changed body.
@@ -31,7 +36,7 @@ class Perturbation:
     told: bool = False
 
     def change_body(self, body: ArmParameters) -> ArmParameters:
-        """The arm under this perturbation."""
+        """Return the arm under this perturbation."""
         return body
 
 
@@ -49,16 +54,17 @@ class ForceField(Perturbation):
 
     curl: float = 60.0
 
+    @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
-        """See `Perturbation.change_body`; fields add."""
         old = body.force_field or ((0.0, 0.0), (0.0, 0.0))
+        # Several fields add.
         field = ((old[0][0], old[0][1] + self.curl), (old[1][0] - self.curl, old[1][1]))
         return replace(body, force_field=field)
 
 
 @dataclass(frozen=True)
 class HandMass(Perturbation):
-    """The hand carries a point mass.
+    """The hand carries a point mass; several add.
 
     Attributes:
         mass: segment masses; 3 is as heavy as the default arm.
@@ -66,9 +72,26 @@ class HandMass(Perturbation):
 
     mass: float = 3.0
 
+    @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
-        """See `Perturbation.change_body`; masses add."""
         return replace(body, hand_mass=body.hand_mass + self.mass)
+
+
+@dataclass(frozen=True)
+class Gravity(Perturbation):
+    """The arm hangs in gravity, which pulls along −y.  Agents are told of it.
+
+    Attributes:
+        acceleration: segment lengths / s²; it adds to the `gravity` of the arm.
+    """
+
+    acceleration: float = 60.0
+    told = True
+
+    @override
+    def change_body(self, body: ArmParameters) -> ArmParameters:
+        x, y = body.gravity
+        return replace(body, gravity=(x, y - self.acceleration))
 
 
 @dataclass(frozen=True)
@@ -85,8 +108,11 @@ class SegmentLength(Perturbation):
     segment: int = -1
     told: bool = False
 
+    def __post_init__(self) -> None:
+        require(0 < self.factor < math.inf, "factor", self.factor, "positive and finite")
+
+    @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
-        """See `Perturbation.change_body`."""
         lengths = list(body.segment_lengths)
         lengths[_index("segment", self.segment, len(lengths))] *= self.factor
         return replace(body, segment_lengths=tuple(lengths))
@@ -101,7 +127,7 @@ class LockedJoint(Perturbation):
 
     Attributes:
         joint: index of the joint, from the base outward.
-        time: when it locks, s after the start.
+        time: when it locks, s after the start; the same for all joints that lock.
         told: whether agents are told which joint it is (`env.unwrapped.parameters`).
     """
 
@@ -109,15 +135,18 @@ class LockedJoint(Perturbation):
     time: float = 0.0
     told: bool = False
 
+    def __post_init__(self) -> None:
+        _require_at_least_zero(time=self.time)
+
+    @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
-        """See `Perturbation.change_body`."""
         joint = _index("joint", self.joint, len(body.segment_lengths))
         return replace(body, lockable_joints=(*body.lockable_joints, joint))
 
 
 @dataclass(frozen=True)
 class Obstacles(Perturbation):
-    """Fixed discs in the plane stop the arm, without friction.
+    """Fixed discs in the plane stop the arm, without friction; several add.
 
     Starting postures and drawn targets are clear of them.  The way between may be blocked, and
     the path of a pursued target may lead through.  A segment that is pressed or thrown against
@@ -131,42 +160,15 @@ class Obstacles(Perturbation):
     discs: tuple[tuple[float, float, float], ...] = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25))
     segment_radius: float = 0.05
 
+    @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
-        """See `Perturbation.change_body`; discs add."""
         discs = (*body.obstacles, *self.discs)
         return replace(body, obstacles=discs, segment_radius=self.segment_radius)
 
 
-def _index(name: str, index: int, count: int) -> int:
-    if not -count <= index < count:
-        raise ValueError(f"{name} must be an index from {-count} to {count - 1}, got {index}")
-    return index % count
-
-
-__all__ = [
-    "PERTURBATIONS",
-    "ForceField",
-    "HandMass",
-    "JointNoise",
-    "LockedJoint",
-    "Noise",
-    "Obstacles",
-    "Perturbation",
-    "Readings",
-    "SegmentLength",
-    "SensoryDelay",
-    "VisionNoise",
-    "VisuomotorRotation",
-    "rotation_and_noises",
-]
-
-Floats = NDArray[np.float64]
-Coordinate = TypeVar("Coordinate", float, Floats)
-
-
 @dataclass(frozen=True)
 class Readings:
-    """What the senses tell, before it is encoded; all arrays lead with the batch.
+    """What the senses tell before it is encoded; all arrays lead with the batch.
 
     Attributes:
         joint_angles: radians, (..., N).
@@ -185,11 +187,11 @@ class Noise(Perturbation):
     """Noise of the senses, white in time and normally distributed."""
 
     def draws(self, joint_count: int) -> int:
-        """How many standard normal numbers `disturb` takes."""
+        """Return how many standard normal numbers `disturb` takes."""
         raise NotImplementedError
 
     def disturb(self, readings: Readings, normals: Floats) -> Readings:
-        """The readings under noise made of standard normal numbers (..., draws)."""
+        """Return the readings under noise made of standard normal numbers (..., draws)."""
         raise NotImplementedError
 
 
@@ -201,27 +203,30 @@ class VisuomotorRotation(Perturbation):
 
     Attributes:
         degrees: counter-clockwise.
-        centre: (x, y) of the one place where the cursor is on the hand.  Turned about the base,
-            the cursor reaches whatever the hand does; about another, tasks with fixed targets
-            near the border of the reach may ask for more than that.
+        centre: (x, y) of the one place where the cursor is on the hand.  None: where the task's
+            movements begin; the base, if they begin anywhere.  Turned about the base, the cursor
+            reaches whatever the hand does; about another point, tasks with fixed targets near
+            the border of the reach may ask for more than that.
     """
 
     degrees: float = 30.0
-    centre: tuple[float, float] = (0.0, 0.0)
+    centre: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         require(math.isfinite(self.degrees), "degrees", self.degrees, "finite")
-        fine = len(self.centre) == 2 and all(map(math.isfinite, self.centre))
+        centre = (0.0, 0.0) if self.centre is None else self.centre
+        fine = len(centre) == 2 and all(map(math.isfinite, centre))
         require(fine, "centre", self.centre, "two finite values (x, y)")
 
     def cursor(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
-        """Where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
+        """Return where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
         cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
-        x, y = x - self.centre[0], y - self.centre[1]
-        return self.centre[0] + cos * x - sin * y, self.centre[1] + sin * x + cos * y
+        centre = self.centre or (0.0, 0.0)
+        x, y = x - centre[0], y - centre[1]
+        return centre[0] + cos * x - sin * y, centre[1] + sin * x + cos * y
 
     def hand(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
-        """Where the hand is for a cursor at (x, y)."""
+        """Return where the hand is for a cursor at (x, y)."""
         return replace(self, degrees=-self.degrees).cursor(x, y)
 
 
@@ -244,12 +249,12 @@ class JointNoise(Noise):
     def __post_init__(self) -> None:
         _require_at_least_zero(std=self.std, speed_std=self.speed_std)
 
+    @override
     def draws(self, joint_count: int) -> int:
-        """See `Noise.draws`."""
         return 2 * joint_count
 
+    @override
     def disturb(self, readings: Readings, normals: Floats) -> Readings:
-        """See `Noise.disturb`."""
         count = readings.joint_angles.shape[-1]
         std = self.std + self.speed_std * np.abs(readings.joint_velocities)
         return replace(
@@ -275,12 +280,12 @@ class VisionNoise(Noise):
     def __post_init__(self) -> None:
         _require_at_least_zero(std=self.std, distance_std=self.distance_std)
 
+    @override
     def draws(self, joint_count: int) -> int:
-        """See `Noise.draws`."""
         return 4
 
+    @override
     def disturb(self, readings: Readings, normals: Floats) -> Readings:
-        """See `Noise.disturb`."""
         offset = readings.target - readings.hand
         x, y = offset[..., 0], offset[..., 1]
         std = (self.std + self.distance_std * np.sqrt(x * x + y * y))[..., None]
@@ -293,60 +298,27 @@ class VisionNoise(Noise):
 
 @dataclass(frozen=True)
 class SensoryDelay(Perturbation):
-    """All is observed late; until the delay is over, the state at the start is.
+    """All is observed late; until the delay is over, the state at the start is shown.
 
     `gymnasium.wrappers.DelayObservation` delays likewise, but shows zeros at first, which are
     the observation of no posture, and cannot wrap a vector environment.
 
     Attributes:
-        seconds: by how much, rounded to control steps.
+        seconds: by how much, rounded to control steps; several add.
     """
 
     seconds: float = 0.1
 
-
-def rotation_and_noises(
-    perturbations: Sequence[Perturbation],
-) -> tuple[VisuomotorRotation | None, list[Noise]]:
-    """The one rotation, if there is any, and the noises."""
-    rotations = [one for one in perturbations if isinstance(one, VisuomotorRotation)]
-    if len(rotations) > 1:
-        raise ValueError(f"perturbations must have at most one rotation, got {rotations}")
-    rotation = rotations[0] if rotations else None
-    return rotation, [one for one in perturbations if isinstance(one, Noise)]
+    def __post_init__(self) -> None:
+        _require_at_least_zero(seconds=self.seconds)
 
 
 def _require_at_least_zero(**values: float) -> None:
-    """Raise a `ValueError` that names the argument unless all are finite and not negative."""
     for name, value in values.items():
         require(0 <= value < math.inf, name, value, "finite and not negative")
 
 
-_CHANGES = {"longer": 1, "shorter": -1}
-_CENTRE_OUT_START = (0.0, 1.5)  # of the default arm, in the task "centre-out"
-
-PERTURBATIONS: dict[str, Perturbation] = {
-    "force-field": ForceField(),
-    "rotation-30": VisuomotorRotation(30.0, _CENTRE_OUT_START),
-    "rotation-45": VisuomotorRotation(45.0, _CENTRE_OUT_START),
-    "hand-mass": HandMass(),
-    **{
-        f"{name}-{percent}{'-told' * told}": SegmentLength(1 + sign * percent / 100, told=told)
-        for name, sign in _CHANGES.items()
-        for percent in (10, 20, 50)
-        for told in (False, True)
-    },
-    "locked": LockedJoint(),
-    "locked-told": LockedJoint(told=True),
-    "locks": LockedJoint(time=0.2),
-    "locks-told": LockedJoint(time=0.2, told=True),
-    "joint-noise": JointNoise(),
-    "joint-noise-speed": JointNoise(std=0.0, speed_std=0.01),
-    "vision-noise": VisionNoise(),
-    "vision-noise-distance": VisionNoise(std=0.0, distance_std=0.05),
-    "delay-40": SensoryDelay(0.04),
-    "delay-100": SensoryDelay(0.1),
-    "delay-200": SensoryDelay(0.2),
-    "obstacles": Obstacles(),
-}
-"""Perturbations by name."""
+def _index(name: str, index: int, count: int) -> int:
+    """Return the index from 0 on, of one that may count from the end."""
+    require(-count <= index < count, name, index, f"an index from {-count} to {count - 1}")
+    return index % count

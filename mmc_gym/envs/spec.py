@@ -7,25 +7,30 @@ same, so that both mean the same by every argument.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import reduce
-from typing import Any, Literal, TypeVar, cast, get_args
+from typing import Any, Literal, get_args
 
+import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
 from mmc_gym.body.engines import Engine
 from mmc_gym.envs.perturbations import (
-    PERTURBATIONS,
     LockedJoint,
+    Noise,
     Perturbation,
     Readings,
     SensoryDelay,
-    rotation_and_noises,
+    VisuomotorRotation,
 )
-from mmc_gym.envs.tasks import TASKS, Request, Task, Trial
+from mmc_gym.envs.scenarios import environment_id, find_perturbation, find_task
+from mmc_gym.envs.tasks import Request, Task, Trial
 from mmc_gym.envs.workspace import Point, Workspace
 from mmc_gym.interface import (
     CONTROLS,
@@ -37,7 +42,6 @@ from mmc_gym.interface import (
 )
 
 RewardType = Literal["dense", "sparse"]
-Named = TypeVar("Named", Task, Perturbation)
 
 
 class ReachSetup:
@@ -47,6 +51,9 @@ class ReachSetup:
         told: physical parameters of the arm, as agents are told them.
         body: those of the arm that is simulated; perturbations make the difference.
         task: where trials come from.
+        task_name: the name that it was given by, if any.
+        perturbations: what goes wrong.
+        caption: task and perturbations, for a picture; empty if they are the plain ones.
         workspace: what the hand can reach.
         rotation: the visuomotor rotation, or None.
         noises: of the senses.
@@ -92,12 +99,13 @@ class ReachSetup:
         self.smoothness_weight = float(smoothness_weight)
         self.success_distance = float(success_distance)
         self.engine: Engine = engine
-        self.task = _named("task", task, TASKS, Task)
+        self.task = find_task(task)
         if isinstance(perturbations, (str, Perturbation)):
             perturbations = (perturbations,)
-        self.perturbations = tuple(
-            _named("perturbations", one, PERTURBATIONS, Perturbation) for one in perturbations
-        )
+        self.perturbations = tuple(map(find_perturbation, perturbations))
+        self.task_name = task if isinstance(task, str) else None
+        named = [*([] if task == "random" else [task]), *perturbations]
+        self.caption = ", ".join(n if isinstance(n, str) else type(n).__name__ for n in named)
         self._apply_perturbations(ArmParameters(**arm_parameters))
         self.action = action_meaning(control, self.told)
         lengths = self.told.segment_lengths
@@ -113,23 +121,19 @@ class ReachSetup:
         self.body = reduce(lambda arm, change: change.change_body(arm), changes, parameters)
         told = [change for change in changes if change.told]
         self.told = reduce(lambda arm, change: change.change_body(arm), told, parameters)
-        self.rotation, self.noises = rotation_and_noises(changes)
+        self.noises = [change for change in changes if isinstance(change, Noise)]
         count = len(parameters.segment_lengths)
         self.noise_draws = [noise.draws(count) for noise in self.noises]
         delays = [change.seconds for change in changes if isinstance(change, SensoryDelay)]
-        if not all(0 <= delay < math.inf for delay in delays):
-            raise ValueError(f"seconds of a delay must be finite and not negative, got {delays}")
         self.delay = round(sum(delays) / step)
         self.are_senses_disturbed = bool(self.noises or self.delay)
-        locks = [change for change in changes if isinstance(change, LockedJoint)]
-        times = {lock.time for lock in locks}
-        if len(times) > 1 or not all(0 <= time < math.inf for time in times):
-            raise ValueError(
-                f"the times of locked joints must be one time of at least 0, got {sorted(times)}"
-            )
+        times = {change.time for change in changes if isinstance(change, LockedJoint)}
+        if len(times) > 1:
+            raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
         self.lock_step = round(times.pop() / step) if times else None
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
-        self.workspace = Workspace(self.body, self.told, locked, self.rotation)
+        self.workspace = Workspace(self.body, self.told, locked)
+        self.rotation = self.workspace.rotation = self._rotation()
         shift = self.rotation.cursor(0.0, 0.0) if self.rotation else (0.0, 0.0)
         self.farthest = sum(self.body.segment_lengths) + math.hypot(*shift)
         self.may_exceed_reach = self.farthest > sum(self.told.segment_lengths)
@@ -164,6 +168,17 @@ class ReachSetup:
             hand=readings.hand,
             target=readings.target,
         )
+
+    def _rotation(self) -> VisuomotorRotation | None:
+        """Return the rotation, if there is one, about the point that it is meant to turn about."""
+        rotations = [one for one in self.perturbations if isinstance(one, VisuomotorRotation)]
+        if len(rotations) > 1:
+            raise UserError(f"perturbations must have at most one rotation, got {rotations}")
+        if not rotations or rotations[0].centre is not None:
+            return rotations[0] if rotations else None
+        x, y = self.task.start or (0.0, 0.0)
+        reach = self.workspace.outer
+        return replace(rotations[0], centre=(x * reach, y * reach))
 
     @property
     def max_joint_delta(self) -> float:
@@ -247,6 +262,34 @@ class HasSetup:
     """What an environment tells of its setup; agents and measures read it."""
 
     setup: ReachSetup
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's specification, if `gym.make` made the environment.
+
+        Setting it raises a `UserError` if the task was given by name and takes another time than
+        an episode of the id: Gymnasium goes by the id alone.
+        """
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        registered = gym.registry.get(spec.id) if spec else None
+        if registered is not None:
+            self._check_length(registered)
+        self._spec = spec
+
+    def _check_length(self, registered: EnvSpec) -> None:
+        name, steps = self.setup.task_name, self.setup.task.episode_steps
+        if name is None or name == registered.kwargs.get("task", "random"):
+            return
+        if registered.max_episode_steps not in (None, steps):
+            raise UserError(
+                f"task must be one with episodes of {registered.max_episode_steps} steps, as "
+                f"{registered.id} has, got {name!r} with {steps}: make {environment_id(name)!r}, "
+                "which accepts all other arguments"
+            )
 
     @property
     def parameters(self) -> ArmParameters:
@@ -296,16 +339,6 @@ def require_one_of(name: str, value: object, accepted: Sequence[object]) -> None
 def _require_at_least_zero(name: str, value: float) -> None:
     if not 0 <= value < math.inf:
         raise ValueError(f"{name} must be finite and not negative, got {value!r}")
-
-
-def _named(name: str, value: Any, table: Mapping[str, Named], kind: type) -> Named:
-    """The entry of a table, or what is one by itself."""
-    if isinstance(value, str) and value in table:
-        return table[value]
-    if not isinstance(value, kind):
-        accepted = f"a {kind.__name__} or one of {tuple(table)}"
-        raise ValueError(f"{name} must be {accepted}, got {value!r}")
-    return cast(Named, value)
 
 
 def finite(name: str, value: ArrayLike, count: int) -> list[float]:

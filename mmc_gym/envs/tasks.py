@@ -16,8 +16,9 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from mmc_gym.body.parameters import require
+from mmc_gym._errors import require
 from mmc_gym.envs.workspace import Point, Workspace
 
 
@@ -60,10 +61,17 @@ class Task(ABC):
         advance: what moves the target on along its path: "time", by one place a control step,
             or "reach", when the hand has come within the success distance.
         periodic: whether the path starts over at its end.
+        episode_steps: control steps of an episode in the environments that Gymnasium makes.
     """
 
     advance: ClassVar[Literal["time", "reach"]] = "time"
     periodic: ClassVar[bool] = False
+    episode_steps: ClassVar[int] = 100
+
+    @property
+    def start(self) -> Point | None:
+        """Where all movements begin, (x, y) / reach; None if they begin in several places."""
+        return None
 
     @property
     def trial_count(self) -> int | None:
@@ -136,6 +144,7 @@ class ViaPoints(RandomTarget):
     """
 
     advance: ClassVar[Literal["time", "reach"]] = "reach"
+    episode_steps: ClassVar[int] = 200
     count: int = 3
 
     def __post_init__(self) -> None:
@@ -173,6 +182,12 @@ class PointToPoint(Task):
     def trial_count(self) -> int:
         """See `Task.trial_count`."""
         return len(self.pairs)
+
+    @property
+    @override
+    def start(self) -> Point | None:
+        starts = {start for start, _ in self.pairs}
+        return self.points[starts.pop()] if len(starts) == 1 else None
 
     def path_length(self, control_step: float) -> int:
         """See `Task.path_length`."""
@@ -222,6 +237,7 @@ class Pursuit(Task):
     """
 
     periodic: ClassVar[bool] = True
+    episode_steps: ClassVar[int] = 500  # one period
     period: float = 10.0
     multiples_x: tuple[int, ...] = (2, 5)
     multiples_y: tuple[int, ...] = (3, 7)
@@ -271,20 +287,27 @@ def _paper_task() -> PointToPoint:
     return PointToPoint(points, tuple(permutations(range(21), 2)))
 
 
-def _centre_out_task(directions: int = 8, radius: float = 0.2) -> PointToPoint:
-    """From half a reach in front of the base to targets on a circle around that point."""
-    circle = (
-        (radius * math.cos(k / directions * math.tau), radius * math.sin(k / directions * math.tau))
-        for k in range(directions)
-    )
-    points = ((0.0, 0.5), *((x, 0.5 + y) for x, y in circle))
-    return PointToPoint(points, tuple((0, target) for target in range(1, directions + 1)))
+def outward_task(distances: Sequence[float], directions: int = 8) -> PointToPoint:
+    """Return the task from half a reach in front of the base to targets around that point.
+
+    Args:
+        distances: from start to target, as fractions of the reach.
+        directions: of the targets, evenly around the start.
+    """
+    turns = [k / directions * math.tau for k in range(directions)]
+    circles = [
+        (distance * math.cos(turn), 0.5 + distance * math.sin(turn))
+        for distance in distances
+        for turn in turns
+    ]
+    pairs = tuple((0, target) for target in range(1, len(circles) + 1))
+    return PointToPoint(((0.0, 0.5), *circles), pairs)
 
 
 TASKS: dict[str, Task] = {
     "random": RandomTarget(),
     "paper": _paper_task(),
-    "centre-out": _centre_out_task(),
+    "centre-out": outward_task([0.2]),
     "double-step-100": DoubleStep(delay=0.1),
     "double-step-200": DoubleStep(delay=0.2),
     "pursuit": Pursuit(),

@@ -9,17 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, create_empty_array
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import override
 
+from mmc_gym._errors import require
 from mmc_gym.body.engines import ArmBatch, make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import (
@@ -114,8 +117,8 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
     bit, the movements never).  Returned arrays are new ones.
 
     ## Arguments
-    Those of `MMCReachEnv`, and `num_envs`, `max_episode_steps` (100; None: no limit),
-    `autoreset_mode` (Gymnasium's `AutoresetMode`, or its value: "NextStep", "SameStep",
+    Those of `MMCReachEnv`, and `num_envs`, `max_episode_steps` (by default the task's; None: no
+    limit), `autoreset_mode` (Gymnasium's `AutoresetMode`, or its value: "NextStep", "SameStep",
     "Disabled") and `threads` that step the arms (1).
 
     It cannot be pickled or copied: make it anew.
@@ -131,7 +134,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         self,
         num_envs: int = 1,
         *,
-        max_episode_steps: int | None = 100,
+        max_episode_steps: int | Literal["task"] | None = "task",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 1,
         render_mode: str | None = None,
@@ -144,10 +147,12 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             TypeError: if one is unknown.
         """
         require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
-            if value is not None and not (isinstance(value, int) and value >= 1):
-                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
         self.setup = setup = ReachSetup(**arguments)
+        if max_episode_steps == "task":
+            max_episode_steps = setup.task.episode_steps
+        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
+            fine = value is None or (isinstance(value, int) and value >= 1)
+            require(fine, name, value, "a whole number of at least 1")
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -287,6 +292,11 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
 
     def __getstate__(self) -> NoReturn:
         raise TypeError("a vector environment cannot be pickled or copied: make it anew")
+
+    @override
+    def _check_length(self, registered: EnvSpec) -> None:
+        if self.max_episode_steps == registered.max_episode_steps:  # nobody asked for another
+            super()._check_length(registered)
 
     # --- What happens to the arms
 

@@ -6,18 +6,20 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
-from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.network.chain import (
     node_positions,
     reachable_radii,
     segments_from_joint_angles,
 )
+
+if TYPE_CHECKING:
+    from mmc_gym.body import ArmParameters
 
 # A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
 REACH_TOLERANCE = 1e-9
@@ -219,6 +221,8 @@ def reachable_hands(
 @lru_cache(maxsize=64)  # tasks start from a few points, time and again
 def _even_bend(segment_lengths: tuple[float, ...], distance: float) -> float | None:
     """The smallest angle of all joints but the first at which the hand is so far from the base."""
+    from scipy.optimize import brentq  # not with the registration of the environments
+
     if math.isclose(distance, sum(segment_lengths), rel_tol=REACH_TOLERANCE):
         return 0.0
 

@@ -29,7 +29,7 @@ from mmc_gym.benchmark.store import (
     read_paths,
     read_sets,
 )
-from mmc_gym.benchmark.suite import BASELINE
+from mmc_gym.envs.scenarios import BASELINE
 from mmc_gym.measures import MEASURES, Measure, leave_out_failures
 from mmc_gym.training.curves import curve_rows, read_cards
 

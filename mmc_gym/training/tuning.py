@@ -24,7 +24,7 @@ from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLo
 from mmc_gym.agents.closed_loop.observer import BodyObserver, Loops
 from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.agents.policy import PolicyAgent, load_policy
-from mmc_gym.benchmark.suite import find_environments
+from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
@@ -173,7 +173,7 @@ def _judge_network(constants: Constants, steps: int) -> float:
 
 def _judge_feedback(constants: Constants, steps: int) -> float:
     """The mean over the bodies, in each of which starts and targets are the same."""
-    environments = find_environments(UNTOLD_BODIES).values()
+    environments = find_scenarios(UNTOLD_BODIES).values()
     episodes = _feedback_episodes(steps) // len(UNTOLD_BODIES)
     make = partial(_make_feedback, constants)
     values = [_time_at_target(make, e.env_id, dict(e.arguments), episodes) for e in environments]

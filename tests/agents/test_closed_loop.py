@@ -14,6 +14,7 @@ from mmc_gym.agents.closed_loop.agent import (
 )
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.jacobian import damped_least_squares
+from mmc_gym.envs.scenarios import environment_id
 from mmc_gym.interface import ReachInterface
 
 EPISODES = 100
@@ -150,7 +151,7 @@ def test_arms_of_other_segments(lengths, perturbation):
 @pytest.mark.parametrize("name", CLOSED)
 @pytest.mark.parametrize("task", ["double-step-200", "via-points"])
 def test_targets_that_jump(name, task):
-    agent = make_agent(name, gym.make("MMCReach-v0", task=task))
+    agent = make_agent(name, gym.make(environment_id(task)))
     assert play(agent, steps=200, task=task)[0][-1].mean() >= 0.97
 
 
@@ -158,7 +159,7 @@ def test_targets_that_jump(name, task):
 def test_a_target_that_moves_is_pursued_as_closely_as_in_open_loop(name):
     near = {}
     for agent_name in ("mmc", name):
-        agent = make_agent(agent_name, gym.make("MMCReach-v0", task="pursuit"))
+        agent = make_agent(agent_name, gym.make("MMCReachPursuit-v0"))
         near[agent_name] = play(
             agent, steps=300, episodes=50, task="pursuit", success_distance=0.3
         )[0][50:].mean()

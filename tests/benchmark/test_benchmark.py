@@ -35,7 +35,8 @@ from mmc_gym.benchmark.store import (
     read_paths,
     read_sets,
 )
-from mmc_gym.benchmark.suite import ENVIRONMENTS, BatteryEnvironment, find_environments
+from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario
 from mmc_gym.interface import ControlError
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
 
@@ -224,7 +225,7 @@ def test_other_settings_are_refused(tmp_path):
 
 def test_another_environment_of_the_same_name_is_refused(tmp_path, monkeypatch):
     play(["mmc"], tmp_path, ["random"])
-    monkeypatch.setitem(ENVIRONMENTS, "random", BatteryEnvironment("other", "MMCReachPaper-v0"))
+    monkeypatch.setitem(TASK_SCENARIOS, "random", Scenario("random", "other", "paper"))
     with pytest.raises(ValueError, match="environment random is"):
         play(["mmc"], tmp_path, ["random"])
 
@@ -327,7 +328,7 @@ def test_a_policy_for_other_actions_has_its_own(tmp_path, monkeypatch):
 
     monkeypatch.setattr(contestants.Contestant, "factory", staticmethod(made))
     cell = battery_cell.BatteryCell(
-        contestants.Contestant("limp", 0, "limp", True), "random", ENVIRONMENTS["random"], 2, 0
+        contestants.Contestant("limp", 0, "limp", True), "random", SCENARIOS["random"], 2, 0
     )
     outcome = battery_cell.run_cell(cell)
     assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
@@ -363,7 +364,7 @@ def test_wrong_names_are_refused(tmp_path):
     ):
         with pytest.raises(ValueError, match=message):
             play(agents, tmp_path / "out")
-    with pytest.raises(ValueError, match=r"environments must be among random, .* got nowhere"):
+    with pytest.raises(ValueError, match=r"scenario must be one of random, .* got .nowhere"):
         play(["mmc"], tmp_path / "out", ["nowhere"])
     with pytest.raises(ValueError, match="episodes must be at least 1"):
         play(["mmc"], tmp_path / "out", episodes=0)
@@ -395,9 +396,9 @@ def test_names_of_trained_agents_stand_for_their_training_seeds(monkeypatch):
     assert "mmc" in contestants.default_agents()
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize("name", SCENARIOS)
 def test_every_environment_can_be_made_and_described(name):
-    environment = find_environments([name])[name]
+    environment = SCENARIOS[name]
     settings = environment.settings
     assert json.loads(json.dumps(settings)) == settings
     assert (settings["family"] == "") == (settings["strength"] is None)
@@ -409,10 +410,11 @@ def test_every_environment_can_be_made_and_described(name):
 
 def test_strengths_differ_within_a_family():
     families = {}
-    for name, environment in ENVIRONMENTS.items():
+    for name, environment in SCENARIOS.items():
         if environment.family:
-            assert name == f"{environment.family}-{environment.strength:g}"
-            families.setdefault(environment.family, []).append(environment.strength)
+            told = "-told" * environment.told
+            assert name == f"{environment.family}-{environment.strength:g}{told}"
+            families.setdefault(environment.family + told, []).append(environment.strength)
     assert all(strengths == sorted(set(strengths)) for strengths in families.values())
 
 

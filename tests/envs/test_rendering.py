@@ -13,7 +13,6 @@ import pygame
 import pytest
 
 from mmc_gym.envs.perturbations import (
-    PERTURBATIONS,
     ForceField,
     HandMass,
     LockedJoint,
@@ -23,8 +22,9 @@ from mmc_gym.envs.perturbations import (
 )
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import shapes as drawing
-from mmc_gym.envs.render.renderer import Renderer, Scene, Window, caption, old_lengths
+from mmc_gym.envs.render.renderer import Renderer, Scene, Window, old_lengths
 from mmc_gym.envs.render.shapes import View
+from mmc_gym.envs.scenarios import PERTURBATION_NAMES
 from mmc_gym.envs.spec import ReachSetup
 
 LENGTHS = (1.0, 1.0, 1.0)
@@ -339,12 +339,12 @@ def test_what_is_sensed_is_shown_where_it_is_late_or_noisy() -> None:
 
 
 def test_a_picture_is_named_by_its_task_and_perturbations() -> None:
-    assert caption(ReachSetup()) == ""
+    assert ReachSetup().caption == ""
     setup = ReachSetup(task="pursuit", perturbations=["locked", ForceField(3.0)])
-    assert caption(setup) == "pursuit, locked, ForceField"
+    assert setup.caption == "pursuit, locked, ForceField"
 
 
-@pytest.mark.parametrize("name", PERTURBATIONS)
+@pytest.mark.parametrize("name", PERTURBATION_NAMES)
 def test_every_perturbation_can_be_seen(name: str) -> None:
     env, plain = (
         MMCReachEnv(render_mode="rgb_array", task="centre-out", perturbations=perturbations)
@@ -360,9 +360,9 @@ def test_every_perturbation_can_be_seen(name: str) -> None:
 
 def test_a_vector_of_environments_shows_what_single_ones_do() -> None:
     names = ["locks", "delay-100", "hand-mass"]
-    arguments = {"task": "via-points", "perturbations": names, "render_mode": "rgb_array"}
-    vector = gym.make_vec("MMCReach-v0", 2, **arguments)
-    single = [gym.make("MMCReach-v0", **arguments) for _ in range(2)]
+    arguments = {"perturbations": names, "render_mode": "rgb_array"}
+    vector = gym.make_vec("MMCReachViaPoints-v0", 2, **arguments)
+    single = [gym.make("MMCReachViaPoints-v0", **arguments) for _ in range(2)]
     vector.reset(seed=3)
     for index, env in enumerate(single):
         env.reset(seed=3 + index)

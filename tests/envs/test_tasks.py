@@ -10,6 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
 from mmc_gym.agents import make_agent
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.tasks import TASKS, DoubleStep, PointToPoint, Pursuit, ViaPoints
 from mmc_gym.paper.protocol import PAIRS, TARGETS
@@ -61,8 +62,9 @@ def test_trials_that_are_not_asked_for_are_drawn_from_all() -> None:
 def test_an_arm_that_cannot_do_a_task_is_told_so() -> None:
     with pytest.raises(ValueError, match="no evenly bent posture has the hand at"):
         MMCReachEnv(task="paper", segment_lengths=(2.0, 0.5))  # nothing nearer than 1.5
+    about_the_start = VisuomotorRotation(30.0, (0.0, 1.5))
     with pytest.raises(ValueError, match=r"task must be .* of its 420 trials 60 start or end"):
-        MMCReachEnv(task="paper", perturbations="rotation-30")  # the cursor leaves the reach
+        MMCReachEnv(task="paper", perturbations=about_the_start)  # the cursor leaves the reach
     with pytest.raises(ValueError, match="task must be one that the perturbed arm can do"):
         MMCReachEnv(task="paper", perturbations="obstacles")
     with pytest.raises(ValueError, match="task must be one that the perturbed arm can do"):

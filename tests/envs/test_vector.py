@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mmc_gym
+from mmc_gym.envs.tasks import TASKS
 from mmc_gym.envs.vector import MMCReachVectorEnv
 
 same = partial(data_equivalence, exact=True)
@@ -33,8 +34,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "paper": {"task": "paper"},
     "centre-out": {"task": "centre-out"},
     "double step": {"task": "double-step-100"},
-    "pursuit": {"task": "pursuit"},
-    "via points": {"task": "via-points", "success_distance": 1.0, "reward_type": "sparse"},
+    "pursuit": {"task": TASKS["pursuit"]},
+    "via points": {"task": TASKS["via-points"], "success_distance": 1.0, "reward_type": "sparse"},
     "force field": {"perturbations": "force-field"},
     "hand mass": {"perturbations": "hand-mass"},
     "rotation": {"perturbations": ("rotation-30",)},

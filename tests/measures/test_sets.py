@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mmc_gym.benchmark.suite import ENVIRONMENTS
+from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.measures import SET_MEASURES, run_episodes
 from mmc_gym.measures.catalogue import set_measures_in
 from mmc_gym.measures.sets import (
@@ -87,20 +87,20 @@ def test_straight_paths_and_hands_at_rest_have_no_power_law():
 
 
 def test_set_measures_are_taken_in_environments_that_exist():
-    assert {measure.environment for measure in SET_MEASURES.values()} <= set(ENVIRONMENTS)
+    assert {measure.environment for measure in SET_MEASURES.values()} <= set(SCENARIOS)
     assert not set_measures_in("random")
 
 
 def test_the_environments_are_what_the_measures_need(frozen):
     def few(name, trials):
-        env = ENVIRONMENTS[name].make()
+        env = SCENARIOS[name].make()
         return run_episodes(frozen, env, list(trials), options=[{"trial": k} for k in trials])
 
     postures = few("paper", range(0, 420, 20))  # one from each of the 21 starts
     assert len({tuple(episode.hands[0].round(6)) for episode in postures}) == 21
-    assert len(ENVIRONMENTS["paper"].instances(1)) == 420
+    assert len(SCENARIOS["paper"].instances(1)) == 420
     targets = few("distances", range(32))
-    assert len(ENVIRONMENTS["distances"].instances(1)) == 32
+    assert len(SCENARIOS["distances"].instances(1)) == 32
     assert np.unique([e.distances[0].round(6) for e in targets]) == pytest.approx(
         [0.3, 0.6, 0.9, 1.2]
     )

@@ -13,7 +13,7 @@ from mmc_gym.agents.policy import PolicyCard, save_policy
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
 from mmc_gym.benchmark.store import CellKey, episodes_file, paths_file, write_cell, write_manifest
-from mmc_gym.benchmark.suite import ENVIRONMENTS
+from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.measures import Episode
 
 HOSTILE = "<script>alert(1)</script>"
@@ -76,7 +76,7 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), sources=None, inst
         sources: what agents were made of, where it is not what they are called.
         instances: in each environment.
     """
-    environments = {key: ENVIRONMENTS[key].settings for key in keys}
+    environments = {key: SCENARIOS[key].settings for key in keys}
     for name, (seeds, duration, trembling, lost) in agents.items():
         for key, settings in environments.items():
             error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)

@@ -7,25 +7,22 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import gymnasium as gym
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from mmc_gym.envs.perturbations import PERTURBATIONS, SegmentLength
+from mmc_gym.envs.perturbations import SegmentLength
 from mmc_gym.envs.render import shapes as drawing
 from mmc_gym.envs.render import shapes as perturbed
 from mmc_gym.envs.render.shapes import SIZE, Point, View
 from mmc_gym.envs.spec import ReachSetup
-from mmc_gym.envs.tasks import TASKS
 
 TRACE_SECONDS = 1.0
 _OVERSAMPLING = 2
-_Named = TypeVar("_Named")
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ class Renderer:
         for obstacle in body.obstacles:
             perturbed.draw_obstacle(surface, view, obstacle)
         drawing.draw_base(surface, view)
-        perturbed.draw_caption(surface, view, caption(self._setup))
+        perturbed.draw_caption(surface, view, self._setup.caption)
 
     def _paint_path(self, scene: Scene) -> None:
         """Where the target will be, as far as it is elsewhere."""
@@ -172,16 +169,6 @@ def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
         if isinstance(change, SegmentLength):
             lengths[change.segment] /= change.factor
     return tuple(lengths)
-
-
-def caption(setup: ReachSetup) -> str:
-    """Names of task and perturbations, where they are not the plain ones."""
-    names = [_name(setup.task, TASKS)] if setup.task != TASKS["random"] else []
-    return ", ".join(names + [_name(change, PERTURBATIONS) for change in setup.perturbations])
-
-
-def _name(value: _Named, table: Mapping[str, _Named]) -> str:
-    return next((name for name, entry in table.items() if entry == value), type(value).__name__)
 
 
 class Window:
