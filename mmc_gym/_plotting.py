@@ -1,12 +1,13 @@
-"""The figure of a comparison: hand paths above, speed profiles below, a column per agent."""
+"""Figures: their style and files, and the hand paths and speed profiles of a comparison."""
 
 from __future__ import annotations
 
 import io
 import textwrap
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -18,7 +19,8 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from mmc_gym._files import write_atomically
-from mmc_gym.measures.episode import Episode, hand_speed
+
+Floats = NDArray[np.float64]
 
 EXAMPLES = 4  # paths shown per agent
 LINES = ("-", "--", "-.", (0, (1, 1)))  # so that episodes differ without colour too
@@ -34,32 +36,18 @@ STYLE: Any = {
 }
 
 
-def paths_and_profiles(episodes: Mapping[str, Sequence[Episode]], reach: float) -> Figure:
-    """Draw the hand paths of the first episodes, and the speed profile over all of them.
+class Movement(NamedTuple):
+    """What is drawn of an episode.
 
-    Args:
-        episodes: of each agent, by the name to stand above its column.
-        reach: radius of the disc that the hand can reach, segment lengths.
+    Attributes:
+        hands: positions of the hand or cursor, segment lengths, (steps + 1, 2).
+        target: its position, segment lengths, (2,).
+        speeds: of the hand in each step, segment lengths/s, (steps,).
     """
-    columns = len(episodes)
-    width = max(2.3 * columns, 5.0)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(width, 5.2), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.subplots(
-            2, columns, squeeze=False, sharex="row", sharey="row", height_ratios=(1.3, 1)
-        )
-        for (above, below), (name, recorded) in zip(axes.T, episodes.items(), strict=True):
-            above.set_title(name)
-            _draw_paths(above, recorded[:EXAMPLES], reach)
-            _draw_profile(below, recorded)
-        axes[0, 0].set_ylabel("y [segment lengths]")
-        axes[1, 0].set_ylabel("hand speed\n[segment lengths/s]")
-        axes[1, 0].set_ylim(bottom=0)
-        axes[1, 0].legend(frameon=False, loc="upper right")
-        caption = _caption(len(next(iter(episodes.values()))))
-        figure.supxlabel(textwrap.fill(caption, round(18 * width)), fontsize=7, linespacing=1.4)
-    return figure
+
+    hands: Floats
+    target: Floats
+    speeds: Floats
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
@@ -73,6 +61,43 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     return written
 
 
+def paths_and_profiles(
+    movements: Mapping[str, Sequence[Movement]],
+    reach: float,
+    tolerance: float,
+    control_step: float,
+) -> Figure:
+    """Draw hand paths above and the speed profile over all movements below.
+
+    Args:
+        movements: of each agent, by the name to stand above its column.
+        reach: radius of the disc that the hand can reach, segment lengths.
+        tolerance: distance from the target that counts as success, segment lengths.
+        control_step: seconds.
+    """
+    columns = len(movements)
+    width = max(2.3 * columns, 5.0)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(width, 5.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(
+            2, columns, squeeze=False, sharex="row", sharey="row", height_ratios=(1.3, 1)
+        )
+        for (above, below), (name, drawn) in zip(axes.T, movements.items(), strict=True):
+            above.set_title(name)
+            draw_paths(above, drawn, reach, tolerance, halo=True)
+            above.set_xlabel("x [segment lengths]")
+            draw_speed(below, speed_quartiles(drawn), control_step)
+            below.set_xlabel("time [s]")
+        axes[0, 0].set_ylabel("y [segment lengths]")
+        axes[1, 0].set_ylabel("hand speed\n[segment lengths/s]")
+        axes[1, 0].set_ylim(bottom=0)
+        axes[1, 0].legend(frameon=False, loc="upper right")
+        caption = _caption(len(next(iter(movements.values()))))
+        figure.supxlabel(textwrap.fill(caption, round(18 * width)), fontsize=7, linespacing=1.4)
+    return figure
+
+
 def _caption(count: int) -> str:
     return (
         f"Above: hand paths in episodes 1 to {min(count, EXAMPLES)}, from the open circle to the "
@@ -82,43 +107,59 @@ def _caption(count: int) -> str:
     )
 
 
-def _draw_paths(axes: Axes, episodes: Sequence[Episode], reach: float) -> None:
+def draw_paths(
+    axes: Axes,
+    movements: Sequence[Movement],
+    reach: float,
+    tolerance: float,
+    *,
+    halo: bool = False,
+) -> None:
+    """Draw the hand paths of the first `EXAMPLES` movements, with their targets and the reach.
+
+    Args:
+        axes: where to.
+        movements: of one agent.
+        reach: radius of the disc that the hand can reach, segment lengths.
+        tolerance: distance from the target that counts as success, segment lengths.
+        halo: whether the numbers of the targets stand out from what is behind them.
+    """
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
-    for number, episode in enumerate(episodes):
-        colour, target = COLOURS[number], tuple(episode.target)
-        axes.plot(*episode.seen_hands.T, color=colour, linestyle=LINES[number], linewidth=1.1)
-        axes.plot(*target, "+", color="black", markersize=8, markeredgewidth=0.6)
-        axes.add_patch(Circle(target, episode.tolerance, fill=False, linewidth=0.8))
-        axes.plot(*episode.seen_hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
-        axes.plot(*episode.seen_hands[-1], "o", color=colour, markersize=2.5)
+    for number, (hands, (x, y), _) in enumerate(movements[:EXAMPLES]):
+        colour = COLOURS[number]
+        axes.plot(*hands.T, color=colour, linestyle=LINES[number], linewidth=1.1)
+        axes.plot(x, y, "+", color="black", markersize=8, markeredgewidth=0.6)
+        axes.add_patch(Circle((x, y), tolerance, fill=False, linewidth=0.8))
+        axes.plot(*hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
+        axes.plot(*hands[-1], "o", color=colour, markersize=2.5)
         axes.annotate(
             str(number + 1),
-            target,
+            (x, y),
             (5, 4),
             textcoords="offset points",
             color=colour,
             zorder=5,
-            path_effects=[withStroke(linewidth=2, foreground="white")],
+            path_effects=[withStroke(linewidth=2, foreground="white")] if halo else None,
         )
     border = 1.05 * reach
     axes.set(xlim=(-border, border), ylim=(-border, border), aspect="equal")
-    axes.set_xlabel("x [segment lengths]")
 
 
-def _draw_profile(axes: Axes, episodes: Sequence[Episode]) -> None:
-    control_step = episodes[0].control_step
-    speeds = _padded([hand_speed(episode.hands, control_step) for episode in episodes])
+def speed_quartiles(movements: Sequence[Movement]) -> Floats:
+    """Return the quartiles over all movements of the speed in each step, (3, longest)."""
+    padded = np.full((len(movements), max(len(one.speeds) for one in movements)), np.nan)
+    for row, movement in zip(padded, movements, strict=True):
+        row[: len(movement.speeds)] = movement.speeds  # shorter ones drop out of the quartiles
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a step that no movement has
+        quartiles: Floats = np.nanpercentile(padded, (25, 50, 75), axis=0)
+    return quartiles
+
+
+def draw_speed(axes: Axes, quartiles: Floats, control_step: float) -> None:
+    """Draw `speed_quartiles` over time."""
+    low, median, high = quartiles
     # A difference quotient is the speed in the middle of its step.
-    times = (np.arange(speeds.shape[1]) + 0.5) * control_step
-    low, median, high = np.nanpercentile(speeds, (25, 50, 75), axis=0)
+    times = (np.arange(len(median)) + 0.5) * control_step
     axes.fill_between(times, low, high, color="0.8", linewidth=0, label="quartiles")
     axes.plot(times, median, color="black", linewidth=1.2, label="median")
-    axes.set_xlabel("time [s]")
-
-
-def _padded(profiles: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Profiles (episodes, longest); shorter ones end in NaN, and drop out of the quartiles."""
-    padded = np.full((len(profiles), max(map(len, profiles))), np.nan)
-    for row, profile in zip(padded, profiles, strict=True):
-        row[: len(profile)] = profile
-    return padded

@@ -2,24 +2,30 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 
+import matplotlib
 import numpy as np
 import pytest
-from gymnasium.wrappers import TimeLimit
 
-from mmc_gym._plotting import paths_and_profiles, save_figure
-from mmc_gym.measures.rollout import run_episodes
+from mmc_gym._plotting import Movement, paths_and_profiles, save_figure
+
+
+def movement(number, steps=100):
+    speeds = np.sin(np.linspace(0, np.pi, steps)) * (1 + number)
+    hands = np.stack([np.cumsum([0.0, *speeds]) * 0.02, np.full(steps + 1, 0.1 * number)], axis=-1)
+    return Movement(hands, hands[-1] + 0.1, speeds)
 
 
 @pytest.fixture
-def episodes(env, oracle, frozen):
-    return {
-        "oracle": run_episodes(oracle, env, [1, 2, 3]),
-        "frozen": run_episodes(frozen, env, [1, 2, 3]),
-    }
+def movements():
+    return {name: [movement(number) for number in range(3)] for name in ("oracle", "frozen")}
 
 
-def test_the_figure_has_paths_above_profiles_and_a_column_for_each_agent(episodes):
-    figure = paths_and_profiles(episodes, 3.0)
+def draw(movements):
+    return paths_and_profiles(movements, reach=3.0, tolerance=0.05, control_step=0.02)
+
+
+def test_paths_stand_above_profiles_in_a_column_for_each_agent(movements):
+    figure = draw(movements)
     above, below = figure.axes[:2], figure.axes[2:]
     assert [axes.get_title() for axes in above] == ["oracle", "frozen"]
     assert all(axes.get_aspect() == 1 for axes in above)
@@ -28,42 +34,30 @@ def test_the_figure_has_paths_above_profiles_and_a_column_for_each_agent(episode
     assert all(axes.get_xlabel() == "time [s]" for axes in below)
 
 
-def test_paths_are_told_apart_without_colour(episodes):
-    axes = paths_and_profiles(episodes, 3.0).axes[0]
+def test_paths_are_told_apart_without_colour(movements):
+    axes = draw(movements).axes[0]
     paths = [line for line in axes.lines if len(line.get_xdata()) > 1]
     assert len({line.get_linestyle() for line in paths}) == 3
     assert [text.get_text() for text in axes.texts] == ["1", "2", "3"]
-    assert np.array_equal(paths[0].get_xydata(), episodes["oracle"][0].hands)
+    assert np.array_equal(paths[0].get_xydata(), movements["oracle"][0].hands)
 
 
-def test_the_profile_is_the_median_speed_in_the_middle_of_the_steps(episodes):
-    axes = paths_and_profiles(episodes, 3.0).axes[2]
-    (line,) = axes.lines
-    hands = np.array([episode.hands for episode in episodes["oracle"]])
-    speeds = np.linalg.norm(np.diff(hands, axis=1), axis=-1) / 0.02
+def test_the_profile_is_the_median_speed_in_the_middle_of_the_steps(movements):
+    (line,) = draw(movements).axes[2].lines
     assert line.get_xdata() == pytest.approx(0.01 + 0.02 * np.arange(100))
-    assert line.get_ydata() == pytest.approx(np.median(speeds, axis=0))
+    assert line.get_ydata() == pytest.approx(movements["oracle"][1].speeds)
 
 
-def test_episodes_may_differ_in_length(env, oracle):
-    short = run_episodes(oracle, TimeLimit(env.unwrapped, 40), [1])
-    figure = paths_and_profiles({"oracle": (*run_episodes(oracle, env, [2]), *short)}, 3.0)
-    (line,) = figure.axes[1].lines
+def test_movements_may_differ_in_length():
+    (line,) = draw({"oracle": [movement(0), movement(0, steps=40)]}).axes[1].lines
     assert np.isfinite(line.get_ydata()).all() and len(line.get_ydata()) == 100
 
 
-def test_both_files_are_complete_and_the_same_figure_gives_the_same_file(episodes, tmp_path):
-    figure = paths_and_profiles(episodes, 3.0)
-    png, svg = save_figure(figure, tmp_path / "a")
+def test_both_files_are_complete_and_the_same_figure_gives_the_same_file(movements, tmp_path):
+    before = dict(matplotlib.rcParams)
+    png, svg = save_figure(draw(movements), tmp_path / "a")
     assert png.read_bytes().startswith(b"\x89PNG") and b"IEND" in png.read_bytes()[-12:]
     assert ElementTree.parse(svg).getroot().tag.endswith("svg")
-    again = save_figure(paths_and_profiles(episodes, 3.0), tmp_path / "b")[1]
+    again = save_figure(draw(movements), tmp_path / "b")[1]
     assert again.read_text() == svg.read_text()
-
-
-def test_the_global_settings_of_matplotlib_stay_as_they_were(episodes, tmp_path):
-    import matplotlib
-
-    before = dict(matplotlib.rcParams)
-    save_figure(paths_and_profiles(episodes, 3.0), tmp_path / "a")
     assert dict(matplotlib.rcParams) == before

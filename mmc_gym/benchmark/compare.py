@@ -108,7 +108,7 @@ class Comparison:
 
     def write(self, out: Path) -> list[Path]:
         """Write episodes.csv, summary.csv, summary.json and the figure into the folder `out`."""
-        from mmc_gym._plotting import paths_and_profiles, save_figure
+        from mmc_gym._plotting import Movement, paths_and_profiles, save_figure
 
         summary = self.summary.assign(
             training_steps=self.summary["agent"].map(self.training_steps).astype("Int64")
@@ -119,7 +119,12 @@ class Comparison:
             write_atomically(out / "summary.csv", _csv(summary)),
             write_atomically(out / "summary.json", json.dumps(self.settings, indent=2) + "\n"),
         ]
-        figure = paths_and_profiles(self.recorded, self.reach)
+        movements = {
+            agent: [Movement(one.seen_hands, one.target, one.speeds) for one in episodes]
+            for agent, episodes in self.recorded.items()
+        }
+        one = next(iter(self.recorded.values()))[0]
+        figure = paths_and_profiles(movements, self.reach, one.tolerance, one.control_step)
         return written + save_figure(figure, out / "paths_and_profiles")
 
 

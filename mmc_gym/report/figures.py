@@ -5,18 +5,15 @@ Each function returns None where there is nothing to show.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from matplotlib.ticker import EngFormatter, FuncFormatter, NullFormatter, PercentFormatter
-from numpy.typing import NDArray
 
-from mmc_gym._plotting import COLOURS, EXAMPLES, LINES
+from mmc_gym._plotting import EXAMPLES, Movement, draw_paths, draw_speed, speed_quartiles
 from mmc_gym.agents.policy import EVALUATION_EPISODES
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures import Measure
@@ -325,8 +322,8 @@ def movements(results: Results, look: Mapping[str, Look]) -> PanelFigure | None:
         if not np.isnan(lowest):
             mine = mine[mine["training_seed"] == lowest]
             seeds.append(f"{agent} {lowest:.0f}")
-        shown[agent] = mine
-        fastest = max(fastest, float(np.nanmax(_quartiles(mine, results.control_step)[2])))
+        shown[agent] = _movements_of(mine, results.control_step)
+        fastest = max(fastest, float(np.nanmax(speed_quartiles(shown[agent])[2])))
     if not shown:
         return None
     panels = tuple(
@@ -348,56 +345,25 @@ def movements(results: Results, look: Mapping[str, Look]) -> PanelFigure | None:
     )
 
 
-def _draw_movements(rows: pd.DataFrame, results: Results, fastest: float) -> Figure:
+def _draw_movements(drawn_of: Sequence[Movement], results: Results, fastest: float) -> Figure:
     with drawn(*_MOVEMENT_SIZE) as (figure, axes):
         axes.remove()
         above, below = figure.subplots(2, 1, height_ratios=(1.45, 1))
-        _draw_paths(above, rows, results)
-        low, median, high = _quartiles(rows, results.control_step)
-        times = (np.arange(len(median)) + 0.5) * results.control_step
-        below.fill_between(times, low, high, color="0.8", linewidth=0)
-        below.plot(times, median, color="black", linewidth=1.2)
+        draw_paths(above, drawn_of, sum(results.segment_lengths), results.tolerance)
+        above.set(xlabel="x [segment lengths]", ylabel="y [segment lengths]")
+        quartiles = speed_quartiles(drawn_of)
+        draw_speed(below, quartiles, results.control_step)
         below.set(xlabel="time [s]", ylabel="hand speed [lengths/s]")
-        below.set(xlim=(0, times[-1]), ylim=(0, 1.05 * fastest))
+        below.set(xlim=(0, (quartiles.shape[1] - 0.5) * results.control_step))
+        below.set(ylim=(0, 1.05 * fastest))
     return figure
 
 
-def _draw_paths(axes: Axes, rows: pd.DataFrame, results: Results) -> None:
-    reach = sum(results.segment_lengths)
-    axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
-    numbers = sorted(rows["instance"].unique())[:EXAMPLES]
-    for number, instance in enumerate(numbers):
-        steps = rows[rows["instance"] == instance].sort_values("step")
+def _movements_of(rows: pd.DataFrame, control_step: float) -> list[Movement]:
+    """Return the movements of an agent, in the order of the instances."""
+    found = []
+    for _, steps in rows.sort_values("step").groupby("instance"):
         hands = steps[["hand_x", "hand_y"]].to_numpy(np.float64)
         target = steps[["target_x", "target_y"]].to_numpy(np.float64)[-1]
-        colour = COLOURS[number]
-        axes.plot(*hands.T, color=colour, linestyle=LINES[number], linewidth=1.1)
-        axes.plot(*target, "+", color="black", markersize=8, markeredgewidth=0.6)
-        axes.add_patch(Circle((target[0], target[1]), results.tolerance, fill=False, linewidth=0.8))
-        axes.plot(*hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
-        axes.plot(*hands[-1], "o", color=colour, markersize=2.5)
-        axes.annotate(
-            str(number + 1),
-            (target[0], target[1]),
-            (5, 4),
-            textcoords="offset points",
-            color=colour,
-        )
-    border = 1.05 * reach
-    axes.set(xlim=(-border, border), ylim=(-border, border), aspect="equal")
-    axes.set(xlabel="x [segment lengths]", ylabel="y [segment lengths]")
-
-
-def _quartiles(rows: pd.DataFrame, control_step: float) -> NDArray[np.float64]:
-    """Return the quartiles over all movements of the speed over time, (3, steps)."""
-    speeds = [
-        hand_speed(steps.sort_values("step")[["hand_x", "hand_y"]].to_numpy(), control_step)
-        for _, steps in rows.groupby("instance")
-    ]
-    padded = np.full((len(speeds), max(map(len, speeds))), np.nan)
-    for line, speed in zip(padded, speeds, strict=True):
-        line[: len(speed)] = speed
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a time that no movement reaches
-        quartiles: NDArray[np.float64] = np.nanpercentile(padded, (25, 50, 75), axis=0)
-    return quartiles
+        found.append(Movement(hands, target, hand_speed(hands, control_step)))
+    return found
