@@ -11,7 +11,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.body.engines import SingleArm, make_arm
+from mmc_gym.body.base import SingleArm
+from mmc_gym.body.engines import make_arm
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import dense_reward, reward_and_info, sparse_reward
 from mmc_gym.envs.spec import HasSetup, ReachSetup, RewardType, finite, require_one_of

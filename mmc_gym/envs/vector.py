@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import require
-from mmc_gym.body.engines import ArmBatch, make_arms
+from mmc_gym.body.base import ArmBatch
+from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import (
     GoalRewards,

@@ -203,11 +203,10 @@ def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(
 class PublicArm(Arm):
     """The same arm through nothing but pymunk's public interface."""
 
-    def _step(self) -> None:
+    def step(self) -> None:
         for _ in range(self.parameters.substeps):
             self._space.step(self.parameters.substep)
         self._read()
-        self._record()
 
     def _read(self) -> None:
         angles = [0.0, *(body.angle for body in self._linkage.segments)]
@@ -221,28 +220,20 @@ class PublicArm(Arm):
             x, y = x + length * math.cos(angle), y + length * math.sin(angle)
         self.end_effector = (x, y)
 
-    def _command_position(self, joint_targets: Sequence[float]) -> None:
-        limits = self.parameters.joint_limits
-        for index, servo in enumerate(self._linkage.servos):
-            assert isinstance(servo, pymunk.GearJoint)
-            target, angle = joint_targets[index], self.joint_angles[index]
-            if limits is None:
-                servo.phase = angle + math.remainder(target - angle, math.tau)
-            else:
-                low, high = limits[index]
-                servo.phase = min(max(target, low), high)
-
-    def _command_velocity(self, joint_velocities: Sequence[float]) -> None:
-        limit = self.parameters.speed_limit
-        for servo, velocity in zip(self._linkage.servos, joint_velocities, strict=True):
-            assert isinstance(servo, pymunk.SimpleMotor)
-            servo.rate = -min(max(velocity, -limit), limit)
-
-    def _command_torque(self, torques: Sequence[float]) -> None:
-        for servo, torque in zip(self._linkage.servos, torques, strict=True):
-            assert isinstance(servo, pymunk.SimpleMotor)
-            servo.rate = math.copysign(self.parameters.speed_limit, -torque)
-            servo.max_force = min(abs(torque), self.parameters.torque_limit)
+    def command(self, values: Sequence[float]) -> None:
+        p = self.parameters
+        for index, (servo, value) in enumerate(zip(self._linkage.servos, values, strict=True)):
+            angle = self.joint_angles[index]
+            if isinstance(servo, pymunk.SimpleMotor) and self._servo == "velocity":
+                servo.rate = -min(max(value, -p.speed_limit), p.speed_limit)
+            elif isinstance(servo, pymunk.SimpleMotor):
+                servo.rate = math.copysign(p.speed_limit, -value)
+                servo.max_force = min(abs(value), p.torque_limit)
+            elif isinstance(servo, pymunk.GearJoint) and p.joint_limits is None:
+                servo.phase = angle + math.remainder(value - angle, math.tau)
+            elif isinstance(servo, pymunk.GearJoint) and p.joint_limits is not None:
+                low, high = p.joint_limits[index]
+                servo.phase = min(max(value, low), high)
 
 
 @every_servo
@@ -821,7 +812,7 @@ def test_an_unknown_servo_is_refused() -> None:
 def test_commands_of_the_wrong_length_are_refused_and_leave_no_trace(servo: Servo) -> None:
     tried, untried = Arm(servo=servo), Arm(servo=servo)
     for command in ([0.5, 0.5], [0.5] * 4):
-        with pytest.raises(ValueError, match=r"command must be 3 (joint |torques).*, got \[0\.5"):
+        with pytest.raises(ValueError, match=r"command must be 3 values, got \[0\.5"):
             tried.command(command)
     assert play(tried, servo, seed=0) == play(untried, servo, seed=0)
 

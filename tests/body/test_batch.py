@@ -193,8 +193,8 @@ def test_arms_cannot_be_copied(copies: object) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"count": 0}, "count must be at least 1, got 0"),
-        ({"threads": 0}, "threads must be at least 1, got 0"),
+        ({"count": 0}, "count must be a whole number of at least 1, got 0"),
+        ({"threads": 0}, "threads must be a whole number of at least 1, got 0"),
         ({"servo": "hydraulic"}, "servo must be one of .* got 'hydraulic'"),
     ],
 )

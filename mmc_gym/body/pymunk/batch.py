@@ -4,8 +4,8 @@
     Space        0          1         2  …     stepped one after the other, or by several threads
 
 One call into Chipmunk steps all arms of a Space, and one reads them.  Every arm moves bit for bit
-as an `Arm` of its own does: Chipmunk solves the joints of a Space one after the other, and those
-of an arm in the same order as if it were alone.
+as a single `Arm` does: Chipmunk solves the joints of a Space one after the other, and those of an
+arm in the same order as if it were alone.
 """
 
 from __future__ import annotations
@@ -14,22 +14,21 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from queue import SimpleQueue
-from typing import Any, NoReturn, get_args
+from typing import Any, NoReturn
 
 import numpy as np
 import pymunk
-from numpy.typing import ArrayLike, NDArray
 from pymunk._chipmunk_cffi import lib as chipmunk
 from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
+from typing_extensions import override
 
-from mmc_gym.body.parameters import ArmParameters, Servo, Workers, require
+from mmc_gym.body.base import ArmBatch, Floats, Indices
+from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
-
-Floats = NDArray[np.float64]
 
 
 class SharedSpace:
-    """Arms that share a Space: `count` of them, beginning with number `first` of all."""
+    """Arms that share a Space: `count` of them, from number `first` on."""
 
     def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
         self.first, self.count, self.arms = first, count, slice(first, first + count)
@@ -88,7 +87,7 @@ class SharedSpace:
         return np.diff(absolute, axis=-1, prepend=0.0)
 
     def _get(self, fields: BodyFields) -> Floats:
-        """These fields of all segments, (count, N, values), until the next call."""
+        """Read these fields of all segments, (count, N, values); valid until the next call."""
         self._buffer.clear()
         get_space_bodies(self._space, fields, self._buffer)
         values = np.frombuffer(self._buffer.float_buf()).reshape(len(self._pushes), -1)
@@ -146,7 +145,7 @@ def _for_each(function: Callable[[Any, float], None], handles: Sequence[Any], x:
 
 
 def _like_the_c_library(ufunc: np.ufunc, function: Callable[[float], float]) -> Any:
-    """`ufunc`, unless numpy was built with another cosine than the one Python and Chipmunk use."""
+    """Return `ufunc`, unless numpy's own cosine is not the one of Python and Chipmunk."""
     sample = np.linspace(-50.0, 50.0, 4099)
     same = ufunc(sample).tolist() == [function(x) for x in sample.tolist()]
     return ufunc if same else np.vectorize(function, otypes=[np.float64])
@@ -156,30 +155,26 @@ cosine = _like_the_c_library(np.cos, math.cos)
 sine = _like_the_c_library(np.sin, math.sin)
 
 
-ARMS_PER_SPACE = 64  # fewer calls with more of them, and more that does not fit the cache
-_WORTH_A_THREAD = 16
+ARMS_PER_SPACE = 64  # with more, there are fewer calls, but less fits the cache
+_WORTH_A_THREAD = 16  # arms
 
 
-class Arms:
-    """`count` arms of N segments.  What one arm is and does stands at `Arm`.
+class Arms(ArmBatch):
+    """Arms simulated by pymunk; `ArmBatch` documents what they are and do.
 
-    The arrays are overwritten by every step and reset: copy what should last.  Arms with
-    obstacles have a Space each, for otherwise they would collide with each other, and each costs
-    as much as an `Arm`.
+    Arms with obstacles have a Space each, because otherwise they would collide with each other, and
+    each costs as much as an `Arm`.
 
-    Attributes:
-        parameters: the arms' physical parameters.
-        segment_angles: absolute angles of the segments, not wrapped, (count, N).
-        joint_angles: relative angles of the joints, not wrapped, (count, N).
-        joint_velocities: their velocities, rad/s, (count, N).
-        end_effectors: where the hands are, (count, 2).
-        records_effort: tells whether steps record the effort of the servos; False unless set.
-        servo_impulses: ∫ |τ| dt of each servo in the last recorded step, (count, N); see `Arm`.
-        servo_work: ∫ |τ q̇| dt likewise, (count, N).
+    Example:
+        >>> arms = Arms(count=2, servo="torque")
+        >>> arms.records_effort = True
+        >>> arms.command([[6.0, 0.0, -3.0], [0.0, 0.0, 0.0]])
+        >>> arms.step()
+        >>> arms.servo_impulses.round(9).tolist()  # torque · 0.02 s
+        [[0.12, 0.0, 0.06], [0.0, 0.0, 0.0]]
     """
 
-    records_effort: bool = False
-
+    @override
     def __init__(
         self,
         parameters: ArmParameters | None = None,
@@ -187,65 +182,30 @@ class Arms:
         servo: Servo = "position",
         threads: int = 1,
     ) -> None:
-        """Build the arms, stretched along the x axis and at rest.
-
-        Args:
-            parameters: the physical parameters of every arm.
-            count: how many arms.
-            servo: what drives the joints.
-            threads: how many threads simulate them; the result does not depend on it.
-
-        Raises:
-            ValueError: for an unknown kind of servo, less than one arm or thread, or an arm that
-                Chipmunk cannot hold together.
-        """
-        require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
-        require(count >= 1, "count", count, "at least 1")
-        require(threads >= 1, "threads", threads, "at least 1")
-        self.parameters = parameters = parameters or ArmParameters()
-        self._servo = servo
-        joints = len(parameters.segment_lengths)
-        self.segment_angles: Floats = np.zeros((count, joints))
-        self.joint_angles: Floats = np.zeros((count, joints))
-        self.joint_velocities: Floats = np.zeros((count, joints))
-        self.end_effectors: Floats = np.zeros((count, 2))
-        self.servo_impulses: Floats = np.full((count, joints), np.nan)
-        self.servo_work: Floats = np.full((count, joints), np.nan)
-        self._segment_velocities: Floats = np.zeros((count, joints))
-        most = (
-            1
-            if parameters.obstacles
-            else min(ARMS_PER_SPACE, max(_WORTH_A_THREAD, -(-count // threads)))
-        )
+        super().__init__(parameters, count, servo, threads)
+        parameters, shape = self.parameters, self._shape
+        self.segment_angles, self.joint_angles = np.zeros(shape), np.zeros(shape)
+        self.joint_velocities, self._segment_velocities = np.zeros(shape), np.zeros(shape)
+        self.end_effectors = np.zeros((self._count, 2))
+        fair = max(_WORTH_A_THREAD, -(-self._count // self._threads))
+        most = 1 if parameters.obstacles else min(ARMS_PER_SPACE, fair)
         self._arms_per_space = most
         self._spaces = [
-            SharedSpace(parameters, servo, first, min(most, count - first))
-            for first in range(0, count, most)
+            SharedSpace(parameters, servo, first, min(most, self._count - first))
+            for first in range(0, self._count, most)
         ]
-        self._threads = min(threads, len(self._spaces))
-        self._workers = Workers(self._threads)
-        self._settings: Floats = np.zeros((count, joints))  # of the servos: phases or rates
-        self._torques: Floats = np.full((count, joints), parameters.torque_limit)
-        self._commanded = False  # and the servos not yet set: the next step does that
+        self._settings: Floats = np.zeros(shape)  # of the servos: phases or rates
+        self._torques: Floats = np.full(shape, parameters.torque_limit)
+        self._commanded = False  # tells whether the next step has to set the servos
         self._scratch = pymunk.Space()
         self._scratch.iterations = 1
-        self.reset(self.joint_angles.copy())
+        self.reset(self.joint_angles)
 
-    def command(self, values: ArrayLike) -> None:
-        """Hand values (count, N) to the servos, which hold them until the next call.
+    @override
+    def _command(self, values: Floats) -> None:
+        self._set_servos(values, slice(None))
 
-        They are, by the servos, joint targets in radians (reached the short way round, or within
-        the joint limits if there are any), joint velocities in rad/s, or torques.
-
-        Raises:
-            ValueError: for another shape.
-        """
-        commands = np.asarray(values, np.float64)
-        shape = self.joint_angles.shape
-        require(commands.shape == shape, "values", commands.shape, f"of shape {shape}")
-        self._command(commands, slice(None))
-
-    def _command(self, values: Floats, arms: slice | NDArray[np.intp]) -> None:
+    def _set_servos(self, values: Floats, arms: slice | Indices) -> None:
         """Command k `arms` with values (k, N)."""
         p = self.parameters
         if self._servo == "velocity":
@@ -261,13 +221,13 @@ class Arms:
             self._settings[arms] = np.minimum(np.maximum(values, low), high)
         self._commanded = True
 
+    @override
     def step(self) -> None:
-        """Simulate one control step of every arm."""
         ready: SimpleQueue[SharedSpace | None] = SimpleQueue()
-        helpers = self._threads - 1
+        helpers = min(self._threads, len(self._spaces)) - 1
         others = [self._workers.executor().submit(self._simulate, ready) for _ in range(helpers)]
-        # Setting a servo takes too little time for two threads to share: this one sets those of
-        # a Space while others simulate the Spaces before it.
+        # Setting servos takes too little time for two threads to share: this one sets those of a
+        # Space while others simulate the Spaces before it.
         try:
             for space in self._spaces:
                 if self._commanded:
@@ -277,7 +237,7 @@ class Arms:
                     self._simulate_next(ready)
             self._commanded = False
         finally:
-            for _ in range(self._threads):
+            for _ in range(helpers + 1):
                 ready.put(None)
         self._simulate(ready)
         for other in others:
@@ -300,13 +260,11 @@ class Arms:
         space.read(self.segment_angles[space.arms], self._segment_velocities[space.arms])
         return True
 
-    def _derive(self, arms: slice | NDArray[np.intp]) -> None:
-        """Bring what follows from the segments' angles and velocities up to date."""
+    def _derive(self, arms: slice | Indices) -> None:
+        """Update what follows from the segments' angles and velocities."""
         angles, velocities = self.segment_angles[arms], self._segment_velocities[arms]
-        for absolute, relative in (
-            (angles, self.joint_angles),
-            (velocities, self.joint_velocities),
-        ):
+        pairs = (angles, self.joint_angles), (velocities, self.joint_velocities)
+        for absolute, relative in pairs:
             differences = absolute.copy()
             differences[:, 1:] -= absolute[:, :-1]
             relative[arms] = differences
@@ -317,52 +275,26 @@ class Arms:
             hands[:, 1] += length * y[:, segment]
         self.end_effectors[arms] = hands
 
-    def reset(
-        self,
-        joint_angles: ArrayLike,
-        arms: ArrayLike | None = None,
-        joint_velocities: ArrayLike | None = None,
-    ) -> None:
-        """Place some of the arms, or all; see `Arm.reset`.  The others are not touched.
-
-        Args:
-            joint_angles: relative angles in radians, (k, N).
-            arms: indices of the k arms, or None for all.
-            joint_velocities: relative angular velocities in rad/s, (k, N), or None for rest.
-
-        Raises:
-            ValueError: for another shape, or indices of no arm or twice of the same.
-        """
-        rows = np.arange(len(self.joint_angles)) if arms is None else self._indices(arms)
-        postures = np.asarray(joint_angles, np.float64)
-        speeds = np.zeros_like(postures)
-        if joint_velocities is not None:
-            speeds = np.asarray(joint_velocities, np.float64)
-        shape = len(rows), len(self.parameters.segment_lengths)
-        for name, values in ("joint_angles", postures), ("joint_velocities", speeds):
-            require(values.shape == shape, name, values.shape, f"of shape {shape}")
-        for space, part, members in self._by_space(rows):
+    @override
+    def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
+        for space, part, members in self._by_space(arms):
             space.reset(members, postures[part].tolist(), speeds[part].tolist(), self._scratch)
-        self.segment_angles[rows] = np.cumsum(postures, axis=1)
-        self._segment_velocities[rows] = np.cumsum(speeds, axis=1)
-        self._derive(rows)
-        self._command(postures if self._servo == "position" else np.zeros(shape), rows)
+        self.segment_angles[arms] = np.cumsum(postures, axis=1)
+        self._segment_velocities[arms] = np.cumsum(speeds, axis=1)
+        self._derive(arms)
+        self._set_servos(postures if self._servo == "position" else np.zeros_like(postures), arms)
 
-    def lock(self, arms: ArrayLike) -> None:
-        """Make the `lockable_joints` of the arms of these indices rigid; see `Arm.lock`."""
-        for space, _, members in self._by_space(self._indices(arms)):
+    @override
+    def _lock(self, arms: Indices) -> None:
+        for space, _, members in self._by_space(arms):
             for member in members:
                 angles = self.joint_angles[space.first + member]
                 space.linkages[member].lock(angles.tolist())
 
+    @override
     def pivot_gaps(self) -> Floats:
-        """Largest distance between two ends that a pivot should hold together, (count,)."""
         linkages = (linkage for space in self._spaces for linkage in space.linkages)
         return np.array([linkage.pivot_gap() for linkage in linkages])
-
-    def close(self) -> None:
-        """End the threads."""
-        self._workers.close()
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
@@ -370,19 +302,8 @@ class Arms:
             "joints remember; pickle the parameters and build new arms, or use an Arm each"
         )
 
-    def _indices(self, arms: ArrayLike) -> NDArray[np.intp]:
-        rows = np.asarray(arms)
-        count = len(self.joint_angles)
-        fine = rows.ndim == 1 and (rows.size == 0 or rows.dtype.kind in "iu")
-        fine = fine and bool(np.all((rows >= 0) & (rows < count)))
-        fine = fine and len(np.unique(rows)) == len(rows)
-        require(fine, "arms", arms, f"different indices from 0 to {count - 1}")
-        return rows.astype(np.intp)
-
-    def _by_space(
-        self, arms: NDArray[np.intp]
-    ) -> Iterable[tuple[SharedSpace, NDArray[np.intp], list[int]]]:
-        """Every Space that holds some of `arms`, which of them, and which of its own those are."""
+    def _by_space(self, arms: Indices) -> Iterable[tuple[SharedSpace, Indices, list[int]]]:
+        """Go through the Spaces that hold some of `arms`: which of `arms`, and of the Space's."""
         owners = arms // self._arms_per_space
         for owner in np.unique(owners).tolist():
             part = np.flatnonzero(owners == owner)
@@ -391,7 +312,7 @@ class Arms:
 
 
 def _remainder(x: Floats, y: float) -> Floats:
-    """`math.remainder` of every element, exactly as it is defined: x − n y, n = x / y rounded."""
+    """Return `math.remainder` of every element, exactly: x − n y with n = x / y rounded."""
     size = np.abs(x)
     rest = np.fmod(size, y)
     other = y - rest

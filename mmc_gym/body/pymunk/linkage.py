@@ -7,8 +7,7 @@ the hand inward, each with its pivot last: Chipmunk solves them in this order ag
 whatever it solves last holds best.  With all of a pivot's error corrected in every physics step,
 the pivots gape ten times less than in the order from the base outward.
 
-What is done often goes to Chipmunk directly, through the library that pymunk's own properties
-call.
+Frequent calls go to Chipmunk directly, through the library that pymunk's own properties call.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from math import cos, sin
 import pymunk
 from pymunk._chipmunk_cffi import lib as chipmunk
 
+from mmc_gym._errors import UserError
 from mmc_gym.body.parameters import ArmParameters, Servo
 
 _SWEEPS_PER_RATIO = 10 / 27
@@ -31,62 +31,52 @@ _STRONG = 1e4  # rad/s that a servo could give a segment alone in a physics step
 
 
 def solver_iterations(parameters: ArmParameters) -> int:
-    """Sweeps of the solver in a physics step.
+    """Return the number of sweeps of the solver in a physics step.
 
     With too few, an arm buzzes around its joint targets instead of coming to rest, and its pivots
-    give way.  Three equal rods (a ratio of inertias of 27) need pymunk's 10; in random arms of two
-    to five segments, four times lighter and heavier, the need was seen to grow in proportion to
-    that ratio.  Servos out of all proportion to the segments need ten times as many.  A lock, which
-    must bear whatever the servos and the other segments do, slips by 0.7 rad in 2 s of abrupt
-    commands with 10 sweeps, and by less than 0.005 with 60.
+    give way.  Three equal rods, with a ratio of inertias of 27, need pymunk's 10.  In random arms
+    of two to five segments, four times lighter and heavier, the need grew in proportion to that
+    ratio.  Servos out of all proportion to the segments need ten times as many.  A lock must bear
+    whatever the servos and the other segments do: in 2 s of abrupt commands it slips by 0.7 rad
+    with 10 sweeps, and by less than 0.005 with 60.
 
     Raises:
-        ValueError: if they would be too many.  Of 30,000 random arms of one to ten segments, with
+        UserError: if they would be too many.  Of 30,000 random arms of one to ten segments, with
             lengths and masses over six decades, pivots gaped by more than a twentieth of the reach
             only in such arms.
     """
     ratio = inertia_ratio(parameters)
     neighbours = inertia_ratio(parameters, among=2)
     if ratio > _LARGEST_RATIO and neighbours > _LARGEST_RATIO_OF_NEIGHBOURS:
-        raise ValueError(
+        raise UserError(
             "segment_lengths, segment_masses and hand_mass must make an arm that pymunk can hold "
             f"together: what hangs on a segment may have up to {_LARGEST_RATIO:.0f} times its "
             f"inertia, or the next segment up to {_LARGEST_RATIO_OF_NEIGHBOURS:.0f} times, "
             f"got {ratio:.3g} and {neighbours:.3g} times"
         )
-    moments = [segment_inertia(parameters, index)[2] for index in range(len(parameters.masses))]
-    strong = parameters.torque_limit * parameters.substep / min(moments) > _STRONG
+    lightest = min(rod.inertia for rod in parameters.rods)
+    strong = parameters.torque_limit * parameters.substep / lightest > _STRONG
     sweeps = _SWEEPS_PER_RATIO * min(ratio, _LARGEST_RATIO) * (10 if strong else 1)
     fewest = _FEWEST_SWEEPS_FOR_LOCKS if parameters.lockable_joints else _FEWEST_SWEEPS
     return min(max(fewest, round(sweeps)), 3 * _MOST_SWEEPS if strong else _MOST_SWEEPS)
 
 
 def inertia_ratio(parameters: ArmParameters, among: int | None = None) -> float:
-    """Largest ratio of what turns about a joint to what the solver turns: 27 for three equal rods.
+    """Return the largest ratio of inertias at a joint, which is 27 for three equal rods.
 
-    What turns about a joint is the stretched arm beyond it, or its next `among` segments.  The
-    solver turns the first of them alone about its own centre of gravity: the ratio is to four
-    times that moment, which is the inertia of a uniform rod about its end.
+    It is the inertia of the stretched arm beyond the joint, or of its next `among` segments, over
+    that of the first of them.  The solver turns the latter alone, about its centre of gravity:
+    four times this moment is the inertia of a uniform rod about its end.
     """
-    lengths, ratio = parameters.segment_lengths, 0.0
-    segments = [segment_inertia(parameters, index) for index in range(len(lengths))]
-    for joint, (_, _, own_moment) in enumerate(segments):
+    lengths, rods, ratio = parameters.segment_lengths, parameters.rods, 0.0
+    for joint, own in enumerate(rods):
         inertia = start = 0.0
         beyond = slice(joint, None if among is None else joint + among)
-        for length, (mass, centre, moment) in zip(lengths[beyond], segments[beyond]):
-            inertia += moment + mass * (start + centre) ** 2
+        for length, rod in zip(lengths[beyond], rods[beyond]):
+            inertia += rod.inertia + rod.mass * (start + rod.centre) ** 2
             start += length
-        ratio = max(ratio, inertia / (4 * own_moment))
+        ratio = max(ratio, inertia / (4 * own.inertia))
     return ratio
-
-
-def segment_inertia(parameters: ArmParameters, index: int) -> tuple[float, float, float]:
-    """Mass of a segment, how far its centre of gravity is from its joint, and moment about it."""
-    mass, length = parameters.masses[index], parameters.segment_lengths[index]
-    held = parameters.hand_mass if index == len(parameters.masses) - 1 else 0.0
-    total = mass + held
-    centre = length / 2 * (1 + held / total)
-    return total, centre, mass * length**2 / 12 + mass * held / total * (length / 2) ** 2
 
 
 _NO_COLLISIONS_AMONG_SEGMENTS = pymunk.ShapeFilter(group=1)
@@ -99,8 +89,8 @@ class Linkage:
         segments: the bodies of the N segments; their origin is their centre of gravity.
         servos: the N constraints that drive the joints.
         locks: the lockable joints and the constraints that make them rigid.
-        hand: the last body, and how far from its centre of gravity the hand is.
-        locked: whether the lockable joints are held.
+        hand: the last body, and the hand's distance from its centre of gravity.
+        locked: tells whether the lockable joints are held.
     """
 
     def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
@@ -111,13 +101,13 @@ class Linkage:
         self.locked = False
         self._lengths = parameters.segment_lengths
         self._centres: list[float] = []
-        # The base is a body of the arm's own that is not in the Space: the Space's own static
-        # body would be among those that bulk calls read and write.
+        # Every arm has its own base, a body that is not in the Space: bulk calls would read and
+        # write the Space's own static body.
         parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), 0.0
         joints: list[list[pymunk.Constraint]] = []
         for joint, length in enumerate(self._lengths):
-            mass, centre, moment = segment_inertia(parameters, joint)
-            segment = pymunk.Body(mass, moment)
+            mass, centre, inertia = parameters.rods[joint]
+            segment = pymunk.Body(mass, inertia)
             space.add(segment)
             joints.append(self._make_joint(parameters, servo, joint, parent, segment))
             pivot = pymunk.PivotJoint(parent, segment, (anchor, 0.0), (-centre, 0.0))
@@ -180,7 +170,7 @@ class Linkage:
             space.add(pymunk.Circle(ground, radius, (x, y)))
 
     def place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
-        """Pose the segments, moving as rigid rods on pivots do."""
+        """Pose the segments, and let them move as rigid rods on pivots do."""
         angle = speed = x = y = velocity_x = velocity_y = 0.0
         for (segment, length, centre), joint_angle, joint_velocity in zip(
             self._handles, joint_angles, joint_velocities
@@ -219,11 +209,10 @@ class Linkage:
         self.locked = False
 
     def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
-        """Take the joints out of one Space and into another, and keep their order.
+        """Take the joints out of one Space and into another, and keep the order of all joints.
 
-        Chipmunk fills the place of what it takes out with the last one of all.  Taken out from
-        the last to the first, the joints of an arm are so replaced by those of another, in their
-        order.
+        Chipmunk fills the place of a removed joint with the last one of all.  If an arm's joints
+        are removed from the last to the first, those of another arm take their places in order.
         """
         for joint in reversed(self.joint_handles):
             chipmunk.cpSpaceRemoveConstraint(source._space, joint)
@@ -231,7 +220,7 @@ class Linkage:
             chipmunk.cpSpaceAddConstraint(target._space, joint)
 
     def hand_velocity(self) -> tuple[float, float]:
-        """Velocity (x, y) of the end of the last segment."""
+        """Return the velocity (x, y) of the end of the last segment."""
         body, reach = self.hand
         angle = chipmunk.cpBodyGetAngle(body)
         speed = reach * chipmunk.cpBodyGetAngularVelocity(body)
@@ -239,7 +228,7 @@ class Linkage:
         return centre.x - speed * sin(angle), centre.y + speed * cos(angle)
 
     def pivot_gap(self) -> float:
-        """Largest distance between the two ends that a pivot should hold together, lengths."""
+        """Return the largest distance between ends that a pivot should hold together, lengths."""
         gap, end = 0.0, pymunk.Vec2d(0.0, 0.0)
         for segment, length, centre in zip(self.segments, self._lengths, self._centres):
             gap = max(gap, segment.local_to_world((-centre, 0.0)).get_distance(end))
@@ -248,10 +237,10 @@ class Linkage:
 
 
 def make_space(parameters: ArmParameters) -> pymunk.Space:
-    """An empty Space with the gravity and the solver that these arms need.
+    """Return an empty Space with the gravity and the solver settings that these arms need.
 
     Raises:
-        ValueError: for arms that Chipmunk cannot hold together.
+        UserError: for arms that Chipmunk cannot hold together.
     """
     space = pymunk.Space()
     space.gravity = parameters.gravity
@@ -262,9 +251,9 @@ def make_space(parameters: ArmParameters) -> pymunk.Space:
 def forget_impulses(space: pymunk.Space, linkages: Iterable[Linkage], substep: float) -> None:
     """Clear the impulses that Chipmunk's joints keep from one physics step to the next.
 
-    They are not part of a body's pose or velocity, and would make the future of a reset arm
-    another than that of a new one.  A step of `space` in which no joint may exert a force clears
-    them.  It must hold the joints of these linkages and no others.
+    They are no part of a body's pose or velocity, and a reset arm would not move as a new one does.
+    A step of `space` in which no joint may exert a force clears them.  `space` must hold the joints
+    of these linkages and no others.
     """
     linkages = tuple(linkages)
     for linkage in linkages:

@@ -1,0 +1,266 @@
+"""What an arm is and does, whatever engine simulates it: one arm, or many equal ones at once."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from math import nan
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym._errors import require
+from mmc_gym.body.parameters import ArmParameters, Servo
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+class SingleArm(ABC):
+    """A planar arm of N segments, its base at the origin.
+
+    All sequences run from the base outward.  Joint angles are relative, 0 = straight on.
+
+    Attributes:
+        parameters: the arm's physical parameters.
+        segment_angles: absolute angles of the segments after the last step, rad, not wrapped.
+        joint_angles: relative angles of the joints after the last step, rad, not wrapped.
+        joint_velocities: their velocities, rad/s.
+        end_effector: position of the hand, (x, y).
+        records_effort: tells whether steps record the effort of the servos; False unless set.
+        servo_impulses: ∫ |τ| dt of each servo in the last recorded step, mass · length² / s.  NaN
+            before it, and if the engine does not tell.  Stops and locks are no servos.
+        servo_work: ∫ |τ q̇| dt likewise, mass · length² / s².
+    """
+
+    segment_angles: list[float]
+    joint_angles: list[float]
+    joint_velocities: list[float]
+    end_effector: tuple[float, float]
+    records_effort: bool = False
+    servo_impulses: list[float]
+    servo_work: list[float]
+
+    def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
+        """Build the arm, stretched along the x axis and at rest.
+
+        Args:
+            parameters: physical parameters.
+            servo: what the servos take, see `command`.
+
+        Raises:
+            UserError: for an unknown kind of servo, or an arm that the engine cannot simulate.
+        """
+        require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
+        self.parameters = parameters or ArmParameters()
+        self._servo: Servo = servo
+        self.servo_impulses = self.servo_work = [nan] * len(self.parameters.segment_lengths)
+
+    @abstractmethod
+    def reset(
+        self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
+    ) -> None:
+        """Place the arm; its future is that of a newly built one, bit for bit.
+
+        The servos hold the posture (position), stop the joints (velocity) or are slack (torque)
+        until they are commanded.  Locked joints are free again.
+
+        Args:
+            joint_angles: N relative angles in radians.
+            joint_velocities: N relative angular velocities in rad/s, or None for rest.
+
+        Raises:
+            ValueError: for another number of angles or velocities than N.
+        """
+
+    @abstractmethod
+    def command(self, values: Sequence[float]) -> None:
+        """Hand N values to the servos, which hold them until the next call.
+
+        Depending on the servos they are joint targets in radians (reached the short way round, or
+        within the joint limits if there are any), joint velocities in rad/s, or torques.
+
+        Raises:
+            ValueError: for another number of values.
+        """
+
+    @abstractmethod
+    def step(self) -> None:
+        """Simulate one control step."""
+
+    @abstractmethod
+    def lock(self) -> None:
+        """Make the `lockable_joints` rigid where they are, until the next reset."""
+
+    @abstractmethod
+    def pivot_gap(self) -> float:
+        """Return the largest distance between the two ends that a pivot should hold together."""
+
+
+def wrong_count(name: str, values: Sequence[float], count: int) -> ValueError:
+    """Return the error about an argument that does not have one value per joint."""
+    return ValueError(f"{name} must be {count} values, got {values!r}")
+
+
+class ArmBatch(ABC):
+    """Many equal arms that know nothing of each other.  `SingleArm` tells what one of them does.
+
+    Every step and reset overwrites the arrays: copy what should last.
+
+    Attributes:
+        parameters: the arms' physical parameters.
+        segment_angles: absolute angles of the segments, rad, not wrapped, (count, N).
+        joint_angles: relative angles of the joints, rad, not wrapped, (count, N).
+        joint_velocities: their velocities, rad/s, (count, N).
+        end_effectors: positions of the hands, (count, 2).
+        records_effort: tells whether steps record the effort of the servos; False unless set.
+        servo_impulses: ∫ |τ| dt of each servo in the last recorded step, (count, N).  NaN before
+            it, and if the engine does not tell.
+        servo_work: ∫ |τ q̇| dt likewise, (count, N).
+    """
+
+    segment_angles: Floats
+    joint_angles: Floats
+    joint_velocities: Floats
+    end_effectors: Floats
+    records_effort: bool = False
+
+    def __init__(
+        self,
+        parameters: ArmParameters | None = None,
+        count: int = 1,
+        servo: Servo = "position",
+        threads: int = 1,
+    ) -> None:
+        """Build the arms, stretched along the x axis and at rest.
+
+        Args:
+            parameters: physical parameters of every arm.
+            count: number of arms.
+            servo: what the servos take, see `command`.
+            threads: number of threads that simulate them.  The result does not depend on it.
+
+        Raises:
+            UserError: for an unknown kind of servo, less than one arm or thread, or an arm that
+                the engine cannot simulate.
+        """
+        require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
+        for name, value in ("count", count), ("threads", threads):
+            whole = isinstance(value, (int, np.integer)) and value >= 1
+            require(whole, name, value, "a whole number of at least 1")
+        self.parameters = parameters or ArmParameters()
+        self._servo: Servo = servo
+        self._count, self._threads = int(count), int(threads)
+        self._shape = self._count, len(self.parameters.segment_lengths)
+        self.servo_impulses: Floats = np.full(self._shape, nan)
+        self.servo_work: Floats = np.full(self._shape, nan)
+        self._workers = Workers(self._threads)
+
+    def reset(
+        self,
+        joint_angles: ArrayLike,
+        arms: ArrayLike | None = None,
+        joint_velocities: ArrayLike | None = None,
+    ) -> None:
+        """Place k of the arms, see `SingleArm.reset`.  The others are not touched.
+
+        Args:
+            joint_angles: relative angles in radians, (k, N).
+            arms: indices of the k arms, or None for all.
+            joint_velocities: relative angular velocities in rad/s, (k, N), or None for rest.
+
+        Raises:
+            ValueError: for another shape, or indices of no arm or twice of the same.
+        """
+        chosen = np.arange(self._count) if arms is None else self._indices(arms)
+        shape = len(chosen), self._shape[1]
+        postures = _table("joint_angles", joint_angles, shape)
+        speeds = np.zeros(shape)
+        if joint_velocities is not None:
+            speeds = _table("joint_velocities", joint_velocities, shape)
+        self._place(chosen, postures, speeds)
+
+    def command(self, values: ArrayLike) -> None:
+        """Hand values (count, N) to the servos, see `SingleArm.command`.
+
+        Raises:
+            ValueError: for another shape.
+        """
+        self._command(_table("values", values, self._shape))
+
+    @abstractmethod
+    def step(self) -> None:
+        """Simulate one control step of every arm."""
+
+    def lock(self, arms: ArrayLike) -> None:
+        """Make the `lockable_joints` of these arms rigid where they are, until their next reset.
+
+        Raises:
+            ValueError: for indices of no arm or twice of the same.
+        """
+        self._lock(self._indices(arms))
+
+    @abstractmethod
+    def pivot_gaps(self) -> Floats:
+        """Return each arm's largest distance between ends that a pivot should hold, (count,)."""
+
+    def close(self) -> None:
+        """End the threads; the next step would start new ones."""
+        self._workers.close()
+
+    @abstractmethod
+    def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None: ...
+
+    @abstractmethod
+    def _command(self, values: Floats) -> None: ...
+
+    @abstractmethod
+    def _lock(self, arms: Indices) -> None: ...
+
+    def _indices(self, arms: ArrayLike) -> Indices:
+        rows = np.asarray(arms)
+        fine = rows.ndim == 1 and (rows.size == 0 or rows.dtype.kind in "iu")
+        fine = fine and bool(np.all((rows >= 0) & (rows < self._count)))
+        fine = fine and len(np.unique(rows)) == len(rows)
+        if not fine:
+            raise ValueError(
+                f"arms must be different indices from 0 to {self._count - 1}, got {arms!r}"
+            )
+        return np.ascontiguousarray(rows, np.intp)
+
+
+def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:
+    """Return a copy of `values`; compiled functions are compiled for this kind of array."""
+    table = np.array(values, dtype=np.float64, order="C")
+    if table.shape != shape:
+        raise ValueError(f"{name} must be of shape {shape}, got {table.shape}")
+    return table
+
+
+class Workers:
+    """Helper threads that start when they are first asked for, and anew in a forked process."""
+
+    def __init__(self, threads: int) -> None:
+        """Prepare for `threads` threads, the caller's among them."""
+        self._threads = threads
+        self._pool: ThreadPoolExecutor | None = None
+        self._process = 0
+
+    def executor(self) -> ThreadPoolExecutor:
+        """Return the threads of this process; a forked one has inherited none."""
+        if self._pool is None or self._process != os.getpid():
+            self._pool = ThreadPoolExecutor(self._threads - 1, "arms")
+            self._process = os.getpid()
+        return self._pool
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None and self._process == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}  # threads belong to a process
