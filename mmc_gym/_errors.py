@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
 
 class UserError(ValueError):
     """An argument, a file or a command is not what is accepted.
@@ -22,3 +27,27 @@ def require(fine: bool, name: str, value: object, accepted: str) -> None:
     """
     if not fine:
         raise UserError(f"{name} must be {accepted}, got {value!r}")
+
+
+_OURS = {
+    "Input should be": "must be",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+}
+
+
+def explain(error: ValidationError) -> str:
+    """Return pydantic's complaints in one line: each entry, what it accepts, and its value."""
+    complaints = []
+    for each in error.errors(include_url=False):
+        entry, value = ".".join(map(str, each["loc"])), each["input"]
+        if each["type"] == "missing":
+            complaints.append(f"{entry} must be given")
+        elif each["type"] == "extra_forbidden":
+            complaints.append(f"{entry} is not known")
+        else:
+            accepted = each["msg"].removeprefix("Value error, ")
+            for theirs, ours in _OURS.items():
+                accepted = accepted.replace(theirs, ours)
+            complaints.append(f"{entry} {accepted}, got {value!r}".strip())
+    return "; ".join(complaints)

@@ -181,17 +181,14 @@ def _train_one(
     tensorboard: Path | None,
     device: str,
 ) -> None:
-    from mmc_gym.agents.policy import FINAL_EPISODES
-    from mmc_gym.training.hyperparameters import policy_name, read_hyperparameters
+    from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
+    from mmc_gym.training.hyperparameters import read_recipe
     from mmc_gym.training.training import Training
 
-    env_id, hyperparameters = read_hyperparameters(name, env)
-    if steps is not None:
-        hyperparameters["n_timesteps"] = steps
-    name = policy_name(name)
-    folder = out or Path("runs") / f"{name}-{seed}"
+    recipe = read_recipe(name, env, steps)
+    folder = out or Path("runs") / file_stem(recipe.name, seed)
     with progress_bar() as bar:
-        task = bar.add_task(f"{name}, seed {seed}")
+        task = bar.add_task(f"{recipe.name}, seed {seed}")
 
         def report(progress: TrainingProgress) -> None:
             bar.update(task, completed=progress.steps)
@@ -201,16 +198,7 @@ def _train_one(
                     f"final distance {scores['final_distance']:.3f}  {scores['seconds']:6.0f} s"
                 )
 
-        training = Training(
-            name,
-            hyperparameters,
-            env_id,
-            seed,
-            folder,
-            report,
-            device=device,
-            tensorboard=tensorboard,
-        )
+        training = Training(recipe, seed, folder, report, device=device, tensorboard=tensorboard)
         bar.update(task, total=training.total_steps)
         card = training.run(resume)
     print(
@@ -225,7 +213,7 @@ def _train_all(
 ) -> None:
     from mmc_gym.training import grid
 
-    policies = grid.shipped_cells()
+    policies = grid.shipped_policies()
     with progress_bar() as bar:
         task = bar.add_task("policies", total=len(policies))
 

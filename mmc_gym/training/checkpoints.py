@@ -1,7 +1,7 @@
-"""Checkpoints of stable-baselines3 models: all that a training needs to go on, as safetensors.
+"""Keep the state of a stable-baselines3 model as safetensors: all that a training needs to go on.
 
-Weights and optimizers of the policy, the entropy coefficient if it is learned, the statistics that
-rewards are scaled by, the step counts, and the filled part of the replay buffer.  No pickle.
+That is the policy's weights and optimizers, the entropy coefficient if it is learned, the
+statistics that scale rewards, the step counts, and the filled part of the replay buffer.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecNormalize
 
+from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 
 Tensors = dict[str, torch.Tensor]
@@ -51,28 +52,32 @@ def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
 
 
 def read_head(path: Path) -> dict[str, Any]:
-    """What `save_checkpoint` was given as head.
+    """Return the head that `save_checkpoint` was given.
 
     Raises:
-        ValueError: if the file is not a checkpoint.
+        UserError: if the file is not a checkpoint.
     """
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             head: dict[str, Any] = json.loads(file.metadata()["head"])
             return head
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} does not hold a training: {error}") from error
+        raise UserError(f"{path} does not hold a training: {error}") from error
 
 
-def load_checkpoint(model: BaseAlgorithm, path: Path) -> None:
+def load_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> None:
     """Bring a model, made with the same arguments, to the state in the checkpoint.
 
+    Args:
+        model: which may have been changed in part when an error is raised.
+        head: of the checkpoint, see `read_head`.
+        path: of the checkpoint.
+
     Raises:
-        ValueError: if the file is not a checkpoint, or that of another model; the model may have
-            been changed in part.
+        UserError: if the file is not a checkpoint, or that of another model.
     """
     try:
-        counts = read_head(path)["model"]
+        counts = head["model"]
         tensors = safetensors.torch.load_file(path)
         parameters = model.get_parameters()
         found: dict[str, Any] = {name: _emptied(part) for name, part in parameters.items()}
@@ -94,7 +99,7 @@ def load_checkpoint(model: BaseAlgorithm, path: Path) -> None:
         _restore_buffer(model, replayed, counts)
         _restore_counts(model, counts)
     except (KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
-        raise ValueError(f"{path} does not hold a training of this kind: {error}") from error
+        raise UserError(f"{path} does not hold a training of this kind: {error}") from error
 
 
 def _emptied(part: Any) -> Any:
@@ -104,7 +109,7 @@ def _emptied(part: Any) -> Any:
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:
-    """What is learned outside of modules: the logarithm of the entropy coefficient."""
+    """Return what is learned outside of modules: the logarithm of the entropy coefficient."""
     _, names = model._get_torch_save_params()
     return {name: getattr(model, name) for name in names if name == "log_ent_coef"}
 
@@ -133,7 +138,7 @@ def _replay_buffer(model: Any) -> ReplayBuffer | None:
 
 
 def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
-    """The arrays of a replay buffer that have a row for each step, by name."""
+    """Return the arrays of a replay buffer that have a row for each step, by name."""
     found: dict[str, NDArray[Any]] = {}
     for name, value in vars(buffer).items():
         parts = value.items() if isinstance(value, dict) else [("", value)]

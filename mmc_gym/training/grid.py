@@ -1,4 +1,4 @@
-"""Many trainings as one grid: every policy that ships, over the cores or on a cluster."""
+"""Train many policies as one grid, over the cores or on a cluster."""
 
 from __future__ import annotations
 
@@ -7,13 +7,22 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+from mmc_gym._errors import UserError
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.policy import PolicyCard, load_policy
-from mmc_gym.training.hyperparameters import Hyperparameters, read_hyperparameters
-from mmc_gym.training.training import CHECKPOINT, Training, usable_device
+from mmc_gym.agents.policy import PolicyCard, file_stem, load_policy
+from mmc_gym.training.hyperparameters import read_recipe
+from mmc_gym.training.training import Training, usable_device
+
+
+class PolicyName(NamedTuple):
+    """A policy to train: the name of its hyperparameters, and the seed of its training."""
+
+    name: str
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -21,40 +30,40 @@ class TrainingCell:
     """One training of a grid.
 
     Attributes:
-        name: of the hyperparameters.
-        seed: of everything random.
+        policy: to train.
         steps: environment steps, instead of those of the hyperparameters; None for these.
         device: that torch computes on.
-        folder: where the checkpoint lies, on this machine; None on a cluster, whose nodes start
-            a training that was lost anew, and come to the same policy.
+        folder: of the checkpoint, on this machine.  None on a cluster: where a node is lost, its
+            training starts again, and ends with the same policy.
     """
 
-    name: str
-    seed: int
+    policy: PolicyName
     steps: int | None = None
     device: str = "cpu"
     folder: str | None = None
 
-    def hyperparameters(self) -> tuple[str, Hyperparameters]:
-        """Environment id and hyperparameters."""
-        env_id, hyperparameters = read_hyperparameters(self.name)
-        if self.steps is not None:
-            hyperparameters["n_timesteps"] = self.steps
-        return env_id, hyperparameters
+    @property
+    def label(self) -> str:
+        """What the policy's files are called."""
+        return file_stem(*self.policy)
 
     def training(self, folder: Path) -> Training:
-        """The training, with everything in `folder`."""
-        env_id, hyperparameters = self.hyperparameters()
-        return Training(self.name, hyperparameters, env_id, self.seed, folder, device=self.device)
+        """Return the training, with everything in `folder`."""
+        recipe = read_recipe(self.policy.name, steps=self.steps)
+        return Training(recipe, self.policy.seed, folder, device=self.device)
 
 
-def shipped_cells() -> list[tuple[str, int]]:
-    """Name and seed of every policy that ships."""
-    return [(name, seed) for name, entry in AGENTS.items() for seed in range(entry.training_seeds)]
+def shipped_policies() -> list[PolicyName]:
+    """Return every policy that ships."""
+    return [
+        PolicyName(name, seed)
+        for name, entry in AGENTS.items()
+        for seed in range(entry.training_seeds)
+    ]
 
 
 def train_all(
-    policies: Sequence[tuple[str, int]],
+    policies: Sequence[PolicyName],
     out: Path,
     *,
     steps: int | None = None,
@@ -66,61 +75,61 @@ def train_all(
 ) -> list[PolicyCard]:
     """Train policies, many at once, and write their files into a folder.
 
-    What is there already, trained with the same hyperparameters, is not trained again; trainings
-    that were interrupted go on from their checkpoints.
+    Policies that are there, trained with the same hyperparameters, are not trained again.
+    Interrupted trainings go on from their checkpoints.
 
     Args:
-        policies: name and seed of each.
+        policies: which.
         out: the folder.
         steps: environment steps, instead of those of the hyperparameters.
         device: that torch computes on.
         jobs: how many are trained at once, see `run_grid`.
         cluster: where, see `run_grid`.
         on_policy: called with the card of each policy that is ready.
-        on_note: called with what else is to be said, of checkpoints that are discarded.
+        on_note: called when a checkpoint is discarded, with the reason.
 
     Returns:
         The cards, in the order of `policies`.
 
     Raises:
-        ValueError: if `out` is a file, `steps` below 1, or there are no such hyperparameters or no
-            such device.
+        UserError: if `out` is a file, `steps` is below 1, or there are no such hyperparameters or
+            no such device.
         CellError: if a training failed.
     """
     check_folder(out, "out")
     if steps is not None and steps < 1:
-        raise ValueError(f"steps must be at least 1, got {steps}")
+        raise UserError(f"steps must be at least 1, got {steps}")
     if cluster is None:
         usable_device(device)
-    cards: dict[tuple[str, int], PolicyCard] = {}
+    cards: dict[PolicyName, PolicyCard] = {}
     cells = []
-    for name, seed in policies:
-        folder = None if cluster else str(out / "checkpoints" / f"{name}-{seed}")
-        cell = TrainingCell(name, seed, steps, device, folder)
+    for policy in map(PolicyName._make, policies):
+        folder = None if cluster else str(out / "checkpoints" / file_stem(*policy))
+        cell = TrainingCell(policy, steps, device, folder)
         card = _finished(cell, out)
         if card is None:
             _discard_other(cell, on_note)
             cells.append(cell)
         else:
-            cards[name, seed] = card
+            cards[policy] = card
             on_policy(card)
 
     def keep(index: int, contents: dict[str, bytes]) -> None:
         cell = cells[index]
         for file, content in contents.items():
             write_atomically(out / file, content)
-        if cell.folder is not None:  # of no more use, and replay buffers are large
+        if cell.folder is not None:  # replay buffers are large
             shutil.rmtree(cell.folder)
-        _, card = load_policy(out / f"{cell.name}-{cell.seed}.json")
-        cards[cell.name, cell.seed] = card
+        _, card = load_policy(out / f"{cell.label}.json")
+        cards[cell.policy] = card
         on_policy(card)
 
     run_grid(train_cell, cells, jobs=jobs, cluster=cluster, on_result=keep)
-    return [cards[policy] for policy in policies]
+    return [cards[PolicyName._make(policy)] for policy in policies]
 
 
 def train_cell(cell: TrainingCell) -> dict[str, bytes]:
-    """Train a policy; the contents of its files by their names."""
+    """Train a policy; return the contents of its files by their names."""
     with tempfile.TemporaryDirectory() as temporary:
         training = cell.training(Path(cell.folder or temporary))
         training.run(resume=True)
@@ -129,20 +138,24 @@ def train_cell(cell: TrainingCell) -> dict[str, bytes]:
 
 def _discard_other(cell: TrainingCell, on_note: Callable[[str], None]) -> None:
     """Remove the cell's checkpoint if the training cannot go on from it."""
-    if cell.folder is None or not (Path(cell.folder) / CHECKPOINT).exists():
+    if cell.folder is None:
         return
     training = cell.training(Path(cell.folder))
+    if not training.checkpoint.exists():
+        return
     try:
-        training.check_checkpoint()
-    except ValueError as error:
-        on_note(f"{cell.name}-{cell.seed} begins anew: {error}")
-        (Path(cell.folder) / CHECKPOINT).unlink()
+        training.read_checkpoint_head()
+    except UserError as error:
+        on_note(f"{cell.label} begins anew: {error}")
+        training.checkpoint.unlink()
 
 
 def _finished(cell: TrainingCell, out: Path) -> PolicyCard | None:
-    """The card of the policy that the cell asks for, if it is there."""
+    """Return the card of the cell's policy if it is there."""
     try:
-        _, card = load_policy(out / f"{cell.name}-{cell.seed}.json")
+        _, card = load_policy(out / f"{cell.label}.json")
     except (FileNotFoundError, ValueError):
         return None
-    return card if (card.env_id, card.hyperparameters) == cell.hyperparameters() else None
+    recipe = read_recipe(cell.policy.name, steps=cell.steps)
+    same = (card.env_id, card.hyperparameters) == (recipe.env_id, recipe.hyperparameters)
+    return card if same else None

@@ -1,6 +1,8 @@
-"""Hyperparameters: YAML files in rl_zoo3's form, those that ship and a user's own.
+"""Hyperparameters: YAML files in rl_zoo3's form, and what they mean to stable-baselines3.
 
-What an entry of such a file means is read by `Settings`.
+A file maps ids of environments to entries.  `read_recipe` reads the entry of one environment, from
+a file that ships or from your own, and `Recipe.settings` checks it: `PPOSettings`, `SACSettings`
+and `TQCSettings` have a field for each key, with the values that it accepts.
 """
 
 from __future__ import annotations
@@ -8,101 +10,41 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 import yaml
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    StrictBool,
+    ValidationError,
+    field_validator,
+)
 from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from typing_extensions import override
 
-from mmc_gym.training.policies import ACTIVATIONS, POLICIES
+from mmc_gym._errors import UserError, explain
+from mmc_gym.agents.policy import Algorithm
+from mmc_gym.training.policies import POLICIES
 from mmc_gym.training.vec_env import Residual
 
 
-def read_mapping(key: str, value: Any) -> dict[str, Any]:
-    """A mapping, or the text of one.
-
-    Args:
-        key: of the value, for messages.
-        value: a mapping, or a text such as `"dict(a=1)"` or `"{'a': 1}"` of literals and classes of
-            activations.
-
-    Raises:
-        ValueError: if it is neither.
-
-    >>> read_mapping("policy_kwargs", "dict(activation_fn=nn.ReLU, net_arch=dict(pi=[64]))")
-    {'activation_fn': 'relu', 'net_arch': {'pi': [64]}}
-    """
-    found = value
-    if isinstance(value, str):
-        try:
-            found = _literal(ast.parse(value.strip(), mode="eval").body)
-        except (ValueError, SyntaxError, TypeError, RecursionError) as error:
-            raise ValueError(f"{key} must be a mapping of literals, got {value!r}") from error
-    if not isinstance(found, dict) or not all(isinstance(name, str) for name in found):
-        raise ValueError(f"{key} must be a mapping, got {value!r}")
-    return found
-
-
-def read_names(key: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
-    """Names with arguments: of a name, a mapping of one name to its arguments, or a list of them.
-
-    Raises:
-        ValueError: if it is none of these.
-
-    >>> read_names("callback", ["a.B", {"a.C": {"size": 1}}])
-    [('a.B', {}), ('a.C', {'size': 1})]
-    """
-    found = []
-    for part in value if isinstance(value, list) else [] if value is None else [value]:
-        if isinstance(part, dict) and len(part) == 1:
-            name, arguments = next(iter(part.items()))
-            found.append((name, read_mapping(key, arguments or {})))
-        elif isinstance(part, str):
-            found.append((part, {}))
-        else:
-            raise ValueError(
-                f"{key} must be a name, or a mapping of one name to its arguments, got {part!r}"
-            )
-    return found
-
-
-def _literal(node: ast.expr) -> Any:
-    if isinstance(node, ast.Call):
-        if not isinstance(node.func, ast.Name) or node.func.id != "dict" or node.args:
-            raise ValueError(f"only dict is called, got {ast.unparse(node)}")
-        return {str(each.arg): _literal(each.value) for each in node.keywords if _has_name(each)}
-    if isinstance(node, ast.Dict):
-        keys = [_literal(each) if each is not None else None for each in node.keys]
-        return dict(zip(keys, map(_literal, node.values)))
-    if isinstance(node, ast.List):
-        return [_literal(each) for each in node.elts]
-    if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("nn", "th.nn", "torch.nn"):
-        return node.attr.lower()  # as the policies here name activations
-    return ast.literal_eval(node)
-
-
-def _has_name(keyword: ast.keyword) -> bool:
-    if keyword.arg is None:
-        raise ValueError("there is nothing to unpack")
-    return True
-
-
-Hyperparameters = dict[str, Any]
-
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
-
-
 class EntropyDecay(BaseCallback):
-    """Lets PPO's entropy bonus fall linearly, from `ent_coef` to 0 at the end of the training."""
+    """Let PPO's entropy bonus fall linearly, from `ent_coef` to 0 at the end of the training."""
 
     def _on_training_start(self) -> None:
         self._start = float(cast(PPO, self.model).ent_coef)
@@ -115,183 +57,256 @@ class EntropyDecay(BaseCallback):
         return True
 
 
-def names() -> list[str]:
-    """The names that there are hyperparameters for."""
-    folder = files("mmc_gym.training") / "hyperparams"
-    found = (entry.name for entry in folder.iterdir())
-    return sorted(name.removesuffix(".yml") for name in found if name.endswith(".yml"))
+@dataclass(frozen=True)
+class Rate:
+    """A rate over the course of a training: constant, or falling linearly to 0 ("lin_START")."""
+
+    start: float
+    falls: bool = False
+
+    def __call__(self, progress_remaining: float) -> float:
+        """Return the rate where this part of the training remains."""
+        return self.start * progress_remaining if self.falls else self.start
 
 
-def policy_name(name: str) -> str:
-    """The name of what is trained: that of shipped hyperparameters, or of a file without folder."""
-    return Path(name).stem if _is_path(name) else name
+class Named(NamedTuple):
+    """A class that an entry names, and the arguments that it is made with."""
+
+    make: Callable[..., Any]
+    arguments: dict[str, Any]
 
 
-def read_hyperparameters(name: str, env_id: str | None = None) -> tuple[str, Hyperparameters]:
-    """The environment and the hyperparameters of that name.
+def _number(value: Any) -> float:
+    """Read a number, or the text of one, such as 1e-3 to YAML."""
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError("must be a number")
+    return number
+
+
+def _tagged(value: Any, tag: str) -> tuple[bool, float]:
+    """Read a number greater than 0, that may stand behind a tag: "lin_0.1" with the tag "lin_"."""
+    is_tagged = isinstance(value, str) and value.startswith(tag)
+    try:
+        number = _number(value.removeprefix(tag) if is_tagged else value)
+    except ValueError:
+        number = 0.0
+    if number <= 0:
+        raise ValueError(f"must be a number greater than 0, or {tag}NUMBER")
+    return is_tagged, number
+
+
+def _rate(value: Any) -> Rate:
+    falls, start = _tagged(value, "lin_")
+    return Rate(start, falls)
+
+
+def _entropy(value: Any) -> str | float:
+    if value == "auto":
+        return "auto"
+    is_learned, number = _tagged(value, "auto_")
+    return str(value) if is_learned else number
+
+
+def _frequency(value: Any) -> tuple[int, str]:
+    count, unit = value if isinstance(value, list) and len(value) == 2 else (value, "step")
+    if type(count) is not int or count < 1 or unit not in ("step", "episode"):
+        raise ValueError("must be N, [N, step] or [N, episode], of at least 1")
+    return count, unit
+
+
+def _layers(value: Any) -> Any:
+    for sizes in value.values() if isinstance(value, dict) else [value]:
+        if not isinstance(sizes, list) or not all(type(n) is int and n > 0 for n in sizes):
+            raise ValueError("must be sizes of layers of at least 1: a list, or one for each part")
+    return value
+
+
+class _Literals(ast.NodeTransformer):
+    """Turn `dict(a=1)` into `{"a": 1}`, and `nn.ReLU` into "relu"; all else stays."""
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        self.generic_visit(node)
+        is_dict = isinstance(node.func, ast.Name) and node.func.id == "dict" and not node.args
+        if not is_dict or any(each.arg is None for each in node.keywords):
+            return node
+        keys: list[ast.expr | None] = [ast.Constant(each.arg) for each in node.keywords]
+        return ast.Dict(keys, [each.value for each in node.keywords])
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        is_layer = isinstance(node.value, ast.Name) and node.value.id == "nn"
+        return ast.Constant(node.attr.lower()) if is_layer else node
+
+
+def _mapping(value: Any) -> Any:
+    """Read a text such as "dict(net_arch=[64], activation_fn=nn.ReLU)"; literals, never code."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return ast.literal_eval(_Literals().visit(ast.parse(value.strip(), mode="eval")))
+    except (ValueError, SyntaxError, TypeError, RecursionError):
+        raise ValueError("must be a mapping of literals") from None
+
+
+def _normalized(value: Any) -> Any:
+    if value is None or value is False:
+        return None
+    arguments = {} if value is True else _mapping(value)
+    if isinstance(arguments, dict) and arguments.get("norm_obs", True) is not False:
+        raise ValueError(
+            "must have norm_obs: false, for observations lie within -1 and 1, and a policy is kept "
+            "without statistics of them"
+        )
+    return arguments
+
+
+def _limited(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Refuse environments whose episodes never end."""
+    steps = arguments.get("max_episode_steps", 1)
+    if type(steps) is not int or steps < 1:
+        raise ValueError("must have a whole number of at least 1 for max_episode_steps, if any")
+    return arguments
+
+
+def _looked_up(name: Any, table: Mapping[str, Any]) -> Any:
+    if not isinstance(name, str) or name not in table:
+        raise ValueError(f"must be one of {', '.join(table)}")
+    return table[name]
+
+
+def _named(
+    table: Mapping[str, Callable[..., Any]], value: Any, *first: None, at_most: int | None = None
+) -> list[Named]:
+    """Read a name, or a list of names and of mappings of one name to its arguments.
 
     Args:
-        name: of those that ship, see `names`, or the path of a YAML file.
-        env_id: the environment; None for the first that the file has.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if there are no hyperparameters of that name or for that environment, or the
-            file is no mapping of environments to hyperparameters.
+        table: what may be named.
+        value: what is read.
+        first: stand for the arguments that are given besides.
+        at_most: so many.
     """
-    if _is_path(name):
-        text = Path(name).read_text(encoding="utf-8")
-    elif name in names():
-        path = files("mmc_gym.training") / "hyperparams" / f"{name}.yml"
-        text = path.read_text(encoding="utf-8")
-    else:
-        raise ValueError(
-            f"name must be one of {', '.join(names())}, or the path of a YAML file, got {name!r}"
-        )
-    try:
-        entries = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(f"{name} must be YAML: {error}") from error
-    if not isinstance(entries, dict) or not entries:
-        raise ValueError(f"{name} must map environments to hyperparameters, got {entries!r}")
-    env_id = env_id or str(next(iter(entries)))
-    if env_id not in entries:
-        found = ", ".join(map(str, entries))
-        raise ValueError(f"env must be one of {found} for {name}, got {env_id!r}")
-    entry = entries[env_id]
-    if not isinstance(entry, dict):
-        raise ValueError(f"{name} must have hyperparameters for {env_id}, got {entry!r}")
-    return env_id, entry
+    found = []
+    for part in value if isinstance(value, list) else [] if value is None else [value]:
+        has_arguments = isinstance(part, dict) and len(part) == 1
+        name, arguments = next(iter(part.items())) if has_arguments else (part, None)
+        make, arguments = _looked_up(name, table), arguments or {}
+        try:
+            inspect.signature(make).bind(*first, **arguments)
+        except TypeError as error:
+            raise ValueError(f"must have arguments that {name} takes: {error}") from error
+        found.append(Named(make, arguments))
+    if at_most is not None and len(found) > at_most:
+        raise ValueError(f"must be {at_most} at most")
+    return found
 
 
-def algorithm_of(name: str) -> str:
-    """The algorithm that hyperparameters of that name are for: what stands before the first "-".
-
-    Raises:
-        ValueError: if there is no such algorithm.
-    """
-    algorithm = name.partition("-")[0]
-    if algorithm not in ALGORITHMS:
-        raise ValueError(f"name must begin with one of {', '.join(ALGORITHMS)}, got {name!r}")
-    return algorithm
-
-
-def _is_path(name: str) -> bool:
-    return name.endswith((".yml", ".yaml"))
-
+Real = Annotated[float, BeforeValidator(_number)]
+Positive = Annotated[Real, Field(gt=0)]
+NotNegative = Annotated[Real, Field(ge=0)]
+Share = Annotated[Real, Field(ge=0, le=1)]
+Whole = Annotated[int, BeforeValidator(_number)]
+Natural = Annotated[Whole, Field(ge=0)]
+Count = Annotated[Whole, Field(ge=1)]
+AnyRate = Annotated[Rate, PlainValidator(_rate)]
 
 _WRAPPERS: dict[str, type[VecEnvWrapper]] = {f"{Residual.__module__}.Residual": Residual}
-_CALLBACKS: dict[str, type[BaseCallback]] = {
-    f"{EntropyDecay.__module__}.EntropyDecay": EntropyDecay
-}
-_REPLAY_BUFFERS = {"HerReplayBuffer": HerReplayBuffer}
-
-# Entries that are not arguments of the algorithm.
-_OWN = ("n_timesteps", "n_envs", "env_kwargs", "vec_env_wrapper", "normalize", "callback", "policy")
-# Arguments of the algorithm that are given otherwise, or are objects.
-_NO_OPTIONS = {
-    *("self", "policy", "env", "tensorboard_log", "seed", "device", "_init_setup_model"),
-    *("action_noise", "rollout_buffer_class", "rollout_buffer_kwargs"),
-}
-_SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
-_MAPPINGS = ("policy_kwargs", "replay_buffer_kwargs")
-_AT_LEAST_ONE = (
-    *("n_timesteps", "n_envs", "n_steps", "train_freq", "batch_size", "n_epochs", "buffer_size"),
-)
-_NORMALIZE = ("norm_obs", "norm_reward", "clip_obs", "clip_reward", "gamma", "epsilon")
-
-Named = tuple[Callable[..., Any], dict[str, Any]]
+_CALLBACKS: dict[str, type[BaseCallback]] = {f"{__name__}.EntropyDecay": EntropyDecay}
+_BUFFERS = {"HerReplayBuffer": HerReplayBuffer}
 
 
-@dataclass(frozen=True)
-class Settings:
-    """An entry of a hyperparameter file, as stable-baselines3 takes it.
+class _Keys(BaseModel):
+    """The keys of a mapping, each with the values that it accepts."""
 
-    Attributes:
-        algorithm: that learns.
-        policy: that it trains.
-        steps: environment steps of the whole training, at least.
-        env_count: how many environments it learns from at once.
-        env_kwargs: their arguments.
-        wrapper: around them, with its arguments; None for none.
-        normalize: arguments of `VecNormalize`; None for none.
-        callbacks: each with its arguments.
-        options: arguments of the algorithm, its defaults where the entry says nothing.
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class Normalization(_Keys):
+    """Arguments of `VecNormalize`."""
+
+    norm_obs: Literal[False]
+    norm_reward: StrictBool = True
+    clip_obs: Positive = 10.0
+    clip_reward: Positive = 10.0
+    gamma: Share = 0.99
+    epsilon: Positive = 1e-8
+
+
+class PolicyOptions(_Keys):
+    """Arguments of a policy; any others are checked by the policy itself."""
+
+    model_config = ConfigDict(extra="allow")
+
+    net_arch: Annotated[Any, PlainValidator(_layers)] = None
+    activation_fn: Literal["relu", "tanh"] = "relu"
+    log_std_init: Real = 0.0
+    n_critics: Count = 2
+    n_quantiles: Count = 25
+
+
+class ReplayOptions(_Keys):
+    """Arguments of a replay buffer; any others are checked by the buffer itself."""
+
+    model_config = ConfigDict(extra="allow")
+
+    n_sampled_goal: Count = 4
+    goal_selection_strategy: Literal["future", "final", "episode"] = "future"
+
+
+class Settings(_Keys):
+    """An entry of a hyperparameter file: the keys that all algorithms have.
+
+    Defaults are those of the algorithm.
     """
 
-    algorithm: type[BaseAlgorithm]
-    policy: type[BasePolicy]
-    steps: int
-    env_count: int
-    env_kwargs: dict[str, Any]
-    wrapper: Named | None
-    normalize: dict[str, Any] | None
-    callbacks: tuple[Named, ...]
-    options: dict[str, Any]
+    algorithm: ClassVar[type[BaseAlgorithm]]
 
+    n_timesteps: Count
+    policy: str
+    n_envs: Count = 1
+    env_kwargs: Annotated[dict[str, Any], AfterValidator(_limited)] = {}
+    vec_env_wrapper: Annotated[
+        list[Named], PlainValidator(lambda value: _named(_WRAPPERS, value, None, at_most=1))
+    ] = []
+    normalize: Annotated[Normalization | None, BeforeValidator(_normalized)] = None
+    callback: Annotated[list[Named], PlainValidator(lambda value: _named(_CALLBACKS, value))] = []
+
+    learning_rate: AnyRate = Rate(3e-4)
+    gamma: Share = 0.99
+    use_sde: StrictBool = False
+    sde_sample_freq: Annotated[Whole, Field(ge=-1)] = -1
+    stats_window_size: Count = 100
+    policy_kwargs: Annotated[PolicyOptions | None, BeforeValidator(_mapping)] = None
+    verbose: Natural = 0
+
+    @field_validator("policy")
     @classmethod
-    def read(cls, algorithm: str, hyperparameters: Mapping[str, Any]) -> Settings:
-        """Those of an entry.
+    def _known(cls, name: str) -> str:
+        base = cls.algorithm.policy_aliases["MlpPolicy"]
+        _looked_up(name, {key: kind for key, kind in POLICIES.items() if issubclass(kind, base)})
+        return name
 
-        Args:
-            algorithm: a key of `ALGORITHMS`.
-            hyperparameters: the entry, which is left as it is.
-
-        Raises:
-            ValueError: if it has unknown keys, lacks `n_timesteps` or `policy`, or a value is none
-                that the key takes.
-        """
-        h = deepcopy(dict(hyperparameters))  # stable-baselines3 adds to what it is given
-        kind = ALGORITHMS[algorithm]
-        defaults = _defaults(kind)
-        if unknown := [key for key in h if key not in (*_OWN, *defaults)]:
-            known = ", ".join((*_OWN, *defaults))
-            raise ValueError(f"hyperparameters must be among {known}, got {', '.join(unknown)}")
-        if missing := [key for key in ("n_timesteps", "policy") if key not in h]:
-            raise ValueError(f"hyperparameters must have {' and '.join(missing)}")
-        options = {**defaults, **{key: h[key] for key in h if key not in _OWN}}
-        options = {key: _option(key, value, defaults[key]) for key, value in options.items()}
-        base = kind.policy_aliases["MlpPolicy"]
-        policies = {name: policy for name, policy in POLICIES.items() if issubclass(policy, base)}
-        wrappers = _named("vec_env_wrapper", h.get("vec_env_wrapper"), _WRAPPERS)
-        if len(wrappers) > 1:
-            raise ValueError(f"vec_env_wrapper must be one at most, got {h['vec_env_wrapper']}")
-        return cls(
-            kind,
-            _looked_up("policy", h["policy"], policies),
-            _number("n_timesteps", h["n_timesteps"], 0),
-            _number("n_envs", h.get("n_envs", 1), 0),
-            read_mapping("env_kwargs", h.get("env_kwargs") or {}),
-            wrappers[0] if wrappers else None,
-            _normalize(h.get("normalize"), options["gamma"]),
-            tuple(_named("callback", h.get("callback"), _CALLBACKS)),
-            options,
-        )
+    @abstractmethod
+    def rollout(self, episode_steps: int) -> int:
+        """Return the steps of each environment between updates, in episodes of `episode_steps`."""
 
     def steps_per_leg(self, episode_steps: int, evaluations: int) -> int:
-        """Environment steps between two evaluations, where a rollout ends.
-
-        Episodes end there as well, if they are learned from only when they are complete, as in
-        hindsight.
+        """Return the environment steps between two evaluations, a number of whole rollouts.
 
         Args:
-            episode_steps: of every episode.
+            episode_steps: of an episode, if `env_kwargs` do not say otherwise.
             evaluations: about how many there shall be.
         """
-        rollout, unit = self.options.get("train_freq", self.options["n_steps"]), "step"
-        if isinstance(rollout, tuple):
-            rollout, unit = rollout
-        if unit == "episode":
-            rollout *= episode_steps
-        if self.options.get("replay_buffer_class") is not None:
-            rollout = math.lcm(rollout, episode_steps)
-        whole = int(rollout) * self.env_count
-        return math.ceil(self.steps / whole / evaluations) * whole
+        episode_steps = self.env_kwargs.get("max_episode_steps", episode_steps)
+        whole = self.rollout(episode_steps) * self.n_envs
+        return math.ceil(self.n_timesteps / whole / evaluations) * whole
 
     def make_model(
         self, env: VecEnv, seed: int, device: str = "cpu", tensorboard: str | None = None
     ) -> BaseAlgorithm:
-        """An untrained model.
+        """Return an untrained model.
 
         Args:
             env: to train in.
@@ -300,19 +315,16 @@ class Settings:
             tensorboard: folder for TensorBoard's logs.
 
         Raises:
-            ValueError: if the algorithm or the policy does not take the options.
+            UserError: if the algorithm or the policy does not take the options.
         """
-        if self.wrapper is not None:
-            wrapper, arguments = self.wrapper
-            env = wrapper(env, **arguments)
+        for wrapper in self.vec_env_wrapper:
+            env = wrapper.make(env, **wrapper.arguments)
         if self.normalize is not None:
-            env = VecNormalize(env, **self.normalize)
-        options = deepcopy(self.options)
-        for key in set(options) & set(_SCHEDULES):
-            options[key] = None if options[key] is None else schedule(options[key])
+            env = VecNormalize(env, **{"gamma": self.gamma, **_given(self.normalize)})
+        options = {key: value for key, value in _given(self).items() if key not in _OWN}
         try:
             return self.algorithm(
-                self.policy,
+                POLICIES[self.policy],
                 env,
                 seed=seed,
                 device=device,
@@ -321,111 +333,180 @@ class Settings:
             )
         except (TypeError, AssertionError) as error:
             name = self.algorithm.__name__
-            raise ValueError(f"{name} does not take these hyperparameters: {error}") from error
+            raise UserError(f"{name} does not take these hyperparameters: {error}") from error
 
     def make_callbacks(self) -> list[BaseCallback]:
-        """The callbacks that the entry asks for."""
-        return [callback(**arguments) for callback, arguments in self.callbacks]
+        """Return the callbacks that the entry names."""
+        return [callback.make(**callback.arguments) for callback in self.callback]
 
 
-def schedule(value: float | str) -> Callable[[float], float]:
-    """Of the part of the training that remains: a constant, or "lin_X", from X down to 0."""
-    if isinstance(value, str) and value.startswith("lin_"):
-        start = float(value.removeprefix("lin_"))
-        return lambda progress_remaining: start * progress_remaining
-    constant = float(value)
-    return lambda progress_remaining: constant
+# Keys that are not arguments of the algorithm.
+_OWN = ("n_timesteps", "n_envs", "env_kwargs", "vec_env_wrapper", "normalize", "callback", "policy")
 
 
-def _defaults(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
-    parameters = inspect.signature(algorithm).parameters.values()
-    return {each.name: each.default for each in parameters if each.name not in _NO_OPTIONS}
+def _given(keys: BaseModel) -> dict[str, Any]:
+    """Return the keys that the file has; without the others, which later versions may not have."""
+    found = {key: getattr(keys, key) for key in keys.model_fields_set}
+    return {key: _given(v) if isinstance(v, BaseModel) else v for key, v in found.items()}
 
 
-def _option(key: str, value: Any, default: Any) -> Any:
-    """The value of an argument of the algorithm, checked as far as its default tells its kind."""
-    if value is None and default is None:
-        return None
-    if key in _MAPPINGS:
-        arguments = read_mapping(key, value)
-        if "activation_fn" in arguments:
-            _looked_up("activation_fn", arguments["activation_fn"], ACTIVATIONS)
-        return arguments
-    if key == "replay_buffer_class":
-        return _looked_up(key, value, _REPLAY_BUFFERS)
-    if key == "train_freq" and isinstance(value, (list, tuple)):
-        if len(value) != 2 or value[1] not in ("step", "episode"):
-            raise ValueError(f"{key} must be N, [N, step] or [N, episode], got {value!r}")
-        return (_number(key, value[0], default), value[1])
-    if isinstance(default, bool):
-        if not isinstance(value, bool):
-            raise ValueError(f"{key} must be true or false, got {value!r}")
-        return value
-    prefix = "lin_" if key in _SCHEDULES else "auto_" if isinstance(default, str) else ""
-    if prefix and isinstance(value, str) and f"{value}_".startswith(prefix):
-        if value != "auto" and _parsed(value.removeprefix(prefix)) is None:
-            raise ValueError(f"{key} must be a number, or {prefix}NUMBER, got {value!r}")
-        return value
-    return _number(key, value, default)
+class PPOSettings(Settings):
+    """An entry for PPO."""
+
+    algorithm: ClassVar[type[BaseAlgorithm]] = PPO
+
+    n_steps: Count = 2048
+    batch_size: Count = 64
+    n_epochs: Count = 10
+    gae_lambda: Share = 0.95
+    clip_range: AnyRate = Rate(0.2)
+    clip_range_vf: AnyRate | None = None
+    normalize_advantage: StrictBool = True
+    ent_coef: NotNegative = 0.0
+    vf_coef: NotNegative = 0.5
+    max_grad_norm: Positive = 0.5
+    target_kl: Positive | None = None
+
+    @override
+    def rollout(self, episode_steps: int) -> int:
+        return self.n_steps
 
 
-def _number(key: str, value: Any, default: Any) -> Any:
-    """A number, also of a text (YAML's 1e-3 is one); a whole one, if the default is."""
-    number = _parsed(value)
-    if number is None:
-        raise ValueError(f"{key} must be a number, got {value!r}")
-    if isinstance(default, int):
-        if number != int(number):
-            raise ValueError(f"{key} must be a whole number, got {value!r}")
-        number = int(number)
-    if number < 1 and key in _AT_LEAST_ONE:
-        raise ValueError(f"{key} must be at least 1, got {value!r}")
-    return number
+class SACSettings(Settings):
+    """An entry for SAC."""
+
+    algorithm: ClassVar[type[BaseAlgorithm]] = SAC
+
+    buffer_size: Count = 1_000_000
+    learning_starts: Natural = 100
+    batch_size: Count = 256
+    tau: Share = 0.005
+    train_freq: Annotated[tuple[int, str], PlainValidator(_frequency)] = (1, "step")
+    gradient_steps: Annotated[Whole, Field(ge=-1)] = 1
+    replay_buffer_class: (
+        Annotated[Any, PlainValidator(lambda name: _looked_up(name, _BUFFERS))] | None
+    ) = None
+    replay_buffer_kwargs: Annotated[ReplayOptions | None, BeforeValidator(_mapping)] = None
+    optimize_memory_usage: StrictBool = False
+    n_steps: Count = 1
+    ent_coef: Annotated[str | float, PlainValidator(_entropy)] = "auto"
+    target_update_interval: Count = 1
+    target_entropy: Annotated[
+        str | float, PlainValidator(lambda value: value if value == "auto" else _number(value))
+    ] = "auto"
+    use_sde_at_warmup: StrictBool = False
+
+    @override
+    def rollout(self, episode_steps: int) -> int:
+        count, unit = self.train_freq
+        steps = count * episode_steps if unit == "episode" else count
+        # Hindsight learns from whole episodes only: a leg must not end amid one.
+        return steps if self.replay_buffer_class is None else math.lcm(steps, episode_steps)
 
 
-def _parsed(value: Any) -> float | None:
-    """The finite number that a value is or spells; None for others."""
-    if isinstance(value, str):
+class TQCSettings(SACSettings):
+    """An entry for TQC."""
+
+    algorithm: ClassVar[type[BaseAlgorithm]] = TQC
+
+    top_quantiles_to_drop_per_net: Natural = 2
+
+
+SETTINGS: dict[str, type[PPOSettings] | type[SACSettings]] = {
+    "ppo": PPOSettings,
+    "sac": SACSettings,
+    "tqc": TQCSettings,
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is trained, where, and how.
+
+    Attributes:
+        name: that of the file, without folder and suffix; it begins with the algorithm's.
+        env_id: the environment.
+        hyperparameters: the entry of the file for it.
+    """
+
+    name: str
+    env_id: str
+    hyperparameters: dict[str, Any]
+
+    def with_changes(self, **changes: Any) -> Recipe:
+        """Return the recipe with other hyperparameters."""
+        return replace(self, hyperparameters={**self.hyperparameters, **changes})
+
+    @property
+    def algorithm(self) -> Algorithm:
+        """The algorithm: what the name begins with, up to the first "-".
+
+        Raises:
+            UserError: if there is no such algorithm.
+        """
+        algorithm = self.name.partition("-")[0]
+        if algorithm not in SETTINGS:
+            known = ", ".join(SETTINGS)
+            raise UserError(f"name must begin with one of {known}, got {self.name!r}")
+        return cast(Algorithm, algorithm)
+
+    @property
+    def settings(self) -> PPOSettings | SACSettings:
+        """The hyperparameters, checked.
+
+        Raises:
+            UserError: if a key is unknown or missing, or does not accept its value.
+        """
+        kind, keys = SETTINGS[self.algorithm], self.hyperparameters
+        if unknown := [str(key) for key in keys if key not in kind.model_fields]:
+            known = ", ".join(kind.model_fields)
+            raise UserError(f"hyperparameters must be among {known}, got {', '.join(unknown)}")
         try:
-            value = float(value)
-        except ValueError:
-            return None
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return value if is_number and math.isfinite(value) else None
+            # stable-baselines3 adds to what it is given.
+            return kind.model_validate(deepcopy(keys))
+        except ValidationError as error:
+            raise UserError(f"hyperparameters of {self.name}: {explain(error)}") from error
 
 
-def _normalize(value: Any, gamma: float) -> dict[str, Any] | None:
-    """Arguments of `VecNormalize`, of true, false, a mapping or its text."""
-    if value is None or value is False:
-        return None
-    arguments = {"gamma": gamma, **({} if value is True else read_mapping("normalize", value))}
-    if unknown := set(arguments) - set(_NORMALIZE):
-        raise ValueError(
-            f"normalize must have keys among {', '.join(_NORMALIZE)}, got {', '.join(unknown)}"
-        )
-    if arguments.get("norm_obs", True):
-        raise ValueError(
-            "normalize must have norm_obs: false, for observations lie within -1 and 1, and a "
-            f"policy is kept without statistics of them, got {value!r}"
-        )
-    return arguments
+def names() -> list[str]:
+    """Return the names of the files that ship."""
+    folder = files("mmc_gym.training") / "hyperparams"
+    found = (entry.name for entry in folder.iterdir())
+    return sorted(name.removesuffix(".yml") for name in found if name.endswith(".yml"))
 
 
-def _named(key: str, value: Any, table: Mapping[str, Callable[..., Any]]) -> list[Named]:
-    """What a value names, with its arguments, which must be those that it takes."""
-    found = []
-    for name, arguments in read_names(key, value):
-        kind = _looked_up(key, name, table)
-        first = (None,) if table is _WRAPPERS else ()  # the environment
-        try:
-            inspect.signature(kind).bind(*first, **arguments)
-        except TypeError as error:
-            raise ValueError(f"{key} {name} does not take {arguments}: {error}") from error
-        found.append((kind, arguments))
-    return found
+def read_recipe(source: str, env_id: str | None = None, steps: int | None = None) -> Recipe:
+    """Read hyperparameters.
 
+    Args:
+        source: the name of a file that ships, see `names`, or the path of your own YAML file.
+        env_id: the environment; None for the first in the file.
+        steps: environment steps of the training, instead of `n_timesteps`.
 
-def _looked_up(key: str, name: Any, table: Mapping[Any, Any]) -> Any:
-    if not isinstance(name, str) or name not in table:
-        raise ValueError(f"{key} must be one of {', '.join(table)}, got {name!r}")
-    return table[name]
+    Raises:
+        FileNotFoundError: if there is no such file.
+        UserError: if there is no such name or environment, or the file is no mapping of
+            environments to hyperparameters.
+    """
+    if source.endswith((".yml", ".yaml")):
+        text = Path(source).read_text(encoding="utf-8")
+    elif source in names():
+        path = files("mmc_gym.training") / "hyperparams" / f"{source}.yml"
+        text = path.read_text(encoding="utf-8")
+    else:
+        known = ", ".join(names())
+        raise UserError(f"name must be one of {known}, or the path of a YAML file, got {source!r}")
+    try:
+        entries = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise UserError(f"{source} must be YAML: {error}") from error
+    if not isinstance(entries, dict) or not entries:
+        raise UserError(f"{source} must map environments to hyperparameters, got {entries!r}")
+    env_id = env_id or str(next(iter(entries)))
+    if env_id not in entries:
+        known = ", ".join(map(str, entries))
+        raise UserError(f"env must be one of {known} for {source}, got {env_id!r}")
+    if not isinstance(entries[env_id], dict):
+        raise UserError(f"{source} must have hyperparameters for {env_id}, got {entries[env_id]!r}")
+    recipe = Recipe(Path(source).stem, env_id, entries[env_id])
+    return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

@@ -1,9 +1,8 @@
-"""`mmc-gym tune`: Optuna looks for constants, of learning and of the network, by one objective.
+"""`mmc-gym tune`: let Optuna look for the constants of a network, or of a training.
 
-What can be tuned, and what a set of constants is worth, is in `tuning_targets`.  A tuning is kept
-after each trial, and a trial depends on nothing but the complete ones before it: what it samples is
-seeded by their number.  So a tuning in parts, or one that was killed at any moment, is the tuning
-at once.
+A `Target` says what can be tuned, and what a set of constants is worth.  `tune` keeps every trial
+in a journal.  A trial depends on nothing but the complete trials before it, and is seeded by their
+number: tuning that was interrupted, however often, gives the same trials.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCAgent
@@ -28,18 +28,18 @@ from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
-from mmc_gym.training.hyperparameters import Hyperparameters, algorithm_of, read_hyperparameters
+from mmc_gym.training.hyperparameters import PPOSettings, Recipe, SACSettings, read_recipe
 from mmc_gym.training.training import Training
 
 if TYPE_CHECKING:
     import optuna
-    from optuna.trial import BaseTrial
+    from optuna.trial import BaseTrial, FrozenTrial
 
 TUNING_SEED = 2_000_000  # of episodes and trainings: far from all others
 TRAINED_EPISODES = 500
 EPISODE_STEPS = 100
 
-UNTOLD_BODIES = (
+FEEDBACK_SCENARIOS = (
     "random",
     "force-field-60",
     "rotation-30",
@@ -51,7 +51,7 @@ UNTOLD_BODIES = (
     "vision-noise-0.03",
     "delay-100",
 )
-"""Where feedback is tuned, by the battery's names: nothing wrong, what it mends, what harms it."""
+"""Where feedback is tuned: nothing is wrong, feedback helps, feedback harms."""
 
 Constants = dict[str, Any]
 MakeAgent = Callable[[ReachInterface], Agent[Any]]
@@ -62,9 +62,9 @@ class Target:
     """What is tuned.
 
     Attributes:
-        in_use: the constants in use, as the space names them; others beside them do no harm.
-        space: constants that a trial suggests, as they are put to use.
-        judge: what constants are worth, of 1, after a number of environment steps.
+        in_use: the constants in use; others beside those of the space are ignored.
+        space: lets a trial suggest constants.
+        judge: what constants are worth, at most 1, after a number of environment steps.
         episodes: how many it judges by, of a number of environment steps.
         objective: what they are worth, in words.
     """
@@ -77,20 +77,19 @@ class Target:
 
 
 def find_target(name: str) -> Target:
-    """The target "mmc", "mmc-feedback", or that of what there are hyperparameters for.
+    """Return the target "mmc", "mmc-feedback", or that of hyperparameters (see `read_recipe`).
 
     Raises:
-        ValueError: for any other name.
+        UserError: for any other name, and for hyperparameters that cannot be trained with.
     """
     if name in _NETWORKS:
         return _NETWORKS[name]
-    algorithm = algorithm_of(name)
-    _, hyperparameters = read_hyperparameters(name)
-    rate = str(hyperparameters["learning_rate"]).removeprefix("lin_")
+    recipe = read_recipe(name)
+    settings = recipe.settings
     return Target(
-        in_use={**hyperparameters, "learning_rate": float(rate)},
-        space=partial(_LEARNING[algorithm], hyperparameters),
-        judge=partial(_judge_training, name),
+        in_use={**vars(settings), "learning_rate": settings.learning_rate.start},
+        space=partial(_learning, settings),
+        judge=partial(_judge_training, recipe),
         episodes=lambda steps: TRAINED_EPISODES,
     )
 
@@ -105,7 +104,7 @@ def _network(trial: BaseTrial) -> Constants:
 
 
 def _feedback(trial: BaseTrial) -> Constants:
-    """The same, with the damping less by the weight of the posture, as the mean has them."""
+    """Suggest the same, with the weight of the posture taken out of the damping (see `Loops`)."""
     constants = _network(trial)
     weight = trial.suggest_float("posture_weight", 0.0, 1.0)
     return {
@@ -116,32 +115,40 @@ def _feedback(trial: BaseTrial) -> Constants:
     }
 
 
-def _ppo(hyperparameters: Hyperparameters, trial: BaseTrial) -> Constants:
-    rate = trial.suggest_float("learning_rate", 3e-4, 3e-3, log=True)
-    has_bonus = hyperparameters["ent_coef"] > 0  # else there is no order of magnitude to look in
+def _learning(settings: PPOSettings | SACSettings, trial: BaseTrial) -> Constants:
+    """Suggest hyperparameters; the space includes those of the settings, wherever they are."""
+
+    def around(name: str, low: float, high: float, value: float) -> float:
+        return trial.suggest_float(name, min(low, value), max(high, value), log=True)
+
+    def among(name: str, *choices: Any) -> Any:
+        own = getattr(settings, name)
+        return trial.suggest_categorical(name, choices if own in choices else (*choices, own))
+
+    own = settings.learning_rate
+    rate = around("learning_rate", 3e-4, 3e-3, own.start)
+    rate = rate if rate == own.start else float(f"{rate:.2g}")
+    constants: Constants = {"learning_rate": f"lin_{rate:g}" if own.falls else rate}
+    if isinstance(settings, PPOSettings):
+        bonus = settings.ent_coef  # without one there is no order of magnitude to look in
+        return {
+            **constants,
+            "ent_coef": around("ent_coef", 1e-3, 0.1, bonus) if bonus > 0 else 0.0,
+            "gamma": among("gamma", 0.8, 0.9, 0.95),
+            "gae_lambda": among("gae_lambda", 0.8, 0.9, 0.95),
+            "batch_size": among("batch_size", 256, 512, 1024),
+            "n_epochs": trial.suggest_int(
+                "n_epochs", min(3, settings.n_epochs), max(10, settings.n_epochs)
+            ),
+        }
     return {
-        "learning_rate": f"lin_{rate:.2g}",
-        "ent_coef": trial.suggest_float("ent_coef", 1e-3, 0.1, log=True) if has_bonus else 0.0,
-        "gamma": trial.suggest_categorical("gamma", [0.8, 0.9, 0.95]),
-        "gae_lambda": trial.suggest_categorical("gae_lambda", [0.8, 0.9, 0.95]),
-        "batch_size": trial.suggest_categorical("batch_size", [256, 512, 1024]),
-        "n_epochs": trial.suggest_int("n_epochs", 3, 10),
+        **constants,
+        "gamma": among("gamma", 0.8, 0.9, 0.95),
+        "tau": among("tau", 0.005, 0.01, 0.03),
+        "batch_size": among("batch_size", 128, 256, 512),
+        "ent_coef": among("ent_coef", "auto", "auto_0.05"),
+        "target_entropy": among("target_entropy", -3.0, -6.0),
     }
-
-
-def _off_policy(hyperparameters: Hyperparameters, trial: BaseTrial) -> Constants:
-    rate = trial.suggest_float("learning_rate", 3e-4, 3e-3, log=True)
-    return {
-        "learning_rate": f"lin_{rate:.2g}",
-        "gamma": trial.suggest_categorical("gamma", [0.8, 0.9, 0.95]),
-        "tau": trial.suggest_categorical("tau", [0.005, 0.01, 0.03]),
-        "batch_size": trial.suggest_categorical("batch_size", [128, 256, 512]),
-        "ent_coef": trial.suggest_categorical("ent_coef", ["auto", "auto_0.05"]),
-        "target_entropy": trial.suggest_categorical("target_entropy", [-3.0, -6.0]),
-    }
-
-
-_LEARNING = {"ppo": _ppo, "sac": _off_policy, "tqc": _off_policy}
 
 
 def _make_network(constants: Constants, interface: ReachInterface) -> MMCAgent:
@@ -172,25 +179,26 @@ def _judge_network(constants: Constants, steps: int) -> float:
 
 
 def _judge_feedback(constants: Constants, steps: int) -> float:
-    """The mean over the bodies, in each of which starts and targets are the same."""
-    environments = find_scenarios(UNTOLD_BODIES).values()
-    episodes = _feedback_episodes(steps) // len(UNTOLD_BODIES)
+    """Return the mean over the scenarios; their starts and targets are the same."""
+    scenarios = find_scenarios(FEEDBACK_SCENARIOS).values()
+    episodes = _feedback_episodes(steps) // len(FEEDBACK_SCENARIOS)
     make = partial(_make_feedback, constants)
-    values = [_time_at_target(make, e.env_id, dict(e.arguments), episodes) for e in environments]
+    values = [_time_at_target(make, s.env_id, dict(s.arguments), episodes) for s in scenarios]
     return float(np.mean(values))
 
 
-def _judge_training(name: str, constants: Constants, steps: int) -> float:
-    """How an agent does after a short training with the constants."""
-    env_id, hyperparameters = read_hyperparameters(name)
-    hyperparameters |= {**constants, "n_timesteps": steps}
+def _judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:
+    """Return how a policy does after a short training with the constants."""
+    recipe = recipe.with_changes(**constants, n_timesteps=steps)
     with tempfile.TemporaryDirectory() as folder:
-        training = Training(name, hyperparameters, env_id, TUNING_SEED, Path(folder), evaluations=1)
+        training = Training(recipe, TUNING_SEED, Path(folder), evaluations=1)
         card = training.run()
-        network, _ = load_policy(Path(folder) / f"{card.file_stem}.json")
-    arguments = hyperparameters.get("env_kwargs", {})
+        network, _ = load_policy(training.policy_files[0])
     return _time_at_target(
-        lambda interface: PolicyAgent(network, card, interface), env_id, arguments, TRAINED_EPISODES
+        lambda interface: PolicyAgent(network, card, interface),
+        recipe.env_id,
+        training.settings.env_kwargs,
+        TRAINED_EPISODES,
     )
 
 
@@ -203,8 +211,9 @@ def _network_episodes(steps: int) -> int:
 
 
 def _feedback_episodes(steps: int) -> int:
-    """As many on each body."""
-    return max(1, steps // EPISODE_STEPS // len(UNTOLD_BODIES)) * len(UNTOLD_BODIES)
+    """Return the episodes of all scenarios, as many in each."""
+    scenarios = len(FEEDBACK_SCENARIOS)
+    return max(1, steps // EPISODE_STEPS // scenarios) * scenarios
 
 
 _NETWORK_IN_USE: Constants = {
@@ -221,7 +230,7 @@ _NETWORKS = {
         _feedback,
         _judge_feedback,
         _feedback_episodes,
-        f"part of the time at the target, mean over {', '.join(UNTOLD_BODIES)}",
+        f"part of the time at the target, mean over {', '.join(FEEDBACK_SCENARIOS)}",
     ),
 }
 
@@ -243,37 +252,36 @@ def tune(
     may tune the same in the same folder at a time.
 
     Args:
-        name: "mmc", "mmc-feedback", or a name that there are hyperparameters for.
+        name: "mmc", "mmc-feedback", the name of hyperparameters that ship, or the path of your own.
         trials: how many, those of earlier calls included.
         steps: environment steps of each trial.
         out: folder.
         on_trial: called with the number and the value of each trial.
 
     Returns:
-        What `out/NAME.json` holds: name, trials, steps per trial, objective, episodes that it is
-        taken over, value and constants of those in use, and of the best.
+        The content of `out/NAME.json`: name, trials, steps per trial, objective, episodes that it
+        is taken over, value and constants of those in use, and of the best.
 
     Raises:
-        ValueError: if there is no such name, the trials in the folder have another number of steps,
+        UserError: if there is no such name, the trials in the folder have another number of steps,
             or Optuna is not installed.
     """
     for argument, count in (("trials", trials), ("steps", steps)):
         if count < 1:
-            raise ValueError(f"{argument} must be at least 1, got {count}")
-    target = find_target(name)
+            raise UserError(f"{argument} must be at least 1, got {count}")
+    target, name = find_target(name), Path(name).stem
     study = _open_study(name, steps, out)
     in_use = _in_use(target)
     _end_interrupted(study)
-    while (done := len(_complete(study))) < trials or _trial_of(study, in_use) is None:
-        if _trial_of(study, in_use) is None and not _waiting(study):
+    while (done := len(_trials(study, "COMPLETE"))) < trials or _trial_of(study, in_use) is None:
+        if _trial_of(study, in_use) is None and not _trials(study, "WAITING"):
             study.enqueue_trial(in_use)
-        number, value = _run_trial(study, target, steps, done)
-        on_trial(number, value)
+        on_trial(done, _run_trial(study, target, steps, done))
     first, best = _trial_of(study, in_use), study.best_trial
     assert first is not None
     result = {
         "name": name,
-        "trials": len(_complete(study)),
+        "trials": done,
         "steps_per_trial": steps,
         "objective": target.objective,
         "episodes": target.episodes(steps),
@@ -287,19 +295,20 @@ def tune(
 
 
 def _open_study(name: str, steps: int, out: Path) -> optuna.Study:
-    """The study of that name in the folder, or a new one.
+    """Open the study of that name in the folder, or begin it.
 
     Raises:
-        ValueError: if its trials have another number of steps, or Optuna is not installed.
+        UserError: if its trials have another number of steps, or Optuna is not installed.
     """
     try:
         import optuna
         from optuna.storages.journal import JournalFileBackend
     except ImportError as error:
-        raise ValueError('tune needs Optuna: pip install "mmc-gym[training]"') from error
+        raise UserError('tune needs Optuna: pip install "mmc-gym[training]"') from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     out.mkdir(parents=True, exist_ok=True)
     journal = out / f"{name}.journal"
+    _drop_torn_record(journal)
     study = optuna.create_study(
         storage=optuna.storages.JournalStorage(JournalFileBackend(str(journal))),
         study_name=name,
@@ -310,15 +319,22 @@ def _open_study(name: str, steps: int, out: Path) -> optuna.Study:
         study.set_user_attr(_STEPS, steps)
     known = study.user_attrs.get(_STEPS)
     if known != steps:
-        raise ValueError(
+        raise UserError(
             f"steps must be those of the trials in {journal}, {known or 'which are not known'}, "
             f"for their values to be comparable, got {steps}: choose another folder"
         )
     return study
 
 
-def _run_trial(study: optuna.Study, target: Target, steps: int, done: int) -> tuple[int, float]:
-    """Run the trial after `done` complete ones; its number among these, and its value."""
+def _drop_torn_record(journal: Path) -> None:
+    """Cut off the last record if it is torn, as a full disk leaves it: Optuna cannot read on."""
+    if journal.exists():
+        with journal.open("r+b") as file:
+            file.truncate(file.read().rfind(b"\n") + 1)
+
+
+def _run_trial(study: optuna.Study, target: Target, steps: int, done: int) -> float:
+    """Run the trial after `done` complete ones, and return its value."""
     import optuna
 
     seed = int(np.random.SeedSequence([TUNING_SEED, done]).generate_state(1)[0])
@@ -328,37 +344,31 @@ def _run_trial(study: optuna.Study, target: Target, steps: int, done: int) -> tu
     trial.set_user_attr(_CONSTANTS, constants)
     value = target.judge(constants, steps)
     study.tell(trial, value)
-    return done, value
+    return value
 
 
 def _end_interrupted(study: optuna.Study) -> None:
-    """Mark trials as failed that a process left when it was killed; they are run again."""
+    """Mark trials that a killed process left as failed; they are run again."""
     from optuna.trial import TrialState
 
-    for trial in study.get_trials(states=(TrialState.RUNNING,)):
+    for trial in _trials(study, "RUNNING"):
         study.tell(trial.number, state=TrialState.FAIL)
 
 
-def _complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
+def _trials(study: optuna.Study, state: str) -> list[FrozenTrial]:
     from optuna.trial import TrialState
 
-    return study.get_trials(states=(TrialState.COMPLETE,))
+    return study.get_trials(states=(TrialState[state],))
 
 
-def _waiting(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
-    from optuna.trial import TrialState
-
-    return study.get_trials(states=(TrialState.WAITING,))
-
-
-def _trial_of(study: optuna.Study, parameters: Constants) -> optuna.trial.FrozenTrial | None:
-    """The complete trial of these parameters, if there is one."""
-    found = (trial for trial in _complete(study) if trial.params == parameters)
+def _trial_of(study: optuna.Study, parameters: Constants) -> FrozenTrial | None:
+    """Return the complete trial of these parameters, if there is one."""
+    found = (trial for trial in _trials(study, "COMPLETE") if trial.params == parameters)
     return next(found, None)
 
 
 def _in_use(target: Target) -> Constants:
-    """The parameters of the trial that has the constants in use."""
+    """Return the parameters of the trial that has the constants in use."""
     from optuna.trial import FixedTrial
 
     trial = FixedTrial(target.in_use)

@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvStepReturn,
 )
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
 from mmc_gym.interface import ReachInterface
 
@@ -64,11 +65,11 @@ class GymnasiumVecEnv(VecEnv):
             info_keys: names of what the infos shall have in every step.
 
         Raises:
-            ValueError: if the environment has another autoreset mode.
+            UserError: if the environment has another autoreset mode.
         """
         mode = vector_env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
-            raise ValueError(
+            raise UserError(
                 "vector_env must restart in the step that ends an episode, as one made by "
                 f"gym.make_vec(..., autoreset_mode='SameStep') does, got autoreset_mode={mode}"
             )
@@ -156,7 +157,7 @@ class GymnasiumVecEnv(VecEnv):
         """Set the attribute of the chosen environments.
 
         Raises:
-            ValueError: if only some are chosen of a native vector environment.
+            UserError: if only some are chosen of a native vector environment.
         """
         chosen = self._chosen(indices)
         env: Any = self.vector_env.unwrapped
@@ -169,7 +170,7 @@ class GymnasiumVecEnv(VecEnv):
         elif set(chosen) == set(range(self.num_envs)):
             setattr(env, attr_name, value)
         else:
-            raise ValueError(
+            raise UserError(
                 f"indices must be those of all {self.num_envs} environments, which are one "
                 f"object, to set {attr_name!r}, got {chosen}"
             )
@@ -184,7 +185,7 @@ class GymnasiumVecEnv(VecEnv):
         """What the method returns, called once for each chosen environment.
 
         Raises:
-            ValueError: if a native vector environment has it only for all at once.
+            UserError: if a native vector environment has it only for all at once.
         """
         chosen = self._chosen(indices)
         env: Any = self.vector_env.unwrapped
@@ -192,7 +193,7 @@ class GymnasiumVecEnv(VecEnv):
             returned = env.call(method_name, *method_args, **method_kwargs)
             return [returned[index] for index in chosen]
         if method_name in _OF_ALL:
-            raise ValueError(
+            raise UserError(
                 f"method_name must not be {method_name!r}, which all environments do at once: "
                 "call the method of that name of the VecEnv itself"
             )
@@ -251,13 +252,13 @@ class Residual(VecEnvWrapper):
             base_agent: a key of `BASE_AGENTS`.
 
         Raises:
-            ValueError: if there is no such agent, or the observations are of another kind.
+            UserError: if there is no such agent, or the observations are of another kind.
         """
         if base_agent not in BASE_AGENTS:
-            raise ValueError(f"base_agent must be one of {list(BASE_AGENTS)}, got {base_agent!r}")
+            raise UserError(f"base_agent must be one of {list(BASE_AGENTS)}, got {base_agent!r}")
         space, action = venv.observation_space, venv.action_space
         if not isinstance(space, spaces.Box) or not isinstance(action, spaces.Box):
-            raise ValueError(f"venv must have Box observations, got {space}")
+            raise UserError(f"venv must have Box observations, got {space}")
         low, high = (
             np.concatenate(pair) for pair in zip((space.low, space.high), (action.low, action.high))
         )

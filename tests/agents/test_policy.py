@@ -16,12 +16,12 @@ from mmc_gym.agents.policy import (
     load_policy,
     save_policy,
 )
-from mmc_gym.training.grid import shipped_cells
-from mmc_gym.training.hyperparameters import read_hyperparameters
-from mmc_gym.training.training import evaluate
+from mmc_gym.training.grid import shipped_policies
+from mmc_gym.training.hyperparameters import read_recipe
+from mmc_gym.training.training import evaluate_policy
 
 MEBIBYTE = 2**20
-SHIPPED = [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}") for cell in shipped_cells()]
+SHIPPED = [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}") for cell in shipped_policies()]
 SUFFIXES = ("json", "safetensors")
 PPOS = ("ppo", "ppo-0", "ppo-3")
 ROW = {"steps": 100, "seconds": 1.0, "cpu_seconds": 1.0, "success": 0.5}
@@ -52,7 +52,8 @@ def test_saving_and_loading_gives_the_same_network(tmp_path):
 def test_what_ships_is_complete_and_of_the_shipped_hyperparameters(name, seed):
     network, card = load_policy(PRETRAINED / f"{name}-{seed}.json")
     assert (card.name, card.seed) == (name, seed)
-    assert (card.env_id, card.hyperparameters) == read_hyperparameters(name)
+    recipe = read_recipe(name)
+    assert (card.env_id, card.hyperparameters) == (recipe.env_id, recipe.hyperparameters)
     assert card.training_steps == card.learning_curve[-1]["steps"]
     assert len(card.learning_curve) >= 20
     assert network.hidden_units == tuple(card.hyperparameters["policy_kwargs"]["net_arch"])
@@ -62,7 +63,7 @@ def test_what_ships_is_complete_and_of_the_shipped_hyperparameters(name, seed):
 @pytest.mark.parametrize("name", KINDS)
 def test_what_ships_does_as_well_as_its_card_says(name):
     network, card = load_policy(PRETRAINED / f"{name}-0.json")
-    scores = evaluate(network, card, EVALUATION_EPISODES)
+    scores = evaluate_policy(network, card, EVALUATION_EPISODES)
     last = card.learning_curve[-1]
     for measure in ("success", "final_distance", "episode_return"):
         # Another machine's arithmetic may end a few episodes otherwise.
@@ -70,7 +71,9 @@ def test_what_ships_does_as_well_as_its_card_says(name):
 
 
 def test_nothing_else_ships():
-    expected = {f"{name}-{seed}.{suffix}" for name, seed in shipped_cells() for suffix in SUFFIXES}
+    expected = {
+        f"{name}-{seed}.{suffix}" for name, seed in shipped_policies() for suffix in SUFFIXES
+    }
     assert {path.name for path in PRETRAINED.iterdir()} == expected
     assert sum(path.stat().st_size for path in PRETRAINED.iterdir()) < 10 * MEBIBYTE
 

@@ -1,6 +1,8 @@
-"""The YAML files describe models that stable-baselines3 can make."""
+"""The YAML files describe models that stable-baselines3 can make; mistakes in them are named."""
 
+import inspect
 import re
+from copy import deepcopy
 from importlib.resources import files
 from typing import Any
 
@@ -8,31 +10,45 @@ import gymnasium as gym
 import pytest
 import yaml
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
 
+from mmc_gym._errors import UserError
 from mmc_gym.training.hyperparameters import (
-    ALGORITHMS,
+    SETTINGS,
     EntropyDecay,
+    Rate,
+    Recipe,
     Settings,
-    algorithm_of,
     names,
-    policy_name,
-    read_hyperparameters,
+    read_recipe,
 )
 from mmc_gym.training.training import make_vec_env
+from mmc_gym.training.vec_env import Residual
+
+POLICIES = "mmc_gym.training.policies"
+RESIDUAL = "mmc_gym.training.vec_env.Residual"
+DECAY = "mmc_gym.training.hyperparameters.EntropyDecay"
 
 
-def make(name: str, **changes: Any) -> Any:
-    env_id, hyperparameters = read_hyperparameters(name)
-    h = {**hyperparameters, **changes}
-    env = make_vec_env(env_id, h["n_envs"], h.get("env_kwargs", {}))
-    return Settings.read(algorithm_of(name), h).make_model(env, seed=0)
+def read(algorithm: str = "ppo", **changes: Any) -> Any:
+    least = {"n_timesteps": 1000, "policy": f"{POLICIES}.{algorithm.upper()}Policy"}
+    return Recipe(f"{algorithm}-mine", "MMCReach-v0", {**least, **changes}).settings
 
 
 @pytest.mark.parametrize("name", names())
 def test_every_file_describes_a_model(name):
-    model = make(name)
-    assert type(model) is ALGORITHMS[algorithm_of(name)]
-    assert model.n_envs == read_hyperparameters(name)[1]["n_envs"]
+    recipe = read_recipe(name)
+    before = deepcopy(recipe.hyperparameters)
+    settings = recipe.settings
+    env = make_vec_env(recipe.env_id, settings.n_envs, settings.env_kwargs)
+    model = settings.make_model(env, seed=0)
+    assert type(model) is SETTINGS[recipe.algorithm].algorithm
+    assert model.n_envs == before["n_envs"]
+    assert recipe.hyperparameters == before
+    for key in ("gamma", "batch_size", "tau", "gae_lambda", "buffer_size", "train_freq"):
+        if key in before:
+            found = getattr(model, key)
+            assert (found.frequency if key == "train_freq" else found) == before[key]
 
 
 @pytest.mark.parametrize("name", names())
@@ -44,19 +60,21 @@ def test_every_file_says_what_it_is(name):
 
 
 def test_unknown_names_and_environments_are_errors():
-    with pytest.raises(ValueError, match=r"name must be one of ppo, .*, got 'dqn'"):
-        read_hyperparameters("dqn")
-    with pytest.raises(ValueError, match="env must be one of MMCReach-v0 for ppo, got 'Pen"):
-        read_hyperparameters("ppo", "Pendulum-v1")
+    with pytest.raises(UserError, match=r"name must be one of ppo, .*, got 'dqn'"):
+        read_recipe("dqn")
+    with pytest.raises(UserError, match="env must be one of MMCReach-v0 for ppo, got 'Pen"):
+        read_recipe("ppo", "Pendulum-v1")
+    with pytest.raises(UserError, match="name must begin with one of ppo, sac, tqc, got 'dqn'"):
+        _ = Recipe("dqn", "MMCReach-v0", {}).settings
 
 
-def test_a_file_of_ones_own_is_read_by_its_path(tmp_path):
+def test_your_own_file_is_read_by_its_path(tmp_path):
     path = tmp_path / "ppo-mine.yml"
     path.write_text("A-v0: {gamma: 0.5}\nB-v0: {gamma: 0.6}\n")
-    assert read_hyperparameters(str(path)) == ("A-v0", {"gamma": 0.5})
-    assert read_hyperparameters(str(path), "B-v0") == ("B-v0", {"gamma": 0.6})
-    assert policy_name(str(path)) == "ppo-mine"
-    assert policy_name("tqc-her") == "tqc-her"
+    assert read_recipe(str(path)) == Recipe("ppo-mine", "A-v0", {"gamma": 0.5})
+    assert read_recipe(str(path), "B-v0").hyperparameters == {"gamma": 0.6}
+    assert read_recipe(str(path), steps=9).hyperparameters == {"gamma": 0.5, "n_timesteps": 9}
+    assert read_recipe("tqc-her").name == "tqc-her"
 
 
 @pytest.mark.parametrize(
@@ -71,10 +89,196 @@ def test_a_file_of_ones_own_is_read_by_its_path(tmp_path):
 def test_a_file_that_holds_something_else_is_an_error(tmp_path, text, message):
     path = tmp_path / "ppo.yaml"
     path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        read_hyperparameters(str(path))
+    with pytest.raises(UserError, match=message):
+        read_recipe(str(path))
     with pytest.raises(FileNotFoundError):
-        read_hyperparameters("there/is/no/ppo.yml")
+        read_recipe("there/is/no/ppo.yml")
+
+
+@pytest.mark.parametrize("algorithm", SETTINGS)
+def test_defaults_are_those_of_the_algorithm(algorithm):
+    parameters = inspect.signature(SETTINGS[algorithm].algorithm).parameters
+    settings = read(algorithm)
+    checked = 0
+    for key, parameter in parameters.items():
+        if key in type(settings).model_fields and key != "policy":
+            found = getattr(settings, key)
+            found = found[0] if key == "train_freq" else found
+            assert (found.start if isinstance(found, Rate) else found) == parameter.default, key
+            checked += 1
+    assert checked > 15
+
+
+def test_what_is_left_out_is_the_algorithms_default():
+    settings = read()
+    model = settings.make_model(make_vec_env("MMCReach-v0", 1, {}), seed=0)
+    assert isinstance(model, PPO)
+    assert (settings.n_envs, model.n_steps, model.gamma) == (1, 2048, 0.99)
+    assert (settings.vec_env_wrapper, settings.normalize) == ([], None)
+    assert settings.make_callbacks() == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "steps"),
+    [
+        (read(), 2048),
+        (read(n_envs=4, n_steps=50, n_timesteps=1e5), 4000),
+        (read("sac"), 40),
+        (read("sac", n_steps=5), 40),  # of returns, not rollouts
+        (read("sac", train_freq=[30, "step"]), 60),
+        (read("sac", train_freq=[1, "episode"]), 100),
+        (read("sac", replay_buffer_class="HerReplayBuffer"), 100),  # learns from whole episodes
+        (
+            read(
+                "sac",
+                replay_buffer_class="HerReplayBuffer",
+                env_kwargs={"max_episode_steps": 30},
+            ),
+            60,
+        ),
+    ],
+)
+def test_a_leg_is_of_whole_rollouts(settings: Settings, steps: int):
+    assert settings.steps_per_leg(100, 25) == steps
+
+
+@pytest.mark.parametrize(
+    ("key", "one", "other"),
+    [
+        ("policy_kwargs", {"net_arch": [64, 64]}, "dict(net_arch=[64, 64])"),
+        ("policy_kwargs", {"net_arch": {"pi": [8]}}, "dict(net_arch=dict(pi=[8]),)"),
+        ("policy_kwargs", {"activation_fn": "tanh"}, "dict(activation_fn=nn.Tanh)"),
+        ("normalize", {"norm_obs": False}, "{'norm_obs': False}"),
+        ("normalize", {"norm_obs": False}, "dict(norm_obs=False)"),
+        ("normalize", None, False),
+        ("callback", [DECAY], DECAY),
+        ("callback", [DECAY], [{DECAY: None}]),
+        ("vec_env_wrapper", RESIDUAL, [RESIDUAL]),
+        ("gamma", 0.1, "1e-1"),
+        ("batch_size", 100, 1e2),
+        ("n_timesteps", 1000, "1e3"),
+    ],
+)
+def test_two_ways_to_write_the_same(key, one, other):
+    assert getattr(read(**{key: one}), key) == getattr(read(**{key: other}), key)
+
+
+def test_all_that_an_entry_names_is_made():
+    settings = read(
+        n_envs=2,
+        vec_env_wrapper=[{RESIDUAL: {"base_agent": "mmc"}}],
+        normalize={"norm_obs": False},
+        callback=DECAY,
+        policy_kwargs="dict(activation_fn=nn.Tanh, net_arch=[8, 9])",
+    )
+    env = make_vec_env("MMCReach-v0", 2, {"control": "joint_delta"})
+    model = settings.make_model(env, seed=0)
+    made = model.get_env()
+    assert isinstance(made, VecNormalize)
+    assert made.gamma == 0.99
+    assert isinstance(made.venv, Residual)
+    assert made.venv.base_agent == "mmc"
+    assert [type(each) for each in settings.make_callbacks()] == [EntropyDecay]
+    assert re.findall(r"out_features=(\d+)|(Tanh)", str(model.policy.mlp_extractor.policy_net)) == [
+        ("8", ""),
+        ("", "Tanh"),
+        ("9", ""),
+        ("", "Tanh"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frame_stack": 4, "env_wrapper": "a"}, "must be among .*, got frame_stack, env_wrapper"),
+        ({"seed": 3}, "got seed"),
+        ({"policy": "os.system"}, "policy must be one of .*PPOPolicy.*, got 'os.system'"),
+        ({"policy": "MlpPolicy"}, "policy must be one of .*, got 'MlpPolicy'"),
+        ({"policy": f"{POLICIES}.SACPolicy"}, "policy must be one of .*PPOPolicy.*, got"),
+        ({"callback": ["os.system"]}, "callback must be one of"),
+        ({"callback": [3]}, r"callback must be one of .*EntropyDecay, got \[3\]"),
+        ({"callback": [{DECAY: {"start": 1}}]}, "callback .* arguments that .*EntropyDecay takes"),
+        ({"vec_env_wrapper": "os.system"}, "vec_env_wrapper must be one of"),
+        ({"vec_env_wrapper": [RESIDUAL, RESIDUAL]}, "vec_env_wrapper must be 1 at most"),
+        ({"vec_env_wrapper": [{RESIDUAL: {"base": 1}}]}, "must have arguments that .*Residual"),
+        ({"policy_kwargs": "dict(net_arch=os.system('ls'))"}, "policy_kwargs must be a mapping of"),
+        ({"policy_kwargs": "__import__('os')"}, "policy_kwargs must be a mapping of literals"),
+        ({"policy_kwargs": [64]}, r"policy_kwargs must be a valid dictionary .*, got \[64\]"),
+        ({"policy_kwargs": "dict(activation_fn=nn.ELU)"}, "must be 'relu' or 'tanh', got 'elu'"),
+        ({"policy_kwargs": {"net_arch": [-5]}}, r"policy_kwargs.net_arch .* 1: .*, got \[-5\]"),
+        ({"policy_kwargs": {"net_arch": {"pi": [8.5]}}}, "policy_kwargs.net_arch must be sizes"),
+        ({"policy_kwargs": {"log_std_init": "wide"}}, "log_std_init must be a number, got 'wide'"),
+        ({"normalize": True}, "normalize must have norm_obs: false, .*got True"),
+        ({"normalize": {"norm_obs": False, "mean": 1}}, "normalize.mean is not known"),
+        ({"env_kwargs": {"max_episode_steps": None}}, "env_kwargs must have .* max_episode_steps"),
+        ({"env_kwargs": {"max_episode_steps": -1}}, "env_kwargs must have a whole number of at le"),
+        ({"env_kwargs": "dict(control='joint_delta')"}, "env_kwargs must be a valid dictionary"),
+        ({"n_timesteps": 0}, "n_timesteps must be at least 1, got 0"),
+        ({"n_timesteps": -5}, "n_timesteps must be at least 1, got -5"),
+        ({"n_envs": 0}, "n_envs must be at least 1"),
+        ({"n_envs": True}, "n_envs must be a number, got True"),
+        ({"n_steps": 1.5}, "n_steps must be .* integer, .*, got 1.5"),
+        ({"gamma": "high"}, "gamma must be a number, got 'high'"),
+        ({"gamma": 5}, "gamma must be at most 1, got 5"),
+        ({"gamma": float("nan")}, "gamma must be a number, got nan"),
+        ({"clip_range": -1}, "clip_range must be a number greater than 0, or lin_NUMBER, got -1"),
+        (
+            {"learning_rate": "lin_fast"},
+            "learning_rate must be a number greater .*, got 'lin_fast'",
+        ),
+        ({"learning_rate": "cosine"}, "learning_rate must be a number greater than 0, .*'cosine'"),
+        ({"use_sde": 1}, "use_sde must be a valid boolean, got 1"),
+    ],
+)
+def test_a_mistake_is_named_with_the_value_and_what_is_accepted(changes, message):
+    with pytest.raises(UserError, match=message):
+        read(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"replay_buffer_class": "Pickle"}, "replay_buffer_class must be one of HerReplayBuffer"),
+        (
+            {"replay_buffer_kwargs": {"goal_selection_strategy": "past"}},
+            "must be 'future', 'final'",
+        ),
+        ({"train_freq": [1, "week"]}, "train_freq must be N"),
+        ({"train_freq": 0}, "train_freq must be N"),
+        (
+            {"ent_coef": "auto_some"},
+            "ent_coef must be a number .*, or auto_NUMBER, got 'auto_some'",
+        ),
+        ({"target_entropy": "low"}, "target_entropy must be a number, got 'low'"),
+    ],
+)
+def test_mistakes_of_learning_from_replay(changes, message):
+    with pytest.raises(UserError, match=message):
+        read("sac", **changes)
+    read("sac", ent_coef="auto_0.1", train_freq=[1, "step"], target_entropy=-3)
+
+
+@pytest.mark.parametrize("key", ["n_timesteps", "policy"])
+def test_what_must_be_there_is_named(key):
+    least = read().model_dump(include={"n_timesteps", "policy"})
+    del least[key]
+    with pytest.raises(UserError, match=f"{key} must be given"):
+        _ = Recipe("ppo", "MMCReach-v0", least).settings
+
+
+def test_what_only_the_algorithm_can_refuse_is_named():
+    with pytest.raises(UserError, match=r"PPO does not take .*net_architecture"):
+        read(policy_kwargs={"net_architecture": [8]}).make_model(
+            make_vec_env("MMCReach-v0", 1, {}), seed=0
+        )
+
+
+def test_a_rate_is_constant_or_falls_to_zero():
+    linear, constant = read(learning_rate="lin_1e-3", clip_range=0.2), Rate(0.2)
+    parts = (1.0, 0.5, 0.0)
+    assert [linear.learning_rate(part) for part in parts] == [1e-3, 5e-4, 0.0]
+    assert linear.clip_range == constant
+    assert [constant(part) for part in parts] == [0.2] * 3
 
 
 def test_the_entropy_bonus_falls_to_zero():

@@ -1,15 +1,17 @@
 """A grid of trainings gives what each training alone would have given."""
 
 import re
+import shutil
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mmc_gym.agents.policy import load_policy
-from mmc_gym.training.grid import TrainingCell, shipped_cells, train_all
+from mmc_gym.training.grid import PolicyName, TrainingCell, shipped_policies, train_all
 
-POLICIES = [("ppo", 0), ("ppo", 1)]
+POLICIES = [PolicyName("ppo", 0), PolicyName("ppo", 1)]
 STEPS = 8_192  # two rollouts
 
 
@@ -49,7 +51,8 @@ def test_what_is_there_is_not_trained_again(trained, monkeypatch):
 
 
 def test_a_damaged_policy_is_trained_again(trained, tmp_path):
-    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1)
+    for file in trained.glob("ppo-0.*"):
+        shutil.copy(file, tmp_path)
     (tmp_path / "ppo-0.safetensors").write_bytes(b"damaged")
     train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1)
     assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained)["ppo-0.safetensors"]
@@ -57,7 +60,7 @@ def test_a_damaged_policy_is_trained_again(trained, tmp_path):
 
 def test_a_checkpoint_of_another_training_is_discarded(trained, tmp_path):
     checkpoints = tmp_path / "checkpoints" / "ppo-0"
-    TrainingCell("ppo", 0, 1).training(checkpoints).run()
+    TrainingCell(POLICIES[0], steps=1).training(checkpoints).run()
     notes: list[str] = []
     train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1, on_note=notes.append)
     (note,) = notes
@@ -80,7 +83,7 @@ def test_mistakes_are_told_before_anything_is_trained(tmp_path, options, message
 
 
 def test_the_seeds_that_ship_are_those_asked_for():
-    cells = shipped_cells()
-    assert len(set(cells)) == len(cells)
-    counts = {name: sum(cell[0] == name for cell in cells) for name, _ in cells}
+    policies = shipped_policies()
+    assert len(set(policies)) == len(policies)
+    counts = Counter(policy.name for policy in policies)
     assert (counts["ppo"], counts["sac"], counts["tqc-her"]) == (10, 5, 5)

@@ -5,6 +5,7 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 
 import gymnasium as gym
@@ -13,10 +14,11 @@ import pytest
 from optuna.storages.journal import JournalFileBackend
 
 from mmc_gym import make_agent
+from mmc_gym._errors import UserError
 from mmc_gym.measures.rollout import evaluate
-from mmc_gym.training import tuning as tuning_targets
-from mmc_gym.training.hyperparameters import read_hyperparameters
-from mmc_gym.training.tuning import TUNING_SEED, tune
+from mmc_gym.training import tuning
+from mmc_gym.training.hyperparameters import read_recipe
+from mmc_gym.training.tuning import find_target, tune
 
 STEPS = 200
 
@@ -29,49 +31,70 @@ def complete(folder, name="mmc"):
     return [(trial.params, trial.value) for trial in found]
 
 
-def test_a_tuning_in_parts_is_the_tuning_at_once(tmp_path):
-    whole = tune("mmc", 13, STEPS, tmp_path / "whole")
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The folder of a tuning of 13 trials at once; from the 11th on they are not random."""
+    folder = tmp_path_factory.mktemp("whole")
+    tune("mmc", 13, STEPS, folder)
+    return folder
+
+
+def test_tuning_in_parts_gives_the_same_as_at_once(whole, tmp_path):
     seen: list[int] = []
     for trials in (2, 5, 12, 13):
-        parts = tune(
-            "mmc", trials, STEPS, tmp_path / "parts", lambda number, _: seen.append(number)
-        )
-    assert parts == whole
+        result = tune("mmc", trials, STEPS, tmp_path, lambda number, _: seen.append(number))
+    assert result == json.loads((tmp_path / "mmc.json").read_text())
+    assert (tmp_path / "mmc.json").read_bytes() == (whole / "mmc.json").read_bytes()
     assert seen == list(range(13))
-    trials = complete(tmp_path / "whole")
-    assert complete(tmp_path / "parts") == trials
+    trials = complete(whole)
+    assert complete(tmp_path) == trials
     parameters = [parameters for parameters, _ in trials]
     assert not any(one == other for one, other in itertools.combinations(parameters, 2))
-    assert json.loads((tmp_path / "parts" / "mmc.json").read_text()) == whole
+
+
+def test_a_journal_torn_by_a_full_disk_is_repaired(tmp_path, monkeypatch):
+    """At any byte of the last record, and amid any other: the trial of it is run again."""
+    tune("mmc", 2, STEPS, tmp_path)
+    content, result = ((tmp_path / f"mmc.{kind}").read_bytes() for kind in ("journal", "json"))
+    trials = complete(tmp_path)
+    values = {json.dumps(parameters): value for parameters, value in trials}
+    judge = lambda constants, steps: values[json.dumps(constants)]  # noqa: E731
+    monkeypatch.setitem(tuning._NETWORKS, "mmc", replace(find_target("mmc"), judge=judge))
+    ends = [0, *itertools.accumulate(map(len, content.splitlines(keepends=True)))]
+    amid = [(start + end) // 2 for start, end in itertools.pairwise(ends)]
+    for size in (*amid, *range(ends[-2], ends[-1])):
+        (tmp_path / "mmc.journal").write_bytes(content[:size])
+        tune("mmc", 2, STEPS, tmp_path)
+        assert (tmp_path / "mmc.json").read_bytes() == result
+        assert complete(tmp_path) == trials
 
 
 KILLED = """
 import itertools, os, signal, sys
 from pathlib import Path
-from mmc_gym.evaluation import tuning_targets
-from mmc_gym.training.tuning import tune
+from mmc_gym.training import tuning
 
-calls, evaluate = itertools.count(), tuning_targets.evaluate
+calls, evaluate = itertools.count(), tuning.evaluate
 
 def evaluate_or_die(*arguments):
     if next(calls) == int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
     return evaluate(*arguments)
 
-tuning_targets.evaluate = evaluate_or_die
-tune("mmc", 13, 200, Path(sys.argv[1]))
+tuning.evaluate = evaluate_or_die
+tuning.tune("mmc", 13, 200, Path(sys.argv[1]))
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", [0, 1, 11])
-def test_a_tuning_that_was_killed_in_a_trial_is_the_tuning_at_once(trial, tmp_path):
-    killed = tmp_path / "killed"
-    process = subprocess.run([sys.executable, "-c", KILLED, str(killed), str(trial)])
+def test_tuning_killed_in_a_trial_gives_the_same_as_at_once(trial, whole, tmp_path):
+    process = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), str(trial)])
     assert process.returncode == -signal.SIGKILL
-    assert len(complete(killed)) == trial
-    assert tune("mmc", 13, STEPS, killed) == tune("mmc", 13, STEPS, tmp_path / "whole")
-    assert complete(killed) == complete(tmp_path / "whole")
+    assert len(complete(tmp_path)) == trial
+    tune("mmc", 13, STEPS, tmp_path)
+    assert (tmp_path / "mmc.json").read_bytes() == (whole / "mmc.json").read_bytes()
+    assert complete(tmp_path) == complete(whole)
 
 
 def test_the_first_trial_has_the_constants_in_use(tmp_path):
@@ -89,7 +112,7 @@ def test_the_first_trial_has_the_constants_in_use(tmp_path):
 
 def test_constants_that_came_into_use_later_have_a_trial_too(tmp_path, monkeypatch):
     before = tune("mmc", 2, STEPS, tmp_path)
-    monkeypatch.setitem(tuning_targets._NETWORK_IN_USE, "iterations_per_step", 5)
+    monkeypatch.setitem(tuning._NETWORK_IN_USE, "iterations_per_step", 5)
     after = tune("mmc", 2, STEPS, tmp_path)
     assert (before["in_use"]["iterations_per_step"], after["in_use"]["iterations_per_step"]) == (
         3,
@@ -101,9 +124,9 @@ def test_constants_that_came_into_use_later_have_a_trial_too(tmp_path, monkeypat
 
 @pytest.mark.parametrize("name", ["mmc", "mmc-feedback"])
 def test_constants_in_use_are_those_of_the_agent_of_that_name(name):
-    target = tuning_targets.find_target(name)
+    target = find_target(name)
     constants = target.space(optuna.trial.FixedTrial(target.in_use))
-    made = getattr(tuning_targets, {"mmc": "_make_network"}.get(name, "_make_feedback"))
+    made = getattr(tuning, {"mmc": "_make_network"}.get(name, "_make_feedback"))
     arguments = {"perturbations": ["rotation-30"]}
     expected = evaluate(
         lambda interface: make_agent(name, gym.make("MMCReach-v0")), "MMCReach-v0", arguments, 20, 5
@@ -123,7 +146,7 @@ def test_feedback_is_tuned_where_it_matters(tmp_path):
         "posture_weight": 0.25,
         "hand_rate": 0.3,
     }
-    target = tuning_targets.find_target("mmc-feedback")
+    target = find_target("mmc-feedback")
     without = {**result["in_use"], "damping": 4.0, "posture_weight": 0.0, "hand_rate": 0.0}
     assert target.judge(without, 2_000) < result["value_of_those_in_use"] - 0.1
 
@@ -141,36 +164,67 @@ def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
 @pytest.mark.parametrize(("name", "episodes"), [("mmc", 1), ("mmc-feedback", 10)])
 def test_the_number_of_episodes_is_that_of_those_played(name, episodes, tmp_path, monkeypatch):
     played: list[int] = []
-    evaluate = tuning_targets.evaluate
+    evaluate = tuning.evaluate
 
     def count(make, env_id, arguments, episodes, seed):
         played.append(episodes)
         return evaluate(make, env_id, arguments, episodes, seed)
 
-    monkeypatch.setattr(tuning_targets, "evaluate", count)
+    monkeypatch.setattr(tuning, "evaluate", count)
     result = tune(name, 1, 50, tmp_path)
     assert result["episodes"] == sum(played) == episodes
 
 
+@pytest.fixture
+def tried(monkeypatch):
+    """What trials of trainings are given, each better than the one before; none is trained."""
+    tried: list[dict[str, object]] = []
+
+    def judge(recipe, constants, steps):
+        _ = recipe.with_changes(**constants, n_timesteps=steps).settings  # can be trained with
+        tried.append(constants)
+        return len(tried) / 100
+
+    monkeypatch.setattr(tuning, "_judge_training", judge)
+    return tried
+
+
 @pytest.mark.parametrize("name", ["ppo", "ppo-position", "sac", "tqc-her"])
-def test_what_is_printed_is_what_was_trained(name, tmp_path, monkeypatch):
-    trained = []
-
-    def judge(name, constants, steps):
-        trained.append(constants)
-        return len(trained) / 10
-
-    monkeypatch.setattr(tuning_targets, "_judge_training", judge)
+def test_what_is_printed_is_what_was_trained(name, tmp_path, tried):
     result = tune(name, 12, 1_000, tmp_path)
-    assert result["best"] == trained[-1]
-    assert result["in_use"] == trained[0]
-    assert all(one["learning_rate"].startswith("lin_") for one in trained)
-    _, hyperparameters = read_hyperparameters(name)
+    assert result["best"] == tried[-1]
+    assert result["in_use"] == tried[0]
+    assert all(one["learning_rate"].startswith("lin_") for one in tried)
+    hyperparameters = read_recipe(name).hyperparameters
     for constant, value in result["in_use"].items():
         expected = hyperparameters[constant]
         if constant == "learning_rate":
             value, expected = (float(v.removeprefix("lin_")) for v in (value, expected))
         assert value == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "in_use"),
+    [
+        ("ppo", "", {"learning_rate": 3e-4, "ent_coef": 0.0, "gamma": 0.99, "n_epochs": 10}),
+        (
+            "ppo",
+            "learning_rate: lin_1.2345e-5, ent_coef: 0.5, batch_size: 77, n_epochs: 12",
+            {"learning_rate": "lin_1.2345e-05", "ent_coef": 0.5, "batch_size": 77, "n_epochs": 12},
+        ),
+        ("sac", "", {"learning_rate": 3e-4, "target_entropy": "auto", "ent_coef": "auto"}),
+        ("tqc", "ent_coef: 0.2, tau: 0.5", {"ent_coef": 0.2, "tau": 0.5, "batch_size": 256}),
+    ],
+)
+def test_your_own_file_is_tuned_around_what_it_has(name, keys, in_use, tmp_path, tried):
+    path = tmp_path / f"{name}-x.yml"
+    policy = f"mmc_gym.training.policies.{name.upper()}Policy"
+    path.write_text(f"MMCReach-v0: {{n_timesteps: 9, policy: {policy}, {keys}}}\n")
+    result = tune(str(path), 12, 1_000, tmp_path / "out")
+    assert result["name"] == f"{name}-x"
+    assert in_use.items() <= result["in_use"].items()
+    assert result["in_use"] == tried[0]
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {f"{name}-x.json"}
 
 
 @pytest.mark.slow
@@ -179,7 +233,6 @@ def test_a_training_is_tuned(name, steps, tmp_path):
     result = tune(name, 1, steps, tmp_path)
     assert 0.0 <= result["best_value"] <= 1.0
     assert set(result["best"]) >= {"learning_rate", "gamma", "batch_size", "ent_coef"}
-    assert TUNING_SEED > 1_000_000
 
 
 @pytest.mark.parametrize(
@@ -187,11 +240,12 @@ def test_a_training_is_tuned(name, steps, tmp_path):
     [
         (("mmc", 0, 100), "trials must be at least 1, got 0"),
         (("mmc", 1, 0), "steps must be at least 1, got 0"),
-        (("ik-dls", 1, 100), "name must begin with one of ppo, sac, tqc, got 'ik-dls'"),
+        (("ik-dls", 1, 100), "name must be one of .*, got 'ik-dls'"),
         (("ppo-best", 1, 100), "name must be one of .*, got 'ppo-best'"),
+        (("./x/ppo.yml", 1, 100), "No such file"),
     ],
 )
 def test_bad_input_is_an_error(arguments, message, tmp_path):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((UserError, FileNotFoundError), match=message):
         tune(*arguments, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""The adapter does what stable-baselines3's DummyVecEnv does with the same environments."""
+"""Vector environments do what stable-baselines3's DummyVecEnv does; residual learning."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,7 +16,9 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
 from mmc_gym import make_agent
-from mmc_gym.training.vec_env import GymnasiumVecEnv
+from mmc_gym.agents.policy import corrected
+from mmc_gym.training.training import make_vec_env as make_arms
+from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
 IDS = ("MMCReach-v0", "MMCReachGoal-v0")
 COUNT = 3
@@ -227,3 +229,60 @@ def test_stable_baselines3_evaluates_agents_in_it():
         each.seed(0)
         returns.append(evaluate_policy(agent, each, 8, return_episode_rewards=True)[0])
     np.testing.assert_allclose(*returns, rtol=1e-5)
+
+
+ARMS = 6
+
+
+def wrapped(**arguments: object) -> Residual:
+    env = make_arms("MMCReach-v0", ARMS, {"control": "joint_delta", **arguments})
+    env.seed(3)
+    return Residual(env)
+
+
+def test_without_a_correction_it_is_the_base_agent():
+    residual, envs = (
+        wrapped(),
+        gym.make_vec("MMCReach-v0", ARMS, autoreset_mode="SameStep", control="joint_delta"),
+    )
+    agent, state = make_agent("mmc", envs), None  # type: ignore[arg-type]
+    seen, (observed, _) = residual.reset(), envs.reset(seed=3)
+    started = np.ones(ARMS, dtype=bool)
+    for step in range(205):  # over two ends of episodes
+        np.testing.assert_array_equal(seen[:, :13], observed)
+        action, state = agent.predict(observed, state, started)
+        np.testing.assert_array_equal(seen[:, 13:], action)
+        seen, _, dones, infos = residual.step(np.zeros((ARMS, 3), np.float32))
+        observed, _, _, started, vector_infos = envs.step(action)
+        np.testing.assert_array_equal(dones, started)
+        if step % 100 == 99:
+            for index, info in enumerate(infos):
+                final = vector_infos["final_obs"][index]
+                np.testing.assert_array_equal(info["terminal_observation"][:13], final)
+            # The proposal at the end is that of the agent that goes on, not of one that starts.
+            stacked = np.stack(vector_infos["final_obs"])
+            proposal, _ = agent.predict(stacked, state)
+            ends = np.stack([info["terminal_observation"][13:] for info in infos])
+            np.testing.assert_array_equal(ends, proposal)
+
+
+def test_a_correction_is_added_and_bounded():
+    proposal = np.array([0.0, 0.9, -0.9], np.float32)
+    np.testing.assert_allclose(
+        corrected(proposal, np.ones(3, np.float32)), [1.0, 1.0, 0.1], rtol=1e-6
+    )
+    np.testing.assert_array_equal(corrected(proposal, np.zeros(3, np.float32)), proposal)
+
+
+def test_the_observation_space_has_room_for_the_proposal():
+    space = wrapped().observation_space
+    assert space.shape == (16,)
+    assert space.contains(wrapped().reset()[0])
+
+
+def test_goal_environments_and_unknown_agents_are_refused():
+    goal = make_arms("MMCReachGoal-v0", 2, {})
+    with pytest.raises(ValueError, match="venv must have Box observations"):
+        Residual(goal)
+    with pytest.raises(ValueError, match=r"base_agent must be one of \['mmc'\], got 'ik'"):
+        Residual(make_arms("MMCReach-v0", 2, {}), "ik")
