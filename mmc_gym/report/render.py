@@ -16,13 +16,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.envs.render import shapes as drawing
 from mmc_gym.report import figures, tables
 from mmc_gym.report.panels import looks
 from mmc_gym.report.replay import replay
-from mmc_gym.report.results import Results, count, listed, main_agents, read_results, reasons
+from mmc_gym.report.results import Results, count, listed, read_results, reasons
 from mmc_gym.report.scores import (
     COMMON,
     MARGINS,
@@ -49,7 +48,6 @@ _SIDE_BY_SIDE = 4  # agents that the replay begins with
 def write_report(
     store: Path | str,
     out: Path | str,
-    cards: Path | str = PRETRAINED,
     resamples: int = RESAMPLES,
 ) -> Path:
     """Write the report of a benchmark.
@@ -57,7 +55,6 @@ def write_report(
     Args:
         store: folder of the benchmark.
         out: the HTML file.
-        cards: folder of this package's policies, for what they learned from.
         resamples: of each bootstrap.
 
     Returns:
@@ -69,7 +66,7 @@ def write_report(
     out = Path(out)
     if out.is_dir():
         raise UserError(f"out must be a file, got the folder {str(out)!r}")
-    results = read_results(Path(store), Path(cards))
+    results = read_results(Path(store))
     return write_atomically(out, render(Estimates(results, resamples)))
 
 
@@ -89,8 +86,7 @@ def render(estimates: Estimates) -> str:
 def context(estimates: Estimates) -> dict[str, Any]:
     """Return what the template shows."""
     results = estimates.results
-    main = main_agents(results.identities)
-    look = looks(main)
+    main, look = results.main, looks(results.main)
     focus = [agent for name in FOCUS if (agent := results.labelled(name)) is not None]
     boards = {agent: board for agent in focus if (board := estimates.scoreboard(agent))}
     smooth, likeness = results.labelled(SMOOTH), _likeness(estimates)

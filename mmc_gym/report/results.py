@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
 
 from mmc_gym._errors import UserError
-from mmc_gym.agents import AGENTS
-from mmc_gym.agents.policy import PRETRAINED, PolicyCard, is_policy_path, load_policy
-from mmc_gym.agents.views import VIEWS
+from mmc_gym.agents import AGENTS, Knowledge, resolve
+from mmc_gym.agents.policy import PolicyCard
+from mmc_gym.agents.registry import UNKNOWN, Kind
 from mmc_gym.benchmark.ranking import RANKING
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import untrained
@@ -30,180 +30,13 @@ from mmc_gym.benchmark.store import (
     read_sets,
 )
 from mmc_gym.envs.scenarios import BASELINE
-from mmc_gym.measures import MEASURES, Measure, leave_out_failures
-from mmc_gym.training.curves import curve_rows, read_cards
+from mmc_gym.measures import Measure, SetMeasure, leave_out_failures
+from mmc_gym.measures.catalogue import measures_of, set_measures_of
 
-Kind = Literal["network", "inverse kinematics", "planner", "learned", "yours", "baseline", "ideal"]
+_KINDS: tuple[Kind, ...] = get_args(Kind)
+"""In the order of the report, the reader's own agents first."""
 
-KINDS: tuple[Kind, ...] = (
-    "yours",
-    "network",
-    "inverse kinematics",
-    "planner",
-    "learned",
-    "baseline",
-    "ideal",
-)
-"""In the order of the report; an agent that does not ship with the package is the reader's own."""
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """What an agent knows of its body, and how.
-
-    Attributes:
-        kind: what sort of agent it is.
-        lengths: whether it is told the segment lengths.
-        actions: whether it is told what its actions do (the servo and its limits).
-        senses: what it looks at, and when.
-    """
-
-    kind: Kind
-    lengths: str
-    actions: str
-    senses: str
-
-
-_TOLD = "told"
-_NOT_TOLD = "not told: had to learn"
-_ONCE = "posture once, at the start; the target in every step"
-_LOOP = "posture, seen hand and target in every step"
-
-
-def _told(kind: Kind, senses: str = _ONCE) -> Knowledge:
-    return Knowledge(kind, _TOLD, _TOLD, senses)
-
-
-_MMC = _told("network")
-_IK = _told("inverse kinematics")
-_PLANNER = _told("planner")
-_LEARNED = Knowledge("learned", _NOT_TOLD, _NOT_TOLD, f"{VIEWS['arm']}, in every step")
-
-
-def _correcting(learned: Knowledge, base: str) -> Knowledge:
-    told = f"told to {base}, which it corrects"
-    senses = f"{learned.senses}; and what {base} proposes"
-    return replace(learned, lengths=told, actions=told, senses=senses)
-
-
-_KNOWN: dict[str, Knowledge] = {
-    "mmc-feedback": _told("network", _LOOP),
-    "mmc-delay": _told("network", f"{_LOOP}; estimates their delay"),
-    "mmc-lengths": Knowledge("network", "told, then identified", _TOLD, _LOOP),
-    "mmc-lock": _told("network", f"{_LOOP}; detects locked joints"),
-    "mmc-closed": Knowledge(
-        "network", "told, then identified", _TOLD, f"{_LOOP}; estimates delay, detects locks"
-    ),
-    "ik-dls-feedback": _told("inverse kinematics", _LOOP),
-    "minimum-jerk": _PLANNER,
-    "pmp": _PLANNER,
-    "ppo-residual": _correcting(_LEARNED, "mmc"),
-    "random": Knowledge("baseline", "not told", "not told", "nothing"),
-    REFERENCE: Knowledge("ideal", "has no arm", "has no arm", "start and target"),
-}
-_FAMILIES = {"mmc": _MMC, "ik": _IK, "ppo": _LEARNED, "sac": _LEARNED, "tqc": _LEARNED}
-UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
-
-
-def knowledge_of(name: str) -> Knowledge:
-    """What an agent of this package is told, by its name in `AGENTS`.
-
-    Example:
-        >>> knowledge_of("mmc").lengths, knowledge_of("sac").lengths
-        ('told', 'not told: had to learn')
-    """
-    if name in _KNOWN:
-        return _KNOWN[name]
-    return _FAMILIES.get(name.partition("-")[0], UNKNOWN)
-
-
-def knowledge_of_policy(card: PolicyCard) -> Knowledge:
-    """What a policy was told, and sees, as its card has it."""
-    learned = replace(_LEARNED, senses=f"{VIEWS[card.view]}, in every step")
-    return _correcting(learned, card.base_agent) if card.base_agent else learned
-
-
-@dataclass(frozen=True)
-class Identity:
-    """Who an agent is.
-
-    Attributes:
-        own: its name in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
-        knowledge: what it is told.
-        cards: of its trainings in the benchmark, all of them; empty if any is not there.
-    """
-
-    own: str = ""
-    knowledge: Knowledge = UNKNOWN
-    cards: tuple[PolicyCard, ...] = ()
-
-    @property
-    def kind(self) -> Kind:
-        """What sort of agent it is."""
-        return self.knowledge.kind
-
-    @property
-    def description(self) -> str:
-        """What it is, in a line; empty if that is not known."""
-        return AGENTS[self.own].description if self.own in AGENTS else ""
-
-
-def identify(sources: Iterable[str], shipped: Mapping[str, Sequence[PolicyCard]]) -> Identity:
-    """Who an agent is.
-
-    Args:
-        sources: what each of its trainings was made of, as the manifest has it.
-        shipped: cards of this package's policies, by name.
-    """
-    found = [_identify(source, shipped) for source in sources]
-    if not found or any(_unlike(found[0], other) for other in found[1:]):
-        return Identity()
-    cards = tuple(card for one in found for card in one.cards)
-    return replace(found[0], cards=cards if len(cards) == len(found) else ())
-
-
-def _unlike(one: Identity, other: Identity) -> bool:
-    return (one.own, one.knowledge) != (other.own, other.knowledge)
-
-
-def _identify(source: str, shipped: Mapping[str, Sequence[PolicyCard]]) -> Identity:
-    if is_policy_path(source):
-        return _policy(source)
-    if source in AGENTS or source == REFERENCE:
-        return Identity(source, knowledge_of(source))
-    name, _, seed = source.rpartition("-")
-    if ":" in source or name not in AGENTS or not seed.isdecimal():
-        return Identity()
-    cards = tuple(card for card in shipped.get(name, ()) if card.seed == int(seed))
-    knowledge = knowledge_of_policy(cards[0]) if cards else knowledge_of(name)
-    return Identity(name, knowledge, cards)
-
-
-def _policy(path: str) -> Identity:
-    try:
-        card = load_policy(path)[1]
-    except (OSError, ValueError):
-        return Identity()  # it was there when it was played
-    return Identity("", replace(knowledge_of_policy(card), kind="yours"), (card,))
-
-
-def agent_order(identities: Mapping[str, Identity]) -> tuple[str, ...]:
-    """Agents by kind, and within a kind as `AGENTS` lists them."""
-    listed = list(AGENTS)
-
-    def place(agent: str) -> tuple[int, int, str]:
-        one = identities[agent]
-        position = listed.index(one.own) if one.own in AGENTS else len(listed)
-        return KINDS.index(one.kind), position, agent
-
-    return tuple(sorted(identities, key=place))
-
-
-def labelled(identities: Mapping[str, Identity], name: str) -> str | None:
-    """What an agent of this package is called in the benchmark; None if it did not take part."""
-    labels = [label for label, one in identities.items() if one.own == name]
-    return name if name in labels else next(iter(labels), None)
-
+_IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
 
 _PREFERRED = (
     "mmc",
@@ -216,18 +49,53 @@ _PREFERRED = (
     "tqc-her",
     "minimum-jerk",
 )
-SHOWN_AT_MOST = 7
+_SHOWN_AT_MOST = 7
 
 
-def main_agents(identities: Mapping[str, Identity]) -> tuple[str, ...]:
-    """The few that figures show: the reader's own, the preferred ones, then what is left."""
-    present = agent_order(identities)
-    yours = [agent for agent in present if identities[agent].kind == "yours"]
-    named = [labelled(identities, name) for name in _PREFERRED]
-    preferred = [agent for agent in named if agent is not None]
-    others = [agent for agent in present if identities[agent].kind not in ("baseline", "ideal")]
-    chosen = list(dict.fromkeys([*yours, *preferred, *others]))[:SHOWN_AT_MOST]
-    return tuple(agent for agent in present if agent in chosen)
+@dataclass(frozen=True)
+class Identity:
+    """Who an agent is.
+
+    Attributes:
+        name: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
+        knowledge: its kind, what it is told, and what it senses.
+        cards: of its trainings in the benchmark, all of them; empty if any is not there.
+        damaged: why a card cannot be read, a line each.
+    """
+
+    name: str = ""
+    knowledge: Knowledge = UNKNOWN
+    cards: tuple[PolicyCard, ...] = ()
+    damaged: tuple[str, ...] = ()
+
+    @property
+    def description(self) -> str:
+        """A line; empty if it does not ship with the package."""
+        return AGENTS[self.name].description if self.name in AGENTS else ""
+
+
+def identify(sources: Iterable[str]) -> Identity:
+    """Find out who an agent is from what its trainings were made of, as the manifest has it."""
+    found = [_identify(source) for source in sources]
+    damaged = tuple(line for one in found for line in one.damaged)
+    if len({(one.name, one.knowledge) for one in found}) != 1:
+        return Identity(damaged=damaged)
+    cards = tuple(card for one in found for card in one.cards)
+    return replace(found[0], cards=cards if len(cards) == len(found) else (), damaged=damaged)
+
+
+def _identify(source: str) -> Identity:
+    if source == REFERENCE:
+        return Identity(REFERENCE, _IDEAL)
+    try:
+        agent = resolve(source)
+    except UserError:
+        return Identity()  # it was there when it was played
+    try:
+        return Identity(agent.name, agent.knowledge, (agent.card,) if agent.card else ())
+    except (FileNotFoundError, UserError) as error:
+        known = agent.entry.knowledge if agent.entry else UNKNOWN
+        return Identity(agent.name, known, damaged=(str(error),))
 
 
 @dataclass(frozen=True)
@@ -259,24 +127,24 @@ class Results:
 
     Attributes:
         episodes: columns agent, training_seed (missing without training), environment, instance,
-            and those of `MEASURES`, NaN where `leave_out_failures` says so.
+            and those of all measures, NaN where `leave_out_failures` says so.
         paths: columns agent, training_seed, environment, instance, step, joint_angle_1 to _N,
             hand_x, hand_y, cursor_x, cursor_y, target_x, target_y; empty if none were kept.
         environments: by key, in the order of the manifest.
         identities: who each agent is.
-        agents: in the order of the report.
+        agents: by kind, and within a kind as `AGENTS` lists them.
         control_step: seconds.
         segment_lengths: of the arm that agents are told of.
         tolerance: distance that counts as reached, segment lengths.
         versions: of the libraries.
         cell_seconds: computing time of all cells together.
         not_played: the cells without episodes, with the reason.
+        measures: that tables show, and some episode has a value of.
+        set_measures: of all episodes of a policy together, by name.
         sets: columns agent, training_seed, environment, measure, unit, episodes, value: one for
             all episodes of a policy together; empty if there is none.
         ranking: of the agents, as `summarize_battery` returns it; empty if the store has none that
             is as new as itself.
-        curves: cards of the agents whose learning curves are known, by name.
-        damaged: why a card or a learning curve cannot be used, a line each.
     """
 
     episodes: pd.DataFrame
@@ -290,18 +158,28 @@ class Results:
     versions: Mapping[str, str]
     cell_seconds: float
     not_played: tuple[tuple[CellKey, str], ...]
+    measures: tuple[Measure, ...]
+    set_measures: Mapping[str, SetMeasure]
     sets: pd.DataFrame
     ranking: pd.DataFrame
-    curves: Mapping[str, tuple[PolicyCard, ...]] = field(default_factory=dict)
-    damaged: tuple[str, ...] = ()
 
     def kind(self, agent: str) -> Kind:
         """Return what sort of agent it is."""
-        return self.identities[agent].kind
+        return self.identities[agent].knowledge.kind
 
     def labelled(self, name: str) -> str | None:
         """Return what an agent of this package is called here; None if it did not take part."""
-        return labelled(self.identities, name)
+        labels = [label for label, one in self.identities.items() if one.name == name]
+        return name if name in labels else next(iter(labels), None)
+
+    @property
+    def main(self) -> tuple[str, ...]:
+        """The few agents that figures show: the reader's own, the preferred, then the others."""
+        yours = [agent for agent in self.agents if self.kind(agent) == "yours"]
+        preferred = [found for name in _PREFERRED if (found := self.labelled(name)) is not None]
+        others = [agent for agent in self.agents if self.kind(agent) not in ("baseline", "ideal")]
+        chosen = list(dict.fromkeys([*yours, *preferred, *others]))[:_SHOWN_AT_MOST]
+        return tuple(agent for agent in self.agents if agent in chosen)
 
     def rivals(self, agent: str) -> tuple[str, ...]:
         """Return agents of other kinds, but not the random one, nor the hand without an arm."""
@@ -312,6 +190,22 @@ class Results:
     def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
         """Cards of the policies that took part, by agent; only of agents whose cards are known."""
         return {agent: one.cards for agent, one in self.identities.items() if one.cards}
+
+    @property
+    def curves(self) -> dict[str, tuple[PolicyCard, ...]]:
+        """The cards of those agents whose learning curves are known."""
+        return {
+            agent: cards
+            for agent, cards in self.cards.items()
+            if all(card.learning_curve for card in cards)
+        }
+
+    @property
+    def damaged(self) -> list[str]:
+        """Why cards cannot be read, a line each."""
+        return [
+            f"{agent}: {line}" for agent, one in self.identities.items() for line in one.damaged
+        ]
 
     @property
     def base(self) -> str:
@@ -330,17 +224,6 @@ class Results:
             family: sorted(keys, key=lambda key: self.environments[key].strength)
             for family, keys in found.items()
         }
-
-    @property
-    def measures(self) -> tuple[Measure, ...]:
-        """The measures that the report shows: those of `mmc-gym compare` that were stored."""
-        return tuple(
-            measure
-            for measure in MEASURES.values()
-            if measure.shown
-            and measure.name in self.episodes
-            and self.episodes[measure.name].notna().any()
-        )
 
     @property
     def numbered_episodes(self) -> pd.DataFrame:
@@ -431,12 +314,8 @@ def _span(ends: tuple[int, int]) -> str:
     return str(ends[0]) if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
 
 
-def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
-    """Read a store.
-
-    Args:
-        store: its folder.
-        cards: folder of this package's policies, for what they learned from.
+def read_results(store: Path) -> Results:
+    """Read the store in a folder.
 
     Raises:
         UserError: if there is no store, it is damaged, or it has no episodes; the message then
@@ -452,14 +331,15 @@ def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
             f"store {str(store)!r} must have episodes, got none: {'; '.join(reasons(not_played))}"
         )
     not_trained = untrained(manifest)
-    episodes = leave_out_failures(_without_seeds(read_episodes(store), not_trained))
+    measures = measures_of(manifest["measures"])
+    episodes = leave_out_failures(
+        _without_seeds(read_episodes(store), not_trained), measures.values()
+    )
     present = set(episodes["environment"])
-    shipped = _cards(cards)
     identities = {
-        agent: identify(manifest["agents"].get(agent, {"sources": {}})["sources"].values(), shipped)
+        agent: identify(manifest["agents"].get(agent, {"sources": {}})["sources"].values())
         for agent in map(str, dict.fromkeys(episodes["agent"]))
     }
-    curves, damaged = _curves(identities)
     return Results(
         episodes=episodes,
         paths=_paths(store, not_trained),
@@ -469,17 +349,21 @@ def read_results(store: Path, cards: Path = PRETRAINED) -> Results:
             if key in present
         },
         identities=identities,
-        agents=agent_order(identities),
+        agents=_ordered(identities),
         control_step=float(manifest["control_step"]),
         segment_lengths=tuple(map(float, manifest["segment_lengths"])),
         tolerance=float(manifest["tolerance"]),
         versions=manifest["versions"],
         cell_seconds=float(sum(manifest["wall_seconds"].values())),
         not_played=not_played,
+        measures=tuple(
+            one
+            for name, one in measures.items()
+            if one.shown and name in episodes and episodes[name].notna().any()
+        ),
+        set_measures=set_measures_of(manifest.get("set_measures", {})),
         sets=_without_seeds(read_sets(store), not_trained),
         ranking=_ranking(store),
-        curves=curves,
-        damaged=damaged,
     )
 
 
@@ -492,6 +376,17 @@ def reasons(not_played: Iterable[tuple[CellKey, str]]) -> list[str]:
         f"{agent} in {', '.join(environments)}: {reason}"
         for (agent, reason), environments in groups.items()
     ]
+
+
+def _ordered(identities: Mapping[str, Identity]) -> tuple[str, ...]:
+    listed = list(AGENTS)
+
+    def place(agent: str) -> tuple[int, int, str]:
+        one = identities[agent]
+        position = listed.index(one.name) if one.name in AGENTS else len(listed)
+        return _KINDS.index(one.knowledge.kind), position, agent
+
+    return tuple(sorted(identities, key=place))
 
 
 def _environment(key: str, entry: Mapping[str, Any]) -> Environment:
@@ -518,21 +413,6 @@ def _paths(store: Path, not_trained: Collection[str]) -> pd.DataFrame:
     return paths.astype({"agent": "category", "environment": "category"})  # quick to compare
 
 
-def _curves(
-    identities: Mapping[str, Identity],
-) -> tuple[dict[str, tuple[PolicyCard, ...]], tuple[str, ...]]:
-    """Return the cards with learning curves, and why others have none that can be used."""
-    curves, damaged = {}, []
-    for agent, one in identities.items():
-        if one.cards and all(card.learning_curve for card in one.cards):
-            try:
-                curve_rows({agent: one.cards})
-                curves[agent] = one.cards
-            except ValueError as error:
-                damaged.append(f"{agent}: {error}")
-    return curves, tuple(damaged)
-
-
 def _ranking(store: Path) -> pd.DataFrame:
     file = store / RANKING
     try:
@@ -541,13 +421,6 @@ def _ranking(store: Path) -> pd.DataFrame:
         return pd.read_csv(file)
     except (OSError, ValueError):
         return pd.DataFrame()
-
-
-def _cards(folder: Path) -> Mapping[str, Sequence[PolicyCard]]:
-    try:
-        return read_cards(folder)
-    except ValueError:
-        return {}  # nothing was trained
 
 
 def _without_seeds(frame: pd.DataFrame, not_trained: Collection[str]) -> pd.DataFrame:

@@ -13,7 +13,7 @@ import pandas as pd
 from mmc_gym._console import number
 from mmc_gym.benchmark.ranking import BASELINE_AGENT, success_by_environment
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.measures import SET_MEASURES, Measure, SetMeasure
+from mmc_gym.measures import Measure, SetMeasure
 from mmc_gym.report.results import Results, count
 from mmc_gym.report.scores import PRESENT, SUCCESS, TIME, Comparison, Estimates, Outcome
 from mmc_gym.training.curves import LEVELS, first_reached
@@ -93,7 +93,7 @@ def told_table(results: Results) -> Table:
     for agent in results.agents:
         one = results.identities[agent]
         known = one.knowledge
-        name = f"{one.own}: " if one.description and one.own != agent else ""
+        name = f"{one.name}: " if one.description and one.name != agent else ""
         texts = (known.kind, known.lengths, known.actions, known.senses, _learned(results, agent))
         rows.append(Row(agent, tuple(map(Cell, texts)), f"{name}{one.description}"))
     labels = ("agent", "kind", "segment lengths", "what actions do", "senses", "learned from")
@@ -344,19 +344,14 @@ class Law(NamedTuple):
     Attributes:
         measure: name of the set measure.
         explained: name of the one that tells how well the law holds; empty for none.
-        people: what people do.
+        people: what people do; empty if there is no such law.
         source: of that.
     """
 
     measure: str
-    explained: str
-    people: str
-    source: str
-
-    @property
-    def description(self) -> SetMeasure:
-        """The set measure."""
-        return SET_MEASURES[self.measure]
+    explained: str = ""
+    people: str = ""
+    source: str = ""
 
 
 LAWS = (
@@ -367,17 +362,26 @@ LAWS = (
 
 
 def law_table(results: Results) -> Table | None:
-    """Return how agents keep the laws; None if no environment suits any of them."""
+    """Return how agents keep the laws, and other measures of sets; None if none was taken."""
     known = results.sets[results.sets["value"].notna()] if len(results.sets) else results.sets
-    laws = [law for law in LAWS if (known["measure"] == law.measure).any()]
+    told = {name for law in LAWS for name in (law.measure, law.explained)}
+    others = [Law(name) for name in results.set_measures if name not in told]
+    laws = [law for law in (*LAWS, *others) if (known["measure"] == law.measure).any()]
     if not laws:
         return None
-    present = set(known.loc[known["measure"].isin([law.measure for law in laws]), "agent"])
+    measures = [results.set_measures[law.measure] for law in laws]
+    present = set(known.loc[known["measure"].isin([one.name for one in measures]), "agent"])
     agents = [agent for agent in results.agents if agent in present]
-    environments = [law.description.environment for law in laws]
-    people = Row("people", tuple(Cell(law.people, (law.source,)) for law in laws), look="people")
+    environments = list(dict.fromkeys(one.environment for one in measures))
+    people = [Cell(law.people or "–", _notes(law.source)) for law in laws]
     rows = [
-        Row(agent, tuple(_kept(known, agent, law) for law in laws), results.kind(agent))
+        Row(
+            agent,
+            tuple(
+                _kept(known[known["agent"] == agent], law, one) for law, one in zip(laws, measures)
+            ),
+            results.kind(agent),
+        )
         for agent in agents
     ]
     return Table(
@@ -385,9 +389,9 @@ def law_table(results: Results) -> Table | None:
         "scores",
         (
             Heading("agent"),
-            *(Heading(law.description.label, law.description.unit) for law in laws),
+            *(Heading(one.label, one.shown_unit) for one in measures),
         ),
-        (people, *rows),
+        (Row("people", tuple(people), look="people"), *rows),
         "Posture variability: how much the postures differ at the same target, reached from "
         "different starts; 0 is Donders' law. Fitts' slope: time for each bit of difficulty; no "
         "agent is told the width of a target. Speed-curvature exponent: how much slower the hand "
@@ -397,16 +401,14 @@ def law_table(results: Results) -> Table | None:
     )
 
 
-def _kept(known: pd.DataFrame, agent: str, law: Law) -> Cell:
-    mine = known[known["agent"] == agent]
+def _kept(mine: pd.DataFrame, law: Law, measure: SetMeasure) -> Cell:
     values = mine.loc[mine["measure"] == law.measure, "value"]
     if values.empty:
         return Cell("–")
-    shown = law.description
     notes = []
     if len(values) > 1:
-        notes.append(f"{shown.number(values.min())} to {shown.number(values.max())}")
+        notes.append(f"{measure.number(values.min())} to {measure.number(values.max())}")
     explained = mine.loc[mine["measure"] == law.explained, "value"]
     if len(explained):
         notes.append(f"R² {number(explained.mean(), 2)}")
-    return Cell(shown.number(values.mean()), tuple(notes))
+    return Cell(measure.number(values.mean()), tuple(notes))

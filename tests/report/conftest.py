@@ -6,15 +6,18 @@ seeds, is smooth and hardly minds a rotation; ppo-smooth moves with minimum jerk
 
 from __future__ import annotations
 
+import json
+import shutil
+
 import numpy as np
 import pytest
 
-from mmc_gym.agents.policy import PolicyCard, save_policy
-from mmc_gym.agents.policy_network import PolicyNetwork
+from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
 from mmc_gym.benchmark.store import CellKey, episodes_file, paths_file, write_cell, write_manifest
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.measures import Episode
+from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
+from mmc_gym.report import write_report
 
 HOSTILE = "<script>alert(1)</script>"
 KEYS = ("random", "centre-out", "rotation-15", "rotation-60", "delay-100", "locked-1", "locked-2")
@@ -100,6 +103,8 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), sources=None, inst
             "control_step": CONTROL_STEP,
             "segment_lengths": [1.0, 1.0, 1.0],
             "tolerance": 0.05,
+            "measures": {name: one.facts for name, one in MEASURES.items()},
+            "set_measures": {name: one.facts for name, one in SET_MEASURES.items()},
             "environments": environments,
             "agents": {
                 name: {"trained": "1" in one or "3" in one, "sources": one}
@@ -126,88 +131,31 @@ def write(folder, key, episodes, keeps_paths=True):
     write_cell(folder, key, episodes_file(key, episodes, {}, {}), paths)
 
 
-def write_cards(folder):
-    for name in TRAINED:
-        for seed in (0, 1, 2):
-            save_policy(policy(), card(name, seed), folder)
-
-
-def policy():
-    shapes = {
-        "hidden.0.weight": (4, 13),
-        "hidden.0.bias": (4,),
-        "mean.weight": (3, 4),
-        "mean.bias": (3,),
-        "log_std": (3,),
-    }
-    tensors = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
-    return PolicyNetwork(tensors, "tanh", "gaussian")
-
-
-def card(name, seed):
-    final = 0.99 if name == "ppo" else 0.97
-    curve = [
-        {
-            "steps": 40_000 * leg,
-            "seconds": 4.0 * leg,
-            "cpu_seconds": 3.0 * leg,
-            "success": final * (1 - 0.5**leg) / (1 - 0.5**12),
-            "final_distance": 0.5**leg,
-        }
-        for leg in range(1, 13)
-    ]
-    return PolicyCard(
-        name=name,
-        algorithm="ppo",
-        env_id="MMCReach-v0",
-        control="joint_delta",
-        segment_count=3,
-        activation="tanh",
-        distribution="gaussian",
-        view="arm",
-        base_agent="",
-        hyperparameters={},
-        seed=seed,
-        training_steps=480_000,
-        training_seconds=48.0,
-        training_cpu_seconds=36.0,
-        versions={},
-        scores={"success": final},
-        learning_curve=curve,
-    )
+def own_policy(folder, **changes):
+    """Write a copy of ppo-0 whose card has these changes; return the path of its card."""
+    card = json.loads((PRETRAINED / "ppo-0.json").read_text()) | changes
+    (folder / "mine.json").write_text(json.dumps(card))
+    shutil.copy(PRETRAINED / "ppo-0.safetensors", folder / "mine.safetensors")
+    return str(folder / "mine.json")
 
 
 @pytest.fixture(scope="session")
 def benchmark_store(tmp_path_factory):
-    """Folders of the store and of the cards."""
     folder = tmp_path_factory.mktemp("benchmark")
-    write_store(folder / "store")
-    write_cards(folder / "cards")
-    return folder / "store", folder / "cards"
+    write_store(folder)
+    return folder
 
 
 @pytest.fixture(scope="session")
 def make_store():
-    """`write_store`, for other stores."""
     return write_store
 
 
 @pytest.fixture(scope="session")
-def make_card():
-    """`card`, for other policies."""
-    return card
-
-
-@pytest.fixture(scope="session")
-def save_card():
-    """Saves a policy of a card into a folder."""
-    return lambda card, folder: save_policy(policy(), card, folder)
+def make_policy():
+    return own_policy
 
 
 @pytest.fixture(scope="session")
 def report_file(benchmark_store, tmp_path_factory):
-    """The report of it."""
-    from mmc_gym.report import write_report
-
-    store, cards = benchmark_store
-    return write_report(store, tmp_path_factory.mktemp("report") / "report.html", cards, 200)
+    return write_report(benchmark_store, tmp_path_factory.mktemp("report") / "report.html", 200)

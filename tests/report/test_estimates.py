@@ -32,7 +32,7 @@ MMC, IK, PPO = ((0,), 20, 0.06, 0.02), ((0,), 30, 0.02, 0.02), ((0, 1), 28, 0.02
 
 @pytest.fixture(scope="module")
 def estimates(benchmark_store):
-    return Estimates(read_results(*benchmark_store), resamples=200)
+    return Estimates(read_results(benchmark_store), resamples=200)
 
 
 @pytest.fixture(scope="module")
@@ -158,18 +158,18 @@ def test_the_verdict_counts_all_outcomes(estimates):
 
 def test_the_reason_is_told_why_nothing_is_compared(make_store, tmp_path):
     make_store(tmp_path / "few", {"mmc": MMC, "ik-dls": IK}, ("random",), instances=3)
-    few = read_results(tmp_path / "few", tmp_path)
+    few = read_results(tmp_path / "few")
     assert Estimates(few, 50).scoreboard("mmc") == []
     assert "fewer than 5 instances" in render.nothing_compared(few, ["mmc"])
     make_store(tmp_path / "alone", {"mmc": MMC}, ("random",))
-    alone = read_results(tmp_path / "alone", tmp_path)
+    alone = read_results(tmp_path / "alone")
     assert "has no rival" in render.nothing_compared(alone, ["mmc"])
     assert "did not take part" in render.nothing_compared(alone, [])
 
 
 def test_the_ranking_is_that_of_the_terminal(benchmark_store, estimates):
     untrained = ("mmc", "mmc-closed", "ik-dls", "<script>alert(1)</script>")
-    expected = summarize_battery(read_episodes(benchmark_store[0]), [], untrained, resamples=200)
+    expected = summarize_battery(read_episodes(benchmark_store), [], untrained, resamples=200)
     table = ranking_table(estimates)
     assert [row.name for row in table.rows] == expected["agent"].to_list()
     assert [row.cells[0].text for row in table.rows] == expected["rank"].astype(str).to_list()
@@ -205,7 +205,7 @@ def test_success_stands_for_each_agent_and_environment(estimates):
 
 
 def test_agents_keep_the_laws_beside_people(benchmark_store):
-    results = read_results(*benchmark_store)
+    results = read_results(benchmark_store)
     assert law_table(results) is None
     rows = [
         ("mmc", math.nan, "speed_curvature_exponent", 0.25),
@@ -227,19 +227,19 @@ def test_agents_keep_the_laws_beside_people(benchmark_store):
 
 
 def test_an_agent_without_all_seeds_everywhere_does_not_end_the_report(interrupted, tmp_path):
-    text = write_report(interrupted, tmp_path / "report.html", tmp_path, 50).read_text()
+    text = write_report(interrupted, tmp_path / "report.html", 50).read_text()
     assert "1 perturbed environments" not in text
     assert "Left out: 1 environment that not all" in text
 
 
 def test_profiles_are_over_what_every_policy_has_met(interrupted, tmp_path):
-    estimates = Estimates(read_results(interrupted, tmp_path), resamples=50)
+    estimates = Estimates(read_results(interrupted), resamples=50)
     panels = profiles(estimates, looks(estimates.results.agents)).panels
     assert [panel.title for panel in panels] == ["Unperturbed (random)", "1 perturbed environment"]
 
 
 def test_seeds_are_counted_where_the_figures_are(interrupted, tmp_path):
-    results = read_results(interrupted, tmp_path)
+    results = read_results(interrupted)
     estimates = Estimates(results, resamples=50)
     assert "Training seeds: ppo 1." in score_table(estimates, "centre-out").caption
     assert "Training seeds: ppo 2." in score_table(estimates, "random").caption
@@ -249,7 +249,7 @@ def test_seeds_are_counted_where_the_figures_are(interrupted, tmp_path):
 
 def test_movements_are_of_one_training_seed_and_say_which(make_store, tmp_path):
     make_store(tmp_path, {"mmc": MMC, "ppo": ((3,), 28, 0.02, 0.0005)}, ("random",))
-    results = read_results(tmp_path, tmp_path)
+    results = read_results(tmp_path)
     shown = movements(results, looks(results.agents))
     assert {panel.title for panel in shown.panels} >= {"mmc", "ppo"}
     assert "Training seeds: ppo 3." in shown.caption

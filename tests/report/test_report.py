@@ -103,7 +103,7 @@ def test_names_of_agents_are_text_not_markup(page, text):
 def test_the_replay_is_small_and_ends_at_the_hand(page, benchmark_store):
     assert len(page.data) < 1_500_000
     movement = json.loads(page.data)["scenes"]["random"][0]["agents"]["ik-dls"]
-    paths = read_results(*benchmark_store).paths
+    paths = read_results(benchmark_store).paths
     rows = paths[(paths["agent"] == "ik-dls") & (paths["environment"] == "random")]
     last = rows[rows["instance"] == 0].iloc[-1]
     end = [sum(series) / 1000 for series in movement["hand"]]
@@ -112,7 +112,7 @@ def test_the_replay_is_small_and_ends_at_the_hand(page, benchmark_store):
 
 
 def test_where_a_cursor_stands_for_the_hand_the_replay_has_both(benchmark_store):
-    results = read_results(*benchmark_store)
+    results = read_results(benchmark_store)
     target = results.paths[["target_x", "target_y"]].to_numpy()
     paths = results.paths.assign(cursor_x=target[:, 0], cursor_y=target[:, 1] - 0.02)
     scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
@@ -124,7 +124,7 @@ def test_where_a_cursor_stands_for_the_hand_the_replay_has_both(benchmark_store)
 
 
 def test_an_arm_that_never_moves_still_leads_to_its_hand(benchmark_store):
-    results = read_results(*benchmark_store)
+    results = read_results(benchmark_store)
     names = [f"joint_angle_{joint}" for joint in (1, 2, 3)]
     paths = results.paths.assign(**dict.fromkeys(names, 0.0), hand_x=3.6, hand_y=0.0)
     scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
@@ -132,7 +132,7 @@ def test_an_arm_that_never_moves_still_leads_to_its_hand(benchmark_store):
 
 
 def test_lengths_that_agents_are_not_told_are_seen_in_the_replay(benchmark_store):
-    results = read_results(*benchmark_store)
+    results = read_results(benchmark_store)
     paths = results.paths.copy()
     angles = paths[[f"joint_angle_{joint}" for joint in (1, 2, 3)]].to_numpy().cumsum(axis=1)
     paths["hand_x"] += 0.5 * np.cos(angles[:, 2])
@@ -149,7 +149,7 @@ def test_the_page_gives_wins_and_losses_the_same_place(text):
 
 def test_the_command_writes_the_report(benchmark_store, tmp_path, capsys):
     out = tmp_path / "deep" / "report.html"
-    main(["report", "--store", str(benchmark_store[0]), "--out", str(out)])
+    main(["report", "--store", str(benchmark_store), "--out", str(out)])
     assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
     assert str(out) in capsys.readouterr().out
 

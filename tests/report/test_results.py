@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
-from typing import get_args
 
+import pandas as pd
 import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.views import View
+from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.measures import MEASURES, SET_MEASURES
 from mmc_gym.report import write_report
-from mmc_gym.report.results import Identity, identify, main_agents, read_results
-from mmc_gym.report.tables import cost_table, told_table
+from mmc_gym.report.results import Identity, identify, read_results
+from mmc_gym.report.scores import Estimates
+from mmc_gym.report.tables import cost_table, law_table, score_table, told_table
 
 MMC, IK, PPO = ((0,), 20, 0.06, 0.02), ((0,), 30, 0.02, 0.02), ((0, 1), 28, 0.02, 0.0001)
 
@@ -31,45 +34,45 @@ def change_manifest(store, **changes):
 
 
 def test_every_agent_of_the_package_is_in_the_table_of_what_they_are_told():
-    assert {name for name in AGENTS if identify([name], {}).kind == "yours"} == set()
+    assert "yours" not in {identify([name]).knowledge.kind for name in AGENTS}
 
 
-def test_who_an_agent_is_follows_from_what_it_was_made_of(make_card):
-    shipped = {"ppo": [make_card("ppo", 0), make_card("ppo", 1)]}
-    known = identify(["ppo-1"], shipped)
-    assert (known.own, known.kind, [one.seed for one in known.cards]) == ("ppo", "learned", [1])
-    assert identify(["mmc"], shipped).knowledge.lengths == "told"
-    for sources in (["mmc:make"], ["mine:ppo"], ["ppo-0", "mmc"], []):
-        unknown = identify(sources, shipped)
-        assert (unknown.own, unknown.kind, unknown.cards) == ("", "yours", ())
-        assert unknown.knowledge.lengths == "unknown"
+@pytest.mark.parametrize(
+    ("sources", "name", "kind", "lengths"),
+    [
+        (["ppo-1"], "ppo", "learned", "not told: had to learn"),
+        (["ppo-0", "ppo-1"], "ppo", "learned", "not told: had to learn"),
+        (["mmc"], "mmc", "network", "told"),
+        ([REFERENCE], REFERENCE, "ideal", "has no arm"),
+        (["mmc:make"], "", "yours", "unknown"),
+        (["mine:ppo"], "", "yours", "unknown"),
+        (["ppo-0", "mmc"], "", "yours", "unknown"),
+        (["of another version"], "", "yours", "unknown"),
+        ([], "", "yours", "unknown"),
+    ],
+)
+def test_who_an_agent_is_follows_from_what_it_was_made_of(sources, name, kind, lengths):
+    one = identify(sources)
+    assert (one.name, one.knowledge.kind, one.knowledge.lengths) == (name, kind, lengths)
+    assert [card.file_stem for card in one.cards] == (sources if name == "ppo" else [])
 
 
-def test_each_view_is_told_in_words(make_card):
-    senses = {}
-    for view in get_args(View):
-        card = replace(make_card("ppo", 0), view=view)
-        senses[view] = identify(["ppo-0"], {"ppo": [card]}).knowledge.senses
-    assert "from the arm's first segment" in senses["arm"]
-    assert "target lay straight ahead" in senses["target"]
-    assert len(set(senses.values())) == 3
-
-
-def test_a_policy_given_by_its_file_is_known_by_its_card(make_card, save_card, tmp_path):
-    save_card(replace(make_card("ppo", 4), view="world"), tmp_path)
-    one = identify([str(tmp_path / "ppo-4.safetensors")], {})
-    assert (one.own, one.kind) == ("", "yours")
+def test_a_policy_given_by_its_file_is_known_by_its_card(make_policy, tmp_path):
+    one = identify([make_policy(tmp_path, view="world", training_steps=480_000)])
+    assert (one.name, one.knowledge.kind) == ("", "yours")
     assert one.knowledge.lengths.startswith("not told")
     assert one.knowledge.senses.startswith("all joint angles")
     assert [card.training_steps for card in one.cards] == [480_000]
-    assert identify([str(tmp_path / "gone.json")], {}) == Identity()
+    gone = identify([str(tmp_path / "gone.json")])
+    assert gone == replace(Identity(), damaged=gone.damaged)
+    assert "gone.json" in gone.damaged[0]
 
 
 def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, tmp_path):
     mover = ((0,), 20, 0.01, 0.01)
     sources = {"twin": {"0": "mmc"}, "old": {"0": "ppo-0"}, "ppo-mine": {"0": "mine:make"}}
     make_store(tmp_path, dict.fromkeys(sources, mover), ("random",), sources=sources)
-    results = read_results(tmp_path, tmp_path)
+    results = read_results(tmp_path)
     assert results.labelled("mmc") == "twin"
     assert {name: results.kind(name) for name in sources} == {
         "twin": "network",
@@ -77,55 +80,71 @@ def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, tmp_
         "ppo-mine": "yours",
     }
     assert set(results.rivals("twin")) == {"old", "ppo-mine"}
-    assert set(sources) <= set(main_agents(results.identities))
+    assert set(sources) <= set(results.main)
     rows = {row.name: row for row in told_table(results).rows}
     assert rows["twin"].note.startswith("mmc: dynamic MMC network")
     assert [cell.text for cell in rows["ppo-mine"].cells[1:]] == ["unknown"] * 4
 
 
 def test_cards_are_of_the_seeds_that_took_part(benchmark_store):
-    results = read_results(*benchmark_store)  # beside a card of seed 2, which did not
+    results = read_results(benchmark_store)  # ten ship
     assert [card.seed for card in results.cards["ppo"]] == [0, 1]
     assert cost_table(results).rows[0].cells[0].text == "2"
 
 
 @pytest.mark.parametrize(
     ("curve", "said"),
-    [([], None)],
-    ids=["no curve"],
+    [([], None), ([{"reward": 1.0}], "mine does not hold a policy")],
+    ids=["no curve", "a curve of another form"],
 )
-def test_a_report_without_a_learning_curve_says_why(
-    curve, said, make_store, make_card, save_card, tmp_path
-):
-    save_card(replace(make_card("ppo", 0), learning_curve=curve), tmp_path)
-    sources = {"mine": {"0": str(tmp_path / "ppo-0.json")}}
+def test_a_report_without_a_learning_curve_says_why(curve, said, make_store, make_policy, tmp_path):
+    sources = {"mine": {"0": make_policy(tmp_path, learning_curve=curve)}}
     make_store(tmp_path / "store", {"mine": ((0,), 20, 0.0, 0.0)}, ("random",), sources=sources)
-    results = read_results(tmp_path / "store", tmp_path / "none")
+    results = read_results(tmp_path / "store")
     assert results.curves == {}
     assert [said in line for line in results.damaged] == ([True] if said else [])
-    report = write_report(tmp_path / "store", tmp_path / "report.html", tmp_path, 20)
-    assert (said or "mine") in report.read_text()
-    assert "learning-steps" not in report.read_text()
+    text = write_report(tmp_path / "store", tmp_path / "report.html", 20).read_text()
+    assert (said or "mine") in text
+    assert "learning-steps" not in text
+
+
+def test_measures_of_users_have_label_and_unit_though_their_code_is_not_here(small, monkeypatch):
+    told = {"statistic": "median", "shown": True, "successes_only": True}
+    facts = {"name": "joint_effort", "label": "sweat", "unit": "ml", "best": "low", "decimals": 1}
+    law = {"name": "fitts_slope", "label": "luck", "unit": "%", "best": "high", "decimals": 0}
+    monkeypatch.delitem(MEASURES, "joint_effort")
+    monkeypatch.delitem(SET_MEASURES, "fitts_slope")
+    change_manifest(
+        small,
+        measures={"joint_effort": facts | told},
+        set_measures={"fitts_slope": law | {"environment": "random"}},
+    )
+    results = read_results(small)
+    table = score_table(Estimates(results, 20), "random")
+    assert ("sweat", "ml", "less is better") in table.headings
+    rows = [("mmc", math.nan, "fitts_slope", 7.0)]
+    sets = pd.DataFrame(rows, columns=["agent", "training_seed", "measure", "value"])
+    assert ("luck", "%", "") in law_table(replace(results, sets=sets)).headings
 
 
 def test_an_agent_that_the_manifest_lacks_is_still_reported(small, tmp_path):
     change_manifest(small, agents={"mmc": {"trained": False, "sources": {"0": "mmc"}}})
-    results = read_results(small, tmp_path)
+    results = read_results(small)
     assert results.kind("ik-dls") == "yours"
-    assert write_report(small, tmp_path / "report.html", tmp_path, 20).exists()
+    assert write_report(small, tmp_path / "report.html", 20).exists()
 
 
 def test_a_damaged_file_of_paths_is_named(small, tmp_path):
     file = next((small / "paths").glob("mmc*"))
     file.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(ValueError, match=file.name):
-        read_results(small, tmp_path)
+        read_results(small)
 
 
 def test_a_store_without_paths_has_no_replay(small, tmp_path):
     for file in (small / "paths").iterdir():
         file.unlink()
-    text = write_report(small, tmp_path / "report.html", tmp_path, 20).read_text()
+    text = write_report(small, tmp_path / "report.html", 20).read_text()
     assert 'id="replay-section"' not in text
     assert 'href="#replay-section"' not in text
 
@@ -138,11 +157,11 @@ def test_where_nothing_could_be_played_the_reasons_are_told(small, tmp_path):
     ]
     change_manifest(small, failed=failed)
     with pytest.raises(UserError, match="mmc in random: ValueError: no"):
-        read_results(small, tmp_path)
+        read_results(small)
 
 
 def test_the_base_is_an_environment_without_perturbation_if_there_is_one(make_store, tmp_path):
     make_store(tmp_path / "a", {"mmc": MMC}, ("rotation-15", "rotation-60"))
     make_store(tmp_path / "b", {"mmc": MMC}, ("rotation-15", "centre-out"))
-    assert read_results(tmp_path / "a", tmp_path).base == "rotation-15"
-    assert read_results(tmp_path / "b", tmp_path).base == "centre-out"
+    assert read_results(tmp_path / "a").base == "rotation-15"
+    assert read_results(tmp_path / "b").base == "centre-out"
