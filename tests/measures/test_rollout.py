@@ -1,3 +1,5 @@
+"""Rollouts: what is recorded, one by one and all at once."""
+
 from __future__ import annotations
 
 import gymnasium as gym
@@ -5,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit
 
-import mmc_gym
+from mmc_gym import make_agent
 from mmc_gym.envs.perturbations import ForceField, LockedJoint, VisuomotorRotation
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.measures import rollout
@@ -34,6 +36,16 @@ class Counter:
         return np.zeros(3, np.float32), len(self.calls)
 
 
+class Hold:
+    """Keeps every arm in the posture that it starts in."""
+
+    def __init__(self, interface):
+        pass
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.arctan2(observation[..., 3:6], observation[..., :3]) / np.float32(np.pi), None
+
+
 def test_seeds_are_all_different_and_more_episodes_only_add_to_them():
     seeds = episode_seeds(7, 500)
     assert len(set(seeds)) == 500
@@ -47,16 +59,9 @@ def test_seeds_that_make_no_sense_are_refused(seed, episodes, name):
         episode_seeds(seed, episodes)
 
 
-def test_under_a_rotation_the_distance_is_the_cursors(oracle):
-    env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
+def test_an_episode_records_what_the_environment_told_and_changes_nothing(env, oracle):
     (episode,) = run_episodes(oracle, env, [11])
-    away = np.linalg.norm(episode.seen_hands - episode.targets, axis=-1)
-    np.testing.assert_allclose(away, episode.distances, atol=1e-12)
-    assert np.linalg.norm(episode.hands[-1] - episode.target) < 0.05 < away[-1]  # it is blind to it
-
-
-def test_an_episode_records_what_the_environment_told(env, oracle):
-    (episode,) = run_episodes(oracle, env, [11])
+    assert not env.unwrapped.arm.records_effort
     observation, info = env.reset(seed=11)
     assert np.array_equal(episode.hands[0], info["end_effector"])
     assert np.array_equal(episode.target, info["target"])
@@ -69,20 +74,7 @@ def test_an_episode_records_what_the_environment_told(env, oracle):
     assert truncated
     assert episode.hands.shape == (101, 2) and episode.action_times.shape == (100,)
     assert (episode.action_times > 0).all()
-    assert (episode.control_step, episode.tolerance) == (0.02, 0.05)
-
-
-def test_all_agents_see_bit_identical_starts_and_targets(env, oracle, frozen):
-    seeds = episode_seeds(0, 8)
-    for one, other in zip(
-        run_episodes(oracle, env, seeds),
-        run_episodes(frozen, gym.make("MMCReach-v0"), seeds),
-        strict=True,
-    ):
-        assert np.array_equal(one.hands[0], other.hands[0])
-        assert np.array_equal(one.target, other.target)
-        assert np.array_equal(one.joint_angles[0], other.joint_angles[0])
-        assert not np.array_equal(one.hands[-1], other.hands[-1])
+    assert (episode.control_step, episode.tolerance, episode.reach) == (0.02, 0.05, 3.0)
 
 
 def test_an_episode_records_postures_targets_and_servos(oracle):
@@ -91,27 +83,34 @@ def test_an_episode_records_postures_targets_and_servos(oracle):
     segments = np.cumsum(episode.joint_angles, axis=-1)
     hands = np.stack([np.cos(segments).sum(-1), np.sin(segments).sum(-1)], axis=-1)
     assert episode.hands == pytest.approx(hands)
-    assert np.linalg.norm(episode.hands - episode.targets, axis=-1) == pytest.approx(
-        episode.distances
-    )
+    away = np.linalg.norm(episode.hands - episode.targets, axis=-1)
+    assert away == pytest.approx(episode.distances)
     assert np.flatnonzero(np.diff(episode.targets[:, 0])).tolist() == [4]
     assert episode.servo_impulses.shape == episode.servo_work.shape == (100, 3)
     assert (episode.servo_impulses[:5] > 0).any() and (episode.servo_work >= 0).all()
-    assert episode.reach == 3.0
+    (without,) = run_episodes(oracle, env, [4], records_effort=False)
+    assert np.isnan(without.servo_impulses).all() and np.isnan(without.servo_work).all()
+    np.testing.assert_array_equal(without.hands, episode.hands)
 
 
-def test_an_engine_that_tells_nothing_of_its_servos_leaves_them_unknown(frozen):
-    (episode,) = run_episodes(frozen, gym.make("MMCReach-v0", engine="analytic"), [1])
-    assert np.isnan(episode.servo_impulses).all() and np.isfinite(episode.joint_angles).all()
-
-
-def test_being_recorded_changes_nothing_and_leaves_the_arm_as_it_was(env, oracle):
+def test_under_a_rotation_the_distance_is_the_cursors(oracle):
+    env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
     (episode,) = run_episodes(oracle, env, [11])
-    assert not env.unwrapped.arm.records_effort
-    observation, _ = env.reset(seed=11)
-    for k in range(100):
-        observation, _, _, _, info = env.step(oracle.predict(observation)[0])
-        assert np.array_equal(episode.hands[k + 1], info["end_effector"])
+    away = np.linalg.norm(episode.seen_hands - episode.targets, axis=-1)
+    np.testing.assert_allclose(away, episode.distances, atol=1e-12)
+    assert np.linalg.norm(episode.hands[-1] - episode.target) < 0.05 < away[-1]  # it is blind to it
+
+
+def test_all_agents_see_bit_identical_starts_and_targets(env, oracle, frozen):
+    seeds = episode_seeds(0, 8)
+    other_env = gym.make("MMCReach-v0")
+    for one, other in zip(
+        run_episodes(oracle, env, seeds), run_episodes(frozen, other_env, seeds), strict=True
+    ):
+        assert np.array_equal(one.hands[0], other.hands[0])
+        assert np.array_equal(one.target, other.target)
+        assert np.array_equal(one.joint_angles[0], other.joint_angles[0])
+        assert not np.array_equal(one.hands[-1], other.hands[-1])
 
 
 def test_each_episode_may_have_options_of_its_own(frozen):
@@ -138,22 +137,11 @@ def test_a_sampled_first_action_is_not_the_starting_posture(env):
 
 
 def test_the_state_goes_round_within_an_episode_and_starts_anew_with_the_next(env):
-    agent = Counter()
-    run_episodes(agent, TimeLimit(env.unwrapped, 3), [1, 2])
-    assert agent.calls == [
-        (None, True, True),
-        (1, False, True),
-        (2, False, True),
-        (None, True, True),
-        (4, False, True),
-        (5, False, True),
-    ]
-
-
-def test_progress_is_told_of_every_episode(env, frozen):
-    told = []
-    episodes = run_episodes(frozen, TimeLimit(env.unwrapped, 2), [1, 2, 3], told.append)
-    assert tuple(told) == episodes
+    agent, told = Counter(), []
+    episodes = run_episodes(agent, TimeLimit(env.unwrapped, 3), [1, 2], told.append)
+    first = [(None, True, True), (1, False, True), (2, False, True)]
+    assert agent.calls == [*first, (None, True, True), (4, False, True), (5, False, True)]
+    assert tuple(told) == episodes  # to show progress
 
 
 def test_torch_computes_on_one_thread_during_the_rollout_and_as_before_after_it(env, frozen):
@@ -177,13 +165,10 @@ def test_a_stable_baselines3_model_plays(env):
     assert episode.hands.shape == (6, 2)
 
 
-def test_the_goal_environment_plays(frozen):
-    class GoalFrozen:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return frozen.predict(observation["observation"])
-
-    (episode,) = run_episodes(GoalFrozen(), gym.make("MMCReachGoal-v0"), [1])
-    assert episode.hands.shape == (101, 2)
+def test_the_goal_environment_plays():
+    env = gym.make("MMCReachGoal-v0")
+    (episode,) = run_episodes(make_agent("mmc", env), env, [1])
+    assert episode.distances[-1] < 0.05
 
 
 def test_another_environment_is_refused_by_what_it_lacks():
@@ -197,12 +182,9 @@ def test_an_endless_episode_is_given_up(env, frozen, monkeypatch):
         run_episodes(frozen, env.unwrapped, [1])
 
 
-RECORDS = (
-    *("hands", "distances", "targets", "joint_angles"),
-    *("servo_impulses", "servo_work", "rewards", "seen_hands"),
-)
 SETTINGS = {
     "random": ("MMCReach-v0", {}),
+    "analytic engine": ("MMCReach-v0", {"engine": "analytic"}),
     "joint deltas": ("MMCReach-v0", {"control": "joint_delta"}),
     "field and lock": ("MMCReach-v0", {"perturbations": (ForceField(90.0), LockedJoint(time=0.2))}),
     "obstacles": ("MMCReachObstacles-v0", {}),
@@ -214,13 +196,15 @@ SETTINGS = {
 }
 
 
-def assert_same(together, alone, tolerance=1e-9):
+def assert_same(together, alone):
     assert len(together) == len(alone)
     for one, other in zip(together, alone, strict=True):
-        for name in RECORDS:
-            np.testing.assert_allclose(
-                getattr(one, name), getattr(other, name), rtol=0, atol=tolerance, err_msg=name
-            )
+        for name in (
+            *("hands", "distances", "targets", "joint_angles"),
+            *("servo_impulses", "servo_work", "rewards", "seen_hands"),
+        ):
+            values = getattr(one, name), getattr(other, name)
+            np.testing.assert_allclose(*values, rtol=0, atol=1e-9, err_msg=name)
         for name in ("seed", "control_step", "tolerance", "reach"):
             assert getattr(one, name) == getattr(other, name)
         assert one.action_times.shape == other.action_times.shape
@@ -231,49 +215,38 @@ def assert_same(together, alone, tolerance=1e-9):
 @pytest.mark.parametrize("name", ["mmc", "ik-dls"])
 def test_episodes_together_are_those_one_by_one(setting, name):
     env_id, arguments = SETTINGS[setting]
+    if "engine" in arguments:
+        pytest.importorskip("numba")
     seeds = episode_seeds(3, 4)
     env = gym.make(env_id, **arguments)
     vector = gym.make_vec(env_id, num_envs=len(seeds), **arguments)
-    alone = run_episodes(mmc_gym.make_agent(name, env), env, seeds)
-    assert_same(run_episodes(mmc_gym.make_agent(name, vector), vector, seeds), alone)
+    alone = run_episodes(make_agent(name, env), env, seeds)
+    assert_same(run_episodes(make_agent(name, vector), vector, seeds), alone)
     assert all((one.cursors is None) == (setting != "rotation") for one in alone)
+    untold = setting == "analytic engine"
+    assert all(np.isnan(one.servo_work).all() == untold for one in alone)
 
 
-def test_every_episode_has_its_own_options():
+def test_a_vector_environment_has_options_for_each_arm_and_can_be_used_again():
     options = [{"trial": trial} for trial in (5, 0, 5, 17)]
     seeds = episode_seeds(0, 4)
     env = gym.make("MMCReachPaper-v0")
     vector = gym.make_vec("MMCReachPaper-v0", num_envs=4)
-    agent = mmc_gym.make_agent("mmc", env)
-    alone = run_episodes(agent, env, seeds, options=options)
-    together = run_episodes(agent, vector, seeds, options=options)
-    assert_same(together, alone)
-    np.testing.assert_array_equal(together[0].hands, together[2].hands)
-
-
-def test_a_vector_environment_can_be_used_again():
-    seeds = episode_seeds(0, 3)
-    vector = gym.make_vec("MMCReach-v0", num_envs=3)
-    agent = mmc_gym.make_agent("mmc", vector)
-    first, second = (run_episodes(agent, vector, seeds) for _ in range(2))
+    agent = make_agent("mmc", env)
+    first, again = (run_episodes(agent, vector, seeds, options=options) for _ in range(2))
     assert not vector.unwrapped.arms.records_effort
-    for one, other in zip(first, second, strict=True):
+    assert_same(first, run_episodes(agent, env, seeds, options=options))
+    np.testing.assert_array_equal(first[0].hands, first[2].hands)
+    for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.hands, other.hands)
         np.testing.assert_array_equal(one.servo_work, other.servo_work)
 
 
-class Single:
-    """Gives one action, whatever it is shown."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return np.zeros(3, np.float32), None
-
-
 def test_what_cannot_be_played_together_is_refused():
     vector = gym.make_vec("MMCReach-v0", num_envs=2)
-    agent = mmc_gym.make_agent("mmc", vector)
+    agent = make_agent("mmc", vector)
     with pytest.raises(ValueError, match=r"actions must have shape \(2, 3\), got \(3,\)"):
-        run_episodes(Single(), vector, [0, 1])
+        run_episodes(Counter(), vector, [0, 1])
     with pytest.raises(ValueError, match="env must have 3 arms"):
         run_episodes(agent, vector, [0, 1, 2])
     with pytest.raises(ValueError, match="options must be 2"):
@@ -287,16 +260,6 @@ def test_what_cannot_be_played_together_is_refused():
             run_episodes(agent, other, [0, 1])
 
 
-class Hold:
-    """Keeps every arm in the posture that it starts in."""
-
-    def __init__(self, interface):
-        pass
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return np.arctan2(observation[..., 3:6], observation[..., :3]) / np.float32(np.pi), None
-
-
 def test_an_episode_that_starts_at_its_target_takes_no_time(frozen):
     arguments = {"success_distance": 6.0}  # of a reach of 3: everywhere is at the target
     scores = evaluate(Hold, "MMCReach-v0", arguments, 4)
@@ -307,7 +270,7 @@ def test_an_episode_that_starts_at_its_target_takes_no_time(frozen):
 
 def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
     env = gym.make("MMCReach-v0", max_episode_steps=40)
-    agent = mmc_gym.make_agent("mmc", env)
+    agent = make_agent("mmc", env)
     scores = evaluate(lambda _: agent, "MMCReach-v0", {"max_episode_steps": 40}, 20, seed=5)
     episodes = run_episodes(agent, env, range(5, 25))
     at_target = [one.distances <= one.tolerance for one in episodes]
