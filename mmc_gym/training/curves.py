@@ -1,17 +1,15 @@
 """Learning curves: success over the course of trainings, with intervals over training seeds.
 
-What is read are the cards of trained policies (see `agents.reinforcement`): every training was
-evaluated at about 25 times, on the same 200 episodes.  The curve of a name, such as "ppo", is the
-mean over its seeds at a point x that all of them have passed,
+The cards of trained policies hold about 25 evaluations of each training, all of the same 200
+episodes.  The curve of a name, such as "ppo", at a point x is the mean over its training seeds s,
 
     mean_s success_s(max {x_e ≤ x}),
 
-the last evaluation e that was known then: nothing is interpolated upwards between evaluations,
-nothing said before the first evaluation of every seed, or after the last one of the shortest.
+where e is the last evaluation up to x: nothing is interpolated upwards.  It begins where all seeds
+have been evaluated, and ends where the shortest training does.
 
-Against time, x is the CPU time of the training process.  Trainings run on one thread each, but
-several of them at once, on a machine that does other things, too: their wall time tells how busy
-it was.  The CPU time is the wall time of a training that has a core to itself.
+Time is the CPU time of the training process: its wall time depends on what else the machine does.
+A training runs on one thread, so that it is the wall time of a training with a core to itself.
 """
 
 from __future__ import annotations
@@ -19,11 +17,10 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,8 +33,9 @@ from numpy.typing import ArrayLike, NDArray
 from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns
-from mmc_gym._files import write_atomically
-from mmc_gym._plotting import LINES, STYLE
+from mmc_gym._errors import UserError
+from mmc_gym._files import check_folder, write_atomically
+from mmc_gym._plotting import LINES, STYLE, save_figure
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     FINAL_EPISODES,
@@ -45,245 +43,102 @@ from mmc_gym.agents.policy import (
     PolicyCard,
     load_policy,
 )
-from mmc_gym.benchmark.statistics import CONFIDENCE, Interval, bootstrap_interval
+from mmc_gym.benchmark.statistics import (
+    CONFIDENCE,
+    Interval,
+    bootstrap_interval,
+    success_interval,
+)
 from mmc_gym.measures.catalogue import Direction, Statistic
 
 LEVELS = (0.95, 0.98)
 
 NOTE = (
-    f"Means (success, final distance) and medians (the others) over training seeds, with "
+    "Means (success, final distance) and medians (the others) over training seeds, with "
     f"{CONFIDENCE:.0%} bootstrap intervals over the seeds, for so few rather too narrow than too "
-    f"wide; none for a single seed. Success, final distance, time to target: {FINAL_EPISODES} "
-    "fixed episodes of the trained policy, the same for all. Steps and time to 95 % (98 %): of "
-    f"the first evaluation in the training, {EVALUATION_EPISODES} fixed episodes each, with at "
-    "least so much success; k of n: so many of the seeds got there, the others count as later "
-    "(–: half of them or more did not). Time: CPU time of a training, evaluations included; as "
-    "each runs on one thread, it is the wall time of one that has a core to itself."
+    "wide; none for a single seed. That of success also covers that other episodes could have been "
+    f"played. Success, final distance, time to target: {FINAL_EPISODES} fixed episodes of the "
+    "trained policy, the same for all. Steps and time to 95 % (98 %): of the first evaluation in "
+    f"the training, {EVALUATION_EPISODES} fixed episodes each, with at least so much success; k of "
+    "n: so many of the seeds got there, the others count as later (–: half of them or more did "
+    "not). Time: CPU time of a training, evaluations included; as each runs on one thread, it is "
+    "the wall time of one that has a core to itself."
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Quantity:
-    """How a quantity is taken from a training, and how it is shown.
+class TrainingQuantity(NamedTuple):
+    """A number that the table of trainings shows; `_numbers` computes it.
 
     Attributes:
         name: its column in the data.
         label: its heading in tables.
         unit: of its values.
-        best: whether high or low values are good.
-        statistic: what a table says about many seeds.
         decimals: at most so many are shown.
-        of: the quantity of a training, given the size of its weights in bytes; NaN where there
-            is none, infinite where it is a time that never came.
+        best: whether high or low values are good.
+        statistic: of many training seeds.
         varies: whether seeds can differ in it, so that it has an interval.
     """
 
     name: str
     label: str
     unit: str
-    best: Direction
-    statistic: Statistic
     decimals: int
-    of: Callable[[PolicyCard, int], float]
+    best: Direction = "low"
+    statistic: Statistic = "median"
     varies: bool = True
 
 
-def first_reached(card: PolicyCard, level: float, column: str) -> float:
-    """`column` of the first evaluation with at least that much success; infinite if none has."""
-    reached = (row[column] for row in card.learning_curve if row["success"] >= level)
-    return next(reached, math.inf)
+_STEPS, _MINUTES = "1,000 env steps", "min, one core"
+_PERCENTS = {f"{100 * level:.0f}": level for level in LEVELS}
 
-
-def _to_level(level: float) -> tuple[Quantity, Quantity]:
-    percent = round(100 * level)
-    return (
-        Quantity(
-            name=f"steps_to_{percent}",
-            label=f"steps to {percent} %",
-            unit="1,000 env steps",
-            best="low",
-            statistic="median",
-            decimals=1,
-            of=lambda card, _: first_reached(card, level, "steps") / 1_000,
-        ),
-        Quantity(
-            name=f"minutes_to_{percent}",
-            label=f"time to {percent} %",
-            unit="min, one core",
-            best="low",
-            statistic="median",
-            decimals=2,
-            of=lambda card, _: first_reached(card, level, "cpu_seconds") / 60,
-        ),
-    )
-
-
-QUANTITIES: tuple[Quantity, ...] = (
-    Quantity(
-        name="success",
-        label="success at the end",
-        unit="fraction",
-        best="high",
-        statistic="mean",
-        decimals=3,
-        of=lambda card, _: card.scores.get("success", math.nan),
+QUANTITIES = (
+    TrainingQuantity("success", "success at the end", "fraction", 3, "high", "mean"),
+    TrainingQuantity("final_distance", "final distance", "lengths", 4, statistic="mean"),
+    TrainingQuantity("time_to_target", "time to target", "s", 2),
+    *(
+        quantity
+        for percent in _PERCENTS
+        for quantity in (
+            TrainingQuantity(f"steps_to_{percent}", f"steps to {percent} %", _STEPS, 1),
+            TrainingQuantity(f"minutes_to_{percent}", f"time to {percent} %", _MINUTES, 2),
+        )
     ),
-    Quantity(
-        name="final_distance",
-        label="final distance",
-        unit="lengths",
-        best="low",
-        statistic="mean",
-        decimals=4,
-        of=lambda card, _: card.scores.get("final_distance", math.nan),
-    ),
-    Quantity(
-        name="time_to_target",
-        label="time to target",
-        unit="s",
-        best="low",
-        statistic="median",
-        decimals=2,
-        of=lambda card, _: card.scores.get("time_to_target", math.nan),
-    ),
-    *(quantity for level in LEVELS for quantity in _to_level(level)),
-    Quantity(
-        name="training_steps",
-        label="whole training",
-        unit="1,000 env steps",
-        best="low",
-        statistic="median",
-        decimals=1,
-        of=lambda card, _: card.training_steps / 1_000,
-        varies=False,
-    ),
-    Quantity(
-        name="training_minutes",
-        label="whole training",
-        unit="min, one core",
-        best="low",
-        statistic="median",
-        decimals=2,
-        of=lambda card, _: card.training_cpu_seconds / 60,
-    ),
-    Quantity(
-        name="weights_size",
-        label="file of the policy",
-        unit="KiB",
-        best="low",
-        statistic="median",
-        decimals=1,
-        of=lambda _, size: size / 1_024,
-        varies=False,
-    ),
+    TrainingQuantity("training_steps", "whole training", _STEPS, 1, varies=False),
+    TrainingQuantity("training_minutes", "whole training", _MINUTES, 2),
+    TrainingQuantity("weights_size", "file of the policy", "KiB", 1, varies=False),
 )
 
 
-def trainings(
-    cards: Mapping[str, Sequence[PolicyCard]], weights_sizes: Mapping[str, int]
-) -> pd.DataFrame:
-    """One row per training: agent, seed, environment, control, and a column per quantity.
+def _numbers(card: PolicyCard, size: int) -> dict[str, float]:
+    """Return the numbers of a training, by the names of `QUANTITIES`.
 
     Args:
-        cards: by name, see `learning_curves.read_cards`.
-        weights_sizes: bytes, by NAME-SEED.
-    """
-    rows = []
-    for name, group in cards.items():
-        for card in group:
-            row = {
-                "agent": name,
-                "seed": card.seed,
-                "environment": card.env_id,
-                "control": card.control,
-            }
-            size = weights_sizes[card.file_stem]
-            rows.append({**row, **{q.name: float(q.of(card, size)) for q in QUANTITIES}})
-    return pd.DataFrame(rows)
-
-
-def summarize_trainings(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> pd.DataFrame:
-    """Each name's statistic and interval over its training seeds of each quantity.
-
-    Args:
-        rows: what `trainings` returned.
-        quantities: which of its columns to summarize.
+        card: of its policy.
+        size: of the policy's weights, bytes.
 
     Returns:
-        Columns agent, measure, unit, statistic, and the fields of `statistics.Interval`.
+        NaN for a score that is missing, infinite for a level that was never reached.
     """
-    summary = []
-    for agent, group in rows.groupby("agent", sort=False):
-        for quantity in quantities:
-            values = group[quantity.name].to_numpy(np.float64)
-            summary.append(
-                {
-                    "agent": agent,
-                    "measure": quantity.name,
-                    "unit": quantity.unit,
-                    "statistic": quantity.statistic,
-                    **vars(_over_seeds(values, quantity)),
-                }
-            )
-    return pd.DataFrame(summary)
-
-
-def print_trainings(
-    console: Console, rows: pd.DataFrame, summary: pd.DataFrame, quantities: Sequence[Quantity]
-) -> None:
-    """Print the table: a row for each quantity, a column for each name."""
-    labels, columns = _columns(rows, summary, quantities)
-    print_columns(console, labels, columns, NOTE)
-
-
-def to_markdown(rows: pd.DataFrame, summary: pd.DataFrame, quantities: Sequence[Quantity]) -> str:
-    """The same table as Markdown."""
-    labels, columns = _columns(rows, summary, quantities)
-    titles = [*labels, *columns]
-    lines = [titles, ["---"] * len(labels) + ["---:"] * len(columns)]
-    lines += map(list, zip(*labels.values(), *columns.values(), strict=True))
-    table = "\n".join("| " + " | ".join(map(_on_one_line, line)) + " |" for line in lines)
-    return f"{table}\n\n{NOTE}\n"
-
-
-def _over_seeds(values: NDArray[np.float64], quantity: Quantity) -> Interval:
-    reached = ~np.isinf(values)
-    if quantity.varies and reached.all():
-        return bootstrap_interval(values, quantity.statistic)
-    middle = float(np.median(values))  # also where some are infinite, if most are not
-    estimate = middle if math.isfinite(middle) else math.nan
-    count = int(reached.sum())
-    return Interval(estimate, math.nan, math.nan, count, len(values) - count)
-
-
-def _columns(
-    rows: pd.DataFrame, summary: pd.DataFrame, quantities: Sequence[Quantity]
-) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Cells of the columns on the left, and of a column for each name."""
-    labels = {
-        "": ["environment\ncontrol", "training seeds"]
-        + [f"{quantity.label}\n[{quantity.unit}]" for quantity in quantities],
-        "best": ["", "", *(quantity.best for quantity in quantities)],
+    levels = {}
+    for percent, level in _PERCENTS.items():
+        levels[f"steps_to_{percent}"] = first_reached(card, level, "steps") / 1_000
+        levels[f"minutes_to_{percent}"] = first_reached(card, level, "cpu_seconds") / 60
+    return {
+        **{
+            name: card.scores.get(name, math.nan)
+            for name in ("success", "final_distance", "time_to_target")
+        },
+        **levels,
+        "training_steps": card.training_steps / 1_000,
+        "training_minutes": card.training_cpu_seconds / 60,
+        "weights_size": size / 1_024,
     }
-    found = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
-    columns = {}
-    for agent, group in rows.groupby("agent", sort=False):
-        first = group.iloc[0]
-        columns[str(agent)] = [
-            f"{first['environment']}\n{first['control']}",
-            str(len(group)),
-            *(cell(found[agent, quantity.name], quantity.decimals) for quantity in quantities),
-        ]
-    return labels, columns
 
 
-def _on_one_line(content: str) -> str:
-    content = content.replace("|", "\\|").replace("\n", " ")
-    return re.sub(r"^-(?= |$)", "–", content)
-
-
-Axis = Literal["steps", "cpu_seconds"]
-_CARD = re.compile(r".+-\d+\.json")
+def first_reached(card: PolicyCard, level: float, column: str) -> float:
+    """Return `column` of the first evaluation with at least that success; infinite if none has."""
+    reached = (row[column] for row in card.learning_curve if row["success"] >= level)
+    return next(reached, math.inf)
 
 
 def learning_curves(
@@ -291,8 +146,8 @@ def learning_curves(
 ) -> dict[str, list[PolicyCard]]:
     """Print a table of trainings, and write it, their learning curves and a figure.
 
-    Written are curves.csv (a row for each evaluation), trainings.csv (for each training),
-    table.csv and table.md (over seeds), and learning_curves.png and .svg.
+    Writes curves.csv (a row for each evaluation), trainings.csv (for each training), table.csv and
+    table.md (over training seeds), and learning_curves.png and .svg.
 
     Args:
         folder: of trained policies, see `read_cards`; None for those that ship with the package.
@@ -303,27 +158,24 @@ def learning_curves(
         What `read_cards` returned.
 
     Raises:
-        ValueError: if the folder holds no policies, or damaged ones, or `out` is a file.
+        UserError: if the folder holds no policies, or damaged ones, or `out` is a file.
     """
-    from mmc_gym._plotting import save_figure
-
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"out must be a folder, got the file {str(out)!r}")
+    check_folder(out, "out")
     folder = PRETRAINED if folder is None else folder
     cards = read_cards(folder)
     curves = curve_rows(cards)
     rows = trainings(cards, weights_sizes(folder))
-    summary = summarize_trainings(rows, QUANTITIES)
+    summary = summarize_trainings(rows)
     written = [
         write_atomically(out / "curves.csv", _csv(curves)),
         write_atomically(out / "trainings.csv", _csv(rows)),
         write_atomically(out / "table.csv", _csv(summary)),
-        write_atomically(out / "table.md", to_markdown(rows, summary, QUANTITIES)),
+        write_atomically(out / "table.md", to_markdown(rows, summary)),
     ]
     figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
     written += save_figure(figure, out / "learning_curves")
     console = console or make_console()
-    print_trainings(console, rows, summary, QUANTITIES)
+    print_columns(console, *_columns(rows, summary), NOTE)
     for path in written:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
         console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
@@ -331,13 +183,13 @@ def learning_curves(
 
 
 def read_cards(folder: Path) -> dict[str, list[PolicyCard]]:
-    """The cards of all policies in a folder, by name, in the order of their seeds.
+    """Read the cards of all policies in a folder: by name, in the order of their seeds.
 
     Policies are the files NAME-SEED.json in the folder, each with its NAME-SEED.safetensors, or,
     if there are none, those in the folders right below it, as single trainings leave them.
 
     Raises:
-        ValueError: if there are none, one is damaged, or policies of the same name are of the
+        UserError: if there are none, one is damaged, or policies of the same name are of the
             same seed, or of different environments or hyperparameters.
     """
     cards: dict[str, list[PolicyCard]] = {}
@@ -345,9 +197,9 @@ def read_cards(folder: Path) -> dict[str, list[PolicyCard]]:
         try:
             _, card = load_policy(path)
         except FileNotFoundError as error:
-            raise ValueError(f"{path} must lie beside its weights: {error}") from error
+            raise UserError(f"{path} must lie beside its weights: {error}") from error
         if path.stem != card.file_stem:
-            raise ValueError(f"{path} must be called {card.file_stem}.json, as its card says")
+            raise UserError(f"{path} must be called {card.file_stem}.json, as its card says")
         cards.setdefault(card.name, []).append(card)
     for group in cards.values():
         group.sort(key=lambda card: card.seed)
@@ -356,27 +208,51 @@ def read_cards(folder: Path) -> dict[str, list[PolicyCard]]:
     return dict(sorted(cards.items()))
 
 
+def _card_files(folder: Path) -> list[Path]:
+    for pattern in ("*.json", "*/*.json"):
+        paths = sorted(folder.glob(pattern))
+        if found := [path for path in paths if re.fullmatch(r".+-\d+", path.stem)]:
+            return found
+    raise UserError(
+        "folder must hold trained policies (NAME-SEED.json and NAME-SEED.safetensors), "
+        f"found none in {str(folder)!r}"
+    )
+
+
+def _check_alike(folder: Path, card: PolicyCard, other: PolicyCard) -> None:
+    """Raise a `UserError` unless two cards are of the same training, but for the seed."""
+    if card.seed == other.seed:
+        raise UserError(f"{folder} must hold one policy {card.file_stem}, got two")
+    one, another = ({"environment": each.env_id, **each.hyperparameters} for each in (card, other))
+    keys = sorted(one.keys() | another.keys(), key=lambda key: (key != "environment", key))
+    if different := [key for key in keys if one.get(key) != another.get(key)]:
+        raise UserError(
+            f"policies of the same name must have the same hyperparameters, but {card.file_stem} "
+            f"and {other.file_stem} in {folder} differ in {', '.join(different)}"
+        )
+
+
 def weights_sizes(folder: Path) -> dict[str, int]:
-    """The size of the weights of each policy that `read_cards` reads, bytes, by NAME-SEED."""
+    """Return the size in bytes of each policy's weights, by NAME-SEED."""
     files = _card_files(folder)
     return {path.stem: path.with_suffix(".safetensors").stat().st_size for path in files}
 
 
 def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
-    """All learning curves: one row per evaluation of a training.
+    """Return all learning curves: a row for each evaluation of a training.
 
     Returns:
         Columns agent, seed, steps (environment steps), seconds (wall time), cpu_seconds, success
-        (part of the episodes), and what else the evaluations tell; NaN where one does not.
+        (part of the episodes), and the other scores of the evaluations; NaN where one is missing.
 
     Raises:
-        ValueError: if a card has no curve, or one that goes back.
+        UserError: if a card has no curve.
     """
     rows: list[dict[str, Any]] = []
     for name, group in cards.items():
         for card in group:
             if not card.learning_curve:
-                raise ValueError(
+                raise UserError(
                     f"learning_curve of {card.file_stem} must have evaluations, got none"
                 )
             start = {"agent": name, "seed": card.seed}
@@ -384,12 +260,14 @@ def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
-    """Success of each name over its training seeds, with 95 % bootstrap intervals over the seeds.
+Axis = Literal["steps", "cpu_seconds"]
 
-    The points are where the longest training was evaluated, from where all seeds have been, up
-    to the end of the shortest, and that end.  The intervals have no ends where there is but one
-    seed.
+
+def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
+    """Return the mean success of each name over its training seeds, with 95 % intervals.
+
+    Its points are the evaluations of the longest training, from where all seeds have been
+    evaluated up to the end of the shortest, and that end.  With one seed there are no intervals.
 
     Args:
         curves: what `curve_rows` returned.
@@ -408,22 +286,19 @@ def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
         grid = _common_points([positions for positions, _ in seeds])
         known = np.array([last_known(grid, *seed) for seed in seeds])
         for position, successes in zip(grid, known.T, strict=True):
-            interval = bootstrap_interval(successes, "mean")
-            rows.append(
-                {
-                    "agent": agent,
-                    against: position,
-                    "success": interval.estimate,
-                    "low": interval.low,
-                    "high": interval.high,
-                    "seeds": interval.count,
-                }
-            )
+            found = success_interval(successes, EVALUATION_EPISODES)
+            row = {"agent": agent, against: position, "success": found.estimate}
+            rows.append({**row, "low": found.low, "high": found.high, "seeds": found.count})
     return pd.DataFrame(rows, columns=["agent", against, "success", "low", "high", "seeds"])
 
 
 def last_known(at: ArrayLike, positions: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
-    """The value of the last position (n,), ascending, up to each of `at`; NaN before the first.
+    """Return the value at the last position up to each of `at`; NaN before the first.
+
+    Args:
+        at: where.
+        positions: (n,), ascending.
+        values: (n,).
 
     Example:
         >>> last_known([0.5, 1.0, 1.9, 2.0, 9.0], [1.0, 2.0], [0.25, 0.75])
@@ -441,39 +316,98 @@ def _common_points(positions: Sequence[NDArray[np.float64]]) -> NDArray[np.float
     return np.unique(points[(points >= first) & (points <= last)])
 
 
-def _card_files(folder: Path) -> list[Path]:
-    for pattern in ("*.json", "*/*.json"):
-        found = sorted(path for path in folder.glob(pattern) if _CARD.fullmatch(path.name))
-        if found:
-            return found
-    raise ValueError(
-        "folder must hold trained policies (NAME-SEED.json and NAME-SEED.safetensors), "
-        f"found none in {str(folder)!r}"
+def trainings(
+    cards: Mapping[str, Sequence[PolicyCard]], weights_sizes: Mapping[str, int]
+) -> pd.DataFrame:
+    """Return a row for each training: agent, seed, environment, control, and all `QUANTITIES`.
+
+    Args:
+        cards: by name, see `read_cards`.
+        weights_sizes: bytes, by NAME-SEED.
+    """
+    rows = []
+    for name, group in cards.items():
+        for card in group:
+            row = {"agent": name, "seed": card.seed}
+            row |= {"environment": card.env_id, "control": card.control}
+            rows.append({**row, **_numbers(card, weights_sizes[card.file_stem])})
+    return pd.DataFrame(rows)
+
+
+def summarize_trainings(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return each name's statistic and interval of each quantity over its training seeds.
+
+    Args:
+        rows: what `trainings` returned.
+
+    Returns:
+        Columns agent, measure, unit, statistic, and the fields of `Interval`.
+    """
+    return pd.DataFrame(
+        {
+            "agent": agent,
+            "measure": quantity.name,
+            "unit": quantity.unit,
+            "statistic": quantity.statistic,
+            **vars(_over_seeds(group[quantity.name].to_numpy(np.float64), quantity)),
+        }
+        for agent, group in rows.groupby("agent", sort=False)
+        for quantity in QUANTITIES
     )
 
 
-def _check_alike(folder: Path, card: PolicyCard, other: PolicyCard) -> None:
-    """Only replications of the same training tell how much a seed matters."""
-    if card.seed == other.seed:
-        raise ValueError(f"{folder} must hold one policy {card.file_stem}, got two")
-    keys = card.hyperparameters.keys() | other.hyperparameters.keys()
-    different = sorted(
-        key for key in keys if card.hyperparameters.get(key) != other.hyperparameters.get(key)
-    )
-    if card.env_id != other.env_id:
-        different.insert(0, "environment")
-    if different:
-        raise ValueError(
-            f"policies of the same name must have the same hyperparameters, but {card.file_stem} "
-            f"and {other.file_stem} in {folder} differ in {', '.join(different)}"
-        )
+def _over_seeds(values: NDArray[np.float64], quantity: TrainingQuantity) -> Interval:
+    if quantity.name == "success":
+        return success_interval(values, FINAL_EPISODES)
+    reached = ~np.isinf(values)
+    if quantity.varies and reached.all():
+        return bootstrap_interval(values, quantity.statistic)
+    middle = float(np.median(values))  # also where some are infinite, if most are not
+    estimate = middle if math.isfinite(middle) else math.nan
+    count = int(reached.sum())
+    return Interval(estimate, math.nan, math.nan, count, len(values) - count)
+
+
+def to_markdown(rows: pd.DataFrame, summary: pd.DataFrame) -> str:
+    """Return the table as Markdown.
+
+    Args:
+        rows: what `trainings` returned.
+        summary: what `summarize_trainings` returned.
+    """
+    labels, columns = _columns(rows, summary)
+    lines = [[*labels, *columns], ["---"] * len(labels) + ["---:"] * len(columns)]
+    lines += map(list, zip(*labels.values(), *columns.values(), strict=True))
+    cells = [[text.replace("|", "\\|").replace("\n", " ") for text in line] for line in lines]
+    return "\n".join("| " + " | ".join(line) + " |" for line in cells) + f"\n\n{NOTE}\n"
+
+
+def _columns(
+    rows: pd.DataFrame, summary: pd.DataFrame
+) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Return the cells of the columns on the left, and of a column for each name."""
+    labels = {
+        "": ["environment\ncontrol", "training seeds"]
+        + [f"{quantity.label}\n[{quantity.unit}]" for quantity in QUANTITIES],
+        "best": ["", "", *(quantity.best for quantity in QUANTITIES)],
+    }
+    found = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
+    columns = {}
+    for agent, group in rows.groupby("agent", sort=False):
+        first = group.iloc[0]
+        columns[str(agent)] = [
+            f"{first['environment']}\n{first['control']}",
+            str(len(group)),
+            *(cell(found[agent, quantity.name], quantity.decimals) for quantity in QUANTITIES),
+        ]
+    return labels, columns
 
 
 def _csv(frame: pd.DataFrame) -> str:
     return frame.to_csv(index=False, lineterminator="\n")
 
 
-# Okabe and Ito's, but for yellow: seven, and four kinds of lines, so that no two curves share both.
+# Okabe and Ito's but yellow: with four kinds of lines no two curves look alike.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKERS = "osD^vPX<*"
 _BETWEEN_MARKERS = 0.09  # of the panel's diagonal
@@ -481,8 +415,9 @@ _WIDE = 1.7  # decades
 _CAPTION = (
     f"Success: part of {EVALUATION_EPISODES} fixed episodes that end at the target, of the policy "
     "as it was then, without exploration. Lines: mean over training seeds; bands: 95 % bootstrap "
-    "intervals over the seeds (none for one seed). Minutes: CPU time of a training, evaluations "
-    "included, which is its wall time with a core to itself. Thin dotted lines: 95 % and 98 %."
+    "intervals over seeds and episodes (none for one seed). Minutes: CPU time of a training, "
+    "evaluations included, which is its wall time with a core to itself. Thin dotted lines: 95 % "
+    "and 98 %."
 )
 
 
@@ -490,8 +425,7 @@ def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame
     """Draw success against environment steps, left, and against minutes, right.
 
     Args:
-        against_steps: columns agent, steps, success, low, high, seeds, see
-            `learning_curves.mean_curves`.
+        against_steps: what `mean_curves` returned.
         against_time: the same with cpu_seconds.
     """
     minutes = against_time.assign(minutes=against_time["cpu_seconds"] / 60)

@@ -1,3 +1,5 @@
+"""Learning curves and the table of trainings: of which policies, and what they tell."""
+
 from __future__ import annotations
 
 import io
@@ -10,12 +12,16 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from mmc_gym.agents.policy import PolicyCard, save_policy
+from mmc_gym._errors import UserError
+from mmc_gym.agents.policy import (
+    EVALUATION_EPISODES,
+    FINAL_EPISODES,
+    PolicyCard,
+    save_policy,
+)
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.cli import main
-from mmc_gym.training import curves as learning_curve_table
 from mmc_gym.training.curves import (
-    QUANTITIES,
     curve_rows,
     draw_learning_curves,
     first_reached,
@@ -26,7 +32,6 @@ from mmc_gym.training.curves import (
     trainings,
     weights_sizes,
 )
-from mmc_gym.training.training import EVALUATION_EPISODES, FINAL_EPISODES
 
 FILES = {
     "curves.csv",
@@ -94,7 +99,7 @@ def write(folder, *cards):
 def summary_of(*cards):
     """Rows of the summary by measure."""
     rows = trainings({"ppo": cards}, {card.file_stem: 2_048 for card in cards})
-    summary = summarize_trainings(rows, QUANTITIES)
+    summary = summarize_trainings(rows)
     return {row["measure"]: row for row in summary.to_dict("records")}
 
 
@@ -125,7 +130,7 @@ def test_single_trainings_in_folders_of_their_own_are_found_too(tmp_path):
 def test_a_folder_without_policies_is_an_error(tmp_path):
     (tmp_path / "summary.json").write_text("{}")
     for folder in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(ValueError, match="found none in"):
+        with pytest.raises(UserError, match="found none in"):
             read_cards(folder)
 
 
@@ -139,7 +144,7 @@ def test_a_folder_without_policies_is_an_error(tmp_path):
 )
 def test_different_trainings_under_one_name_are_an_error(tmp_path, change, different):
     write(tmp_path, training(seed=0), training(seed=1), training(seed=4, **change))
-    with pytest.raises(ValueError, match=f"ppo-1 and ppo-4 in .* differ in {different}$"):
+    with pytest.raises(UserError, match=f"ppo-1 and ppo-4 in .* differ in {different}$"):
         read_cards(tmp_path)
 
 
@@ -148,20 +153,20 @@ def test_damaged_or_misplaced_policies_are_an_error(tmp_path):
     weights = tmp_path / "ppo-0.safetensors"
     kept = weights.read_bytes()
     weights.write_bytes(kept[:-4])
-    with pytest.raises(ValueError, match="ppo-0 does not hold a policy"):
+    with pytest.raises(UserError, match="ppo-0 does not hold a policy"):
         read_cards(tmp_path)
     weights.unlink()
-    with pytest.raises(ValueError, match=r"ppo-0\.json must lie beside its weights"):
+    with pytest.raises(UserError, match=r"ppo-0\.json must lie beside its weights"):
         read_cards(tmp_path)
     weights.write_bytes(kept)
     for suffix in (".json", ".safetensors"):
         (tmp_path / "ppo-1").with_suffix(suffix).rename(tmp_path / f"ppo-7{suffix}")
-    with pytest.raises(ValueError, match=r"ppo-7.json must be called ppo-1\.json"):
+    with pytest.raises(UserError, match=r"ppo-7.json must be called ppo-1\.json"):
         read_cards(tmp_path)
 
 
 def test_a_card_without_a_curve_is_an_error():
-    with pytest.raises(ValueError, match="learning_curve of ppo-0 must have evaluations, got none"):
+    with pytest.raises(UserError, match="learning_curve of ppo-0 must have evaluations, got none"):
         curve_rows({"ppo": [training(learning_curve=[])]})
 
 
@@ -187,16 +192,19 @@ def test_the_curve_is_the_mean_over_the_seeds_and_lies_in_its_interval():
     assert list(curve["steps"]) == [1_000, 2_000, 3_000]
     assert curve["success"].to_numpy() == pytest.approx([0.2, 0.5, 1.0])
     # With three seeds, 1 in 27 resamples holds nothing but the smallest.
-    assert curve["low"].to_numpy() == pytest.approx([0.0, 0.4, 1.0])
-    assert curve["high"].to_numpy() == pytest.approx([0.4, 0.6, 1.0])
+    assert curve["low"].to_numpy() == pytest.approx([0.0, 0.4, 1.0], abs=0.03)
+    assert curve["high"].to_numpy() == pytest.approx([0.4, 0.6, 1.0], abs=0.03)
     assert set(curve["seeds"]) == {3}
 
 
-def test_seeds_that_agree_have_an_interval_without_width():
+@pytest.mark.parametrize("against", ["steps", "cpu_seconds"])
+def test_seeds_that_agree_still_played_but_a_sample_of_episodes(against):
     curves = curve_rows({"ppo": [training(seed=seed) for seed in range(4)]})
-    for against in ("steps", "cpu_seconds"):
-        curve = mean_curves(curves, against)
-        assert list(curve["success"]) == list(curve["low"]) == list(curve["high"]) == list(RISE)
+    curve = mean_curves(curves, against)
+    assert curve["success"].to_numpy() == pytest.approx(RISE)
+    deviation = np.sqrt(curve["success"] * (1 - curve["success"]) / (4 * EVALUATION_EPISODES))
+    for end in (curve["low"] + 1.96 * deviation, curve["high"] - 1.96 * deviation):
+        assert end.to_numpy() == pytest.approx(RISE, abs=0.005)
 
 
 def test_one_seed_has_no_interval():
@@ -259,10 +267,11 @@ def test_the_final_success_has_an_interval_over_the_seeds():
     scores = [{"success": value, "final_distance": 0.01} for value in (0.9, 0.95, 1.0)]
     cards = [training(seed=seed, scores=scores[seed]) for seed in range(3)]
     found = summary_of(*cards)
-    assert interval(found["success"]) == pytest.approx((0.95, 0.9, 1.0))
+    assert interval(found["success"]) == pytest.approx((0.95, 0.9, 1.0), abs=0.015)
     assert interval(found["final_distance"]) == (0.01, 0.01, 0.01)
     assert found["time_to_target"]["count"] == 0  # the scores lack it
-    assert interval(summary_of(*[cards[0]] * 4)["success"]) == (0.9, 0.9, 0.9)
+    estimate, low, high = interval(summary_of(*[cards[0]] * 4)["success"])
+    assert low < estimate - 0.01 and high > estimate + 0.01  # other episodes could fail
 
 
 def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
@@ -303,11 +312,9 @@ def test_all_files_are_written_and_the_table_is_printed(tmp_path):
     printed = target.file.getvalue()
     assert printed.isascii() and max(map(len, printed.splitlines())) <= 120
     assert "training seeds" in printed and "wrote" in printed
-
-
-def test_a_table_and_the_captions_tell_the_true_numbers_of_episodes():
-    assert f"time to target: {FINAL_EPISODES} fixed episodes" in learning_curve_table.NOTE
-    assert f"in the training, {EVALUATION_EPISODES} fixed episodes" in learning_curve_table.NOTE
+    note = (out / "table.md").read_text()
+    assert f"time to target: {FINAL_EPISODES} fixed episodes" in note
+    assert f"in the training, {EVALUATION_EPISODES} fixed episodes" in note
 
 
 def test_the_command_draws_the_policies_of_a_folder(tmp_path, capsys):
@@ -324,6 +331,6 @@ def test_the_command_draws_the_policies_of_a_folder(tmp_path, capsys):
 
 def test_a_file_in_the_place_of_the_folder_is_told(tmp_path):
     (tmp_path / "out").write_text("precious")
-    with pytest.raises(ValueError, match="out must be a folder"):
+    with pytest.raises(UserError, match="out must be a folder"):
         learning_curves(write(tmp_path / "in", training()), tmp_path / "out")
     assert (tmp_path / "out").read_text() == "precious"
