@@ -6,12 +6,15 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.cli import main
+from mmc_gym.report import write_report
 from mmc_gym.report.replay import replay
 from mmc_gym.report.results import read_results
 
@@ -90,7 +93,12 @@ def test_every_caption_counts_seeds_and_instances(page):
     assert len(page.captions) > 10
     for caption in page.captions:
         assert "nstances" in caption
-        assert re.search("[Tt]raining seeds|[Nn]ot trained|about what they are", caption), caption
+        assert re.search("[Tt]raining seeds|[Nn]ot trained", caption), caption
+
+
+def test_the_page_says_how_many_resamples_were_drawn(text):
+    assert "bootstrap intervals of 200 resamples (300 for the bands" in text
+    assert signature(write_report).parameters["resamples"].default == RESAMPLES
 
 
 def test_names_of_agents_are_text_not_markup(page, text):
@@ -111,35 +119,32 @@ def test_the_replay_is_small_and_ends_at_the_hand(page, benchmark_store):
     assert "cursor" not in movement
 
 
+def replayed(results, paths):
+    """Return the movement of mmc in the first instance, from other paths."""
+    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
+    return scenes["random"][0]["agents"]["mmc"]
+
+
 def test_where_a_cursor_stands_for_the_hand_the_replay_has_both(benchmark_store):
     results = read_results(benchmark_store)
     target = results.paths[["target_x", "target_y"]].to_numpy()
     paths = results.paths.assign(cursor_x=target[:, 0], cursor_y=target[:, 1] - 0.02)
-    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
-    movement = scenes["random"][0]["agents"]["mmc"]
+    movement = replayed(results, paths)
     assert sum(movement["distance"]) / 10_000 == pytest.approx(0.02)
     end = [sum(series) / 1000 for series in movement["cursor"]]
     last = paths[(paths["agent"] == "mmc") & (paths["instance"] == 0)].iloc[-1]
     np.testing.assert_allclose(end, [last["cursor_x"], last["cursor_y"]], atol=6e-4)
 
 
-def test_an_arm_that_never_moves_still_leads_to_its_hand(benchmark_store):
+def test_the_arm_of_the_replay_leads_to_the_hand(benchmark_store):
     results = read_results(benchmark_store)
     names = [f"joint_angle_{joint}" for joint in (1, 2, 3)]
-    paths = results.paths.assign(**dict.fromkeys(names, 0.0), hand_x=3.6, hand_y=0.0)
-    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
-    assert sum(scenes["random"][0]["agents"]["mmc"]["lengths"]) == pytest.approx(3.6)
-
-
-def test_lengths_that_agents_are_not_told_are_seen_in_the_replay(benchmark_store):
-    results = read_results(benchmark_store)
-    paths = results.paths.copy()
-    angles = paths[[f"joint_angle_{joint}" for joint in (1, 2, 3)]].to_numpy().cumsum(axis=1)
-    paths["hand_x"] += 0.5 * np.cos(angles[:, 2])
-    paths["hand_y"] += 0.5 * np.sin(angles[:, 2])
-    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
-    lengths = scenes["random"][0]["agents"]["mmc"]["lengths"]
-    np.testing.assert_allclose(lengths, [1, 1, 1.5], atol=0.01)
+    still = results.paths.assign(**dict.fromkeys(names, 0.0), hand_x=3.6, hand_y=0.0)
+    assert sum(replayed(results, still)["lengths"]) == pytest.approx(3.6)
+    longer, angles = results.paths.copy(), results.paths[names].to_numpy().cumsum(axis=1)
+    longer["hand_x"] += 0.5 * np.cos(angles[:, 2])  # of the last segment, which no agent is told
+    longer["hand_y"] += 0.5 * np.sin(angles[:, 2])
+    np.testing.assert_allclose(replayed(results, longer)["lengths"], [1, 1, 1.5], atol=0.01)
 
 
 def test_the_page_gives_wins_and_losses_the_same_place(text):
