@@ -8,16 +8,15 @@
 
   const source = document.getElementById("replay-data");
   if (!source) return;
-  const data = JSON.parse(source.textContent);
-  const colours = data.colours;
-  const byId = (name) => document.getElementById(`replay-${name}`);
-  const environment = byId("environment"), instance = byId("instance"), rate = byId("rate");
-  const agents = byId("agents"), play = byId("play"), slider = byId("time");
-  const clock = byId("clock"), stage = byId("stage"), note = byId("note");
+  const data = JSON.parse(source.textContent), { colours } = data;
+  const [environment, instance, rate, agents, play, slider, clock, stage, note] =
+    ["environment", "instance", "rate", "agents", "play", "time", "clock", "stage", "note"]
+      .map((name) => document.getElementById(`replay-${name}`));
   const still = matchMedia("(prefers-reduced-motion: reduce)");
 
   // Thousandths, of distances a tenth of these; the first and then the differences.
   const decode = (series, parts = 1000) => { let sum = 0; return series.map((change) => (sum += change) / parts); };
+  const decodeAll = (many) => many.map((series) => decode(series));
   const element = (tag, className, text) => {
     const made = document.createElement(tag);
     if (className) made.className = className;
@@ -28,14 +27,12 @@
 
   let views = [], last = 1, time = 0, playing = false, before = 0, fastest = 1, target = [[0], [0]];
 
-  const scene = () => data.scenes[environment.value][instance.selectedIndex];
-
-  function movementOf(recorded) {
-    const [x, y] = recorded.hand.map((series) => decode(series));
+  function movementOf({ hand, distance, cursor, angles = [], lengths = [] }) {
+    const [x, y] = decodeAll(hand);
     const speed = x.slice(1).map((value, k) => Math.hypot(value - x[k], y[k + 1] - y[k]) / data.step);
     return {
-      x, y, speed, distance: decode(recorded.distance, 10000), cursor: recorded.cursor && recorded.cursor.map((series) => decode(series)),
-      angles: (recorded.angles || []).map((series) => decode(series)), lengths: recorded.lengths || [],
+      x, y, speed, lengths, distance: decode(distance, 10000), angles: decodeAll(angles),
+      cursor: cursor && decodeAll(cursor),
     };
   }
 
@@ -44,9 +41,9 @@
   }
 
   function build(atEnd) {
-    const shown = scene();
+    const shown = data.scenes[environment.value][instance.selectedIndex];
     const chosen = [...agents.querySelectorAll("input")].filter((box) => box.checked).map((box) => box.value);
-    target = shown.target.map((series) => decode(series));
+    target = decodeAll(shown.target);
     views = chosen.filter((name) => Object.hasOwn(shown.agents, name)).map((name) => {
       const figure = element("figure", "view"), arm = element("canvas", "arm"), speed = element("canvas", "speed");
       const readout = element("p", "readout");
@@ -64,9 +61,8 @@
     fastest = Math.max(0.1, ...views.flatMap((view) => view.movement.speed));
     slider.max = last;
     time = atEnd ? last : Math.min(time, last);
-    const turned = views.filter((view) => view.movement.cursor).map((view) => view.name);
-    note.textContent = views.length === 0 ? "Choose an agent." : turned.length
-      ? "Here a cursor, the square with the dashed way, is seen in place of the hand: distance and success are the cursor's." : "";
+    note.textContent = views.length === 0 ? "Choose an agent." : views.some((view) => view.movement.cursor)
+      ? "Agents see a cursor, the square on the dashed path, in place of the hand: distance and success are the cursor's." : "";
     draw();
   }
 
