@@ -1,127 +1,94 @@
-"""Facts about many arms at once."""
+"""Facts about many arms at once, whatever engine simulates them."""
 
 import copy
 import math
 import multiprocessing
 import pickle
-from typing import get_args
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.body import Arm, ArmParameters, Servo
+from mmc_gym._errors import UserError
+from mmc_gym.body import ArmParameters, Arms
+from mmc_gym.body.engines import make_arm, make_arms
 from mmc_gym.body.pymunk import batch as batch_module
-from mmc_gym.body.pymunk.batch import Arms
-
-SERVOS = get_args(Servo)
-LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
-CONDITIONS = {
-    "default": ArmParameters(),
-    "one segment": ArmParameters(segment_lengths=(0.7,)),
-    "everything": ArmParameters(
-        segment_lengths=(1.5, 1.0, 0.4),
-        segment_masses=(2.0, 0.5, 0.1),
-        joint_limits=LIMITS,
-        gravity=(3.0, -9.81),
-        hand_mass=0.5,
-        force_field=((-1.0, 5.0), (-5.0, -1.0)),
-        lockable_joints=(0, 2),
-    ),
-    "force field": ArmParameters(force_field=((-1.0, 5.0), (-5.0, -1.0)), hand_mass=1.0),
-    "obstacles, force field": ArmParameters(
-        obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)), force_field=((-1.0, 5.0), (-5.0, -1.0))
-    ),
-    "lockable joints": ArmParameters(lockable_joints=(1,)),
-}
-
-every_servo = pytest.mark.parametrize("servo", SERVOS)
-every_condition = pytest.mark.parametrize("parameters", CONDITIONS.values(), ids=CONDITIONS.keys())
 
 
-def random_postures(
-    parameters: ArmParameters, random: np.random.Generator, count: int
-) -> np.ndarray:
-    joints = len(parameters.segment_lengths)
-    limits = parameters.joint_limits or ((-math.pi, math.pi),) * joints
-    return random.uniform(*np.transpose(limits), (count, joints))
+@pytest.fixture
+def few_arms_in_a_space(monkeypatch):
+    monkeypatch.setattr(batch_module, "ARMS_PER_SPACE", 4)
 
 
-def command_scale(parameters: ArmParameters, servo: Servo) -> float:
-    return {
-        "position": 2 * math.pi,
-        "velocity": parameters.speed_limit,
-        "torque": parameters.torque_limit,
-    }[servo]
+def assert_equal(arms, singles):
+    for index, single in singles.items():
+        for name in ("segment_angles", "joint_angles", "joint_velocities"):
+            assert getattr(arms, name)[index].tolist() == getattr(single, name)
+        assert arms.end_effectors[index].tolist() == list(single.end_effector)
 
 
-def assert_equal(arms: Arms, singles: list[Arm]) -> None:
-    for name in ("segment_angles", "joint_angles", "joint_velocities"):
-        assert getattr(arms, name).tolist() == [getattr(single, name) for single in singles]
-    assert arms.end_effectors.tolist() == [list(single.end_effector) for single in singles]
-
-
-def play_both(
-    parameters: ArmParameters, servo: Servo, count: int, seed: int, steps: int, threads: int = 1
-) -> None:
+@pytest.fixture
+def play_both(postures, scale):
     """A random schedule of commands, partial resets and locks, of arms and of single ones."""
-    random = np.random.default_rng(seed)
-    arms = Arms(parameters, count, servo, threads)
-    singles = [Arm(parameters, servo) for _ in range(count)]
-    assert_equal(arms, singles)
-    for _ in range(steps):
-        if random.random() < 0.4:
-            chosen = random.permutation(count)[: random.integers(0, count + 1)]
-            postures = random_postures(parameters, random, len(chosen))
-            speeds = random.uniform(-3, 3, postures.shape) if random.random() < 0.5 else None
-            arms.reset(postures, chosen, speeds)
-            for row, arm in enumerate(chosen):
-                speed = None if speeds is None else speeds[row].tolist()
-                singles[arm].reset(postures[row].tolist(), speed)
-            assert_equal(arms, singles)
-        if random.random() < 0.3:
-            values = command_scale(parameters, servo) * random.uniform(
-                -1.2, 1.2, arms.joint_angles.shape
-            )
-            arms.command(values)
-            for single, value in zip(singles, values.tolist(), strict=True):
-                single.command(value)
-        if random.random() < 0.2:
-            chosen = random.permutation(count)[: random.integers(0, count + 1)]
-            arms.lock(chosen)
-            for arm in chosen:
-                singles[arm].lock()
-        arms.step()
-        for single in singles:
-            single.step()
+
+    def play(case, servo, count, steps, threads=1, alone=None):
+        engine, parameters = case
+        random = np.random.default_rng(count)
+        arms = make_arms(engine, parameters, count, servo, threads)
+        chosen = range(count) if alone is None else alone
+        singles = {index: make_arm(engine, parameters, servo) for index in chosen}
         assert_equal(arms, singles)
-    gaps = [single.pivot_gap() for single in singles]
-    np.testing.assert_allclose(arms.pivot_gaps(), gaps, atol=1e-15)
-    arms.close()
+        for _ in range(steps):
+            if random.random() < 0.4:
+                rows = random.permutation(count)[: random.integers(0, count + 1)]
+                places = postures(parameters, random, len(rows))
+                speeds = random.uniform(-3, 3, places.shape) if random.random() < 0.5 else None
+                arms.reset(places, rows, speeds)
+                for row, arm in enumerate(rows):
+                    if arm in singles:
+                        speed = None if speeds is None else speeds[row].tolist()
+                        singles[arm].reset(places[row].tolist(), speed)
+                assert_equal(arms, singles)
+            if random.random() < 0.3:
+                largest = 1.2 * scale(parameters, servo) * (2 if servo == "position" else 1)
+                values = random.uniform(-largest, largest, arms.joint_angles.shape)
+                arms.command(values)
+                for index, single in singles.items():
+                    single.command(values[index].tolist())
+            if random.random() < 0.2:
+                rows = random.permutation(count)[: random.integers(0, count + 1)]
+                arms.lock(rows)
+                for arm in set(rows.tolist()) & set(singles):
+                    singles[arm].lock()
+            arms.step()
+            for single in singles.values():
+                single.step()
+            assert_equal(arms, singles)
+        gaps = [single.pivot_gap() for single in singles.values()]
+        np.testing.assert_allclose(arms.pivot_gaps()[list(singles)], gaps, atol=1e-15)
+        arms.close()
+
+    return play
 
 
-# --- An arm among others is an arm alone
+# An arm among others is bit for bit an arm alone
 
 
-@every_servo
-@every_condition
-def test_every_arm_moves_as_a_single_one(
-    parameters: ArmParameters, servo: Servo, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(batch_module, "ARMS_PER_SPACE", 4)
-    for seed, count in enumerate((1, 4, 9)):
-        play_both(parameters, servo, count, seed, steps=60)
+@pytest.mark.usefixtures("few_arms_in_a_space")
+@pytest.mark.parametrize("count", [1, 4, 9])
+def test_every_arm_moves_as_a_single_one(case, servo, count, play_both):
+    play_both(case, servo, count, steps=60)
 
 
-@every_servo
-def test_threads_change_nothing(servo: Servo, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch_module, "ARMS_PER_SPACE", 4)
-    play_both(CONDITIONS["everything"], servo, count=18, seed=0, steps=60, threads=3)
+@pytest.mark.usefixtures("few_arms_in_a_space")
+def test_threads_change_nothing(case, servo, play_both):
+    count, threads = {"pymunk": (18, 3), "analytic": (520, 2)}[case[0]]
+    play_both(case, servo, count, 30, threads, alone=(0, 13, count - 1))
 
 
-def test_a_whole_space_of_arms_moves_as_single_ones() -> None:
-    play_both(ArmParameters(), "position", count=150, seed=0, steps=20, threads=2)
+def test_a_whole_space_of_arms_moves_as_single_ones(play_both):
+    play_both(("pymunk", ArmParameters()), "position", count=150, steps=20, threads=2)
 
 
 @given(
@@ -131,16 +98,16 @@ def test_a_whole_space_of_arms_moves_as_single_ones() -> None:
         st.floats(allow_nan=False, allow_infinity=False),
     )
 )
-def test_the_remainder_is_that_of_the_standard(x: float) -> None:
+def test_the_remainder_is_that_of_the_standard(x):
     assert batch_module._remainder(np.array([x]), math.tau)[0] == math.remainder(x, math.tau)
 
 
-# --- How it is used
+# How they are used
 
 
-def test_resetting_all_arms_needs_no_indices() -> None:
+def test_resetting_all_arms_needs_no_indices(engine):
     random = np.random.default_rng(0)
-    arms, named = Arms(count=70), Arms(count=70)
+    arms, named = (make_arms(engine, ArmParameters(), 70, "position") for _ in range(2))
     postures = random.uniform(-math.pi, math.pi, (70, 3))
     arms.reset(postures)
     named.reset(postures, np.arange(70))
@@ -151,19 +118,19 @@ def test_resetting_all_arms_needs_no_indices() -> None:
     np.testing.assert_array_equal(arms.joint_angles, named.joint_angles)
 
 
-def stepped_elsewhere(arms: Arms, results: "multiprocessing.Queue[list[list[float]]]") -> None:
+def stepped_elsewhere(arms, results):
     arms.step()
     results.put(arms.joint_angles.tolist())
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of a process with threads that forks
-def test_a_forked_process_has_threads_of_its_own() -> None:
+def test_a_forked_process_has_threads_of_its_own():
     arms = Arms(count=40, threads=2)
     arms.command(np.ones((40, 3)))
     arms.step()
     context = multiprocessing.get_context("fork")
-    results: multiprocessing.Queue[list[list[float]]] = context.Queue()
+    results = context.Queue()
     process = context.Process(target=stepped_elsewhere, args=(arms, results))
     process.start()
     elsewhere = results.get(timeout=30)
@@ -173,45 +140,44 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
     arms.close()
 
 
-def test_closed_arms_can_be_stepped_again() -> None:
-    arms = Arms(count=40, threads=2)
+@pytest.mark.parametrize(("engine", "count"), [("pymunk", 40), ("analytic", 520)])
+def test_closed_arms_can_be_stepped_again(engine, count):
+    arms = make_arms(engine, ArmParameters(), count, "position", threads=2)
     for _ in range(2):
         arms.step()
         arms.close()
         arms.close()
 
 
-# --- What is refused
+# What is refused
 
 
 @pytest.mark.parametrize("copies", [pickle.dumps, copy.copy, copy.deepcopy])
-def test_arms_cannot_be_copied(copies: object) -> None:
+def test_pymunk_arms_cannot_be_copied(copies):
     with pytest.raises(TypeError, match="Arms cannot be pickled or copied"):
-        copies(Arms(count=2))  # type: ignore[operator]
+        copies(Arms(count=2))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"count": 0}, "count must be a whole number of at least 1, got 0"),
-        ({"threads": 0}, "threads must be a whole number of at least 1, got 0"),
-        ({"servo": "hydraulic"}, "servo must be one of .* got 'hydraulic'"),
-    ],
-)
-def test_impossible_batches_are_refused(arguments: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Arms(ArmParameters(), **arguments)  # type: ignore[arg-type]
+@pytest.mark.parametrize("name", ["count", "threads"])
+@pytest.mark.parametrize("value", [0, -1, 1.5])
+def test_impossible_batches_are_refused(engine, name, value):
+    numbers = {"count": 2, "threads": 1, name: value}
+    message = f"{name} must be a whole number of at least 1, got {value}"
+    with pytest.raises(UserError, match=message):
+        make_arms(engine, ArmParameters(), numbers["count"], "position", numbers["threads"])
 
 
-def test_arrays_of_another_shape_and_unknown_arms_are_refused() -> None:
-    arms = Arms(count=4)
+def test_arrays_of_another_shape_and_unknown_arms_are_refused(engine):
+    arms = make_arms(engine, ArmParameters(), 4, "position")
     with pytest.raises(ValueError, match=r"values must be of shape \(4, 3\), got \(3,\)"):
         arms.command(np.zeros(3))
     with pytest.raises(ValueError, match=r"joint_angles must be of shape \(2, 3\), got \(4, 3\)"):
         arms.reset(np.zeros((4, 3)), [0, 1])
     with pytest.raises(ValueError, match=r"joint_velocities must be of shape \(4, 3\)"):
         arms.reset(np.zeros((4, 3)), joint_velocities=np.zeros(3))
-    for unknown in ([4], [-1], [0, 0], [0.5], [True, False]):
+    for unknown in ([4], [-1], [0, 0], [0.5], [True, False], [[0]]):
         with pytest.raises(ValueError, match="arms must be different indices from 0 to 3"):
             arms.reset(np.zeros((len(unknown), 3)), unknown)
+        with pytest.raises(ValueError, match="arms must be different indices from 0 to 3"):
+            arms.lock(unknown)
     arms.reset(np.zeros((0, 3)), [])

@@ -1,0 +1,108 @@
+"""Arms of every make, and rough commands for them."""
+
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from mmc_gym.body import ArmParameters, Servo
+from mmc_gym.body.engines import Engine
+
+LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
+FIELD = ((-1.0, 5.0), (-5.0, -1.0))
+DISCS = ((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4))
+CONDITIONS = {
+    "default": ArmParameters(),
+    "one segment": ArmParameters(segment_lengths=(0.7,)),
+    "joint limits": ArmParameters(joint_limits=LIMITS),
+    "gravity": ArmParameters(gravity=(0.0, -9.81)),
+    "everything": ArmParameters(
+        segment_lengths=(1.5, 1.0, 0.4),
+        segment_masses=(2.0, 0.5, 0.1),
+        joint_limits=LIMITS,
+        gravity=(3.0, -9.81),
+        hand_mass=0.5,
+        force_field=FIELD,
+        lockable_joints=(0, 2),
+    ),
+    "hand mass, force field": ArmParameters(hand_mass=1.5, force_field=FIELD),
+    "obstacles": ArmParameters(obstacles=DISCS),
+    "obstacles, force field": ArmParameters(obstacles=DISCS, force_field=FIELD),
+    "lockable joints": ArmParameters(lockable_joints=(1, 2)),
+}
+CASES = {
+    f"{engine}: {name}": (engine, parameters)
+    for engine in get_args(Engine)
+    for name, parameters in CONDITIONS.items()
+    if engine == "pymunk" or not parameters.obstacles
+}
+
+
+@pytest.fixture(scope="session", params=get_args(Servo))
+def servo(request):
+    return request.param
+
+
+@pytest.fixture(scope="session", params=get_args(Engine))
+def engine(request):
+    return request.param
+
+
+@pytest.fixture(scope="session", params=CASES.values(), ids=CASES.keys())
+def case(request):
+    """An engine and parameters that it can simulate."""
+    return request.param
+
+
+@pytest.fixture(scope="session", params=CONDITIONS.values(), ids=CONDITIONS.keys())
+def parameters(request):
+    return request.param
+
+
+def _postures(parameters, random, count):
+    limits = parameters.joint_limits or ((-math.pi, math.pi),) * len(parameters.segment_lengths)
+    return random.uniform(*np.transpose(limits), (count, len(limits)))
+
+
+def _scale(parameters, servo):
+    return {"position": math.pi, "velocity": parameters.speed_limit}.get(
+        servo, parameters.torque_limit
+    )
+
+
+def _play(arm, servo, seed, steps=40):
+    random = np.random.default_rng(seed)
+    scale = _scale(arm.parameters, servo)
+    states = []
+    for step in range(steps):
+        if step == steps // 2:
+            arm.lock()
+        if random.random() < 0.3:
+            arm.command((scale * random.uniform(-1, 1, len(arm.joint_angles))).tolist())
+        arm.step()
+        angles = *arm.segment_angles, *arm.joint_angles
+        hand = *arm.end_effector, *getattr(arm, "hand_velocity", ())
+        states.append((*angles, *arm.joint_velocities, *hand))
+    return states
+
+
+@pytest.fixture(scope="session")
+def postures():
+    """Draws random postures that an arm may have, (count, N)."""
+    return _postures
+
+
+@pytest.fixture(scope="session")
+def scale():
+    """The largest command that makes sense."""
+    return _scale
+
+
+@pytest.fixture(scope="session")
+def play():
+    """Steps an arm under rough commands, each held for some steps; joints are locked half way.
+
+    Returns everything that can be read after each step.
+    """
+    return _play

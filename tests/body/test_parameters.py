@@ -1,0 +1,61 @@
+"""Facts about the physical parameters of arms."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mmc_gym._errors import UserError
+from mmc_gym.body import ArmParameters
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"segment_lengths": ()}, r"segment_lengths must be at least one length, got \(\)"),
+        (
+            {"segment_lengths": (1.0, -0.5, 1.0)},
+            r"segment_lengths must be positive and finite, got \(1.0, -0.5, 1.0\)",
+        ),
+        ({"segment_lengths": (1.0, math.nan)}, "segment_lengths must be positive and finite"),
+        ({"segment_masses": (1.0, 1.0)}, r"segment_masses must be 3 masses.* got \(1.0, 1.0\)"),
+        ({"segment_masses": ()}, "segment_masses must be 3 masses"),
+        ({"segment_masses": (1.0, 0.0, 1.0)}, "segment_masses must be positive"),
+        ({"speed_limit": 0.0}, "speed_limit must be positive and finite, got 0.0"),
+        ({"torque_limit": math.inf}, "torque_limit must be positive and finite"),
+        ({"servo_gain": -1.0}, "servo_gain must be positive"),
+        ({"substep": 0.0}, "substep must be positive"),
+        ({"segment_radius": 0.0}, "segment_radius must be positive"),
+        ({"substeps": 0}, "substeps must be a whole number of at least 1, got 0"),
+        ({"substeps": 2.5}, "substeps must be a whole number"),
+        ({"gravity": (1.0,)}, "gravity must be two finite values"),
+        ({"gravity": (0.0, math.nan)}, "gravity must be two finite values"),
+        ({"joint_limits": ((-1.0, 1.0),)}, "joint_limits must be 3 pairs"),
+        ({"joint_limits": ((-1.0, 0.0, 1.0),) * 3}, "joint_limits must be 3 pairs"),
+        ({"joint_limits": ((1.0, -1.0),) * 3}, "joint_limits must be 3 pairs low < high"),
+        ({"joint_limits": ((-4.0, 1.0),) * 3}, "joint_limits must be .* within -pi and pi"),
+        ({"joint_limits": ((-1.0, math.nan),) * 3}, "joint_limits must be"),
+        ({"hand_mass": -1.0}, "hand_mass must be finite and not negative, got -1.0"),
+        ({"force_field": ((1.0, 0.0),)}, "force_field must be two rows of two finite values"),
+        ({"obstacles": ((0.0, 1.0, 0.0),)}, "obstacles must be discs .*of positive radius"),
+        ({"lockable_joints": (0, 0)}, "lockable_joints must be different indices from 0 to 2"),
+        ({"lockable_joints": (3,)}, "lockable_joints must be different indices from 0 to 2"),
+    ],
+)
+def test_impossible_arms_are_refused(arguments, message):
+    with pytest.raises(UserError, match=message):
+        ArmParameters(**arguments)
+
+
+def test_lengths_are_floats_whatever_they_were_given_as():
+    parameters = ArmParameters(segment_lengths=np.array([2, 1]), segment_masses=[1, 2])
+    assert parameters.segment_lengths == (2.0, 1.0)
+    assert parameters.masses == (1.0, 2.0)
+    assert ArmParameters().masses == (1.0, 1.0, 1.0)
+    assert ArmParameters(substep=0.01, substeps=3).control_step == pytest.approx(0.03)
+
+
+def test_the_last_rod_carries_the_hand_mass():
+    *bare, last = ArmParameters(segment_masses=(2.0, 1.0, 1.0), hand_mass=1.0).rods
+    assert bare == [(2.0, 0.5, 2 / 12), (1.0, 0.5, 1 / 12)]
+    assert last == pytest.approx((2.0, 0.75, 1 / 12 + 2 * 0.25**2))

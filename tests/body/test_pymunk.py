@@ -1,0 +1,353 @@
+"""Facts about an arm in Chipmunk: what its solver must hold, and what only this engine knows."""
+
+import dataclasses
+import itertools
+import math
+import pickle
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mmc_gym._errors import UserError
+from mmc_gym.body import Arm, ArmParameters
+
+OBSTACLES = ArmParameters(obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)))
+
+
+def random_movements(arm, count, seed=0):
+    """Yields after every step of movements of 2 s between random postures."""
+    random = np.random.default_rng(seed)
+    for _ in range(count):
+        arm.reset(random.uniform(-math.pi, math.pi, 3).tolist())
+        target = random.uniform(-math.pi, math.pi, 3).tolist()
+        for _ in range(100):
+            arm.command(target)
+            arm.step()
+            yield arm
+
+
+# The shortcut to Chipmunk is pymunk
+
+
+class PublicArm(Arm):
+    """The same arm through nothing but pymunk's public interface."""
+
+    def step(self):
+        for _ in range(self.parameters.substeps):
+            self._space.step(self.parameters.substep)
+        self._read()
+
+    def _read(self):
+        angles = [0.0, *(body.angle for body in self._linkage.segments)]
+        speeds = [0.0, *(body.angular_velocity for body in self._linkage.segments)]
+        self.segment_angles = angles[1:]
+        self.joint_angles = [b - a for a, b in itertools.pairwise(angles)]
+        self.joint_velocities = [b - a for a, b in itertools.pairwise(speeds)]
+        x = y = 0.0
+        for angle, length in zip(angles[1:], self.parameters.segment_lengths, strict=True):
+            x, y = x + length * math.cos(angle), y + length * math.sin(angle)
+        self.end_effector = (x, y)
+
+    def command(self, values):
+        p = self.parameters
+        for index, (servo, value) in enumerate(zip(self._linkage.servos, values, strict=True)):
+            angle = self.joint_angles[index]
+            if self._servo == "velocity":
+                servo.rate = -min(max(value, -p.speed_limit), p.speed_limit)
+            elif self._servo == "torque":
+                servo.rate = math.copysign(p.speed_limit, -value)
+                servo.max_force = min(abs(value), p.torque_limit)
+            elif p.joint_limits is None:
+                servo.phase = angle + math.remainder(value - angle, math.tau)
+            else:
+                low, high = p.joint_limits[index]
+                servo.phase = min(max(value, low), high)
+
+
+def test_direct_calls_give_what_pymunk_gives(parameters, servo, play, postures):
+    parameters = dataclasses.replace(parameters, force_field=None)
+    arms = [Arm(parameters, servo), PublicArm(parameters, servo)]
+    for seed in range(3):
+        posture = postures(parameters, np.random.default_rng(seed), 1)[0].tolist()
+        for arm in arms:
+            arm.reset(posture)
+        assert play(arms[0], servo, seed) == play(arms[1], servo, seed)
+
+
+def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(monkeypatch, play):
+    monkeypatch.setattr("mmc_gym.body.pymunk.arm._LONGEST_HISTORY", 100)
+    arm = Arm()
+    play(arm, "position", seed=0, steps=100)
+    assert pickle.loads(pickle.dumps(arm)).joint_angles == arm.joint_angles
+    for steps in (1, 50):
+        play(arm, "position", seed=0, steps=steps)
+        with pytest.raises(RuntimeError, match=r"more than 100 steps after its last reset.* reset"):
+            pickle.dumps(arm)
+    arm.reset([0.0, 0.0, 0.0])
+    assert pickle.loads(pickle.dumps(arm)).joint_angles == arm.joint_angles
+
+
+# Velocities and forces
+
+
+def test_the_velocities_of_a_reset_are_those_of_rigid_rods_on_pivots():
+    posture, speeds, instant = [0.3, 1.1, -2.0], [1.0, -2.0, 0.5], 1e-6
+    arm, later = Arm(), Arm()
+    arm.reset(posture, speeds)
+    later.reset([angle + instant * speed for angle, speed in zip(posture, speeds, strict=True)])
+    for body, moved in zip(arm._linkage.segments, later._linkage.segments, strict=True):
+        difference = (moved.position - body.position) / instant
+        assert body.velocity == pytest.approx(difference, abs=1e-5)
+    difference = np.subtract(later.end_effector, arm.end_effector) / instant
+    assert arm.hand_velocity == pytest.approx(tuple(difference), abs=1e-5)
+
+
+def test_no_servo_gives_more_than_the_torque_limit(servo, scale):
+    arm = Arm(ArmParameters(torque_limit=50.0), servo)
+    random, torques = np.random.default_rng(0), []
+    largest = 1.5 * scale(arm.parameters, servo)
+    for step in range(300):
+        if step % 5 == 0:
+            arm.command((largest * random.uniform(-1, 1, 3)).tolist())
+        arm.step()
+        torques += [abs(drive.impulse) / 0.005 for drive in arm._linkage.servos]
+    assert max(torques) <= 50.0 * (1 + 1e-12)
+    assert max(torques) > 49.0  # it was tried
+
+
+def test_other_joints_throw_a_joint_no_further_beyond_its_speed_limit_than_stated():
+    speeds = [max(map(abs, arm.joint_velocities)) for arm in random_movements(Arm(), 10)]
+    assert max(speeds) < 1.35 * 2 * math.pi
+
+
+def momentum_and_energy(arm):
+    """Angular momentum about the base and kinetic energy of the whole arm."""
+    momentum = energy = 0.0
+    for body in arm._linkage.segments:
+        momentum += body.mass * body.position.cross(body.velocity)
+        momentum += body.moment * body.angular_velocity
+        energy += body.mass * body.velocity.dot(body.velocity) / 2
+        energy += body.moment * body.angular_velocity**2 / 2
+    return momentum, energy
+
+
+@pytest.mark.parametrize(("substeps", "drift", "loss"), [(4, 0.03, 0.12), (80, 0.002, 0.01)])
+def test_a_slack_arm_conserves_momentum_and_gains_no_energy(substeps, drift, loss):
+    arm = Arm(ArmParameters(substep=0.02 / substeps, substeps=substeps), "torque")
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        arm.reset(random.uniform(-3, 3, 3).tolist(), random.uniform(-3, 3, 3).tolist())
+        momentum, energy = momentum_and_energy(arm)
+        for _ in range(100):
+            arm.step()
+            now = momentum_and_energy(arm)
+            assert abs(now[0] - momentum) / max(abs(momentum), 1.0) < drift
+            assert -loss < now[1] / energy - 1 < 1e-3
+
+
+def test_a_curl_field_pushes_a_movement_aside_and_does_no_work():
+    curl = ArmParameters(force_field=((0.0, 2.0), (-2.0, 0.0)), substep=0.0005, substeps=40)
+    arms = [Arm(curl, "torque"), Arm(dataclasses.replace(curl, force_field=None), "torque")]
+    for arm in arms:
+        arm.reset([0.4, 1.0, -0.5], [1.0, -0.5, 0.5])
+        energy = momentum_and_energy(arm)[1]
+        for _ in range(25):
+            arm.step()
+        assert momentum_and_energy(arm)[1] == pytest.approx(energy, rel=0.02)
+    assert math.dist(arms[0].end_effector, arms[1].end_effector) > 0.05
+
+
+# Obstacles
+
+
+def test_an_obstacle_stops_a_segment_at_its_surface():
+    p = ArmParameters(segment_lengths=(1.0,), obstacles=((0.0, 0.8, 0.2),), torque_limit=40.0)
+    arm = Arm(p)
+    for _ in range(100):
+        arm.command([math.pi / 2])
+        arm.step()
+    touching = math.pi / 2 - math.asin((0.2 + p.segment_radius) / 0.8)
+    assert arm.joint_angles[0] == pytest.approx(touching, abs=0.02)
+
+
+def test_segments_pass_each_other_and_feel_no_obstacle_out_of_reach(servo, play):
+    arms = [Arm(ArmParameters(), servo), Arm(ArmParameters(obstacles=((0.0, 5.0, 1.0),)), servo)]
+    for seed in range(3):
+        for arm in arms:
+            arm.reset([0.0, 3.0, -3.0])  # the segments lie on each other
+        assert play(arms[0], servo, seed) == play(arms[1], servo, seed)
+
+
+# Precision
+
+
+@pytest.mark.parametrize(
+    ("lengths", "masses"),
+    [((1.0,) * count, None) for count in range(1, 8)]
+    + [
+        ((0.3, 1.0, 2.0), None),
+        ((2.0, 1.0, 0.3), None),
+        ((1.0, 1.0, 1.0), (1.0, 1.0, 3.0)),
+        ((1.0, 1.0, 1.0), (1.0, 1.0, 10.0)),
+        ((1.0, 1.0, 1.0), (0.1, 0.1, 3.0)),
+        ((0.2, 0.2, 0.2), (0.01, 0.01, 0.01)),
+    ],
+)
+def test_arms_come_to_rest_at_their_joint_targets(lengths, masses):
+    """Whatever they carry: with too few sweeps of the solver a heavy hand buzzes for ever."""
+    arm = Arm(ArmParameters(segment_lengths=lengths, segment_masses=masses))
+    random = np.random.default_rng(0)
+    for _ in range(3):
+        arm.reset(random.uniform(-math.pi, math.pi, len(lengths)).tolist())
+        target = random.uniform(-math.pi, math.pi, len(lengths)).tolist()
+        for _ in range(200):
+            arm.command(target)
+            arm.step()
+        errors = [math.remainder(a - b, math.tau) for a, b in zip(arm.joint_angles, target)]
+        assert max(map(abs, errors)) < 1e-3
+        assert max(map(abs, arm.joint_velocities)) < 0.01
+
+
+def integration_errors(substeps, movements):
+    """Largest angle errors of movements of 2 s against a substep of 0.25 ms."""
+    coarse = Arm(ArmParameters(substep=0.02 / substeps, substeps=substeps))
+    fine = Arm(ArmParameters(substep=0.00025, substeps=80))
+    both = zip(*(random_movements(arm, movements, seed=1) for arm in (coarse, fine)), strict=True)
+    errors = [np.abs(np.subtract(a.joint_angles, b.joint_angles)) for a, b in both]
+    turns = np.abs(np.remainder(np.array(errors) + np.pi, 2 * np.pi) - np.pi)
+    return turns.reshape(movements, -1).max(axis=1)
+
+
+def test_the_default_substep_is_fine_enough():
+    default = integration_errors(substeps=4, movements=30)
+    assert np.median(default) < 0.033
+    assert max(default) < 0.2
+    assert np.median(integration_errors(substeps=20, movements=15)) < 0.0065
+
+
+def test_pivots_gape_little():
+    gaps = [arm.pivot_gap() for arm in random_movements(Arm(), 20)]
+    assert np.median(gaps) < 1e-3
+    assert max(gaps) < 0.005
+
+
+# A long life
+
+
+def memory_in_use():
+    """Resident memory of this process, MB."""
+    statistics = Path("/proc/self/statm")
+    if not statistics.exists():
+        pytest.skip("knows no other way to ask for it")
+    return int(statistics.read_text().split()[1]) * resource.getpagesize() / 1e6
+
+
+def largest_gap_of_random_commands(arm, largest_command, resets):
+    """Largest gap of the pivots over 100 steps after each reset, with abrupt random commands."""
+    random, largest = np.random.default_rng(0), 0.0
+    for _ in range(resets):
+        arm.reset(random.uniform(-math.pi, math.pi, 3).tolist(), random.uniform(-6, 6, 3).tolist())
+        commands = random.uniform(-largest_command, largest_command, (20, 3)).tolist()
+        held = random.choice((1, 5, 20))
+        for step in range(100):
+            if step % held == 0:
+                arm.command(commands[step % 20])
+            arm.step()
+            largest = max(largest, arm.pivot_gap())
+    return largest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("servo", "resets", "gap"),
+    [
+        ("position", 10_000, 0.01),
+        ("velocity", 500, 0.01),
+        ("torque", 500, 0.015),  # the full torque for 0.4 s whips joints round at 35 rad/s
+    ],
+)
+def test_a_long_life_leaves_the_pivots_tight_and_the_memory_as_it_was(servo, resets, gap, scale):
+    arm = Arm(servo=servo)
+    largest_command = scale(arm.parameters, servo)
+    largest_gap_of_random_commands(arm, largest_command, resets=50)
+    before = memory_in_use()
+    assert largest_gap_of_random_commands(arm, largest_command, resets) <= gap
+    assert memory_in_use() - before < 2
+
+
+def test_resets_among_obstacles_leave_the_memory_as_it_was():
+    arm, before = Arm(OBSTACLES), 0.0
+    for episode in range(1500):
+        if episode == 300:
+            before = memory_in_use()
+        arm.reset([0.1, 0.2, 0.3])
+        arm.step()
+    assert memory_in_use() - before < 5
+
+
+# Arms of any make
+
+SIX_DECADES = st.floats(-3, 3).map(lambda exponent: 10**exponent)
+
+
+@st.composite
+def any_arm(draw):
+    """One to forty segments, lengths and masses over six decades, equal or not."""
+    count = draw(st.integers(1, 40))
+    equal_or_not = st.one_of(
+        SIX_DECADES.map(lambda value: (value,) * count),
+        st.tuples(*[SIX_DECADES] * count),
+        st.tuples(*[st.floats(0.3, 3.0)] * count),
+    )
+    return ArmParameters(
+        segment_lengths=draw(equal_or_not),
+        segment_masses=draw(equal_or_not),
+        hand_mass=draw(st.one_of(st.just(0.0), SIX_DECADES)),
+    )
+
+
+@given(parameters=any_arm(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, postures):
+    try:
+        arm = Arm(parameters, servo)
+    except UserError as refusal:
+        assert "an arm that pymunk can hold together" in str(refusal)
+        return
+    arm.reset(postures(parameters, np.random.default_rng(seed), 1)[0].tolist())
+    for _ in range(3):
+        assert np.isfinite(play(arm, servo, seed, steps=3)).all()
+        assert arm.pivot_gap() < 0.05 * sum(parameters.segment_lengths)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        *({"segment_lengths": (1.0,) * count} for count in (1, 20, 40)),
+        *(
+            {"segment_lengths": (length,) * 3, "segment_masses": (mass,) * 3}
+            for length in (1e-3, 1e3)
+            for mass in (1e-3, 1e3)
+        ),
+        {"segment_masses": (10.0, 1.0, 0.1)},
+        {"segment_masses": (0.1, 0.1, 3.0)},
+        {"hand_mass": 20.0},
+    ],
+    ids=str,
+)
+def test_arms_that_are_not_refused(made, servo, play, postures):
+    arm = Arm(ArmParameters(**made), servo)
+    arm.reset(postures(arm.parameters, np.random.default_rng(0), 1)[0].tolist())
+    for _ in range(5):
+        assert np.isfinite(play(arm, servo, seed=0, steps=3)).all()
+        assert arm.pivot_gap() < 0.01 * sum(arm.parameters.segment_lengths)
+
+
+def test_an_arm_with_too_heavy_a_hand_for_the_solver_is_refused():
+    message = "segment_lengths, segment_masses and hand_mass must .* hold together: .* got .* times"
+    with pytest.raises(UserError, match=message):
+        Arm(ArmParameters(segment_masses=(1.0, 1.0, 1.0), hand_mass=1e4))
