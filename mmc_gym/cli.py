@@ -48,6 +48,7 @@ def compare(
     episodes: int = 200,
     seed: int = 0,
     out: Path = Path("runs/compare"),
+    measures: tuple[str, ...] = (),
 ) -> None:
     """Let agents play the same starts and targets; print a table, write data and figure.
 
@@ -57,9 +58,12 @@ def compare(
         episodes: Episodes per agent.
         seed: Seed of the starts and targets.
         out: Folder for episodes.csv, the summary and the figure.
+        measures: Modules that register measures of your own.
     """
     from mmc_gym.benchmark import compare
+    from mmc_gym.measures.catalogue import import_measures
 
+    import_measures(measures)
     compare.compare(agents, env, episodes, seed, out)
 
 
@@ -72,6 +76,7 @@ def benchmark(
     out: Path = Path("runs/benchmark"),
     jobs: int | None = None,
     cluster: str | None = None,
+    measures: tuple[str, ...] = (),
 ) -> None:
     """Let agents play many scenarios; keep all in a store, and print a ranking.
 
@@ -84,9 +89,12 @@ def benchmark(
         out: Folder of the store; a benchmark that is there goes on, or is added to.
         jobs: How many cells at once (default: one per core).
         cluster: Where, if not here: "ray", or "ray://HOST:PORT", to play on a Ray cluster.
+        measures: Modules that register measures of your own.
     """
     from mmc_gym.benchmark import entries, ranking, runner
+    from mmc_gym.measures.catalogue import import_measures
 
+    import_measures(measures)
     with progress_bar() as bar:
         task = bar.add_task("cells")
 

@@ -133,7 +133,7 @@ class ResolvedAgent:
             return hashlib.sha256((self.card.sha256 + code_digest()).encode()).hexdigest()
         if self.name:
             return code_digest()
-        _look_here()
+        look_here()
         spec = find_spec(self.source.partition(":")[0]) if self.source else None
         file = Path(spec.origin) if spec is not None and spec.origin else Path()
         return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
@@ -205,7 +205,7 @@ def _unknown(agent: object) -> UserError:
 
 def _imported(path: str) -> Factory:
     module_name, _, function_name = path.partition(":")
-    _look_here()
+    look_here()
     try:
         function = getattr(importlib.import_module(module_name), function_name)
     except (ImportError, AttributeError, ValueError) as error:
@@ -215,7 +215,7 @@ def _imported(path: str) -> Factory:
     return cast(Factory, function)
 
 
-def _look_here() -> None:
+def look_here() -> None:
     """Let modules in the working directory be found, as `python -m` does but no console script."""
     here = str(Path.cwd())
     if here not in sys.path:

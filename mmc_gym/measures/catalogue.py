@@ -1,25 +1,27 @@
 """The registry of measures: a decorator puts label, unit and direction beside a function.
 
-Every registered measure has a column in the data of comparisons and benchmarks.  Their tables and
+Every registered measure has a column in the data of comparisons and benchmarks; their tables and
 the report show it if it is `shown`.  Register your own the same way:
 
     from mmc_gym.measures import Episode, measure
 
     @measure(label="half-way time", unit="s", best="low", successes_only=True)
     def half_way_time(episode: Episode) -> float:
-        halfway = episode.distances[0] / 2
-        return int((episode.distances <= halfway).argmax()) * episode.control_step
+        half_way = episode.distances <= episode.distances[0] / 2
+        return int(half_way.argmax()) * episode.control_step
+
+On the command line name the module: `mmc-gym compare --measures my_measures`.
 
 Of a movement that did not arrive, path, shape and cost tell nothing: a hand that never moves has
 the shortest path, the least work and no overshoot.  So, as is the custom for movements of people,
 measures with `successes_only` are reported of the episodes that ended at the target, with the
-fraction of these beside them.  Data hold them for all episodes; `leave_out_failures` gives what
-tables and comparisons see.
+fraction of these beside them.  Data hold them for all episodes.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import inspect
 import json
 import math
@@ -31,6 +33,7 @@ import numpy as np
 
 from mmc_gym._console import number
 from mmc_gym._errors import UserError
+from mmc_gym.agents.resolver import look_here
 from mmc_gym.measures.episode import Episode
 
 if TYPE_CHECKING:
@@ -273,6 +276,20 @@ def register_measures(measures: Iterable[Measure | SetMeasure]) -> None:
     """
     for one in measures:
         _add(one)
+
+
+def import_measures(modules: Iterable[str]) -> None:
+    """Import modules, by name, that register measures.
+
+    Raises:
+        UserError: if there is none such, or it registers a name that is taken.
+    """
+    look_here()
+    for name in modules:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise UserError(f"measures {name!r} cannot be imported: {error}") from error
 
 
 def digest(known: Measure | SetMeasure) -> str:
