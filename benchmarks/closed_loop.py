@@ -22,7 +22,7 @@ import mmc_gym  # registers the environments
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import closed_loop_inverse_kinematics, closed_loop_mmc
 from mmc_gym.agents.closed_loop.observer import Loops
-from mmc_gym.agents.ik.jacobian import damped_least_squares
+from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
 from mmc_gym.interface import ReachInterface
 

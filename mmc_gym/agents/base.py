@@ -1,7 +1,7 @@
 """What all agents share: the signature of `predict`, and the way from observation to action.
 
-An agent sees observations only.  What it is told about the body stands in `ReachInterface`:
-the segment lengths, and how actions are meant.
+An agent sees observations only.  `ReachInterface` says what it is told about the body: the segment
+lengths, and what actions mean.
 """
 
 from __future__ import annotations
@@ -12,11 +12,15 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
+from mmc_gym._errors import UserError
 from mmc_gym.interface import Observation, ReachInterface, Sensed
+from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
 
 State = TypeVar("State")
+Started = Sequence[bool] | NDArray[np.bool_] | None
 
 
 class Predictor(Protocol):
@@ -46,7 +50,7 @@ class Agent(ABC, Generic[State]):
         self,
         observation: Observation,
         state: State | None = None,
-        episode_start: Sequence[bool] | NDArray[np.bool_] | None = None,
+        episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], State | None]:
         """Choose an action.
@@ -60,83 +64,99 @@ class Agent(ABC, Generic[State]):
 
         Returns:
             The action, float32 within −1 and 1, and the state for the next call.
+
+        Raises:
+            UserError: if observation, state and `episode_start` do not fit together.
         """
 
 
-class JointTargetAgent(Agent[State]):
+class InternalModelAgent(Agent[State]):
     """An agent whose state is an internal model of the arm, and which gives joint targets."""
 
     def __init__(self, interface: ReachInterface) -> None:
         """Make an agent for the environment that `interface` was read off.
 
         Raises:
-            ValueError: under torque control.
+            CannotActError: under torque control.
         """
         interface.check_takes_joint_targets()
         self.interface = interface
 
     @abstractmethod
     def start(self, sensed: Sensed) -> State:
-        """The state of internal models in the sensed postures."""
-
-    @abstractmethod
-    def restart(self, state: State, fresh: State, started: NDArray[np.bool_]) -> State:
-        """`state`, with those of `fresh` where an episode `started` (batch axes)."""
+        """Return the state of internal models in the sensed postures."""
 
     @abstractmethod
     def batch_shape(self, state: State) -> tuple[int, ...]:
-        """Batch axes of a state."""
+        """Return the batch axes of a state."""
+
+    def resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
+        """Return the state to go on from: made anew where an episode starts.
+
+        Raises:
+            UserError: if state or `episode_start` have other batch axes than what is sensed.
+        """
+        if state is None:
+            return self.start(sensed)
+        batch, of_state = sensed.joint_angles.shape[:-1], self.batch_shape(state)
+        if of_state != batch:
+            raise UserError(
+                f"state must be that of as many arms as are observed, batch {batch}, got {of_state}"
+            )
+        if episode_start is None or not np.any(episode_start):
+            return state
+        given = np.asarray(episode_start, dtype=bool)
+        try:
+            started = np.broadcast_to(
+                given if batch or given.size != 1 else given.reshape(()), batch
+            )
+        except ValueError as error:
+            raise UserError(
+                f"episode_start must be of shape {batch}, as the observations are, "
+                f"got {given.shape}"
+            ) from error
+        return where(started, self.start(sensed), state)
+
+
+class JointTargetAgent(InternalModelAgent[State]):
+    """An agent whose internal model needs no more than the sensed posture and target."""
 
     @abstractmethod
     def advance(self, state: State, sensed: Sensed) -> tuple[Floats, State]:
-        """Joint targets (..., N) in radians, and the state after one control step."""
+        """Return joint targets (..., N) in radians, and the state after one control step."""
 
+    @override
     def predict(
         self,
         observation: Observation,
         state: State | None = None,
-        episode_start: Sequence[bool] | NDArray[np.bool_] | None = None,
+        episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], State | None]:
-        """See `Agent.predict`; it is deterministic always."""
         sensed = self.interface.sense(observation)
-        batch = sensed.joint_angles.shape[:-1]
-        if state is None:
-            state = self.start(sensed)
-        else:
-            check_batch(self.batch_shape(state), batch)
-            started = episodes_started(episode_start, batch)
-            if started is not None:
-                state = self.restart(state, self.start(sensed), started)
+        state = self.resumed(state, sensed, episode_start)
         joint_targets, state = self.advance(state, sensed)
         return self.interface.act(joint_targets, sensed), state
 
 
-def check_batch(state_batch: tuple[int, ...], batch: tuple[int, ...]) -> None:
-    """Raise a `ValueError` if a state has other batch axes than the observation."""
-    if state_batch != batch:
-        raise ValueError(
-            f"state must be that of as many arms as are observed, batch {batch}, got {state_batch}"
-        )
+def where(condition: NDArray[np.bool_], yes: State, no: State) -> State:
+    """Return a state, from `yes` where a condition on the batch holds, else from `no`.
 
-
-def episodes_started(
-    episode_start: Sequence[bool] | NDArray[np.bool_] | None, batch: tuple[int, ...]
-) -> NDArray[np.bool_] | None:
-    """Where episodes start, as a mask of the batch axes; None where none does.
-
-    Raises:
-        ValueError: if `episode_start` does not fit the batch.
+    Args:
+        condition: of the batch axes.
+        yes: an array with the batch in front, a network's state, or a named tuple of such.
+        no: of the same kind.
     """
-    if episode_start is None or not np.any(episode_start):
-        return None
-    given = np.asarray(episode_start, dtype=bool)
-    try:
-        return np.broadcast_to(given if batch or given.size != 1 else given.reshape(()), batch)
-    except ValueError as error:
-        raise ValueError(
-            f"episode_start must be of shape {batch}, as the observations are, got {given.shape}"
-        ) from error
+    return _where(condition, yes, no)  # type: ignore[no-any-return]
+
+
+def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
+    if isinstance(yes, MMCState):  # its batch is last
+        return MMCState(np.where(condition, yes.values, no.values), yes.segment_count)
+    if isinstance(yes, tuple):
+        return type(yes)(*(_where(condition, *pair) for pair in zip(yes, no, strict=True)))
+    trailing = (1,) * (np.ndim(yes) - np.ndim(condition))
+    return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), yes, no)
 
 
 class RandomAgent(Agent[None]):
@@ -147,14 +167,14 @@ class RandomAgent(Agent[None]):
         self._action_size = action_size
         self._random = np.random.default_rng(seed)
 
+    @override
     def predict(
         self,
         observation: Observation,
         state: None = None,
-        episode_start: Sequence[bool] | NDArray[np.bool_] | None = None,
+        episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], None]:
-        """See `Agent.predict`; the observation gives no more than the batch."""
         if isinstance(observation, Mapping):
             observation = observation["observation"]
         shape = (*np.shape(observation)[:-1], self._action_size)

@@ -11,11 +11,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import override
 
-from mmc_gym.agents.base import JointTargetAgent, State
-from mmc_gym.agents.ik.dead_end import STRAIGHT, leave_line, nearest_reachable
-from mmc_gym.agents.planners import Movement, begin, follow, step, where
+from mmc_gym._errors import UserError
+from mmc_gym.agents.base import JointTargetAgent, State, where
+from mmc_gym.agents.ik.agent import STRAIGHT, leave_line, nearest_reachable
+from mmc_gym.agents.planners import Movement, begin, follow, step
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network import Clamps, MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
@@ -37,10 +38,11 @@ class NetworkAgent(JointTargetAgent[State]):
             iterations_per_step: iterations of the network in a control step.
 
         Raises:
-            ValueError: if `iterations_per_step` is less than one, or under torque control.
+            UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
+                control.
         """
         if iterations_per_step < 1:
-            raise ValueError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
+            raise UserError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
         super().__init__(interface)
         self.network = network
         self.iterations_per_step = iterations_per_step
@@ -49,46 +51,35 @@ class NetworkAgent(JointTargetAgent[State]):
 class MMCAgent(NetworkAgent[MMCState]):
     """An MMC network that drives the arm; its state is the network's."""
 
+    @override
     def start(self, sensed: Sensed) -> MMCState:
-        """Networks at rest in the sensed postures."""
         return self.network.state_from_joint_angles(sensed.joint_angles)
 
-    def restart(self, state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
-        """The networks' states, new where an episode started."""
-        return restarted(state, fresh, started)
-
+    @override
     def batch_shape(self, state: MMCState) -> tuple[int, ...]:
-        """Those of the networks."""
         return state.batch_shape
 
+    @override
     def advance(self, state: MMCState, sensed: Sensed) -> tuple[Floats, MMCState]:
-        """Joint angles of the networks after the iterations of one control step."""
-        clamps = self.network.inverse(sensed.target)
-        state = out_of_line(self.network, state, clamps)
-        count = self.iterations_per_step
+        network, count = self.network, self.iterations_per_step
+        clamps = network.inverse(sensed.target)
+        state = out_of_line(network, state, clamps)
         if self.interface.joint_limits is None:
-            state = self.network.run(state, clamps, count)
+            state = network.run(state, clamps, count)
         else:
-            state = run_within_limits(
-                self.interface, self.network, state, sensed.target, Embodiment(), count
-            )
+            state = run_within_limits(self.interface, network, state, clamps, Embodiment(), count)
         return state.joint_angles, state
-
-
-def restarted(state: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
-    """The networks of `state`, or of `fresh` where an episode `started` (batch axes)."""
-    return MMCState(np.where(started, fresh.values, state.values), state.segment_count)
 
 
 def run_within_limits(
     interface: ReachInterface,
     network: MMCNetwork,
     state: MMCState,
-    target: Floats,
+    clamps: Clamps,
     body: Embodiment,
     iterations: int,
 ) -> MMCState:
-    """The networks after `iterations` iterations of `embodied_run`, none for long beyond a limit.
+    """Run networks by `embodied_run`, and keep their joints within the limits.
 
     A joint limit enters as a sensed posture does (`network.embodied`): for an arm with a joint
     beyond one, the nearest posture within the limits is one more computation in the mean, of
@@ -99,7 +90,7 @@ def run_within_limits(
     stopped.  Those it does not reach need a way round that it does not look for.
     """
     if interface.joint_limits is None:
-        return embodied_run(network, state, target, body, iterations)
+        return embodied_run(network, state, clamps, body, iterations)
     told = np.array(network.segment_lengths)
     lengths = told if body.segment_lengths is None else body.segment_lengths
     weight = network.segment_count + 1.0
@@ -107,20 +98,20 @@ def run_within_limits(
         joint_angles = state.joint_angles
         within = interface.within_limits(joint_angles)
         is_beyond = np.asarray((np.abs(wrap_angle(joint_angles - within)) > 1e-9).any(axis=-1))
-        before, state = state, embodied_run(network, state, target, body)
+        before, state = state, embodied_run(network, state, clamps, body)
         if is_beyond.any():
             allowed = segments_from_joint_angles(within, lengths)
             if body.sensed is not None and body.weight:
                 allowed = (weight * allowed + body.weight * body.sensed) / (weight + body.weight)
             pulled = replace(body, sensed=allowed, weight=weight + body.weight)
-            state = restarted(state, embodied_run(network, before, target, pulled), is_beyond)
+            state = where(is_beyond, embodied_run(network, before, clamps, pulled), state)
     return state
 
 
 def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
-    """The networks of `state`, bent a little where they could not get to their targets.
+    """Return networks, bent a little where they could not get to their targets.
 
-    An arm gets into such a dead end (see `dead_end`) when its target becomes another one: `held`,
+    An arm gets into such a dead end (see `leave_line`) when its target becomes another one: `held`,
     where the end effector is to be held, is compared with where it was held last.  Then a look at
     the segments says whether any arm is nearly straight.  Both are quick.
     """
@@ -136,11 +127,11 @@ def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
     joint_angles = state.joint_angles
     bent = leave_line(joint_angles, nearest_reachable(target, lengths), lengths)
     is_stuck = np.asarray((bent != joint_angles).any(axis=-1))
-    return restarted(state, network.state_from_joint_angles(bent), is_stuck)
+    return where(is_stuck, network.state_from_joint_angles(bent), state)
 
 
 def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer) -> MMCAgent:
-    """The dynamic network at its best setting.
+    """Return the dynamic network at its best setting.
 
     d = N + 1 is where the linear part converges fastest without oscillation; the rest are the
     paper's constants.  With three iterations per control step all but about one in a thousand
@@ -159,29 +150,25 @@ class TimedMMCState(NamedTuple):
 
 
 class TimedMMCAgent(NetworkAgent[TimedMMCState]):
-    """A kinematic MMC network on a time base that drives the arm."""
+    """A kinematic MMC network on a time base that drives the arm, with a bell-shaped speed.
 
+    As `MMCAgent`, but the gain of every iteration is such that the hand covers the share of its way
+    that a minimum-jerk movement would (`network.time_base`).  `planners` says when a movement
+    begins and how long it takes.
+    """
+
+    @override
     def start(self, sensed: Sensed) -> TimedMMCState:
-        """Networks in the sensed postures, about to move."""
         state = self.network.state_from_joint_angles(sensed.joint_angles)
         hand = state.segments.sum(axis=-2)
         return TimedMMCState(state, begin(hand, sensed.target, self.interface.control_step))
 
-    def restart(
-        self, state: TimedMMCState, fresh: TimedMMCState, started: NDArray[np.bool_]
-    ) -> TimedMMCState:
-        """The networks' states and the movements, new where an episode started."""
-        return TimedMMCState(
-            restarted(state.network, fresh.network, started),
-            where(started, fresh.movement, state.movement),
-        )
-
+    @override
     def batch_shape(self, state: TimedMMCState) -> tuple[int, ...]:
-        """Those of the networks."""
         return state.network.batch_shape
 
+    @override
     def advance(self, state: TimedMMCState, sensed: Sensed) -> tuple[Floats, TimedMMCState]:
-        """Joint angles of the networks after the iterations of one control step."""
         network, count = state.network, self.iterations_per_step
         hand = network.segments.sum(axis=-2)
         movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
@@ -192,11 +179,11 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         return network.joint_angles, TimedMMCState(network, step(movement))
 
     def _within_limits(self, network: MMCState) -> MMCState:
-        """The networks, those with a joint beyond its limit halfway back within."""
+        """Return the networks, those with a joint beyond its limit halfway back within."""
         if self.interface.joint_limits is None:
             return network
         joint_angles = network.joint_angles
         back = wrap_angle(self.interface.within_limits(joint_angles) - joint_angles) / 2
         is_beyond = np.asarray((np.abs(back) > 1e-9).any(axis=-1))
         nearer = self.network.state_from_joint_angles(joint_angles + back)
-        return restarted(network, nearer, is_beyond)
+        return where(is_beyond, nearer, network)

@@ -1,38 +1,78 @@
-"""Minimum-jerk movements of the hand, and inverse kinematics along the way.
+"""Planned movements of the hand: by minimum jerk, and by the Passive Motion Paradigm.
 
-The hand goes from rest at x₀ to rest at the target g in T, on the path of least ∫ |d³x/dt³|² dt:
+A movement begins with the episode, and wherever the target jumps.  It takes
+
+    T = T₀ + d / v̄,     d the distance of the hand from the target at its beginning
+
+Durations of reaching movements grow about linearly with their amplitude (for given accuracy and
+medium amplitudes, Fitts's logarithm is nearly a line).  T₀ and v̄ are chosen for the arm: with them
+a minimum-jerk movement of 3 segment lengths peaks at 6 lengths/s, half of what its servos can do,
+and the longest there is, of 6, takes 1.7 s.  A target that moves on by less than a jump belongs to
+the same movement, which then goes on for at least `HORIZON` more control steps, so that the hand
+pursues the target without haste, and noise in seeing the target is smoothed.
+
+**Minimum jerk.**  The hand goes from rest at x₀ to rest at the target g in T, on the path of least
+∫ |d³x/dt³|² dt:
 
     x(t) = x₀ + (g − x₀) (10 τ³ − 15 τ⁴ + 6 τ⁵),     τ = t/T
 
 a straight line with a bell-shaped speed.  At any time the rest of it is the quintic from the
 present position, velocity and acceleration to rest at g in what remains of T.  So that is what is
 stepped along, and a target that has moved is simply another g: the movement turns to it smoothly.
+The posture follows by damped least squares.
 
-The posture follows by damped least squares.  `movement` says when a movement begins and what T is.
+**The Passive Motion Paradigm.**  The target pulls at the hand of an internal body, which gives way:
+
+    force     F = K e,               e = target − hand
+    torques   τ = Jᵀ F
+    motion    q̇ = Γ(t) A τ,          A = I: all joints give way alike
+    so        ẋ = Γ(t) J Jᵀ K e
+
+Γ = ξ̇ / (1 − ξ) is a time base generator, with ξ the minimum-jerk course from 0 to 1 in T.  It grows
+without bound towards T, so the hand is at the target at T wherever it came from (a terminal
+attractor), with a bell-shaped speed.  The stiffness K = |e| / |JJᵀe| is a scalar that takes from
+the body's geometry what would distort the time course: |ẋ| = Γ |e|.  The path is what the arm's
+mobility makes it, slightly curved.
+
+A control step is integrated in `SUBSTEPS`.  Towards T, and wherever the arm is more mobile in one
+direction than in another, the equation is stiff, so the force is that at the end of the step:
+
+    Δq = Jᵀ F,     (ρ + JJᵀ) F = e,     ρ = 1/(K G),     G = σ/(1 − σ)
+
+with σ_k = (ξ_k − ξ_{k−1}) / (1 − ξ_{k−1}), the share of the distance that Γ asks for.  G is such
+that an arm of equal mobility 1/K in all directions covers it exactly; for others, `CORRECTIONS`
+put the mobility right that K was made of.  (It is damped least squares, the damping set by the
+time base.)  After T, σ = 1, and what is left goes as fast as it can: where the arm is nearly
+stretched or folded, the hand may arrive late.
 
 Literature: T. Flash, N. Hogan (1985), The coordination of arm movements: an experimentally
 confirmed mathematical model, J. Neurosci. 5, 1688–1703.  B. Hoff, M. A. Arbib (1993), Models of
 trajectory formation and temporal interaction of reach and grasp, J. Motor Behavior 25, 175–192
-(the rest of the movement from the present state).
+(the rest of the movement from the present state).  F. A. Mussa-Ivaldi, P. Morasso, R. Zaccaria
+(1988), Kinematic networks: a distributed model for representing and regularizing motor redundancy,
+Biol. Cybern. 60, 1–16.  V. Mohan, P. Morasso (2011), Passive motion paradigm: an alternative to
+optimal control, Front. Neurorobot. 5:4.  M. Zak (1988), Terminal attractors for addressable memory
+in neural networks, Phys. Lett. A 133, 18–22.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import override
 
-from mmc_gym.agents.base import JointTargetAgent
-from mmc_gym.agents.ik.agent import iterate, jacobian
-from mmc_gym.agents.ik.dead_end import (
+from mmc_gym.agents.base import JointTargetAgent, where
+from mmc_gym.agents.ik.agent import (
     SegmentLengths,
     hand_position,
+    iterate,
+    jacobian,
     leave_line,
     nearest_reachable,
 )
-from mmc_gym.agents.ik.jacobian import damped_least_squares, limited, resisted_force
+from mmc_gym.agents.ik.iterative import damped_least_squares, limited, resisted_force
 from mmc_gym.interface import Sensed
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share
@@ -45,6 +85,26 @@ JUMP = 0.3
 """A target that moves farther than this in a control step has jumped, segment lengths."""
 HORIZON = 5
 """Control steps that are left at least while the target moves on."""
+
+
+ITERATIONS = 3
+"""Iterations of inverse kinematics in a control step."""
+SUBSTEPS = 3
+"""Integration steps of the internal body in a control step."""
+MAX_CHANGE = 0.1
+"""Most that a joint of it turns in an integration step, radians."""
+CORRECTIONS = 1
+"""Times that the mobility is put right in an integration step."""
+LEAST_RESISTANCE = 0.05**2
+"""Bound of ρ, segment lengths squared, so that a step is bounded where J is singular."""
+MOST_RESISTANCE = 1e30
+"""Bound of ρ, where the time base asks for nothing yet."""
+
+_TINY = np.finfo(np.float64).tiny
+
+# The plan moves a fraction of a length in a step, so less damping than that of a lone solver
+# keeps the hand on the path, and is enough.
+_track = partial(damped_least_squares, damping=0.05, max_step=0.1)
 
 
 class Movement(NamedTuple):
@@ -62,12 +122,12 @@ class Movement(NamedTuple):
 
     @property
     def remaining(self) -> Floats:
-        """Control steps until it is over, 0 at the least, (...)."""
+        """Control steps until it is over, at least 0, (...)."""
         return np.maximum(self.duration - self.elapsed, 0.0)
 
 
 def begin(hand: Floats, target: Floats, control_step: float) -> Movement:
-    """A movement that begins.
+    """Begin a movement.
 
     Args:
         hand: segment lengths, (..., 2).
@@ -84,7 +144,7 @@ def begin(hand: Floats, target: Floats, control_step: float) -> Movement:
 
 
 def follow(movement: Movement, hand: Floats, target: Floats, control_step: float) -> Movement:
-    """The movement to where the target is now: a new one if it has jumped.
+    """Return the movement to where the target is now: a new one if it has jumped.
 
     Args:
         movement: under way.
@@ -102,29 +162,8 @@ def follow(movement: Movement, hand: Floats, target: Floats, control_step: float
 
 
 def step(movement: Movement) -> Movement:
-    """The movement one control step later."""
+    """Return the movement one control step later."""
     return movement._replace(elapsed=movement.elapsed + 1.0)
-
-
-Arrays = TypeVar("Arrays", bound="tuple[Floats, ...]")
-
-
-def where(condition: NDArray[np.bool_], yes: Arrays, no: Arrays) -> Arrays:
-    """A named tuple of arrays, from `yes` where a condition on the batch holds, else from `no`."""
-
-    def chosen(first: Floats, second: Floats) -> Floats:
-        trailing = (1,) * (np.ndim(first) - np.ndim(condition))
-        return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), first, second)
-
-    return type(yes)(*map(chosen, yes, no))
-
-
-ITERATIONS = 3
-"""Iterations of inverse kinematics in a control step."""
-
-# The plan moves a fraction of a length in a step, so less damping than that of a lone solver
-# keeps the hand on the path, and is enough.
-_track = partial(damped_least_squares, damping=0.05, max_step=0.1)
 
 
 class HandPlan(NamedTuple):
@@ -146,8 +185,8 @@ class MinimumJerkState(NamedTuple):
 class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
     """Plans the path of the hand by minimum jerk and follows it by damped least squares."""
 
+    @override
     def start(self, sensed: Sensed) -> MinimumJerkState:
-        """Plans that begin where the hands are, at rest."""
         hand = hand_position(sensed.joint_angles, self.interface.segment_lengths)
         return MinimumJerkState(
             HandPlan(hand, np.zeros_like(hand), np.zeros_like(hand)),
@@ -155,34 +194,24 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
             sensed.joint_angles,
         )
 
-    def restart(
-        self, state: MinimumJerkState, fresh: MinimumJerkState, started: NDArray[np.bool_]
-    ) -> MinimumJerkState:
-        """The plans and postures, new where an episode started."""
-        return MinimumJerkState(
-            where(started, fresh.plan, state.plan),
-            where(started, fresh.movement, state.movement),
-            np.where(started[..., None], fresh.joint_angles, state.joint_angles),
-        )
-
+    @override
     def batch_shape(self, state: MinimumJerkState) -> tuple[int, ...]:
-        """Those of the postures."""
         return state.joint_angles.shape[:-1]
 
+    @override
     def advance(self, state: MinimumJerkState, sensed: Sensed) -> tuple[Floats, MinimumJerkState]:
-        """Joint angles that put the hand where the plan has it after one control step."""
         plan, lengths = state.plan, self.interface.segment_lengths
         movement = follow(state.movement, plan.position, sensed.target, self.interface.control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)
+        limits = self.interface.joint_limits
         joint_angles = iterate(
-            *(_track, state.joint_angles, plan.position, lengths, ITERATIONS),
-            self.interface.joint_limits,
+            _track, state.joint_angles, plan.position, lengths, ITERATIONS, limits
         )
         return joint_angles, MinimumJerkState(plan, step(movement), joint_angles)
 
 
 def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> HandPlan:
-    """The plan one control step later, on the way of least jerk to rest at the target.
+    """Return the plan one control step later, on the way of least jerk to rest at the target.
 
     Args:
         plan: position, velocity and acceleration, (..., 2) each.
@@ -220,22 +249,6 @@ def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> Hand
     return where(np.broadcast_to(remaining <= 1, way.shape[:-1]), rest, after)
 
 
-SUBSTEPS = 3
-"""Integration steps in a control step."""
-MAX_CHANGE = 0.1
-"""Most that a joint turns in an integration step, radians."""
-
-
-CORRECTIONS = 1
-"""Times that the mobility is put right in an integration step."""
-LEAST_RESISTANCE = 0.05**2
-"""Bound of ρ, segment lengths squared, so that a step is bounded where J is singular."""
-MOST_RESISTANCE = 1e30
-"""Bound of ρ, where the time base asks for nothing yet."""
-
-_TINY = np.finfo(np.float64).tiny
-
-
 class PassiveMotionState(NamedTuple):
     """State of the agent: the movement, and the joint angles of the internal body (..., N)."""
 
@@ -246,29 +259,20 @@ class PassiveMotionState(NamedTuple):
 class PassiveMotionAgent(JointTargetAgent[PassiveMotionState]):
     """Moves an internal body by the Passive Motion Paradigm; the servos follow its joints."""
 
+    @override
     def start(self, sensed: Sensed) -> PassiveMotionState:
-        """Internal bodies in the sensed postures, about to move."""
         hand = hand_position(sensed.joint_angles, self.interface.segment_lengths)
         movement = begin(hand, sensed.target, self.interface.control_step)
         return PassiveMotionState(movement, sensed.joint_angles)
 
-    def restart(
-        self, state: PassiveMotionState, fresh: PassiveMotionState, started: NDArray[np.bool_]
-    ) -> PassiveMotionState:
-        """The movements and postures, new where an episode started."""
-        return PassiveMotionState(
-            where(started, fresh.movement, state.movement),
-            np.where(started[..., None], fresh.joint_angles, state.joint_angles),
-        )
-
+    @override
     def batch_shape(self, state: PassiveMotionState) -> tuple[int, ...]:
-        """Those of the internal bodies."""
         return state.joint_angles.shape[:-1]
 
+    @override
     def advance(
         self, state: PassiveMotionState, sensed: Sensed
     ) -> tuple[Floats, PassiveMotionState]:
-        """Joint angles of the internal body after one control step."""
         lengths = self.interface.segment_lengths
         hand = hand_position(state.joint_angles, lengths)
         movement = follow(state.movement, hand, sensed.target, self.interface.control_step)
@@ -288,7 +292,7 @@ def passive_motion_step(
     share: Floats,
     segment_lengths: SegmentLengths,
 ) -> Floats:
-    """Joint angles (..., N) after an integration step of the internal body.
+    """Return joint angles (..., N) after an integration step of the internal body.
 
     Args:
         joint_angles: radians, (..., N).

@@ -22,9 +22,10 @@ from mmc_gym.agents.closed_loop.agent import (
 )
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
 from mmc_gym.agents.ik.closed_form import closed_form
-from mmc_gym.agents.ik.geometric import cyclic_coordinate_descent, fabrik
-from mmc_gym.agents.ik.jacobian import (
+from mmc_gym.agents.ik.iterative import (
+    cyclic_coordinate_descent,
     damped_least_squares,
+    fabrik,
     jacobian_transpose,
     null_space,
     pseudo_inverse,

@@ -31,11 +31,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mmc_gym._errors import require
 from mmc_gym.network.chain import Floats, triangle_incidence
-from mmc_gym.network.model import MMCNetwork, MMCState, compile_iteration, velocity_rule
+from mmc_gym.network.model import Clamps, MMCNetwork, MMCState, compile_iteration, velocity_rule
 from mmc_gym.network.normalizers import Normalizer
 
 SEGMENT_WEIGHT = 0.05
@@ -73,14 +73,14 @@ class Embodiment:
 
 
 def embodied_run(
-    network: MMCNetwork, state: MMCState, target: ArrayLike, body: Embodiment, iterations: int = 1
+    network: MMCNetwork, state: MMCState, clamps: Clamps, body: Embodiment, iterations: int = 1
 ) -> MMCState:
     """Return the state after `iterations` iterations towards a target.
 
     Args:
         network: a synchronous network of any dynamics.
         state: its state; stays as it is.
-        target: target of the end effector, (..., 2).
+        clamps: hold the end effector at the target, see `MMCNetwork.inverse`.
         body: knowledge about the bodies; its arrays broadcast to the state's batch axes.
         iterations: number of iterations.
 
@@ -90,12 +90,11 @@ def embodied_run(
     >>> network = MMCNetwork()
     >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
     >>> locked = Embodiment(locked=np.array([False, True, False]), joint_angles=start.joint_angles)
-    >>> end = embodied_run(network, start, [-1.0, 1.5], locked, iterations=300)
+    >>> end = embodied_run(network, start, network.inverse([-1.0, 1.5]), locked, 300)
     >>> end.end_effector.round(2).tolist(), end.joint_angles[1].round(2).item()
     ([-1.0, 1.5], 0.6)
     """
     require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
-    clamps = network.inverse(target)
     state = network.run(state, clamps, iterations=0)  # broadcasts, and sets R
     values, count = state.values, network.segment_count
     iteration = compile_iteration(network, clamps.rows, values.dtype.char)

@@ -11,7 +11,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from mmc_gym import make_agent
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent
-from mmc_gym.agents.ik.jacobian import damped_least_squares
+from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.agents.mmc import MMCAgent, out_of_line
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network import MMCNetwork
@@ -355,7 +355,7 @@ def servo_demand(network: MMCNetwork) -> tuple[float, float]:
     posture = network.state_from_segments(start).joint_angles
     options = {"joint_angles": posture, "target": (-1.8, 1.8)}
     observation, _ = env.reset(seed=0, options=options)
-    arm, state, target = env.unwrapped._arm, None, posture
+    arm, state, target = env.unwrapped.arm, None, posture
     fastest = strongest = 0.0
     for _ in range(100):
         action, state = agent.predict(observation, state)
@@ -363,7 +363,7 @@ def servo_demand(network: MMCNetwork) -> tuple[float, float]:
         target = np.pi * action
         observation, *_ = env.step(action)
         # The impulse of the last physics step, of 0.005 s: a peak before it shows as a little less.
-        strongest = max(strongest, *(servo.impulse / 0.005 for servo in arm._servos))
+        strongest = max(strongest, *(servo.impulse / 0.005 for servo in arm._linkage.servos))
     return fastest, strongest
 
 

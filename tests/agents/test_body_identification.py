@@ -6,11 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.agents.closed_loop import delay as delay_bridge
-from mmc_gym.agents.closed_loop import lengths as length_identification
-from mmc_gym.agents.closed_loop import locks as lock_detection
 from mmc_gym.agents.closed_loop.agent import LOOPS, closed_loop_mmc, told_lockable
-from mmc_gym.agents.closed_loop.delay import expected_turn
+from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks, expected_turn
 from mmc_gym.envs.perturbations import LockedJoint
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
@@ -37,7 +34,7 @@ def last_memory(steps=60, episodes=EPISODES, **options):
 )
 def test_identified_lengths_converge_to_the_true_ones(perturbation, true):
     memory = last_memory(perturbations=perturbation)
-    lengths = length_identification.best(memory.lengths, (1.0, 1.0, 1.0))
+    lengths = memory.lengths.best((1.0, 1.0, 1.0))
     errors = np.abs(lengths - [1.0, 1.0, true]).max(axis=-1)
     assert np.median(errors) < 0.005
     assert np.quantile(errors, 0.9) < 0.05
@@ -45,7 +42,7 @@ def test_identified_lengths_converge_to_the_true_ones(perturbation, true):
 
 def test_a_few_control_steps_suffice():
     memory = last_memory(steps=10, perturbations="longer-50")
-    lengths = length_identification.best(memory.lengths, (1.0, 1.0, 1.0))
+    lengths = memory.lengths.best((1.0, 1.0, 1.0))
     assert np.median(np.abs(lengths - [1.0, 1.0, 1.5]).max(axis=-1)) < 0.05
 
 
@@ -54,7 +51,7 @@ def test_a_few_control_steps_suffice():
 )
 def test_other_troubles_are_not_taken_for_other_lengths(perturbation):
     memory = last_memory(perturbations=perturbation)
-    lengths = length_identification.best(memory.lengths, (1.0, 1.0, 1.0))
+    lengths = memory.lengths.best((1.0, 1.0, 1.0))
     assert (np.abs(lengths - 1.0) < 0.02).all(axis=-1).mean() >= 0.9
 
 
@@ -63,19 +60,19 @@ def test_any_lengths_are_found_from_random_postures(count, seed):
     random = np.random.default_rng(seed)
     true = random.uniform(0.5, 1.6, count)
     told = (1.0,) * count
-    lengths = length_identification.start(told, ())
+    lengths = Lengths.told(told, ())
     for _ in range(60):
         posture = random.uniform(-np.pi, np.pi, count)
         hand = segments_from_joint_angles(posture, true).sum(axis=-2)
-        lengths = length_identification.observe(lengths, posture, hand, told)
-    np.testing.assert_allclose(length_identification.best(lengths, told), true, atol=0.005)
+        lengths = lengths.observed(posture, hand, told)
+    np.testing.assert_allclose(lengths.best(told), true, atol=0.005)
 
 
 def test_an_arm_at_rest_tells_its_lengths_once():
-    lengths = length_identification.start((1.0, 1.0), ())
+    lengths = Lengths.told((1.0, 1.0), ())
     posture, hand = np.array([0.2, 0.3]), np.array([1.9, 0.9])
-    once = length_identification.observe(lengths, posture, hand, (1.0, 1.0))
-    twice = length_identification.observe(once, posture, hand, (1.0, 1.0))
+    once = lengths.observed(posture, hand, (1.0, 1.0))
+    twice = once.observed(posture, hand, (1.0, 1.0))
     np.testing.assert_array_equal(once.mean, twice.mean)
     np.testing.assert_array_equal(once.covariance, twice.covariance)
     assert not np.array_equal(once.mean, lengths.mean)
@@ -100,13 +97,13 @@ def test_a_joint_that_is_free_is_seldom_taken_as_locked(perturbation):
 
 def test_a_joint_told_to_lock_is_found_sooner():
     free, turned = np.zeros(3), np.array([0.2, 0.0, 0.0])
-    untold = told = lock_detection.start(free)
+    untold = told = Locks.none(free)
     asked = np.array([0.1, 0.1, 0.0])
     steps_untold = steps_told = None
     for step in range(20):
         posture = (step + 1) * turned
-        untold = lock_detection.observe(untold, posture, asked)
-        told = lock_detection.observe(told, posture, asked, lockable=(1,))
+        untold = untold.observed(posture, asked)
+        told = told.observed(posture, asked, lockable=(1,))
         if steps_untold is None and untold.is_locked[1]:
             steps_untold = step
         if steps_told is None and told.is_locked[1]:
@@ -116,12 +113,12 @@ def test_a_joint_told_to_lock_is_found_sooner():
 
 
 def test_a_locked_joint_that_is_seen_elsewhere_is_free_again():
-    locks = lock_detection.start(np.zeros(2))
+    locks = Locks.none(np.zeros(2))
     for step in range(20):
         posture = np.array([0.2 * step, 0.0])
-        locks = lock_detection.observe(locks, posture, np.array([0.2, 0.1]))
+        locks = locks.observed(posture, np.array([0.2, 0.1]))
     assert locks.is_locked.tolist() == [0, 1]
-    locks = lock_detection.observe(locks, np.array([4.0, 0.2]), np.array([0.2, 0.1]))
+    locks = locks.observed(np.array([4.0, 0.2]), np.array([0.2, 0.1]))
     assert locks.is_locked.tolist() == [0, 0]
 
 
@@ -130,7 +127,7 @@ def test_a_locked_joint_that_is_seen_elsewhere_is_free_again():
 )
 def test_the_delay_is_found(perturbation, steps):
     memory = last_memory(perturbations=perturbation)
-    found = delay_bridge.steps_late(memory.delay)
+    found = memory.delay.steps
     assert np.median(found) == steps
     assert (np.abs(found - steps) <= 1).mean() >= 0.9
 
@@ -154,14 +151,14 @@ def test_an_old_posture_is_run_forward_with_the_commands_since():
     interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
     random = np.random.default_rng(0)
     posture = random.uniform(-1, 1, (3, 2))
-    delay, path = delay_bridge.start(posture), [posture]
+    delay, path = Delay.unknown(posture), [posture]
     for _ in range(10):
         command = random.uniform(-1, 1, (3, 2))
-        delay = delay_bridge.sent(delay, command)
+        delay = delay.sent(command)
         path.append(path[-1] + expected_turn(interface, path[-1], command))
     steps = np.array([0, 4, 10])
     old = np.stack([path[10 - late][index] for index, late in enumerate(steps)])
-    now = delay_bridge.run_forward(interface, delay, old, steps)
+    now = delay.run_forward(interface, old, steps)
     np.testing.assert_allclose(now, path[10], atol=1e-12)
 
 

@@ -13,7 +13,7 @@ from mmc_gym.agents.closed_loop.agent import (
     closed_loop_mmc,
 )
 from mmc_gym.agents.closed_loop.observer import Loops
-from mmc_gym.agents.ik.jacobian import damped_least_squares
+from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.envs.scenarios import environment_id
 from mmc_gym.interface import ReachInterface
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmc_gym.agents.ik.agent import iterate, jacobian
+from mmc_gym.agents.ik.agent import hand_position, iterate, jacobian, leave_line
 from mmc_gym.agents.ik.closed_form import closed_form, solutions
-from mmc_gym.agents.ik.dead_end import hand_position, leave_line
-from mmc_gym.agents.ik.geometric import cyclic_coordinate_descent, fabrik
-from mmc_gym.agents.ik.jacobian import (
+from mmc_gym.agents.ik.iterative import (
+    cyclic_coordinate_descent,
     damped_least_squares,
+    fabrik,
     jacobian_transpose,
     null_space,
     pseudo_inverse,

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from mmc_gym import make_agent
 from mmc_gym.agents.base import JointTargetAgent
-from mmc_gym.agents.ik.agent import jacobian
-from mmc_gym.agents.ik.dead_end import hand_position
+from mmc_gym.agents.ik.agent import hand_position, jacobian
 from mmc_gym.agents.mmc import TimedMMCAgent
 from mmc_gym.agents.planners import (
     AVERAGE_SPEED,

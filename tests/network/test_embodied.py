@@ -16,6 +16,10 @@ from mmc_gym.network.embodied import Embodiment, embodied_run
 DYNAMICS = ("kinematic", "paper", "reference")
 
 
+def run_to(network, state, target, body, iterations=1):
+    return embodied_run(network, state, network.inverse(target), body, iterations)
+
+
 def postures(seed: int, batch: int, count: int = 3) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-np.pi, np.pi, (batch, count))
 
@@ -36,7 +40,7 @@ def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, 
     unlocked = Embodiment(locked=np.zeros(3, dtype=bool), joint_angles=np.zeros(3))
     unweighted = Embodiment(sensed=np.ones((7, 3, 2)))
     for body in (Embodiment(), told, unlocked, unweighted):
-        actual = embodied_run(network, state, target, body, 20)
+        actual = run_to(network, state, target, body, 20)
         np.testing.assert_array_equal(actual.values, expected.values)
 
 
@@ -46,7 +50,7 @@ def test_each_arm_of_a_batch_may_have_lengths_of_its_own(learned):
     lengths = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.5], [2.0, 0.5, 0.7]])
     told = MMCNetwork(**normalizer)
     state, target = told.state_from_joint_angles(postures(0, 3)), targets(1, 3)
-    together = embodied_run(told, state, target, Embodiment(segment_lengths=lengths), 30)
+    together = run_to(told, state, target, Embodiment(segment_lengths=lengths), 30)
     for index, own in enumerate(lengths):
         network = MMCNetwork(tuple(own), **normalizer)
         one = type(state)(state.values[..., index], 3)
@@ -70,7 +74,7 @@ def test_a_sensed_posture_is_one_more_computation_in_the_mean(weight):
     )
     mean = (sums + weight * sensed) / (4.0 + weight)
     body = Embodiment(sensed=sensed, weight=weight)
-    following = embodied_run(network, start, target, body)
+    following = run_to(network, start, target, body)
     expected = mean / np.linalg.norm(mean, axis=-1, keepdims=True)
     np.testing.assert_allclose(following.segments, expected, atol=1e-12)
 
@@ -83,7 +87,7 @@ def test_to_sense_the_posture_of_the_model_takes_the_place_of_as_much_damping(dy
     body = Embodiment(sensed=state.segments, weight=1.0)
     expected = damped.run(state, damped.inverse(target))
     np.testing.assert_allclose(
-        embodied_run(sensing, state, target, body).segments, expected.segments, atol=1e-12
+        run_to(sensing, state, target, body).segments, expected.segments, atol=1e-12
     )
 
 
@@ -92,7 +96,7 @@ def test_the_greater_its_weight_the_nearer_the_model_stays_to_the_sensed_posture
     start = network.state_from_joint_angles([0.3, 0.6, 0.6])
     moved = [
         np.linalg.norm(
-            embodied_run(
+            run_to(
                 network,
                 start,
                 [-1.0, 1.5],
@@ -121,7 +125,7 @@ def test_locked_joints_stay_and_lengths_too_whatever_the_target(arm, dynamics):
     network = MMCNetwork(lengths, len(lengths) + 1, dynamics=dynamics)
     start = network.state_from_joint_angles(postures(seed, 4, len(lengths)))
     body = Embodiment(locked=locked, joint_angles=start.joint_angles)
-    end = embodied_run(network, start, targets(seed, 4), body, 10)
+    end = run_to(network, start, targets(seed, 4), body, 10)
     assert np.isfinite(end.values).all()
     turned = wrap_angle(end.joint_angles - start.joint_angles)
     np.testing.assert_allclose(turned[:, locked], 0.0, atol=1e-9)
@@ -142,7 +146,7 @@ def test_reaches_what_an_arm_with_a_locked_joint_can(joint):
     target = segments_from_joint_angles(goal, (1.0, 1.0, 1.0)).sum(axis=-2)
     network = MMCNetwork(damping=4.0, dynamics="paper")
     body = Embodiment(locked=np.arange(3) == joint, joint_angles=start)
-    end = embodied_run(network, network.state_from_joint_angles(start), target, body, 300)
+    end = run_to(network, network.state_from_joint_angles(start), target, body, 300)
     distance = np.linalg.norm(end.end_effector - target, axis=-1)
     assert (distance < 0.05).mean() > 0.95
 
@@ -153,7 +157,7 @@ def test_a_locked_arm_of_a_batch_does_not_touch_the_others():
     locked = np.array([[False, True, False], [False, False, False]])
     body = Embodiment(locked=locked, joint_angles=start.joint_angles)
     free = network.run(start, network.inverse(target), 20)
-    mixed = embodied_run(network, start, target, body, 20)
+    mixed = run_to(network, start, target, body, 20)
     np.testing.assert_allclose(mixed.values[..., 1], free.values[..., 1], atol=1e-9)
     assert not np.allclose(mixed.values[..., 0], free.values[..., 0])
 
@@ -162,7 +166,7 @@ def test_segments_folded_to_nothing_by_a_lock_stay_finite():
     network = MMCNetwork(dynamics="paper")
     start = network.state_from_joint_angles([0.5, np.pi, 0.4])
     body = Embodiment(locked=np.array([False, True, False]), joint_angles=start.joint_angles)
-    end = embodied_run(network, start, [0.6, 0.8], body, 200)
+    end = run_to(network, start, [0.6, 0.8], body, 200)
     assert np.isfinite(end.values).all()
     np.testing.assert_allclose(
         np.abs(joint_angles_from_segments(end.segments)[1]), np.pi, atol=1e-6
@@ -172,7 +176,7 @@ def test_segments_folded_to_nothing_by_a_lock_stay_finite():
 def test_what_is_accepted():
     network = MMCNetwork(schedule="delayed")
     with pytest.raises(ValueError, match="schedule must be 'synchronous', got 'delayed'"):
-        embodied_run(network, network.state_from_joint_angles(np.zeros(3)), [1, 1], Embodiment())
+        run_to(network, network.state_from_joint_angles(np.zeros(3)), [1, 1], Embodiment())
     with pytest.raises(ValueError, match=r"weight must be finite and not negative, got -1"):
         Embodiment(weight=-1.0)
     with pytest.raises(ValueError, match="sensed must be given if it has a weight"):

@@ -22,19 +22,19 @@ Literature: E. von Holst, H. Mittelstaedt (1950), Das Reafferenzprinzip, Naturwi
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from dataclasses import replace
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from mmc_gym.agents.base import Agent, check_batch, episodes_started
-from mmc_gym.agents.closed_loop import observer as body_observer
+from mmc_gym._errors import UserError
+from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.closed_loop.observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
-from mmc_gym.agents.mmc import out_of_line, restarted, run_within_limits
+from mmc_gym.agents.mmc import out_of_line, run_within_limits
 from mmc_gym.interface import Observation, ReachInterface, Sensed, told_by
 from mmc_gym.network import MMCNetwork, MMCState
 from mmc_gym.network.chain import Floats, segments_from_joint_angles
@@ -68,68 +68,56 @@ Without feedback there is nothing that a delay could harm, so `delay` has feedba
 Model = TypeVar("Model")
 
 
-@dataclass(frozen=True, eq=False)
-class ClosedLoopState(Generic[Model]):
+class ClosedLoopState(NamedTuple):
     """State of an agent in closed loop: its internal model, and what it remembers of its body."""
 
-    model: Model
+    model: Any
     memory: Memory
 
 
-class ClosedLoopAgent(Agent[ClosedLoopState[Model]]):
+class ClosedLoopAgent(InternalModelAgent[ClosedLoopState], Generic[Model]):
     """An agent whose internal model of the arm is corrected by what it observes."""
 
     def __init__(self, observer: BodyObserver) -> None:
         """Make an agent that observes its body by an observer.
 
         Raises:
-            ValueError: under torque control, which has no servo to hand joint targets to.
+            CannotActError: under torque control, which has no servo to hand joint targets to.
         """
-        self.observer, self.interface = observer, observer.interface
-        self.interface.check_takes_joint_targets()
+        super().__init__(observer.interface)
+        self.observer = observer
 
     @abstractmethod
-    def start(self, joint_angles: Floats) -> Model:
-        """Internal models in these postures (..., N)."""
-
-    @abstractmethod
-    def restart(self, model: Model, fresh: Model, started: NDArray[np.bool_]) -> Model:
-        """`model`, with those of `fresh` where an episode `started` (batch axes)."""
+    def start_model(self, joint_angles: Floats) -> Model:
+        """Return internal models in these postures (..., N)."""
 
     @abstractmethod
     def advance(self, model: Model, belief: Belief) -> tuple[Floats, Model]:
-        """Joint targets (..., N) in radians, and the internal models after one control step."""
+        """Return joint targets (..., N) in radians, and the models after one control step."""
 
+    @override
+    def start(self, sensed: Sensed) -> ClosedLoopState:
+        return ClosedLoopState(self.start_model(sensed.joint_angles), self.observer.start(sensed))
+
+    @override
+    def batch_shape(self, state: ClosedLoopState) -> tuple[int, ...]:
+        return state.memory.motion.expected.shape[:-1]
+
+    @override
     def predict(
         self,
         observation: Observation,
-        state: ClosedLoopState[Model] | None = None,
-        episode_start: Sequence[bool] | NDArray[np.bool_] | None = None,
+        state: ClosedLoopState | None = None,
+        episode_start: Started = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], ClosedLoopState[Model]]:
-        """See `Agent.predict`; it is deterministic always."""
+    ) -> tuple[NDArray[np.float32], ClosedLoopState]:
         sensed = self.interface.sense(observation)
         hand = self.interface.seen_hand(observation)
-        batch = sensed.joint_angles.shape[:-1]
-        if state is None:
-            state = self._fresh(sensed)
-        else:
-            check_batch(state.memory.motion.expected.shape[:-1], batch)
-            started = episodes_started(episode_start, batch)
-            if started is not None:
-                fresh = self._fresh(sensed)
-                state = ClosedLoopState(
-                    self.restart(state.model, fresh.model, started),
-                    body_observer.restarted(state.memory, fresh.memory, started),
-                )
-        belief, memory = self.observer.observe(state.memory, sensed, hand)
-        joint_targets, model = self.advance(state.model, belief)
+        model, memory = self.resumed(state, sensed, episode_start)
+        belief, memory = self.observer.observe(memory, sensed, hand)
+        joint_targets, model = self.advance(model, belief)
         memory = self.observer.sent(memory, joint_targets)
         return self.interface.act(joint_targets, belief.sensed), ClosedLoopState(model, memory)
-
-    def _fresh(self, sensed: Sensed) -> ClosedLoopState[Model]:
-        memory = self.observer.start(sensed.joint_angles, sensed.target)
-        return ClosedLoopState(self.start(sensed.joint_angles), memory)
 
 
 class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
@@ -148,18 +136,14 @@ class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
         super().__init__(observer)
         self.network, self.iterations_per_step = network, iterations_per_step
 
-    def start(self, joint_angles: Floats) -> MMCState:
-        """Networks at rest in these postures."""
+    @override
+    def start_model(self, joint_angles: Floats) -> MMCState:
         return self.network.state_from_joint_angles(joint_angles)
 
-    def restart(self, model: MMCState, fresh: MMCState, started: NDArray[np.bool_]) -> MMCState:
-        """The networks' states, new where an episode started."""
-        return restarted(model, fresh, started)
-
+    @override
     def advance(self, model: MMCState, belief: Belief) -> tuple[Floats, MMCState]:
-        """Joint angles of the networks after the iterations of one control step."""
-        target = belief.sensed.target + belief.offset
-        model = out_of_line(self.network, model, self.network.inverse(target))
+        clamps = self.network.inverse(belief.sensed.target + belief.offset)
+        model = out_of_line(self.network, model, clamps)
         lengths, weight = belief.segment_lengths, self.observer.loops.posture_weight
         sensed = None
         if weight:
@@ -168,7 +152,7 @@ class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
         posture = belief.sensed.joint_angles
         body = Embodiment(lengths, sensed, weight, belief.locked, posture)
         count = self.iterations_per_step
-        model = run_within_limits(self.interface, self.network, model, target, body, count)
+        model = run_within_limits(self.interface, self.network, model, clamps, body, count)
         return model.joint_angles, model
 
 
@@ -186,16 +170,12 @@ class ClosedLoopInverseKinematicsAgent(ClosedLoopAgent[Floats]):
         super().__init__(observer)
         self.open_loop = InverseKinematicsAgent(observer.interface, solver, iterations_per_step)
 
-    def start(self, joint_angles: Floats) -> Floats:
-        """The sensed postures."""
+    @override
+    def start_model(self, joint_angles: Floats) -> Floats:
         return joint_angles
 
-    def restart(self, model: Floats, fresh: Floats, started: NDArray[np.bool_]) -> Floats:
-        """The internal postures, new where an episode started."""
-        return self.open_loop.restart(model, fresh, started)
-
+    @override
     def advance(self, model: Floats, belief: Belief) -> tuple[Floats, Floats]:
-        """Joint angles of the internal postures after the iterations of one control step."""
         count = self.open_loop.iterations_per_step
         share = self.observer.loops.posture_weight / (model.shape[-1] + 1)
         model = model + min(count * share, 1.0) * belief.deviation
@@ -206,7 +186,7 @@ class ClosedLoopInverseKinematicsAgent(ClosedLoopAgent[Floats]):
 def closed_loop_mmc(
     interface: ReachInterface, loops: Loops, lockable: tuple[int, ...] = ()
 ) -> ClosedLoopMMCAgent:
-    """The network of `mmc` with some loops closed.
+    """Return the network of `mmc` with some loops closed.
 
     Args:
         interface: of the environment.
@@ -214,12 +194,13 @@ def closed_loop_mmc(
         lockable: joints that the agent was told to be ones that lock.
 
     Raises:
-        ValueError: if the weight of the posture is N + 1 or more, or under torque control.
+        UserError: if the weight of the posture is N + 1 or more; as `CannotActError`, under torque
+            control.
     """
     lengths = interface.segment_lengths
     damping = len(lengths) + 1 - loops.posture_weight
     if damping <= 0:
-        raise ValueError(
+        raise UserError(
             f"posture_weight must be less than N + 1 = {len(lengths) + 1}, "
             f"got {loops.posture_weight!r}"
         )
@@ -231,17 +212,18 @@ def closed_loop_mmc(
 def closed_loop_inverse_kinematics(
     interface: ReachInterface, solver: Solver, loops: Loops
 ) -> ClosedLoopInverseKinematicsAgent:
-    """Inverse kinematics of three iterations per control step, with feedback.
+    """Return inverse kinematics of three iterations per control step, with feedback.
 
     Raises:
-        ValueError: for loops that only the network can close, or under torque control.
+        UserError: for loops that only the network can close; as `CannotActError`, under torque
+            control.
     """
     if loops.identifies_lengths or loops.detects_locks:
-        raise ValueError(f"loops must be feedback and delay alone, got {loops}")
+        raise UserError(f"loops must be feedback and delay alone, got {loops}")
     return ClosedLoopInverseKinematicsAgent(BodyObserver(interface, loops), solver, 3)
 
 
 def told_lockable(env: gym.Env[Any, Any]) -> tuple[int, ...]:
-    """Joints of which agents are told that they lock, or may lock."""
+    """Return the joints of which agents are told that they lock, or may lock."""
     body = told_by(env, "parameters")
     return body.lockable_joints if body else ()

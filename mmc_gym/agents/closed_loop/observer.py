@@ -5,12 +5,13 @@ Four loops, each of which can be left open:
 - *posture*: how far the joints are from where the servo model expects them, a deviation that the
   agent takes over into its internal model (in the network as one more computation in the mean).
 - *hand*: the hand is seen elsewhere than where the posture says, because of other lengths or a
-  turned cursor.  The difference, x(q) − x seen, is averaged, and added to the target: for the hand
+  turned cursor.  The difference, x(q) − x seen, is averaged and added to the target: for the hand
   to be seen at the target, the posture must say that it is beside it.  (A correction of the clamp,
   not a computation in the mean.)  Both are seen at the same time, so delays do no harm.
-- *delay*: `delay_bridge`.
-- *lengths*: `length_identification`.
-- *locks*: `lock_detection`.
+- *delay*: it is estimated, and the old posture is run forward with the commands sent since.
+- *lengths* and *locks*: they are identified.
+
+The last three are in `identification`.
 
 What they buy the network, in success of 200 episodes (`python benchmarks/closed_loop.py` prints
 a row for every perturbation, and the times):
@@ -42,11 +43,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.closed_loop import delay as delay_bridge
-from mmc_gym.agents.closed_loop import lengths as length_identification
-from mmc_gym.agents.closed_loop import locks as lock_detection
-from mmc_gym.agents.closed_loop.delay import expected_turn
-from mmc_gym.agents.planners import where
+from mmc_gym._errors import UserError
+from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks, expected_turn
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
 
@@ -64,7 +62,7 @@ class Loops:
         detects_locks: whether locked joints are detected.
 
     Raises:
-        ValueError: if a weight is negative or a rate not between 0 and 1.
+        UserError: if a weight is negative or a rate not between 0 and 1.
     """
 
     posture_weight: float = 0.0
@@ -75,11 +73,11 @@ class Loops:
 
     def __post_init__(self) -> None:
         if not 0 <= self.posture_weight < np.inf:
-            raise ValueError(
+            raise UserError(
                 f"posture_weight must be finite and not negative, got {self.posture_weight!r}"
             )
         if not 0 <= self.hand_rate <= 1:
-            raise ValueError(f"hand_rate must lie between 0 and 1, got {self.hand_rate!r}")
+            raise UserError(f"hand_rate must lie between 0 and 1, got {self.hand_rate!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,9 +115,9 @@ class Memory(NamedTuple):
     """What an observer remembers."""
 
     motion: Motion
-    delay: delay_bridge.Delay
-    lengths: length_identification.Lengths
-    locks: lock_detection.Locks
+    delay: Delay
+    lengths: Lengths
+    locks: Locks
 
 
 class BodyObserver:
@@ -137,34 +135,35 @@ class BodyObserver:
         """
         self.interface, self.loops, self.lockable = interface, loops, lockable
 
-    def start(self, joint_angles: Floats, target: Floats) -> Memory:
-        """What there is to remember of arms first seen in these postures (..., N)."""
+    def start(self, sensed: Sensed) -> Memory:
+        """Return what there is to remember of arms that are seen for the first time."""
+        joint_angles = sensed.joint_angles
         return Memory(
-            Motion(joint_angles, np.zeros_like(target)),
-            delay_bridge.start(joint_angles),
-            length_identification.start(self.interface.segment_lengths, joint_angles.shape[:-1]),
-            lock_detection.start(joint_angles),
+            Motion(joint_angles, np.zeros_like(sensed.target)),
+            Delay.unknown(joint_angles),
+            Lengths.told(self.interface.segment_lengths, joint_angles.shape[:-1]),
+            Locks.none(joint_angles),
         )
 
     def observe(self, memory: Memory, sensed: Sensed, hand: Floats) -> tuple[Belief, Memory]:
-        """What to believe after an observation of posture, target and hand (..., 2)."""
+        """Return what to believe after an observation of posture, target and hand (..., 2)."""
         interface, loops, told = self.interface, self.loops, self.interface.segment_lengths
         (expected, offset), delay, lengths, locks = memory
         seen = sensed.joint_angles
         steps = np.zeros(seen.shape[:-1], dtype=np.intp)
         if loops.bridges_delay:
-            delay = delay_bridge.watch(delay, seen, expected)
-            steps = delay_bridge.steps_late(delay)
-        now = delay_bridge.run_forward(interface, delay, seen, steps)
+            delay = delay.observed(seen, expected)
+            steps = delay.steps
+        now = delay.run_forward(interface, seen, steps)
         if loops.detects_locks:
-            command = delay_bridge.command_before(delay, steps)
-            turn = expected_turn(interface, locks.last, command)
-            locks = lock_detection.observe(locks, seen, turn, self.lockable)
+            turn = expected_turn(interface, locks.last, delay.command_before(steps))
+            locks = locks.observed(seen, turn, self.lockable)
             now = np.where(locks.is_locked > 0, locks.place, now)
             expected = np.where(locks.is_locked > 0, locks.place, expected)
+        known = None
         if loops.identifies_lengths:
-            lengths = length_identification.observe(lengths, seen, hand, told)
-        known = length_identification.best(lengths, told) if loops.identifies_lengths else None
+            lengths = lengths.observed(seen, hand, told)
+            known = lengths.best(told)
         if loops.hand_rate:
             felt = segments_from_joint_angles(seen, told if known is None else known).sum(axis=-2)
             offset = offset + loops.hand_rate * (felt - hand - offset)
@@ -178,20 +177,10 @@ class BodyObserver:
         return belief, Memory(Motion(expected, offset), delay, lengths, locks)
 
     def sent(self, memory: Memory, joint_targets: Floats) -> Memory:
-        """What there is to remember when the joints were sent to these targets (..., N)."""
+        """Return what there is to remember once the joints were sent to these targets (..., N)."""
         expected = memory.motion.expected
         expected = expected + expected_turn(self.interface, expected, joint_targets)
         return memory._replace(
             motion=memory.motion._replace(expected=expected),
-            delay=delay_bridge.sent(memory.delay, joint_targets),
+            delay=memory.delay.sent(joint_targets),
         )
-
-
-def restarted(memory: Memory, fresh: Memory, started: NDArray[np.bool_]) -> Memory:
-    """`memory`, with the `fresh` one where an episode `started` (batch axes)."""
-    return Memory(
-        where(started, fresh.motion, memory.motion),
-        where(started, fresh.delay, memory.delay),
-        where(started, fresh.lengths, memory.lengths),
-        where(started, fresh.locks, memory.locks),
-    )

@@ -5,8 +5,8 @@ the target, by a few iterations, and its joint angles are the servos' targets.  
 later changes it: that is resolved-rate control (Whitney 1969) over position servos, and the same
 for all methods here.
 
-A solver is a pure function, `solver(joint_angles, target, segment_lengths)`, of arrays with any
-leading batch axes; `differential`, `geometric` and `closed_form` have them.
+A solver is a pure function of arrays with any leading batch axes, see `Solver`; `iterative` and
+`closed_form` have them.
 
 Literature: D. E. Whitney (1969), Resolved motion rate control of manipulators and human
 prostheses, IEEE Trans. Man-Machine Systems 10, 47–53.
@@ -18,15 +18,26 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import override
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents.base import JointTargetAgent
-from mmc_gym.agents.ik.dead_end import SegmentLengths, leave_line, nearest_reachable
 from mmc_gym.interface import JointLimits, ReachInterface, Sensed
-from mmc_gym.network.chain import Floats, node_positions, segments_from_joint_angles
+from mmc_gym.network.chain import (
+    Floats,
+    node_positions,
+    reachable_radii,
+    segments_from_joint_angles,
+)
 
+SegmentLengths: TypeAlias = tuple[float, ...]
 Solver: TypeAlias = Callable[[Floats, Floats, SegmentLengths], Floats]
 """One iteration: (joint angles (..., N), target (..., 2), N lengths) → joint angles (..., N)."""
+
+STRAIGHT = 0.01
+"""An arm is taken as straight, and a target as in line with it, within this angle, radians."""
+BEND = 0.02
+"""Angle by which each joint of a straight arm is bent where no method could leave the line."""
 
 
 class InverseKinematicsAgent(JointTargetAgent[Floats]):
@@ -48,11 +59,11 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
             heeds_limits: whether the solver knows joint limits; otherwise its iterations end there.
 
         Raises:
-            ValueError: if `iterations_per_step` is less than one, under torque control, or if
-                the solver is none for this number of segments.
+            UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
+                control, or if the solver is none for this number of segments.
         """
         if iterations_per_step < 1:
-            raise ValueError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
+            raise UserError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
         super().__init__(interface)
         self.solver = solver
         self._limits = None if heeds_limits else interface.joint_limits
@@ -60,20 +71,16 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
         lengths = interface.segment_lengths
         solver(np.zeros(len(lengths)), np.array([sum(lengths), 0.0]), lengths)  # refuses here
 
+    @override
     def start(self, sensed: Sensed) -> Floats:
-        """The sensed postures."""
         return sensed.joint_angles
 
-    def restart(self, state: Floats, fresh: Floats, started: NDArray[np.bool_]) -> Floats:
-        """The internal postures, the sensed ones where an episode started."""
-        return np.where(started[..., None], fresh, state)
-
+    @override
     def batch_shape(self, state: Floats) -> tuple[int, ...]:
-        """Those of the internal postures."""
         return state.shape[:-1]
 
+    @override
     def advance(self, state: Floats, sensed: Sensed) -> tuple[Floats, Floats]:
-        """Joint angles of the internal postures after the iterations of one control step."""
         lengths, count = self.interface.segment_lengths, self.iterations_per_step
         state = iterate(self.solver, state, sensed.target, lengths, count, self._limits)
         return state, state
@@ -87,7 +94,7 @@ def iterate(
     iterations: int,
     joint_limits: JointLimits | None = None,
 ) -> Floats:
-    """Joint angles (..., N) after a number of a solver's iterations, out of a dead end if in one.
+    """Return joint angles (..., N) after iterations of a solver, out of a dead end if in one.
 
     Args:
         solver: one iteration.
@@ -111,7 +118,7 @@ def iterate(
 def jacobian(
     joint_angles: Floats, segment_lengths: SegmentLengths
 ) -> tuple[Floats, Floats, Floats]:
-    """The hand (..., 2), and how it moves with the joints: ∂x/∂q and ∂y/∂q, each (..., N).
+    """Return the hand (..., 2), and how it moves with the joints: ∂x/∂q and ∂y/∂q, each (..., N).
 
     A joint turns the hand about itself: column i of J is (hand − p_i) turned by 90°.
     """
@@ -119,3 +126,51 @@ def jacobian(
     hand = nodes[..., -1, :]
     arm = hand[..., None, :] - nodes[..., :-1, :]
     return hand, -arm[..., 1], arm[..., 0]
+
+
+def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths) -> Floats:
+    """Return where the hand is, segment lengths, (..., 2), for joint angles (..., N)."""
+    hand: Floats = segments_from_joint_angles(joint_angles, segment_lengths).sum(axis=-2)
+    return hand
+
+
+def nearest_reachable(target: Floats, segment_lengths: SegmentLengths) -> Floats:
+    """Return targets (..., 2), those out of reach moved to the nearest point within.
+
+    >>> nearest_reachable(np.array([4.0, 0.0]), (1.0, 1.0, 1.0))
+    array([3., 0.])
+    """
+    inner, outer = reachable_radii(segment_lengths)
+    distance = np.hypot(target[..., 0], target[..., 1])
+    outside = (distance < inner) | (distance > outer)
+    if not outside.any():
+        return target
+    bearing = np.arctan2(target[..., 1], target[..., 0])  # defined at the base too
+    radius = np.clip(distance, inner, outer)
+    nearest = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)
+    return np.where(outside[..., None], nearest, target)
+
+
+def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:
+    """Return the same joint angles (..., N), but bent a little where an iteration gets nowhere.
+
+    Where all segments and the target lie in one line, no joint can move the hand towards the
+    target (Jᵀe = 0).  The network has no way out either, for all its vectors lie in that line, and
+    so do their means.  Each joint of such an arm turns by `BEND`, unless the hand is at the target.
+
+    Args:
+        joint_angles: radians, (..., N).
+        target: within reach, segment lengths, (..., 2).
+        segment_lengths: N lengths.
+    """
+    straight = np.abs(np.sin(joint_angles[..., 1:])).max(axis=-1, initial=0.0) < STRAIGHT
+    if not straight.any():
+        return joint_angles
+    error = target - hand_position(joint_angles, segment_lengths)
+    distance = np.hypot(error[..., 0], error[..., 1])
+    first = joint_angles[..., 0]
+    across = np.abs(np.cos(first) * error[..., 1] - np.sin(first) * error[..., 0])
+    away = distance > 1e-3 * sum(segment_lengths)
+    stuck = straight & away & (across < STRAIGHT * distance)
+    bent: Floats = joint_angles + BEND * stuck[..., None]
+    return bent

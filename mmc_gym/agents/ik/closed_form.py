@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mmc_gym.agents.ik.dead_end import SegmentLengths, nearest_reachable
+from mmc_gym.agents.ik.agent import SegmentLengths, nearest_reachable
 from mmc_gym.interface import CannotActError, JointLimits
 from mmc_gym.network.chain import Floats, wrap_angle
 
@@ -36,10 +36,10 @@ def closed_form(
     segment_lengths: SegmentLengths,
     joint_limits: JointLimits | None = None,
 ) -> Floats:
-    """The solution nearest to a posture; joint angles (..., N).
+    """Return the solution nearest to a posture; joint angles (..., N).
 
-    It is a solver in the sense of `inverse_kinematics.Solver`, done after one iteration: its own
-    solution is the nearest to itself, up to rounding.  For a target out of reach it solves for
+    It is a `Solver` that is done after one iteration: its own solution is the nearest to itself, up
+    to rounding.  For a target out of reach it solves for
     the nearest point within reach.  With two equal segments and the target at the base the first
     joint is free; its angle is then an arbitrary one.
 
@@ -73,7 +73,7 @@ def closed_form(
 
 
 def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Floats) -> Floats:
-    """All solutions of a sweep; joint angles in any turn, radians, (..., solutions, N).
+    """Return all solutions of a sweep; joint angles in any turn, radians, (..., solutions, N).
 
     With three segments the sweep takes in both ends of the interval of orientations, and the one
     of `joint_angles`, or the end next to it.
@@ -113,7 +113,7 @@ def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Flo
 
 
 def _orientations(distance: Floats, present: Floats, segment_lengths: SegmentLengths) -> Floats:
-    """α of a sweep, for targets at a distance from the base; (..., 2 `ORIENTATIONS` + 1)."""
+    """Return α of a sweep, for targets at a distance from the base; (..., 2 `ORIENTATIONS` + 1)."""
     first, second, last = segment_lengths
     # |w|² = distance² + ℓ₃² − 2 distance ℓ₃ cos α; at the base any α gives the same.
     product = np.maximum(2 * distance * last, np.finfo(np.float64).tiny)
@@ -126,7 +126,7 @@ def _orientations(distance: Floats, present: Floats, segment_lengths: SegmentLen
 
 
 def _two_segments(wrist: Floats, first: float, second: float) -> tuple[Floats, Floats]:
-    """Both solutions for two segments, joint angles (..., 2); to the nearest point if too far."""
+    """Return both solutions for two segments, (..., 2); to the nearest point if too far."""
     distance = np.hypot(wrist[..., 0], wrist[..., 1])
     short = (first + second - distance) * (first + second + distance)
     long = (distance - abs(first - second)) * (distance + abs(first - second))

@@ -1,4 +1,6 @@
-"""Inverse kinematics by the Jacobian: transpose, pseudo-inverse, damped, and with a null space.
+"""Inverse kinematics by iteration: four solvers by the Jacobian, and two joint after joint.
+
+By the Jacobian J of the hand's position with respect to the joint angles q:
 
     e = target − hand,   shortened to at most `max_step` except for the transpose
     transpose        Δq = α Jᵀe,             α = ⟨e, JJᵀe⟩ / ⟨JJᵀe, JJᵀe⟩
@@ -6,8 +8,13 @@
     damped           Δq = Jᵀ(JJᵀ + λ²I)⁻¹e
     null space       Δq = Jᵀ(JJᵀ + λ²I)⁻¹e − κ (I − J⁺J) ∇H(q)
 
-J is the Jacobian of the hand's position with respect to the joint angles q.  All solvers are
-iterations in the sense of `inverse_kinematics.Solver`.
+Cyclic coordinate descent turns one joint at a time, from the hand to the base, so that the hand
+comes as near to the target as this joint alone can bring it: into the line from joint to target.
+
+FABRIK (forward and backward reaching inverse kinematics) places nodes: first it puts the hand on
+the target and draws each segment behind it, from the hand to the base; then it puts the base back
+and draws each segment behind that.  A drawn segment keeps its length, and points from the node
+that has been placed to where its other node was.
 
 Literature: W. A. Wolovich, H. Elliott (1984), A computational technique for inverse kinematics,
 23rd IEEE Conf. on Decision and Control, 1359–1363 (transpose).  D. E. Whitney (1969), IEEE Trans.
@@ -16,17 +23,28 @@ Cybern. 16, 93–101, and Y. Nakamura, H. Hanafusa (1986), J. Dyn. Syst. Meas. C
 (damping).  A. Liégeois (1977), Automatic supervisory control of the configuration and behavior of
 multibody mechanisms, IEEE Trans. Syst. Man Cybern. 7, 868–871 (null space).  S. R. Buss, J.-S. Kim
 (2005), Selectively damped least squares for inverse kinematics, J. Graphics Tools 10(3), 37–49
-(shortened error).
+(shortened error).  L.-C. T. Wang, C. C. Chen (1991), A combined optimization method for solving the
+inverse kinematics problem of mechanical manipulators, IEEE Trans. Robotics and Automation 7,
+489–499 (cyclic coordinate descent).  A. Aristidou, J. Lasenby (2011), FABRIK: a fast, iterative
+solver for the inverse kinematics problem, Graphical Models 73, 243–260.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TypeAlias
 
-from mmc_gym.agents.ik.agent import jacobian
-from mmc_gym.agents.ik.dead_end import SegmentLengths
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.agents.ik.agent import SegmentLengths, jacobian
 from mmc_gym.interface import JointLimits
 from mmc_gym.network.chain import Floats, wrap_angle
+
+Points: TypeAlias = NDArray[np.complex128]
+"""Points of the plane as complex numbers, x + iy: to turn is to multiply."""
+
+COINCIDENT = 1e-9
+"""Points nearer to each other than this, in reaches, have no direction."""
 
 _TINY = np.finfo(np.float64).tiny
 
@@ -37,7 +55,7 @@ def jacobian_transpose(
     segment_lengths: SegmentLengths,
     max_change: float = 0.05,
 ) -> Floats:
-    """One iteration of the Jacobian transpose; joint angles (..., N).
+    """Iterate once by the Jacobian transpose; return joint angles (..., N).
 
     α is the step that takes the hand nearest to the target, were J constant.  The error is not
     shortened: α Jᵀe is bounded by `max_change`.
@@ -68,7 +86,9 @@ def pseudo_inverse(
     max_step: float = 0.1,
     max_change: float = 0.2,
 ) -> Floats:
-    """One iteration of the pseudo-inverse, J⁺ = Σ v uᵀ/σ for J = Σ σ u vᵀ; joint angles (..., N).
+    """Iterate once by the pseudo-inverse; return joint angles (..., N).
+
+    J⁺ = Σ v uᵀ/σ for J = Σ σ u vᵀ.
 
     Singularities: a σ less than `truncation` times the largest counts as 0, so that the arm does
     not try to move where it cannot.  Before that the change by each σ is bounded for itself (as
@@ -97,7 +117,7 @@ def damped_least_squares(
     damping: float = 0.1,
     max_step: float = 0.1,
 ) -> Floats:
-    """One iteration of damped least squares; joint angles (..., N).
+    """Iterate once by damped least squares; return joint angles (..., N).
 
     The change is at most `max_step` / (2 `damping`), at singularities too.
 
@@ -122,7 +142,7 @@ def null_space(
     max_step: float = 0.1,
     joint_limits: JointLimits | None = None,
 ) -> Floats:
-    """One iteration of damped least squares with a comfortable posture; joint angles (..., N).
+    """Iterate once by damped least squares, towards a comfortable posture; return joint angles.
 
     H = ½ Σ (q_i − m_i)²: Liégeois's distance from the middles m of the joints' ranges.  Where there
     are no limits these are 0, and the first joint, which only says where the arm points, is left
@@ -158,21 +178,21 @@ def null_space(
 
 
 def _damped_change(jacobian_x: Floats, jacobian_y: Floats, error: Floats, damping: float) -> Floats:
-    """Jᵀ(JJᵀ + λ²I)⁻¹e, the change of the joint angles (..., N)."""
+    """Return Jᵀ(JJᵀ + λ²I)⁻¹e, the change of the joint angles (..., N)."""
     force_x, force_y = resisted_force(jacobian_x, jacobian_y, error, damping**2)
     change: Floats = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
     return change
 
 
 def shortened(error: Floats, max_step: float) -> Floats:
-    """Vectors (..., 2), those longer than `max_step` shortened to it."""
+    """Return vectors (..., 2), those longer than `max_step` shortened to it."""
     distance = np.hypot(error[..., 0], error[..., 1])[..., None]
     short: Floats = error * (max_step / np.maximum(distance, max_step))
     return short
 
 
 def limited(change: Floats, max_change: float) -> Floats:
-    """Changes of the joint angles (..., N), made smaller where a joint's is above `max_change`."""
+    """Return changes (..., N) of joint angles, all smaller where one is above `max_change`."""
     largest = np.abs(change).max(axis=-1, keepdims=True)
     smaller: Floats = change * (max_change / np.maximum(largest, max_change))
     return smaller
@@ -181,7 +201,7 @@ def limited(change: Floats, max_change: float) -> Floats:
 def resisted_force(
     jacobian_x: Floats, jacobian_y: Floats, error: Floats, resistance: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Both components (...) of f = (JJᵀ + ρI)⁻¹e: the damped step is Jᵀf, the hand's e − ρf.
+    """Return both components (...) of f = (JJᵀ + ρI)⁻¹e: the damped step is Jᵀf, the hand's e − ρf.
 
     Args:
         jacobian_x: first row of J, (..., N).
@@ -203,7 +223,7 @@ def resisted_force(
 def _singular_rows(
     jacobian_x: Floats, jacobian_y: Floats, truncation: float
 ) -> list[tuple[Floats, Floats, Floats]]:
-    """For both singular values σ of J: u (..., 2), σ·v = Jᵀu (..., N), and 1/σ² (...).
+    """Return u (..., 2), σ·v = Jᵀu (..., N) and 1/σ² (...) for both singular values σ of J.
 
     J = Σ σ u vᵀ.  1/σ² is 0 where σ is less than `truncation` times the larger one.
     """
@@ -222,3 +242,87 @@ def _singular_rows(
         parts.append((toward, row, inverse))
         least = np.maximum(truncation**2 * square, _TINY)
     return parts
+
+
+def cyclic_coordinate_descent(
+    joint_angles: Floats,
+    target: Floats,
+    segment_lengths: SegmentLengths,
+    max_change: float = 0.1,
+    joint_limits: JointLimits | None = None,
+) -> Floats:
+    """Turn every joint once by cyclic coordinate descent; return joint angles (..., N).
+
+    With turns of any size the joints next to the hand turn most, and the arm curls up before the
+    others get to work.  Small turns make all take part, and a path of the hand that is nearly
+    straight; π allows any.  A joint on which the hand or the target lies does not turn.
+
+    Args:
+        joint_angles: radians, (..., N).
+        target: segment lengths, (..., 2).
+        segment_lengths: N lengths.
+        max_change: most that a joint turns, radians.
+        joint_limits: lowest and highest angle of each joint, radians, at which it stops, and the
+            joints after it take over; None: joints turn freely.
+    """
+    lengths = np.array(segment_lengths)
+    aim = _points(target)
+    segments = lengths * np.exp(1j * np.cumsum(joint_angles, axis=-1))
+    nodes = np.cumsum(segments, axis=-1)
+    joints, hand = nodes - segments, nodes[..., -1]
+    least = (COINCIDENT * lengths.sum()) ** 2
+    change = np.zeros(np.broadcast_shapes(joint_angles.shape, (*aim.shape, 1)))
+    for joint in reversed(range(len(lengths))):
+        reach = hand - joints[..., joint]
+        turn = (aim - joints[..., joint]) * reach.conj()
+        angle = np.where(np.abs(turn) > least, np.angle(turn), 0.0)
+        change[..., joint] = np.clip(angle, -max_change, max_change)
+        if joint_limits is not None:
+            present, (low, high) = joint_angles[..., joint], joint_limits[joint]
+            change[..., joint] = np.clip(present + change[..., joint], low, high) - present
+        hand = joints[..., joint] + reach * np.exp(1j * change[..., joint])
+    return joint_angles + change
+
+
+def fabrik(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:
+    """Iterate once by FABRIK, backward and forward; return joint angles (..., N).
+
+    To a target out of reach the arm stretches out straight.  A segment whose ends coincide keeps
+    its direction.
+
+    Args:
+        joint_angles: radians, (..., N).
+        target: segment lengths, (..., 2).
+        segment_lengths: N lengths.
+    """
+    aim = _points(target)
+    directions = list(np.moveaxis(np.exp(1j * np.cumsum(joint_angles, axis=-1)), -1, 0))
+    nodes = [np.zeros_like(aim)]
+    for length, direction in zip(segment_lengths, directions, strict=True):
+        nodes.append(nodes[-1] + length * direction)
+    reach = sum(segment_lengths)
+    nodes[-1] = aim
+    for joint in reversed(range(len(directions))):
+        directions[joint] = _direction(nodes[joint + 1] - nodes[joint], directions[joint], reach)
+        nodes[joint] = nodes[joint + 1] - segment_lengths[joint] * directions[joint]
+    nodes[0] = np.zeros_like(aim)
+    for joint, length in enumerate(segment_lengths):
+        directions[joint] = _direction(nodes[joint + 1] - nodes[joint], directions[joint], reach)
+        nodes[joint + 1] = nodes[joint] + length * directions[joint]
+    straight = _direction(aim, directions[0], reach)
+    segment_angles = np.angle(
+        np.stack([np.where(np.abs(aim) > reach, straight, each) for each in directions], axis=-1)
+    )
+    relative = np.diff(segment_angles, axis=-1, prepend=0.0)
+    return joint_angles + wrap_angle(relative - joint_angles)
+
+
+def _points(vectors: Floats) -> Points:
+    points: Points = vectors[..., 0] + 1j * vectors[..., 1]
+    return points
+
+
+def _direction(vector: Points, otherwise: Points, reach: float) -> Points:
+    length = np.abs(vector)
+    apart = length > COINCIDENT * reach
+    return np.where(apart, vector / np.where(apart, length, 1.0), otherwise)
