@@ -111,14 +111,16 @@ def _three_digits(estimate: float, at_most: int) -> int:
     return max(0, min(at_most, 3 - digits_before_point))
 
 
-def print_rows(console: Console, rows: Sequence[Mapping[str, str]]) -> None:
-    """Print a table with a row for each mapping, headed by its keys; the first column is text."""
-    headings = list(rows[0])
+def print_rows(console: Console, rows: Sequence[Mapping[str, str]], left: str) -> None:
+    """Print a table with a row for each mapping, headed by its keys.
+
+    The column `left` is text; the others are numbers, and end at the right.
+    """
     table = _table()
-    for heading in headings:
+    for heading in rows[0]:
         table.add_column(
             text_for(console, heading),
-            justify="left" if heading == headings[0] else "right",
+            justify="left" if heading == left else "right",
             vertical="top",
         )
     for row in rows:

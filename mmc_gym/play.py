@@ -13,7 +13,7 @@ import pygame
 
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
-from mmc_gym.benchmark.entries import entrants, make_for
+from mmc_gym.benchmark.entries import make_for, single_entries
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import shapes as drawing
 
@@ -36,7 +36,8 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
     Raises:
         ValueError: for an unknown agent, or an environment that is no `MMCReachEnv`.
     """
-    ((label, factory),) = entrants([agent]).items()
+    (entry,) = single_entries([agent])
+    label, factory = entry.label, entry.agent.factory
 
     def make_world(control: str | None) -> gym.Env[Any, Any]:
         arguments: dict[str, Any] = {} if control is None else {"control": control}

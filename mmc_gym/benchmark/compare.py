@@ -16,19 +16,17 @@ import pandas as pd
 from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns, progress_bar
-from mmc_gym._files import write_atomically
+from mmc_gym._errors import UserError
+from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
-from mmc_gym.benchmark.entries import entrants, training_steps
+from mmc_gym.benchmark.entries import single_entries, training_steps
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
-from mmc_gym.measures import MEASURES, Episode, leave_out_failures, measure_all
+from mmc_gym.benchmark.store import episode_columns
+from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures, run_episodes
 from mmc_gym.measures.catalogue import shown_measures
-from mmc_gym.measures.rollout import (
-    check_environment,
-    episode_seeds,
-    run_episodes,
-)
+from mmc_gym.measures.rollout import check_environment
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
 _REFRESH = 0.1  # seconds between two drawings of the progress bar
@@ -61,8 +59,7 @@ class Comparison:
     @property
     def note(self) -> str:
         """What must be known to read the numbers; stands below the table and in summary.json."""
-        one = next(iter(self.recorded.values()))
-        shown = shown_measures()
+        one, shown = next(iter(self.recorded.values())), shown_measures()
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         all_told = ", ".join(measure.label for measure in shown if not measure.successes_only)
         reference = (
@@ -144,7 +141,7 @@ def compare(
 
     Args:
         agents: names, `"module:function"`, factories or objects with `predict`, see
-            `entrants.entrants`; a mapping gives them labels.
+            `entries.single_entries`; a mapping gives them labels.
         env: id of a reaching environment.
         episodes: how many each agent plays.
         seed: decides on starts and targets, see `rollout.episode_seeds`, and on the resampling.
@@ -152,7 +149,7 @@ def compare(
         console: to print the table to; standard output if None.
 
     Raises:
-        ValueError: if an argument is outside what it accepts.
+        UserError: if an argument is outside what it accepts.
 
     Example:
         >>> comparison = compare(["random"], episodes=2)  # doctest: +ELLIPSIS
@@ -161,14 +158,14 @@ def compare(
         >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
         {'random': 2, 'minimum jerk (ideal)': 2}
     """
-    factories = entrants(agents)
+    entries = single_entries(agents)
     seeds = episode_seeds(seed, episodes)
-    if out is not None and out.exists() and not out.is_dir():
-        raise ValueError(f"out must be a folder, got the file {str(out)!r}")
-    envs = {label: _make_env(env) for label in factories}
+    if out is not None:
+        check_folder(out, "out")
+    envs = {entry.label: _make_env(env) for entry in entries}
     try:
         # All are made before the first one plays: a missing file should not cost the others' work.
-        players = {label: factory(envs[label]) for label, factory in factories.items()}
+        players = {entry.label: entry.agent.factory(envs[entry.label]) for entry in entries}
         recorded = _play(players, envs, seeds)
         if REFERENCE not in recorded and has_reference(next(iter(envs.values()))):
             recorded[REFERENCE] = minimum_jerk_episodes(next(iter(recorded.values())))
@@ -176,7 +173,7 @@ def compare(
     finally:
         for made in envs.values():
             made.close()
-    table = tidy(recorded)
+    table = _tidy(recorded)
     steps = {label: training_steps(player) for label, player in players.items()}
     if REFERENCE in recorded:
         steps.setdefault(REFERENCE, 0)
@@ -195,13 +192,12 @@ def _print_table(
     console: Console, summary: pd.DataFrame, training_steps: Mapping[str, int | None], note: str
 ) -> None:
     """Print a row for each shown measure and a column for each agent."""
-    shown = shown_measures()
-    headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in shown]
-    best = ["" if measure.best == "neither" else measure.best for measure in shown]
+    headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in shown_measures()]
+    best = ["" if measure.best == "neither" else measure.best for measure in shown_measures()]
     rows = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
     columns = {
         agent: [
-            *(cell(rows[agent, measure.name], measure.decimals) for measure in shown),
+            *(cell(rows[agent, measure.name], measure.decimals) for measure in shown_measures()),
             "unknown" if steps is None else f"{steps:,}",
         ]
         for agent, steps in training_steps.items()
@@ -210,30 +206,20 @@ def _print_table(
     print_columns(console, labels, columns, note)
 
 
-def tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
-    """One row per agent and episode, with a column for each of `MEASURES`."""
-    rows = []
+def _tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
+    """Return a row per agent and episode."""
+    tables = []
     for agent, episodes in recorded.items():
-        for number, episode in enumerate(episodes):
-            (start_x, start_y), (target_x, target_y) = episode.hands[0], episode.target
-            row = {
-                "agent": agent,
-                "episode": number,
-                "seed": episode.seed,
-                "start_x": start_x,
-                "start_y": start_y,
-                "target_x": target_x,
-                "target_y": target_y,
-            }
-            rows.append({**row, **measure_all(episode)})
-    return pd.DataFrame(rows)
+        columns = {"agent": agent, "episode": range(len(episodes)), **episode_columns(episodes)}
+        tables.append(pd.DataFrame(columns).drop(columns="duration"))
+    return pd.concat(tables, ignore_index=True)
 
 
 def _make_env(env_id: str) -> gym.Env[Any, Any]:
     try:
         env: gym.Env[Any, Any] = gym.make(env_id)
     except (gym.error.Error, ImportError) as error:
-        raise ValueError(
+        raise UserError(
             f"env must be a reaching environment such as 'MMCReach-v0', got {env_id!r}: {error}"
         ) from error
     check_environment(env)

@@ -1,4 +1,4 @@
-"""The ranking of agents over a battery of environments.
+"""The ranking of agents over the environments of a benchmark.
 
     rank          by success s = mean over environments of the fraction of episodes, of all training
                   seeds, that end at the target; agents with the same s by time to target, the mean
@@ -11,13 +11,15 @@
 Every environment weighs the same, whatever its number of instances.  Environments count that all
 agents have attempted.  Where an agent could not act, or failed, it had no success.  Agents with the
 same success and the same time have the same rank; intervals tell which differences mean something.
-They are over training seeds and instances, see `resampling`.
+They are over training seeds and instances, see `statistics`.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Collection, Hashable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,25 +27,29 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
 
+from mmc_gym._console import interval, number, print_rows, text_for
+from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.benchmark.runner import Manifest, not_played, untrained
 from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
-from mmc_gym.benchmark.store import CellKey, read_episodes, read_manifest
+from mmc_gym.benchmark.store import (
+    CellKey,
+    Manifest,
+    cells_digest,
+    read_episodes,
+    read_manifest,
+    reasons,
+)
 
 BASELINE_AGENT = "mmc"
 _DIGITS = 12  # sums of the same numbers in another order are the same
 _POLICY = ["agent", "training_seed"]
 
 
-def summarize_battery(
+def rank_agents(
     episodes: pd.DataFrame,
     not_played: Iterable[CellKey] = (),
-    untrained: Collection[str] = (),
     baseline: str = BASELINE_AGENT,
     resamples: int = RESAMPLES,
     seed: int = 0,
@@ -53,7 +59,6 @@ def summarize_battery(
     Args:
         episodes: as `read_episodes` returns them.
         not_played: cells that were attempted and have no episodes.
-        untrained: agents that have no training seeds, although one stands in the column.
         baseline: the agent that all are compared with; no comparison if it is not there.
         resamples: of the bootstrap.
         seed: of the bootstrap.
@@ -64,12 +69,10 @@ def summarize_battery(
         environments, instances, not_played (cells).
 
     Raises:
-        ValueError: if there is no environment that all agents have attempted.
+        UserError: if there is no environment that all agents have attempted.
     """
     missing = [key for key in not_played if key.agent != REFERENCE]
-    scores = battery_scores(episodes, missing)
-    scores["training_seed"] = scores["training_seed"].astype(object)
-    scores.loc[scores["agent"].isin(list(untrained)), "training_seed"] = None
+    scores = ranked_scores(episodes, missing)
     success, settled = (
         Bootstrap.of(scores, value, resamples, seed) for value in ("success", "settled")
     )
@@ -79,11 +82,11 @@ def summarize_battery(
     rows = []
     for agent in success.scores.values:
         found = success.estimate(agent, "mean")
-        improvement = Estimate(np.nan, np.nan, np.nan, (), 0, 0)
+        improvement = Estimate(math.nan, math.nan, math.nan, (), 0, 0)
         if baseline in success.scores.values:
             pair = scores[scores["agent"].isin([agent, baseline])]
-            both = Bootstrap.of(pair, "settled", resamples, seed)
-            improvement = both.improvement(agent, baseline)
+            bootstrap = Bootstrap.of(pair, "settled", resamples, seed)
+            improvement = bootstrap.improvement(agent, baseline)
         rows.append(
             {
                 "agent": agent,
@@ -110,7 +113,7 @@ def summarize_battery(
 def success_by_environment(
     episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()
 ) -> pd.DataFrame:
-    """Success in each environment: a row for each agent, a column for each environment.
+    """Return the success in each environment: a row for each agent, a column for each environment.
 
     Args:
         episodes: as `read_episodes` returns them.
@@ -119,19 +122,15 @@ def success_by_environment(
     Returns:
         The mean over training seeds and instances; NaN where nothing was attempted.
     """
-    tables = [episodes[["agent", "training_seed", "environment", "success"]]]
-    for key in not_played:
-        tables.append(pd.DataFrame([{**key._asdict(), "success": 0.0}]))
-    cells = pd.concat(tables, ignore_index=True)
-    policies = cells.groupby(["agent", "environment", "training_seed"], sort=False)[
-        "success"
-    ].mean()
+    lost = pd.DataFrame([{**key._asdict(), "success": 0.0} for key in not_played])
+    cells = pd.concat([episodes[[*_POLICY, "environment", "success"]], lost], ignore_index=True)
+    policies = cells.groupby([*_POLICY, "environment"], sort=False, dropna=False)["success"].mean()
     table: pd.DataFrame = policies.groupby(["agent", "environment"], sort=False).mean().unstack()
     return table
 
 
-def battery_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
-    """The scores that a ranking is made of.
+def ranked_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
+    """Return the scores that a ranking is made of.
 
     Returns:
         Columns agent, training_seed, environment, instance, success, time_to_target, settled; a
@@ -139,7 +138,7 @@ def battery_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -
         those that were not played.
 
     Raises:
-        ValueError: if there is no such environment.
+        UserError: if there is no such environment.
     """
     played = episodes[episodes["agent"] != REFERENCE]
     scores = played[[*_POLICY, "environment", "instance", "success", "time_to_target"]].copy()
@@ -160,11 +159,12 @@ def battery_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -
     ]
     if empty:
         scores = pd.concat([scores, pd.DataFrame(empty)], ignore_index=True)
+        scores["training_seed"] = scores["training_seed"].astype("Int64")
     policies = len(scores[_POLICY].drop_duplicates())
     attempts = scores[[*_POLICY, "environment"]].drop_duplicates()["environment"].value_counts()
     common = attempts.index[attempts == policies]
     if not len(common):
-        raise ValueError("episodes must be of an environment that all agents have attempted")
+        raise UserError("episodes must be of an environment that all agents have attempted")
     return scores[scores["environment"].isin(common)].reset_index(drop=True)
 
 
@@ -174,14 +174,14 @@ def _columns(name: str, found: Estimate) -> dict[str, float]:
 
 
 def _mean_over_environments(scores: pd.DataFrame, column: str, statistic: str) -> pd.Series[float]:
-    """By agent, the mean over environments of the mean or median over episodes; NaNs left out."""
+    """Return, by agent, the mean over environments of the mean or median over episodes."""
     by_environment = scores.groupby(["agent", "environment"])[column].agg(statistic)
     mean: pd.Series[float] = by_environment.groupby("agent").mean()
     return mean
 
 
 def _ranks(ordered: pd.DataFrame) -> list[int]:
-    """1, 2, 2, 4, …: one more than the number of agents that are better."""
+    """Return 1, 2, 2, 4, …: one more than the number of agents that are better."""
     ranks: list[int] = []
     last: tuple[float, float] | None = None
     for place, (success, seconds) in enumerate(
@@ -193,9 +193,20 @@ def _ranks(ordered: pd.DataFrame) -> list[int]:
 
 
 RANKING = "ranking.csv"
-"""The ranking in a store's folder, as `summarize_battery` returns it, for other programs."""
+"""The ranking in a store's folder, as `rank_agents` returns it, for other programs."""
 
-_PLAIN = str.maketrans({"–": "-", "−": "-", "½": "1/2"})
+_MADE_OF = "ranking.json"  # beside it: which cells it is made of
+
+
+def read_ranking(folder: Path) -> pd.DataFrame:
+    """Return the ranking in a store's folder; no rows if it is not of the cells that are there."""
+    try:
+        made_of = json.loads((folder / _MADE_OF).read_bytes())["cells"]
+        if made_of == cells_digest(folder):
+            return pd.read_csv(folder / RANKING)
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # it is made anew
+    return pd.DataFrame()
 
 
 def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
@@ -204,70 +215,55 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     Where nothing can be ranked it prints why, and returns no rows.
 
     Raises:
-        ValueError: if the folder holds no store, or no agent could play.
+        UserError: if the folder holds no store, or no agent could play.
     """
     manifest = read_manifest(folder)
-    if set(manifest["agents"]) == {REFERENCE}:
-        console.print(_text(console, f"nothing to rank: {REFERENCE} is a hand without an arm"))
+    if set(manifest.agents) == {REFERENCE}:
+        console.print(text_for(console, f"nothing to rank: {REFERENCE} is a hand without an arm"))
         return pd.DataFrame()
+    made_of = cells_digest(folder)
+    not_played = [(one.key, one.reason) for one in manifest.not_played]
+    episodes = read_episodes(folder)
     try:
-        ranking = summarize_battery(
-            read_episodes(folder), not_played(manifest), untrained(manifest)
-        )
-    except ValueError:
-        _print_reasons(console, manifest)
-        raise
+        ranking = rank_agents(episodes, [key for key, _ in not_played])
+    except UserError as error:
+        raise UserError("; ".join([str(error), *reasons(not_played)])) from error
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
-    _print_table(console, ranking)
-    console.print(_text(console, _note(manifest, ranking)))
-    _print_reasons(console, manifest)
+    write_atomically(folder / _MADE_OF, json.dumps({"cells": made_of}))
+    print_rows(console, [_cells(row) for row in ranking.to_dict("records")], left="agent")
+    for line in (_note(manifest, ranking), *_reasons(manifest)):
+        console.print(text_for(console, line))
     return ranking
-
-
-def _print_table(console: Console, ranking: pd.DataFrame) -> None:
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="bold")
-    rows = ranking.to_dict("records")
-    for heading in _cells(rows[0]):
-        justify: Any = "left" if heading == "agent" else "right"
-        table.add_column(_text(console, heading), justify=justify, vertical="top")
-    for row in rows:
-        table.add_row(*(_text(console, content) for content in _cells(row).values()))
-    console.print(Padding(table, (1, 0)))
-
-
-def _print_reasons(console: Console, manifest: Manifest) -> None:
-    for status in ("skipped", "failed"):
-        for line, count in _reasons(manifest, status).items():
-            cells = f"{count} cell{'s' * (count != 1)}"
-            console.print(_text(console, f"{status}, {cells}: {line}"))
 
 
 def _cells(row: Mapping[Hashable, Any]) -> dict[str, str]:
     return {
         "rank": str(row["rank"]),
         "agent": str(row["agent"]),
-        "success": _interval(row, "success"),
-        "settled": _interval(row, "settled"),
-        f"better than {BASELINE_AGENT}": _interval(row, "improvement"),
-        "time to target [s]": _number(row["time_to_target"], 2),
-        "seeds": str(row["training_seeds"] or "-"),
-        "not played": str(row["not_played"] or "-"),
+        "success": _with_interval(row, "success"),
+        "settled": _with_interval(row, "settled"),
+        f"better than {BASELINE_AGENT}": _with_interval(row, "improvement"),
+        "time to target [s]": number(row["time_to_target"], 2),
+        "seeds": str(row["training_seeds"] or "–"),
+        "not played": str(row["not_played"] or "–"),
     }
 
 
-def _interval(row: Mapping[Hashable, Any], name: str) -> str:
-    low, high = (_number(row[f"{name}_{end}"], 3) for end in ("low", "high"))
-    return f"{_number(row[name], 3)} [{low}, {high}]"
-
-
-def _number(value: float, decimals: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{decimals}f}"
+def _with_interval(row: Mapping[Hashable, Any], name: str) -> str:
+    return f"{number(row[name], 3)} {interval(row[f'{name}_low'], row[f'{name}_high'], 3)}"
 
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
     one = ranking.iloc[0]
-    left_out = len(manifest["environments"]) - int(one["environments"])
+    left_out = len(manifest.environments) - int(one["environments"])
     partly = f" ({left_out} more have not been attempted by all)" if left_out else ""
+    versions = [f"{name} {found}" for name, found in manifest.versions.items() if ", " in found]
+    mixed = f" They were played with several versions: {'; '.join(versions)}." if versions else ""
+    if manifest.changed:
+        mixed += (
+            " Changed since some of their cells were played: "
+            f"{', '.join(manifest.changed)}; play them again in all environments."
+        )
     return (
         f"{one['environments']} environments{partly}, {one['instances']} instances for each "
         "agent and training seed, the same for all. Ranked by success: the fraction of episodes "
@@ -277,36 +273,17 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         "longer in the same episode, ½ if equal. Intervals: 95 % bootstrap over training seeds and "
         "instances; without several training seeds over instances alone. Cells that were not "
         "played count as without success. All cells took "
-        f"{sum(manifest['cpu_seconds'].values()):.0f} s of one processor's time; "
-        f"{manifest.get('reused', 0)} were there already and not played again.{_mixed(manifest)}"
+        f"{sum(manifest.cpu_seconds.values()):.0f} s of one processor's time; "
+        f"{manifest.reused} were there already and not played again.{mixed}"
     )
 
 
-def _mixed(manifest: Manifest) -> str:
-    """What differs among the cells of a store that came about over time."""
-    versions = [f"{name} {found}" for name, found in manifest["versions"].items() if ", " in found]
-    changed = manifest.get("changed", ())
-    return "".join(
-        (
-            f" They were played with several versions: {'; '.join(versions)}." if versions else "",
-            f" Changed since some of their cells were played: {', '.join(changed)}; play them "
-            "again in all environments."
-            if changed
-            else "",
+def _reasons(manifest: Manifest) -> list[str]:
+    """Return how many cells of each agent were skipped or failed, and why."""
+    counts = Counter((one.status, one.agent, one.reason) for one in manifest.not_played)
+    return [
+        f"{status}, {count} cell{'s' * (count != 1)}: {agent}: {reason}"
+        for (status, agent, reason), count in sorted(
+            counts.items(), key=lambda found: found[0][0], reverse=True
         )
-    )
-
-
-def _reasons(manifest: Manifest, status: str) -> dict[str, int]:
-    """How many cells of an agent have come to nothing for the same reason."""
-    counts: dict[str, int] = {}
-    for entry in manifest[status]:
-        line = f"{entry['agent']}: {entry['reason']}"
-        counts[line] = counts.get(line, 0) + 1
-    return counts
-
-
-def _text(console: Console, content: str) -> Text:
-    if not console.is_terminal or not console.encoding.lower().startswith("utf"):
-        content = content.translate(_PLAIN).encode("ascii", "replace").decode()
-    return Text(content)
+    ]

@@ -15,38 +15,47 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._grid import check_cluster, run_grid
-from mmc_gym.agents.base import Predictor, RandomAgent
-from mmc_gym.benchmark.entries import Contestant, contestants, make_for
+from mmc_gym._errors import UserError
+from mmc_gym._files import check_folder
+from mmc_gym._grid import CellError, check_cluster, run_grid
+from mmc_gym.agents.base import RandomAgent
+from mmc_gym.benchmark.entries import Entry, find_entries, make_for
 from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.store import (
-    MANIFEST,
     CellKey,
+    Manifest,
+    NotPlayed,
+    Policy,
     cell_facts,
     episodes_file,
+    kept_cells,
     paths_file,
-    read_manifest,
+    remove_cell,
     sets_file,
-    what_is_kept,
+    update_manifest,
     write_cell,
-    write_manifest,
 )
 from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.envs.scenarios import Scenario, scenario
-from mmc_gym.measures import MEASURES, SET_MEASURES, Episode, Measure, SetMeasure
-from mmc_gym.measures.catalogue import digest, own_measures, register_measures
-from mmc_gym.measures.rollout import (
+from mmc_gym.interface import CannotActError
+from mmc_gym.measures import (
+    MEASURES,
+    SET_MEASURES,
+    Episode,
+    Measure,
+    SetMeasure,
     episode_seeds,
     run_episodes,
 )
+from mmc_gym.measures.catalogue import digest, own_measures, register_measures
 
 TIMED = 3
 """Episodes that are played one by one as well: what an action takes is known of them."""
@@ -63,20 +72,20 @@ _SAME = 1e-3  # segment lengths between two rollouts of one episode
 
 @dataclass(frozen=True)
 class BatteryCell:
-    """What is played.
+    """An agent in an environment.
 
     Attributes:
-        contestant: by whom.
+        entry: of the agent.
         name: of the environment.
         environment: itself.
         episodes: how many, where the environment does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
-        fingerprint: of the contestant, which it takes long to find.
+        fingerprint: of the agent, which it takes long to find.
         keeps_paths: whether its first paths are kept.
-        measures: that the user has registered, for the process that plays it.
+        measures: of the user's own, which a worker does not know.
     """
 
-    contestant: Contestant
+    entry: Entry
     name: str
     environment: Scenario
     episodes: int
@@ -87,24 +96,20 @@ class BatteryCell:
 
     @property
     def key(self) -> CellKey:
-        """What it is called."""
-        return CellKey(self.contestant.agent, self.contestant.training_seed, self.name)
+        """Name of the cell."""
+        return CellKey(self.entry.label, self.entry.training_seed, self.name)
 
     @property
     def settings(self) -> dict[str, Any]:
         """What its results depend on, as far as it can be told, ready for JSON."""
         return {
             "recording": RECORDING,
-            "source": self.contestant.source,
+            "source": str(self.entry.source),
             "fingerprint": self.fingerprint,
             "environment": self.environment.settings,
             "episodes": self.episodes,
             "seed": self.seed,
-            **(
-                {"measures": {one.name: digest(one) for one in self.measures}}
-                if self.measures
-                else {}
-            ),
+            "measures": {one.name: digest(one) for one in self.measures},
         }
 
 
@@ -130,19 +135,15 @@ class CellOutcome:
     facts: Mapping[str, Any] | None = None
 
 
-class _CannotActError(Exception):
-    """The agent cannot act in the environment."""
-
-
 def run_cell(cell: BatteryCell) -> CellOutcome:
     """Play a cell.  What an agent raises is a result, and ends nothing."""
-    begin, processor_begin = time.perf_counter(), time.process_time()
     register_measures(cell.measures)
+    begin, processor_begin = time.perf_counter(), time.process_time()
     try:
         recorded = _play(cell)
-    except _CannotActError as error:
+    except CannotActError as error:
         return CellOutcome("skipped", str(error))
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         return CellOutcome("failed", f"{type(error).__name__}: {error}")
     paths = None
     if cell.keeps_paths:
@@ -182,32 +183,21 @@ class _Recorded:
 def _play(cell: BatteryCell) -> _Recorded:
     instances = cell.environment.instances(cell.episodes)
     seeds = episode_seeds(cell.seed, len(instances))
-    if cell.contestant.is_reference:
+    if cell.entry.is_reference:
         return _play_reference(cell, seeds, instances)
-    env, agent = _made(cell)
+    factory = cell.entry.agent.factory
+    env, agent = make_for(factory, cell.environment.make)
     control, joints = env.unwrapped.control, env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
     timed = run_episodes(agent, env, seeds[:TIMED], options=instances[:TIMED])
     together = _play_together(cell, env, control, seeds, instances)
-    if together is None or not (cell.contestant.is_own or _are_same(timed, together)):
-        agent = cell.contestant.factory(env)  # a new one: it may remember what it should not
+    if together is None or not (cell.entry.agent.acts_on_batches or _are_same(timed, together)):
+        agent = factory(env)  # a new one: it may remember what it should not
         alone = run_episodes(agent, env, seeds, options=instances)
         return _Recorded(alone, control, False, joints)
     times = [
         replace(episode, action_times=one.action_times) for episode, one in zip(together, timed)
     ]
     return _Recorded([*times, *together[TIMED:]], control, True, joints)
-
-
-def _made(cell: BatteryCell) -> tuple[gym.Env[Any, Any], Predictor]:
-    """The agent, and the environment that it was made for.
-
-    All act by the same actions, but a policy that was trained for others, which have no meaning
-    there, by its own.
-    """
-    try:
-        return make_for(cell.contestant.factory, cell.environment.make)
-    except ValueError as refusal:
-        raise _CannotActError(str(refusal)) from refusal
 
 
 def _play_together(
@@ -220,9 +210,9 @@ def _play_together(
     """All episodes at once; None if the agent does not take batches of observations."""
     vector = cell.environment.make_vec(len(seeds), control)
     try:
-        return run_episodes(cell.contestant.factory(env), vector, seeds, options=instances)
+        return run_episodes(cell.entry.agent.factory(env), vector, seeds, options=instances)
     except Exception:
-        if cell.contestant.is_own:
+        if cell.entry.agent.acts_on_batches:
             raise
         return None
     finally:
@@ -246,15 +236,12 @@ def _play_reference(
     """The ideal hand, which no perturbation touches; starts and targets are anybody's."""
     env = cell.environment.make()
     if cell.environment.family or not has_reference(env):
-        raise _CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
+        raise CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
     joints = env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
     vector = cell.environment.make_vec(len(seeds))
     anybody = run_episodes(RandomAgent(joints), vector, seeds, options=instances)
     vector.close()
     return _Recorded(minimum_jerk_episodes(anybody), "", True, joints)
-
-
-Manifest: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -265,7 +252,7 @@ class Progress:
         done: cells that are finished, those of earlier runs included.
         total: cells that there are.
         key: of the last cell that was finished; None at the start.
-        outcome: what came of it.
+        outcome: of that cell.
     """
 
     done: int
@@ -285,12 +272,12 @@ def benchmark(
     cluster: str | None = None,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Manifest:
-    """Let agents play a battery of environments, and keep all in a store.
+    """Let agents play the benchmark's environments, and keep all in a store.
 
     Args:
-        agents: names, see `contestants`.
-        out: folder of the store; one that is there is added to.
-        environments: names of scenarios; all of the benchmark by default.
+        agents: names, see `entries`.
+        out: folder of the store; one that is there is added to, also by several benchmarks at once.
+        environments: names of environments; all of the benchmark's by default.
         episodes: in each environment; where trials are numbered each is played once instead.
         seed: decides on starts and targets, which are the same for all agents.
         jobs: how many cells are played at once, see `run_grid`.
@@ -301,163 +288,155 @@ def benchmark(
         The manifest of the store.
 
     Raises:
-        ValueError: for unknown names, or a store that was made with other settings.
+        UserError: for unknown names, or a store that was made with other settings.
     """
     found = find_scenarios(environments)
-    players = contestants(agents)
+    players = find_entries(agents)
     episode_seeds(seed, episodes)
     check_cluster(cluster)
-    manifest = _joined_manifest(out, found, players, episodes, seed)
-    fingerprints = {one: one.fingerprint for one in players}
-    lowest: dict[str, int] = {}
-    for one in players:
-        lowest[one.agent] = min(one.training_seed, lowest.get(one.agent, one.training_seed))
-    cells = [
-        BatteryCell(
-            *(one, name, environment, episodes, seed, fingerprints[one]),
-            keeps_paths=one.training_seed == lowest[one.agent],
-            measures=own_measures(),
-        )
-        for one in players
-        for name, environment in found.items()
-        if not (one.is_reference and environment.family)  # no perturbation touches it
-    ]
-    write_manifest(out, manifest)
-    missing, begin = [], time.perf_counter()
-    for cell in cells:
-        facts = cell_facts(out, cell.key, cell.settings)
-        if facts is None:
-            missing.append(cell)
-        else:
-            _note(manifest, cell.key, CellOutcome("played", facts=facts))
-    manifest["reused"] = done = len(cells) - len(missing)
+    check_folder(out, "out")
+    update_manifest(out, partial(_joined, out, found, players, episodes, seed))
+    cells = _cells(found, players, episodes, seed)
+    begin = time.perf_counter()
+    missing = [cell for cell in cells if cell_facts(out, cell.key, cell.settings) is None]
+    reused = done = len(cells) - len(missing)
     on_progress(Progress(done, len(cells)))
+    not_played: dict[CellKey, NotPlayed | None] = {cell.key: None for cell in cells}
 
-    def keep(index: int, outcome: CellOutcome) -> None:
+    def keep(cell: BatteryCell, outcome: CellOutcome) -> None:
         nonlocal done
-        key = missing[index].key
-        if outcome.status == "played":
-            write_cell(out, key, outcome.episodes, outcome.paths, outcome.sets)
-        _note(manifest, key, outcome)
+        if (status := outcome.status) == "played":
+            write_cell(out, cell.key, outcome.episodes, outcome.paths, outcome.sets)
+        else:
+            remove_cell(out, cell.key)  # of an agent that has changed
+            not_played[cell.key] = NotPlayed.of(cell.key, status, outcome.reason)
         done += 1
-        on_progress(Progress(done, len(cells), key, outcome))
+        on_progress(Progress(done, len(cells), cell.key, outcome))
+
+    def on_result(index: int, outcome: CellOutcome) -> None:
+        keep(missing[index], outcome)
+
+    def on_death(index: int, error: CellError) -> None:
+        keep(missing[index], CellOutcome("failed", str(error.__cause__)))
+
+    def finished(manifest: Manifest | None) -> Manifest:
+        assert manifest is not None
+        others = [one for one in manifest.not_played if one.key not in not_played]
+        seconds = manifest.elapsed_seconds + round(time.perf_counter() - begin, 1)
+        return manifest.model_copy(
+            update={
+                "not_played": others + [one for one in not_played.values() if one is not None],
+                "elapsed_seconds": seconds,
+                "reused": reused,
+                **_found(out),
+            }
+        )
 
     try:
-        run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep)
+        run_grid(
+            run_cell, missing, jobs=jobs, cluster=cluster, on_result=on_result, on_failure=on_death
+        )
     finally:
-        manifest["elapsed_seconds"] += round(time.perf_counter() - begin, 1)
-        manifest.update(_found(out))
-        write_manifest(out, manifest)
-    return read_manifest(out)
-
-
-def not_played(manifest: Manifest) -> list[CellKey]:
-    """The cells of a store that were skipped or failed."""
-    return [
-        CellKey(entry["agent"], entry["training_seed"], entry["environment"])
-        for entry in (*manifest["skipped"], *manifest["failed"])
-    ]
-
-
-def untrained(manifest: Manifest) -> list[str]:
-    """The agents of a store that were not trained."""
-    return [agent for agent, entry in manifest["agents"].items() if not entry["trained"]]
-
-
-def _joined_manifest(
-    out: Path,
-    environments: dict[str, Scenario],
-    players: Sequence[Contestant],
-    episodes: int,
-    seed: int,
-) -> Manifest:
-    """The manifest of the store, with these environments and agents added."""
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"out must be a folder, got the file {str(out)!r}")
-    manifest = fresh = _fresh_manifest(episodes, seed)
-    if (out / MANIFEST).exists():
-        kept = read_manifest(out)
-        # Of a measure that is known to an earlier run alone, its columns are kept as well.
-        measures = {
-            kind: {**kept.get(kind, {}), **fresh[kind]} for kind in ("measures", "set_measures")
-        }
-        manifest = {**fresh, **kept, **measures}
-    _require_same(out, "episodes", manifest["episodes"], episodes)
-    _require_same(out, "seed", manifest["seed"], seed)
-    for name, environment in environments.items():
-        settings = environment.settings
-        kept = manifest["environments"].setdefault(name, settings)
-        _require_same(out, f"environment {name}", kept, settings)
-    for one in players:
-        entry = manifest["agents"].setdefault(one.agent, {"trained": False, "sources": {}})
-        kept = entry["sources"].setdefault(str(one.training_seed), one.source)
-        _require_same(out, f"agent {one.agent}", kept, one.source)
-        entry["trained"] |= one.is_trained
+        manifest = update_manifest(out, finished)
     return manifest
 
 
-def _fresh_manifest(episodes: int, seed: int) -> Manifest:
+def _cells(
+    environments: Mapping[str, Scenario],
+    players: Sequence[Entry],
+    episodes: int,
+    seed: int,
+) -> list[BatteryCell]:
+    """Return all cells; of each agent, the first of its trainings keeps paths."""
+    fingerprints = {one: one.fingerprint for one in players}
+    first: dict[str, int | None] = {}
+    for one in sorted(players, key=lambda one: one.training_seed or 0):
+        first.setdefault(one.label, one.training_seed)
+    return [
+        BatteryCell(
+            entry=one,
+            name=name,
+            environment=environment,
+            episodes=episodes,
+            seed=seed,
+            fingerprint=fingerprints[one],
+            keeps_paths=one.training_seed == first[one.label],
+            measures=own_measures(),
+        )
+        for one in players
+        for name, environment in environments.items()
+        if not (one.is_reference and environment.family)  # no perturbation touches it
+    ]
+
+
+def _joined(
+    out: Path,
+    environments: Mapping[str, Scenario],
+    players: Sequence[Entry],
+    episodes: int,
+    seed: int,
+    manifest: Manifest | None,
+) -> Manifest:
+    """Return the manifest of the store, with these environments and agents added."""
     plain: Any = scenario("random").make().unwrapped
-    return {
-        "episodes": episodes,
-        "seed": seed,
-        "control_step": plain.parameters.control_step,
-        "segment_lengths": list(plain.parameters.segment_lengths),
-        "tolerance": plain.success_distance,
-        "control": plain.control,
-        "measures": {name: one.facts for name, one in MEASURES.items()},
-        "set_measures": {name: one.facts for name, one in SET_MEASURES.items()},
-        "environments": {},
-        "agents": {},
-        "skipped": [],
-        "failed": [],
-        "wall_seconds": {},
-        "cpu_seconds": {},
-        "elapsed_seconds": 0.0,
-        "reused": 0,
-        "versions": {},
-        "changed": [],
-    }
-
-
-def _found(out: Path) -> Manifest:
-    """What the cells of a store, of this run and of earlier ones, were played with.
-
-    Returns:
-        versions: all of each package, separated by commas.
-        changed: sources of agents whose cells are not all of the same weights or code.
-    """
-    versions, fingerprints = defaultdict(set), defaultdict(set)
-    for kept in what_is_kept(out):
-        for name, one in kept["facts"].get("software", {}).items():
-            versions[name].add(one)
-        settings = kept["settings"]
-        fingerprints[settings.get("source")].add(settings.get("fingerprint"))
-    return {
-        "versions": {name: ", ".join(sorted(found)) for name, found in versions.items()},
-        "changed": [source for source, found in fingerprints.items() if len(found) > 1],
-    }
+    manifest = manifest or Manifest(
+        episodes=episodes,
+        seed=seed,
+        control_step=plain.parameters.control_step,
+        segment_lengths=plain.parameters.segment_lengths,
+        tolerance=plain.success_distance,
+        control=plain.control,
+    )
+    _require_same(out, "episodes", manifest.episodes, episodes)
+    _require_same(out, "seed", manifest.seed, seed)
+    known = dict(manifest.environments)
+    for name, environment in environments.items():
+        settings = environment.settings
+        _require_same(out, f"environment {name}", known.setdefault(name, settings), settings)
+    agents = {name: list(policies) for name, policies in manifest.agents.items()}
+    for one in players:
+        policies = agents.setdefault(one.label, [])
+        sources = {policy.training_seed: policy.source for policy in policies}
+        if one.training_seed not in sources:
+            policies.append(Policy(training_seed=one.training_seed, source=str(one.source)))
+        else:
+            _require_same(out, f"agent {one.label}", sources[one.training_seed], one.source)
+    # A measure that another run alone has known keeps its columns, and so its facts.
+    measures = {name: one.facts for name, one in MEASURES.items()}
+    set_measures = {name: one.facts for name, one in SET_MEASURES.items()}
+    return manifest.model_copy(
+        update={
+            "environments": known,
+            "agents": agents,
+            "measures": manifest.measures | measures,
+            "set_measures": manifest.set_measures | set_measures,
+        }
+    )
 
 
 def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
     if kept != asked:
-        raise ValueError(
+        raise UserError(
             f"out must be a store of the same settings, or a new folder: in {str(out)!r} {name} is "
             f"{kept!r}, asked for is {asked!r}"
         )
 
 
-def _note(manifest: Manifest, key: CellKey, outcome: CellOutcome) -> None:
-    """Write down what came of a cell, in place of what came of it before."""
-    for status in ("skipped", "failed"):
-        manifest[status] = [
-            entry
-            for entry in manifest[status]
-            if (entry["agent"], entry["training_seed"], entry["environment"]) != key
-        ]
-    if outcome.status != "played":
-        manifest[outcome.status].append({**key._asdict(), "reason": outcome.reason})
-        return
-    assert outcome.facts is not None
-    for name in ("wall_seconds", "cpu_seconds"):
-        manifest[name][key.file_name.removesuffix(".parquet")] = outcome.facts[name]
+def _found(out: Path) -> dict[str, Any]:
+    """Return what the cells of a store tell, those of this run and of all others.
+
+    They are fields of `Manifest`: wall_seconds, cpu_seconds, versions and changed.
+    """
+    versions, fingerprints = defaultdict(set), defaultdict(set)
+    seconds: dict[str, dict[str, float]] = {"wall_seconds": {}, "cpu_seconds": {}}
+    for stem, settings, facts in kept_cells(out):
+        for name, one in facts["software"].items():
+            versions[name].add(one)
+        fingerprints[settings["source"]].add(settings["fingerprint"])
+        for name, by_cell in seconds.items():
+            by_cell[stem] = facts[name]
+    return {
+        **seconds,
+        "versions": {name: ", ".join(sorted(found)) for name, found in versions.items()},
+        "changed": [source for source, found in fingerprints.items() if len(found) > 1],
+    }

@@ -5,10 +5,10 @@
     sets/AGENT--SEED--ENVIRONMENT.parquet        a row per measure of all episodes together
     manifest.json                                what all of it was made with
 
-A cell is an agent, a training seed of it (0 if it is not trained) and an environment.  Every file
-is written atomically and carries, in its schema's metadata, the settings that it was made with, so
-that a run that was interrupted goes on, and what is damaged or outdated is made anew.  Any reader
-of Parquet can query the folders as they are.
+A cell is an agent, one of its training seeds (none if it is not trained: AGENT--ENVIRONMENT), and
+an environment.  Every file is written atomically and carries, in its schema's metadata, the
+settings that it was made with.  So an interrupted run goes on, and what is damaged or outdated is
+made anew.  Any reader of Parquet can query the folders as they are.
 """
 
 from __future__ import annotations
@@ -17,44 +17,58 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from pydantic import BaseModel, ConfigDict, ValidationError
 
+from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
-from mmc_gym.measures import MEASURES, Episode
+from mmc_gym.measures import MEASURES, Episode, measure_all
 from mmc_gym.measures.catalogue import set_measures_in
 
-SCHEMA_VERSION = 1
+try:
+    import fcntl
+except ImportError:  # on Windows, where two benchmarks should not share a store
+    fcntl = None  # type: ignore[assignment]
+
+SCHEMA_VERSION = 2
 MANIFEST = "manifest.json"
 EPISODES, PATHS, SETS = "episodes", "paths", "sets"
 SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
-_METADATA = b"mmc_gym"
+_CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
 _CURSOR = ("cursor_x", "cursor_y")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
 
 
 class CellKey(NamedTuple):
-    """What a cell is called."""
+    """The name of a cell; the training seed is None if the agent was not trained."""
 
     agent: str
-    training_seed: int
+    training_seed: int | None
     environment: str
 
     @property
-    def file_name(self) -> str:
-        """The name of its files: different for different cells, on any file system.
+    def stem(self) -> str:
+        """Name of its files without suffix: different for different cells, on any file system.
 
         Example:
-            >>> CellKey("ppo", 3, "random").file_name
-            'ppo--3--random.parquet'
+            >>> CellKey("ppo", 3, "random").stem, CellKey("mmc", None, "random").stem
+            ('ppo--3--random', 'mmc--random')
         """
-        return f"{_slug(self.agent)}--{self.training_seed}--{_slug(self.environment)}.parquet"
+        seed = () if self.training_seed is None else (str(self.training_seed),)
+        return "--".join([_slug(self.agent), *seed, _slug(self.environment)])
+
+    @property
+    def file_name(self) -> str:
+        """Name of its files."""
+        return f"{self.stem}.parquet"
 
 
 def _slug(name: str) -> str:
@@ -64,47 +78,55 @@ def _slug(name: str) -> str:
     return f"{plain}~{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
+def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """Return the columns of a table with a row for each episode.
+
+    They are seed (of the episode), start_x, start_y (of the hand), target_x, target_y (both when
+    the episode starts), duration (s), and one for each of `MEASURES`, NaN where an episode has no
+    such value.
+    """
+    measured = [measure_all(episode) for episode in episodes]
+    starts = np.array([episode.hands[0] for episode in episodes]).reshape(-1, 2)
+    targets = np.array([episode.target for episode in episodes]).reshape(-1, 2)
+    return {
+        "seed": np.array([episode.seed for episode in episodes], dtype=np.int64),
+        **dict(zip(("start_x", "start_y"), starts.T)),
+        **dict(zip(("target_x", "target_y"), targets.T)),
+        "duration": np.array([len(one.rewards) * one.control_step for one in episodes]),
+        **{name: np.array([one[name] for one in measured], np.float64) for name in MEASURES},
+    }
+
+
 def episodes_file(
     key: CellKey, episodes: Sequence[Episode], settings: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> bytes:
-    """The content of a cell's file of episodes.
+    """Return the content of a cell's file of episodes.
 
-    Columns agent, training_seed, environment, instance (0, 1, …), seed (of the episode), start_x,
-    start_y (of the hand), target_x, target_y (both when the episode starts), duration (s), and one
-    for each of `MEASURES`, NaN where an episode has no such value.
+    Columns agent, training_seed (missing without training), environment, instance (0, 1, …), and
+    those of `episode_columns`.
 
     Args:
         key: of the cell.
         episodes: of its instances, in order.
-        settings: that it was made with, ready for JSON; `is_valid` compares them.
+        settings: that it was made with, ready for JSON; `cell_facts` compares them.
         facts: what else is to be kept about the cell, ready for JSON.
     """
-    starts = np.array([episode.hands[0] for episode in episodes]).reshape(-1, 2)
-    targets = np.array([episode.target for episode in episodes]).reshape(-1, 2)
-    durations = [len(episode.rewards) * episode.control_step for episode in episodes]
-    columns: dict[str, Any] = {
+    columns = {
         **_key_columns(key, len(episodes)),
         "instance": np.arange(len(episodes), dtype=np.int32),
-        "seed": np.array([episode.seed for episode in episodes], dtype=np.int64),
-        **dict(zip(("start_x", "start_y"), starts.T)),
-        **dict(zip(("target_x", "target_y"), targets.T)),
-        "duration": np.array(durations),
-        **{
-            measure.name: np.array([measure.of(episode) for episode in episodes], np.float64)
-            for measure in MEASURES.values()
-        },
+        **episode_columns(episodes),
     }
-    return _parquet(columns, {"settings": settings, "facts": facts})
+    return _parquet(columns, settings, facts)
 
 
 def paths_file(key: CellKey, episodes: Sequence[Episode], joint_count: int) -> bytes:
-    """The content of a cell's file of paths: all steps of some episodes, its first instances.
+    """Return the content of a cell's file of paths: all steps of its first instances.
 
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
     joint_angle_N (radians, not wrapped; NaN for a hand without an arm), hand_x, hand_y, target_x,
-    target_y (segment lengths); all numbers but the first three float32.  Under a visuomotor
-    rotation also cursor_x, cursor_y: distance and success are the cursor's; elsewhere it is the
-    hand itself and not written twice, and `read_paths` repeats it.
+    target_y (segment lengths); all but the first five float32.  Under a visuomotor rotation also
+    cursor_x, cursor_y: distance and success are the cursor's.  Elsewhere it is the hand itself and
+    not written twice; `read_paths` repeats it.
     """
     hands = np.concatenate([episode.hands for episode in episodes])
     targets = np.concatenate([episode.targets for episode in episodes])
@@ -113,25 +135,23 @@ def paths_file(key: CellKey, episodes: Sequence[Episode], joint_count: int) -> b
         postures = np.concatenate([episode.joint_angles for episode in episodes])
     cursors = [episode.cursors for episode in episodes if episode.cursors is not None]
     counts = [len(episode.hands) for episode in episodes]
-    columns: dict[str, Any] = {
+    numbers = {
+        **{f"joint_angle_{joint + 1}": postures[:, joint] for joint in range(joint_count)},
+        **dict(zip(("hand_x", "hand_y"), hands.T)),
+        **dict(zip(("target_x", "target_y"), targets.T)),
+        **dict(zip(_CURSOR, np.concatenate(cursors).T if cursors else ())),
+    }
+    columns = {
         **_key_columns(key, len(hands)),
         "instance": np.repeat(np.arange(len(counts), dtype=np.int32), counts),
         "step": np.concatenate([np.arange(count, dtype=np.int32) for count in counts]),
-        **{
-            name: values.astype(np.float32)
-            for name, values in (
-                *((f"joint_angle_{joint + 1}", postures[:, joint]) for joint in range(joint_count)),
-                *zip(("hand_x", "hand_y"), hands.T),
-                *zip(("target_x", "target_y"), targets.T),
-                *zip(_CURSOR, np.concatenate(cursors).T if cursors else ()),
-            )
-        },
+        **{name: values.astype(np.float32) for name, values in numbers.items()},
     }
-    return _parquet(columns, {})
+    return _parquet(columns)
 
 
 def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
-    """The content of a cell's file of set measures; None where the environment suits none.
+    """Return the content of a cell's file of set measures; None where the environment has none.
 
     A row for each of `SET_MEASURES` that is taken in this environment: agent, training_seed,
     environment, measure, unit, episodes (their number), value (NaN if they have none).
@@ -146,22 +166,64 @@ def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
         "episodes": np.full(len(measures), len(episodes), dtype=np.int32),
         "value": np.array([measure.of(episodes) for measure in measures], np.float64),
     }
-    return _parquet(columns, {})
+    return _parquet(columns)
 
 
 def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
     return {
         "agent": pa.array([key.agent] * rows, pa.string()),
-        "training_seed": np.full(rows, key.training_seed, dtype=np.int32),
+        "training_seed": pa.array([key.training_seed] * rows, pa.int64()),
         "environment": pa.array([key.environment] * rows, pa.string()),
     }
 
 
-def _parquet(columns: Mapping[str, Any], metadata: Mapping[str, Any]) -> bytes:
-    table = pa.table(dict(columns)).replace_schema_metadata({_METADATA: json.dumps(metadata)})
+class _Kept(NamedTuple):
+    settings: dict[str, Any]
+    facts: dict[str, Any]
+
+
+def _parquet(
+    columns: Mapping[str, Any],
+    settings: Mapping[str, Any] | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> bytes:
+    table = pa.table(dict(columns))
+    content = json.dumps({"settings": settings or {}, "facts": facts or {}})
+    metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
     buffer = io.BytesIO()
-    pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+    pq.write_table(
+        table.replace_schema_metadata(metadata),
+        buffer,
+        compression="zstd",
+        write_page_checksum=True,
+    )
     return buffer.getvalue()
+
+
+def _checksum(schema: pa.Schema, content: str) -> str:
+    """Return the SHA-256 of what Parquet's checksums of pages leave out: columns and metadata."""
+    columns = [(field.name, str(field.type)) for field in schema]
+    return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
+
+
+def _read(path: Path) -> pa.Table:
+    """Read a table; raise a `UserError` that names the file if it is damaged, or not of ours."""
+    try:
+        table = pq.ParquetFile(path, page_checksum_verification=True).read()
+        _kept(table.schema)
+        return table
+    except (OSError, pa.ArrowException, ValueError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise UserError(f"{path} is damaged, and is made anew by the benchmark: {error}") from error
+
+
+def _kept(schema: pa.Schema) -> _Kept:
+    metadata = schema.metadata or {}
+    content = metadata.get(_CONTENT, b"").decode()
+    if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
+        raise ValueError("columns and metadata are not those that the benchmark has written")
+    return _Kept(**json.loads(content))
 
 
 def write_cell(
@@ -174,95 +236,86 @@ def write_cell(
     write_atomically(folder / EPISODES / key.file_name, episodes)
 
 
+def remove_cell(folder: Path, key: CellKey) -> None:
+    """Remove a cell's files, if there are any."""
+    for kind in (EPISODES, PATHS, SETS):
+        (folder / kind / key.file_name).unlink(missing_ok=True)
+
+
 def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What a cell's file keeps about it; None if it is missing, damaged, or of other settings."""
-    path = folder / EPISODES / key.file_name
+    """Return the facts kept about a cell; None if it is missing, damaged, or of other settings."""
     try:
-        table = _read(path)
-        kept = json.loads((table.schema.metadata or {})[_METADATA])
-        facts: dict[str, Any] = kept["facts"]
-        fine = kept["settings"] == json.loads(json.dumps(settings))
+        table = _read(folder / EPISODES / key.file_name)
+        kept = _kept(table.schema)
+        fine = kept.settings == json.loads(json.dumps(settings))
         fine &= MEASURES.keys() <= set(table.column_names)
-        if facts["has_paths"]:
-            _read(folder / PATHS / key.file_name)
-        if facts.get("has_sets"):
-            _read(folder / SETS / key.file_name)
-    except (OSError, pa.ArrowException, ValueError, KeyError, TypeError):
+        for kind in (PATHS, SETS):
+            if kept.facts.get(f"has_{kind}"):
+                _read(folder / kind / key.file_name)
+    except (FileNotFoundError, UserError):
         return None
-    return facts if fine else None
+    return kept.facts if fine else None
 
 
-def what_is_kept(folder: Path) -> Iterator[dict[str, Any]]:
-    """Settings and facts of each cell of a store; damaged ones are passed over."""
+def kept_cells(folder: Path) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
+    """Yield the stem, the settings and the facts of each cell; damaged ones are passed over."""
     for path in _files(folder, EPISODES):
         try:
-            kept: dict[str, Any] = json.loads((pq.read_schema(path).metadata or {})[_METADATA])
-        except (OSError, pa.ArrowException, ValueError, KeyError, TypeError):
+            kept = _kept(pq.read_schema(path))
+        except (OSError, pa.ArrowException, ValueError):
             continue
-        yield {"settings": {}, "facts": {}, **kept}
+        yield path.stem, kept.settings, kept.facts
 
 
 def read_episodes(folder: Path | str) -> pd.DataFrame:
-    """All episodes of a store; the columns stand at `episodes_file`.
+    """Return all episodes of a store; `episodes_file` names the columns.
 
     Raises:
-        ValueError: if there are none, or a file is damaged.
+        UserError: if there are none, or a file is damaged.
     """
-    return _read_all(Path(folder), EPISODES)
+    frame = _read_all(Path(folder), EPISODES)
+    if frame.empty:
+        not_played = [(one.key, one.reason) for one in read_manifest(folder).not_played]
+        why = "".join(f"; {line}" for line in reasons(not_played))
+        raise UserError(f"folder must hold a benchmark's episodes, got {str(folder)!r}{why}")
+    return frame
 
 
 def read_paths(folder: Path | str) -> pd.DataFrame:
-    """All paths of a store; the columns stand at `paths_file`, cursor_x and cursor_y everywhere.
+    """Return all paths of a store, with cursor_x and cursor_y everywhere; empty if none were kept.
+
+    `paths_file` names the columns.
 
     Raises:
-        ValueError: if there are none, or a file is damaged.
+        UserError: if a file is damaged.
     """
     frame = _read_all(Path(folder), PATHS)
-    for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
+    for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y") if len(frame) else ()):
         frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
     return frame
 
 
 def read_sets(folder: Path | str) -> pd.DataFrame:
-    """All set measures of a store, in a row each; the columns stand at `sets_file`.
+    """Return all set measures of a store, a row each; empty if no environment has any.
 
-    No rows if no agent was in an environment that suits any.
-
-    Raises:
-        ValueError: if a file is damaged.
-    """
-    if not _files(Path(folder), SETS):
-        return pd.DataFrame(columns=SET_COLUMNS)
-    return _read_all(Path(folder), SETS)
-
-
-def read_manifest(folder: Path | str) -> dict[str, Any]:
-    """What a store was made with.
+    `sets_file` names the columns.
 
     Raises:
-        ValueError: if there is no manifest, or it is damaged, or of another version.
+        UserError: if a file is damaged.
     """
-    path = Path(folder) / MANIFEST
-    try:
-        manifest: dict[str, Any] = json.loads(path.read_bytes())
-        version = manifest["schema_version"]
-    except FileNotFoundError as error:
-        raise ValueError(f"folder must hold a benchmark's store, got {str(folder)!r}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
-    if version != SCHEMA_VERSION:
-        raise ValueError(f"{path} must be of version {SCHEMA_VERSION}, got {version}")
-    return manifest
+    frame = _read_all(Path(folder), SETS)
+    return frame if len(frame) else pd.DataFrame(columns=SET_COLUMNS)
 
 
-def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest of a store."""
-    content = {"schema_version": SCHEMA_VERSION, **manifest}
-    write_atomically(folder / MANIFEST, json.dumps(content, indent=1) + "\n")
-
-
-def _read(path: Path) -> pa.Table:
-    return pq.ParquetFile(path, page_checksum_verification=True).read()
+def cells_digest(folder: Path | str) -> str:
+    """Return the SHA-256 of all episodes of a store, and of what could not be played."""
+    digest = hashlib.sha256()
+    for path in _files(Path(folder), EPISODES):
+        digest.update(path.name.encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    for one in sorted(map(str, read_manifest(folder).not_played)):
+        digest.update(one.encode())
+    return digest.hexdigest()
 
 
 def _files(folder: Path, kind: str) -> list[Path]:
@@ -270,15 +323,156 @@ def _files(folder: Path, kind: str) -> list[Path]:
 
 
 def _read_all(folder: Path, kind: str) -> pd.DataFrame:
-    files = _files(folder, kind)
-    if not files:
-        raise ValueError(f"folder must hold a benchmark's {kind}, got {str(folder)!r}")
-    tables = []
-    for path in files:
-        try:
-            tables.append(_read(path).replace_schema_metadata(None))
-        except (OSError, pa.ArrowException) as error:
-            raise ValueError(f"{path} is damaged, and is made anew by the benchmark") from error
+    tables = [_read(path).replace_schema_metadata(None) for path in _files(folder, kind)]
+    if not tables:
+        return pd.DataFrame()
     # A store may have been begun before a measure was there, or hold arms of different joints.
     frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
-    return frame
+    return frame.astype({"training_seed": "Int64"})
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Policy(_Strict):
+    """An agent as it was trained once, or an agent without training.
+
+    Attributes:
+        training_seed: None if it was not trained.
+        source: what it was made of, see `entries`.
+    """
+
+    training_seed: int | None
+    source: str
+
+
+class NotPlayed(_Strict):
+    """A cell without episodes.
+
+    Attributes:
+        agent, training_seed, environment: of the cell.
+        status: "skipped" if the agent cannot act in the environment, "failed" if it raised.
+        reason: for people.
+    """
+
+    agent: str
+    training_seed: int | None
+    environment: str
+    status: Literal["skipped", "failed"]
+    reason: str
+
+    @classmethod
+    def of(cls, key: CellKey, status: Literal["skipped", "failed"], reason: str) -> NotPlayed:
+        """Return what there is to say of a cell."""
+        return cls(**key._asdict(), status=status, reason=reason)
+
+    @property
+    def key(self) -> CellKey:
+        """Name of the cell."""
+        return CellKey(self.agent, self.training_seed, self.environment)
+
+
+class Manifest(_Strict):
+    """What a store was made with.
+
+    Attributes:
+        schema_version: of the store.
+        episodes: in each environment whose trials are not numbered.
+        seed: of the starts and targets.
+        control_step: seconds.
+        segment_lengths: of the arm that agents are told of.
+        tolerance: distance that counts as reached, segment lengths.
+        control: what actions mean, unless a policy has its own.
+        measures: facts of the measures of episodes, by name.
+        set_measures: of those of sets of episodes.
+        environments: settings by name.
+        agents: their policies.
+        not_played: cells without episodes.
+        wall_seconds: that each cell took, by the stem of its files.
+        cpu_seconds: the same of the processor's time.
+        elapsed_seconds: of all runs, one after the other.
+        reused: cells that the last run found already there.
+        versions: of libraries, several of one separated by commas.
+        changed: sources of agents whose cells are not all of the same weights or code.
+    """
+
+    schema_version: int = SCHEMA_VERSION
+    episodes: int
+    seed: int
+    control_step: float
+    segment_lengths: tuple[float, ...]
+    tolerance: float
+    control: str = ""
+    measures: dict[str, dict[str, Any]] = {}
+    set_measures: dict[str, dict[str, Any]] = {}
+    environments: dict[str, dict[str, Any]] = {}
+    agents: dict[str, list[Policy]] = {}
+    not_played: list[NotPlayed] = []
+    wall_seconds: dict[str, float] = {}
+    cpu_seconds: dict[str, float] = {}
+    elapsed_seconds: float = 0.0
+    reused: int = 0
+    versions: dict[str, str] = {}
+    changed: list[str] = []
+
+
+def reasons(not_played: Iterable[tuple[CellKey, str]]) -> list[str]:
+    """Return a line for each agent and reason, with the environments that were not played."""
+    groups: dict[tuple[str, str], dict[str, None]] = {}
+    for cell, reason in not_played:
+        groups.setdefault((cell.agent, reason), {})[cell.environment] = None
+    return [
+        f"{agent} in {', '.join(environments)}: {reason}"
+        for (agent, reason), environments in groups.items()
+    ]
+
+
+def read_manifest(folder: Path | str) -> Manifest:
+    """Return what a store was made with.
+
+    Raises:
+        UserError: if there is no manifest, or it is damaged, or of another version.
+    """
+    path = Path(folder) / MANIFEST
+    try:
+        content = json.loads(path.read_bytes())
+        version = content["schema_version"]
+        if version != SCHEMA_VERSION:
+            raise UserError(f"{path} must be of version {SCHEMA_VERSION}, got {version}")
+        return Manifest(**content)
+    except FileNotFoundError as error:
+        raise UserError(f"folder must hold a benchmark's store, got {str(folder)!r}") from error
+    except UserError:
+        raise
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UserError(f"{path} is damaged: {where}: {first['msg']}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path} is damaged: {error}") from error
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest of a store."""
+    write_atomically(folder / MANIFEST, manifest.model_dump_json(indent=1) + "\n")
+
+
+def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest]) -> Manifest:
+    """Let `update` change the manifest as it is now (None if there is none), and write it.
+
+    Other benchmarks that go on in the same store wait meanwhile.
+    """
+    with _locked(folder):
+        manifest = update(read_manifest(folder) if (folder / MANIFEST).exists() else None)
+        write_manifest(folder, manifest)
+        return manifest
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("w") as file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)  # released when the file is closed, also by death
+        yield

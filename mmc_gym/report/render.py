@@ -17,11 +17,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.statistics import RESAMPLES
+from mmc_gym.benchmark.store import reasons
 from mmc_gym.envs.render import shapes as drawing
 from mmc_gym.report import figures, tables
 from mmc_gym.report.panels import looks
 from mmc_gym.report.replay import replay
-from mmc_gym.report.results import Results, count, listed, read_results, reasons
+from mmc_gym.report.results import Results, count, listed, read_results
 from mmc_gym.report.scores import (
     COMMON,
     MARGINS,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,13 +16,9 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import UNKNOWN, Kind
-from mmc_gym.benchmark.ranking import RANKING
+from mmc_gym.benchmark.ranking import read_ranking
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.benchmark.runner import untrained
 from mmc_gym.benchmark.store import (
-    EPISODES,
-    MANIFEST,
-    PATHS,
     CellKey,
     read_episodes,
     read_manifest,
@@ -143,8 +139,8 @@ class Results:
         set_measures: of all episodes of a policy together, by name.
         sets: columns agent, training_seed, environment, measure, unit, episodes, value: one for
             all episodes of a policy together; empty if there is none.
-        ranking: of the agents, as `summarize_battery` returns it; empty if the store has none that
-            is as new as itself.
+        ranking: of the agents, as `rank_agents` returns it; empty if the store has none of its
+            present cells.
     """
 
     episodes: pd.DataFrame
@@ -224,12 +220,6 @@ class Results:
             family: sorted(keys, key=lambda key: self.environments[key].strength)
             for family, keys in found.items()
         }
-
-    @property
-    def numbered_episodes(self) -> pd.DataFrame:
-        """Episodes as they are stored, with training seed 0 for agents without training."""
-        seeds = self.episodes["training_seed"].fillna(0).astype(int)
-        return self.episodes.assign(training_seed=seeds)
 
     @property
     def cells_not_played(self) -> list[CellKey]:
@@ -322,60 +312,38 @@ def read_results(store: Path) -> Results:
             says why its cells were not played.
     """
     manifest = read_manifest(store)
-    not_played = tuple(
-        (CellKey(one["agent"], one["training_seed"], one["environment"]), str(one["reason"]))
-        for one in (*manifest["skipped"], *manifest["failed"])
-    )
-    if not_played and not _has(store, EPISODES):
-        raise UserError(
-            f"store {str(store)!r} must have episodes, got none: {'; '.join(reasons(not_played))}"
-        )
-    not_trained = untrained(manifest)
-    measures = measures_of(manifest["measures"])
-    episodes = leave_out_failures(
-        _without_seeds(read_episodes(store), not_trained), measures.values()
-    )
+    measures = measures_of(manifest.measures)
+    episodes = leave_out_failures(_plain_seeds(read_episodes(store)), measures.values())
     present = set(episodes["environment"])
     identities = {
-        agent: identify(manifest["agents"].get(agent, {"sources": {}})["sources"].values())
+        agent: identify([policy.source for policy in manifest.agents.get(agent, ())])
         for agent in map(str, dict.fromkeys(episodes["agent"]))
     }
     return Results(
         episodes=episodes,
-        paths=_paths(store, not_trained),
+        paths=_paths(store),
         environments={
-            key: _environment(key, manifest["environments"].get(key, {}))
-            for key in dict.fromkeys([*manifest["environments"], *sorted(present)])
+            key: _environment(key, manifest.environments.get(key, {}))
+            for key in dict.fromkeys([*manifest.environments, *sorted(present)])
             if key in present
         },
         identities=identities,
         agents=_ordered(identities),
-        control_step=float(manifest["control_step"]),
-        segment_lengths=tuple(map(float, manifest["segment_lengths"])),
-        tolerance=float(manifest["tolerance"]),
-        versions=manifest["versions"],
-        cell_seconds=float(sum(manifest["wall_seconds"].values())),
-        not_played=not_played,
+        control_step=manifest.control_step,
+        segment_lengths=manifest.segment_lengths,
+        tolerance=manifest.tolerance,
+        versions=manifest.versions,
+        cell_seconds=sum(manifest.wall_seconds.values()),
+        not_played=tuple((one.key, one.reason) for one in manifest.not_played),
         measures=tuple(
             one
             for name, one in measures.items()
             if one.shown and name in episodes and episodes[name].notna().any()
         ),
-        set_measures=set_measures_of(manifest.get("set_measures", {})),
-        sets=_without_seeds(read_sets(store), not_trained),
-        ranking=_ranking(store),
+        set_measures=set_measures_of(manifest.set_measures),
+        sets=_plain_seeds(read_sets(store)),
+        ranking=read_ranking(store),
     )
-
-
-def reasons(not_played: Iterable[tuple[CellKey, str]]) -> list[str]:
-    """Return a line for each agent and reason, with the environments that were not played."""
-    groups: dict[tuple[str, str], dict[str, None]] = {}
-    for cell, reason in not_played:
-        groups.setdefault((cell.agent, reason), {})[cell.environment] = None
-    return [
-        f"{agent} in {', '.join(environments)}: {reason}"
-        for (agent, reason), environments in groups.items()
-    ]
 
 
 def _ordered(identities: Mapping[str, Identity]) -> tuple[str, ...]:
@@ -402,28 +370,14 @@ def _environment(key: str, entry: Mapping[str, Any]) -> Environment:
     )
 
 
-def _has(store: Path, kind: str) -> bool:
-    return any((store / kind).glob("[!.]*.parquet"))
+def _paths(store: Path) -> pd.DataFrame:
+    paths = read_paths(store)
+    if paths.empty:
+        return paths  # the report can do without
+    # Categories are quick to compare.
+    return _plain_seeds(paths).astype({"agent": "category", "environment": "category"})
 
 
-def _paths(store: Path, not_trained: Collection[str]) -> pd.DataFrame:
-    if not _has(store, PATHS):
-        return pd.DataFrame()  # the report can do without
-    paths = _without_seeds(read_paths(store), not_trained)
-    return paths.astype({"agent": "category", "environment": "category"})  # quick to compare
-
-
-def _ranking(store: Path) -> pd.DataFrame:
-    file = store / RANKING
-    try:
-        if file.stat().st_mtime < (store / MANIFEST).stat().st_mtime:
-            return pd.DataFrame()  # of a benchmark that went on
-        return pd.read_csv(file)
-    except (OSError, ValueError):
-        return pd.DataFrame()
-
-
-def _without_seeds(frame: pd.DataFrame, not_trained: Collection[str]) -> pd.DataFrame:
-    """The training seed is missing, rather than 0, where nothing was trained."""
-    seeds = frame["training_seed"].astype(np.float64)
-    return frame.assign(training_seed=seeds.mask(frame["agent"].isin(list(not_trained))))
+def _plain_seeds(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return training seeds as plain numbers, NaN where nothing was trained."""
+    return frame.assign(training_seed=frame["training_seed"].astype(np.float64))

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from mmc_gym.benchmark.ranking import BASELINE_AGENT, battery_scores, summarize_battery
+from mmc_gym.benchmark.ranking import BASELINE_AGENT, rank_agents, ranked_scores
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, Bootstrap, Estimate, Scores, draw
 from mmc_gym.measures import MEASURES, Measure
 from mmc_gym.measures.episode import Floats
@@ -278,7 +278,7 @@ class Estimates:
         """The environments that all agents have attempted: those of the ranking."""
         results = self.results
         try:
-            scores = battery_scores(results.numbered_episodes, results.cells_not_played)
+            scores = ranked_scores(results.episodes, results.cells_not_played)
         except ValueError:
             return []
         return list(dict.fromkeys(scores["environment"]))
@@ -292,10 +292,9 @@ class Estimates:
             return pd.DataFrame()
         if baseline in (None, BASELINE_AGENT) and not results.ranking.empty:
             return results.ranking
-        return summarize_battery(
-            results.numbered_episodes,
+        return rank_agents(
+            results.episodes,
             results.cells_not_played,
-            [agent for agent in results.agents if results.seeds(agent) == (0, 0)],
             baseline or "",
             self.resamples,
         )

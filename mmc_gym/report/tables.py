@@ -300,7 +300,7 @@ def _with_interval(measure: Measure, value: float, low: float, high: float) -> C
 def heat_table(estimates: Estimates) -> Table:
     """Return success by environment and agent, the agents in the order of the ranking."""
     results = estimates.results
-    table = success_by_environment(results.numbered_episodes, results.cells_not_played)
+    table = success_by_environment(results.episodes, results.cells_not_played)
     ranked = [] if estimates.ranking.empty else map(str, estimates.ranking["agent"])
     agents = [a for a in dict.fromkeys([*ranked, *results.agents]) if a != REFERENCE]
     rows, family = [], ""

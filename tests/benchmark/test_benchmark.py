@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import json
 import os
 import platform
@@ -22,11 +23,14 @@ from rich.console import Console
 
 import mmc_gym
 from mmc_gym import cli
-from mmc_gym.benchmark import entries as contestants
-from mmc_gym.benchmark import runner as battery_cell
-from mmc_gym.benchmark.ranking import RANKING, print_ranking, summarize_battery
+from mmc_gym._errors import UserError
+from mmc_gym.agents.policy import PRETRAINED
+from mmc_gym.agents.resolver import ResolvedAgent
+from mmc_gym.benchmark import entries, runner
+from mmc_gym.benchmark.entries import Entry, default_agents, find_entries
+from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents, read_ranking
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.benchmark.runner import benchmark, not_played, untrained
+from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import (
     SET_COLUMNS,
     CellKey,
@@ -43,8 +47,10 @@ from mmc_gym.measures.rollout import episode_seeds, run_episodes
 ENVS = ("random", "centre-out")
 TIMES = ["action_time", "slow_action_time"]  # the only columns that are not the same at every run
 AGENTS_FROM_OUTSIDE = '''
+import os
 import numpy as np
 import mmc_gym
+from mmc_gym.interface import CannotActError
 
 class Raising:
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
@@ -75,8 +81,10 @@ def raising(env): return Raising()
 def constant(env): return Constant()
 def one_by_one(env): return OneByOne(env)
 def forgetful(env): return Forgetful(env)
-def cannot(env): raise ValueError("env is not for me")
+def cannot(env): raise CannotActError("env is not for me")
+def picky(env): raise ValueError("no such file")
 def crashing(env): raise ZeroDivisionError("oh")
+def dying(env): os._exit(3)
 '''
 
 
@@ -122,17 +130,17 @@ def test_a_store_holds_the_episodes_of_rollouts(tmp_path):
     drawn = paths[(paths["agent"] == "mmc") & (paths["environment"] == "centre-out")]
     assert len(drawn) == 8 * 101
     assert manifest == read_manifest(tmp_path)
-    assert manifest["segment_lengths"] == [1.0, 1.0, 1.0]
-    assert set(manifest["wall_seconds"]) == {
-        *("mmc--0--random", "mmc--0--centre-out"),
-        *(CellKey(REFERENCE, 0, name).file_name.removesuffix(".parquet") for name in ENVS),
+    assert manifest.segment_lengths == (1.0, 1.0, 1.0)
+    assert set(manifest.wall_seconds) == {
+        *("mmc--random", "mmc--centre-out"),
+        *(CellKey(REFERENCE, None, name).stem for name in ENVS),
     }
 
 
 def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
     play(["mmc", REFERENCE], tmp_path, ["random", "distances"])
-    assert (tmp_path / "episodes" / "mmc--0--random.parquet").exists()
-    path = tmp_path / "sets" / "mmc--0--distances.parquet"
+    assert (tmp_path / "episodes" / "mmc--random.parquet").exists()
+    path = tmp_path / "sets" / "mmc--distances.parquet"
     found = read_sets(tmp_path)
     assert list(found.columns) == list(SET_COLUMNS)
     values = found.set_index(["agent", "measure"])
@@ -168,21 +176,21 @@ def test_cells_that_are_there_are_not_played_again(tmp_path):
     play(["mmc", "ik-dls"], tmp_path / "grown", on_progress=seen.append)
     assert seen[0].done == 1
     assert {progress.key for progress in seen[1:]} == {
-        CellKey("mmc", 0, "centre-out"),
-        CellKey("ik-dls", 0, "random"),
-        CellKey("ik-dls", 0, "centre-out"),
+        CellKey("mmc", None, "centre-out"),
+        CellKey("ik-dls", None, "random"),
+        CellKey("ik-dls", None, "centre-out"),
     }
     play(["ik-dls", "mmc"], tmp_path / "fresh", jobs=2)
     assert_same_stores(tmp_path / "grown", tmp_path / "fresh")
-    assert set(read_manifest(tmp_path / "grown")["agents"]) == {"mmc", "ik-dls"}
+    assert set(read_manifest(tmp_path / "grown").agents) == {"mmc", "ik-dls"}
 
 
 def test_a_damaged_cell_is_played_again(tmp_path):
     play(["mmc"], tmp_path / "one")
     play(["mmc"], tmp_path / "other")
-    path = tmp_path / "one" / "episodes" / "mmc--0--random.parquet"
+    path = tmp_path / "one" / "episodes" / "mmc--random.parquet"
     path.write_bytes(path.read_bytes()[:-100])
-    (tmp_path / "one" / "paths" / "mmc--0--centre-out.parquet").unlink()
+    (tmp_path / "one" / "paths" / "mmc--centre-out.parquet").unlink()
     seen = []
     play(["mmc"], tmp_path / "one", on_progress=seen.append)
     assert len(seen) == 3
@@ -234,31 +242,51 @@ def test_a_broken_agent_is_last_and_a_copy_ties(tmp_path, outside):
     manifest = play(
         [f"raising={outside}:raising", f"{outside}:constant", "ik-dls", "mmc", "twin=mmc"], tmp_path
     )
-    ranking = summarize_battery(
-        read_episodes(tmp_path), not_played(manifest), untrained(manifest), resamples=100
-    ).set_index("agent")
+    not_played = [one.key for one in manifest.not_played]
+    ranking = rank_agents(read_episodes(tmp_path), not_played, resamples=100).set_index("agent")
     assert ranking.index[-1] == "raising"
     assert ranking.index[-2] == f"{outside}:constant"
     assert ranking.loc["raising", "not_played"] == 2
     assert ranking.loc["twin", "rank"] == ranking.loc["mmc", "rank"]
     assert ranking.loc["twin", "improvement"] == 0.5
-    assert [(entry["agent"], entry["reason"]) for entry in manifest["failed"]] == [
+    assert [(one.agent, one.reason) for one in manifest.not_played] == [
         ("raising", "RuntimeError: broken on purpose")
     ] * 2
 
 
-def test_who_cannot_act_is_skipped_and_who_crashes_has_failed(tmp_path, outside):
-    manifest = play([f"{outside}:cannot", f"{outside}:crashing", "mmc"], tmp_path, ["random"])
-    assert [entry["reason"] for entry in manifest["skipped"]] == ["env is not for me"]
-    assert [entry["reason"] for entry in manifest["failed"]] == ["ZeroDivisionError: oh"]
+def test_who_cannot_act_is_skipped_and_who_raises_anything_else_has_failed(tmp_path, outside):
+    names = ("cannot", "picky", "crashing")
+    manifest = play([*(f"{name}={outside}:{name}" for name in names), "mmc"], tmp_path, ["random"])
+    assert [(one.agent, one.status, one.reason) for one in manifest.not_played] == [
+        ("cannot", "skipped", "env is not for me"),
+        ("picky", "failed", "ValueError: no such file"),
+        ("crashing", "failed", "ZeroDivisionError: oh"),
+    ]
     assert set(read_episodes(tmp_path)["agent"]) == {"mmc"}
-    (tmp_path / "outside_agents.py").write_text(
-        AGENTS_FROM_OUTSIDE.replace('raise ZeroDivisionError("oh")', "return Constant()")
-    )
-    del sys.modules[outside]
-    again = play([f"{outside}:crashing"], tmp_path, ["random"])
-    assert not again["failed"]
-    assert len(again["skipped"]) == 1
+    change_module(tmp_path, 'raise ZeroDivisionError("oh")', "return Constant()")
+    again = play([f"crashing={outside}:crashing"], tmp_path, ["random"])
+    assert [one.agent for one in again.not_played] == ["cannot", "picky"]
+    change_module(tmp_path, "def crashing(env): return Constant()", "def crashing(env): 1 / 0")
+    broken = play([f"crashing={outside}:crashing"], tmp_path, ["random"])
+    assert broken.not_played[-1].reason == "ZeroDivisionError: division by zero"
+    assert set(read_episodes(tmp_path)["agent"]) == {"mmc"}  # not what it did before
+
+
+@pytest.mark.slow
+def test_a_cell_under_which_processes_die_has_failed_and_the_others_are_played(tmp_path, outside):
+    agents = [f"dying={outside}:dying", "mmc", "ik-dls"]
+    manifest = play(agents, tmp_path, ["random"], jobs=2)
+    assert [(one.agent, one.status) for one in manifest.not_played] == [("dying", "failed")]
+    assert "died" in manifest.not_played[0].reason
+    assert set(read_episodes(tmp_path)["agent"]) == {"mmc", "ik-dls"}
+
+
+def change_module(folder, old, new):
+    path = folder / "outside_agents.py"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    sys.modules.pop("outside_agents", None)
+    importlib.invalidate_caches()
 
 
 def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
@@ -267,34 +295,66 @@ def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
     (tmp_path / "outside_agents.py").write_text(AGENTS_FROM_OUTSIDE + "# changed\n")
     manifest = play([source, "mmc"], tmp_path / "out", ["random"], on_progress=seen.append)
     assert [progress.key.agent for progress in seen[1:]] == [source]
-    assert manifest["reused"] == 1
-    assert manifest["changed"] == [source]  # what it did in the other environment is of before
-    assert not play([source, "mmc"], tmp_path / "out")["changed"]
+    assert manifest.reused == 1
+    assert manifest.changed == [source]  # what it did in the other environment is of before
+    assert not play([source, "mmc"], tmp_path / "out").changed
+
+
+def test_agents_of_the_package_play_again_when_its_code_has_changed(tmp_path, monkeypatch):
+    play(["mmc"], tmp_path, ["random"])
+    assert play(["mmc"], tmp_path, ["random"]).reused == 1
+    monkeypatch.setattr("mmc_gym.agents.resolver.code_digest", lambda: "another mmc.py")
+    assert play(["mmc"], tmp_path, ["random"]).reused == 0
 
 
 def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
-    now = battery_cell.software()
+    now = runner.software()
     with monkeypatch.context() as earlier:
-        earlier.setattr(battery_cell, "software", lambda: {**now, "numpy": "0.0.1"})
+        earlier.setattr(runner, "software", lambda: {**now, "numpy": "0.0.1"})
         play(["mmc"], tmp_path, ["random"])
     manifest = play(["mmc", "ik-dls"], tmp_path, ["random"])
-    assert manifest["versions"]["numpy"] == f"0.0.1, {now['numpy']}"
-    assert manifest["versions"]["python"] == platform.python_version()
+    assert manifest.versions["numpy"] == f"0.0.1, {now['numpy']}"
+    assert manifest.versions["python"] == platform.python_version()
     print_ranking(Console(width=1000), tmp_path)
     said = capsys.readouterr().out
     assert "1 were there already and not played again" in said
-    assert f"numpy {manifest['versions']['numpy']}" in said and "python" not in said
+    assert f"numpy {manifest.versions['numpy']}" in said and "python" not in said
+
+
+def test_two_benchmarks_may_go_on_in_one_store(tmp_path):
+    """The second begins and ends while the first is playing."""
+
+    def second(progress):
+        if progress.done == 0:
+            play(["ik-dls"], tmp_path, ["centre-out"])
+
+    manifest = play(["mmc"], tmp_path, ["random"], on_progress=second)
+    assert set(manifest.agents) == {"mmc", "ik-dls"}
+    assert set(manifest.environments) == {"random", "centre-out"}
+    assert set(manifest.wall_seconds) == {"mmc--random", "ik-dls--centre-out"}
+    assert read_manifest(tmp_path) == manifest
+
+
+def test_a_ranking_counts_for_the_cells_it_was_made_of(tmp_path):
+    play(["mmc"], tmp_path, ["random"])
+    assert read_ranking(tmp_path).empty
+    ranking = print_ranking(Console(quiet=True), tmp_path)
+    os.utime(tmp_path / RANKING, (0, 0))
+    os.utime(tmp_path / "manifest.json")
+    pd.testing.assert_frame_equal(read_ranking(tmp_path), ranking, check_dtype=False)
+    play(["ik-dls"], tmp_path, ["random"])
+    os.utime(tmp_path / RANKING)
+    assert read_ranking(tmp_path).empty
 
 
 def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
-    play([f"{outside}:crashing"], tmp_path / "one", ["random"])
-    with pytest.raises(ValueError, match="folder must hold a benchmark's episodes"):
-        print_ranking(Console(width=1000), tmp_path / "one")
+    for agents in ([f"x={outside}:crashing"], [f"x={outside}:crashing", REFERENCE]):
+        play(agents, tmp_path / "one", ["random", "centre-out"])
+        with pytest.raises(UserError, match="x in random, centre-out: ZeroDivisionError: oh"):
+            print_ranking(Console(width=1000), tmp_path / "one")
     play([REFERENCE], tmp_path / "other", ["random"])
     assert print_ranking(Console(width=1000), tmp_path / "other").empty
-    said = capsys.readouterr().out
-    assert f"failed, 1 cell: {outside}:crashing: ZeroDivisionError: oh" in said
-    assert "nothing to rank" in said
+    assert "nothing to rank" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["one_by_one", "forgetful"])
@@ -326,31 +386,37 @@ def test_a_policy_for_other_actions_has_its_own(tmp_path, monkeypatch):
             raise ControlError("control must be 'joint_torque'", "joint_torque")
         return Limp()
 
-    monkeypatch.setattr(contestants.Contestant, "factory", staticmethod(made))
-    cell = battery_cell.BatteryCell(
-        contestants.Contestant("limp", 0, "limp", True), "random", SCENARIOS["random"], 2, 0
-    )
-    outcome = battery_cell.run_cell(cell)
+    agent = ResolvedAgent("limp", "limp", given=made)
+    monkeypatch.setattr(Entry, "agent", agent)
+    cell = runner.BatteryCell(Entry("limp", 0, "limp"), "random", SCENARIOS["random"], 2, 0)
+    outcome = runner.run_cell(cell)
     assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
 
 
+def read(*names):
+    return [(one.label, one.training_seed, one.source) for one in find_entries(names)]
+
+
 def test_a_policy_of_ones_own_takes_part_by_its_path(tmp_path):
-    name = next(iter(sorted(contestants.PRETRAINED.glob("ppo-[0-9].json")))).stem
+    name = next(iter(sorted(PRETRAINED.glob("ppo-[0-9].json")))).stem
+    folder = tmp_path / "lr=0.001"
+    folder.mkdir()
     for suffix in (".json", ".safetensors"):
-        shutil.copy(contestants.PRETRAINED / f"{name}{suffix}", tmp_path / f"mine{suffix}")
-    own, *_ = found = contestants.contestants(
-        [f"{tmp_path}/mine.json", f"x@2={tmp_path}/mine.json"]
-    )
-    assert [(one.agent, one.training_seed, one.is_trained) for one in found] == [
-        ("mine", 0, True),
-        ("x", 2, True),
+        shutil.copy(PRETRAINED / f"{name}{suffix}", folder / f"mine{suffix}")
+    path, seed = f"{folder}/mine.json", int(name[-1])
+    assert read(path, f"x={path}", f"x@2={path}") == [
+        ("mine", seed, path),
+        ("x", seed, path),
+        ("x", 2, path),
     ]
-    assert own.fingerprint == contestants.contestants([name])[0].fingerprint
-    play([f"{tmp_path}/mine.json", name], tmp_path / "out", ["random"])
+    own, shipped = find_entries([path, name])
+    assert own.fingerprint == shipped.fingerprint
+    play([path, name], tmp_path / "out", ["random"])
     frame = read_episodes(tmp_path / "out")
     assert frame.groupby("agent")["final_distance"].sum().nunique() == 1
-    with pytest.raises(FileNotFoundError):
-        contestants.contestants([f"{tmp_path}/other.json"])
+    for missing in (f"{folder}/other.json", f"x={folder}/other.json"):
+        with pytest.raises(FileNotFoundError, match="other"):
+            find_entries([missing])
 
 
 def test_wrong_names_are_refused(tmp_path):
@@ -360,6 +426,8 @@ def test_wrong_names_are_refused(tmp_path):
         (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
         (["=mmc"], "agents must have names"),
         (["x@y=os:getcwd"], "agents must be named as LABEL or LABEL@SEED"),
+        (["x@99999999999=os:getcwd"], "training seeds must be at most 4294967295, got 'x@9"),
+        (["x@1=ppo"], "must name one training, such as ppo-0"),
         (["no_such_module:make"], "cannot be imported"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -377,23 +445,22 @@ def test_wrong_names_are_refused(tmp_path):
 
 
 def test_names_of_trained_agents_stand_for_their_training_seeds(monkeypatch):
-    monkeypatch.setattr(contestants, "_shipped_seeds", lambda name: [0, 2])
+    monkeypatch.setattr(entries, "shipped_seeds", lambda name: [0, 2])
     kind = next(name for name, entry in mmc_gym.agents.AGENTS.items() if entry.training_seeds)
-    found = contestants.contestants([kind, f"other={kind}", "x@5=os:getcwd", "mmc"])
-    assert [(one.agent, one.training_seed, one.source, one.is_trained) for one in found] == [
-        (kind, 0, f"{kind}-0", True),
-        (kind, 2, f"{kind}-2", True),
-        ("other", 0, f"{kind}-0", True),
-        ("other", 2, f"{kind}-2", True),
-        ("x", 5, "os:getcwd", True),
-        ("mmc", 0, "mmc", False),
+    assert read(kind, f"other={kind}", "x@5=os:getcwd", "mmc", f"y={kind}-1") == [
+        (kind, 0, f"{kind}-0"),
+        (kind, 2, f"{kind}-2"),
+        ("other", 0, f"{kind}-0"),
+        ("other", 2, f"{kind}-2"),
+        ("x", 5, "os:getcwd"),
+        ("mmc", None, "mmc"),
+        ("y", 1, f"{kind}-1"),
     ]
-    monkeypatch.setattr(contestants, "_shipped_seeds", lambda name: [])
-    for name in (kind, f"{kind}-0"):
-        with pytest.raises(ValueError, match="has not been trained"):
-            contestants.contestants([name])
-    assert kind not in contestants.default_agents()
-    assert "mmc" in contestants.default_agents()
+    monkeypatch.setattr(entries, "shipped_seeds", lambda name: [])
+    with pytest.raises(UserError, match="has not been trained"):
+        find_entries([kind])
+    assert kind not in default_agents()
+    assert "mmc" in default_agents()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mmc_gym._console import cell
 from mmc_gym.benchmark.compare import compare
-from mmc_gym.benchmark.entries import entrants, training_steps
+from mmc_gym.benchmark.entries import single_entries, training_steps
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.measures.catalogue import MEASURES
 
@@ -220,9 +220,9 @@ def test_objects_and_factories_take_part_under_their_own_names(oracle, frozen):
         return frozen
 
     env = gym.make("MMCReach-v0")
-    made = entrants([oracle, thaw, "random"])
-    assert list(made) == ["Oracle", "thaw", "random"]
-    assert (made["Oracle"](env), made["thaw"](env)) == (oracle, frozen)
+    made = {one.label: one.agent for one in single_entries([oracle, thaw, "random", "x=mmc"])}
+    assert list(made) == ["Oracle", "thaw", "random", "x"]
+    assert (made["Oracle"].factory(env), made["thaw"].factory(env)) == (oracle, frozen)
 
 
 def test_training_steps_are_ours_or_those_of_stable_baselines3_or_unknown(oracle):

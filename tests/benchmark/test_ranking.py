@@ -6,18 +6,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmc_gym.benchmark.ranking import battery_scores, success_by_environment, summarize_battery
+from mmc_gym.benchmark.ranking import rank_agents, ranked_scores, success_by_environment
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.store import CellKey
 
 
-def played(agent, environment, times, training_seed=0):
+def played(agent, environment, times, training_seed=None):
     """Episodes of 2 s with these times to target, NaN for those without success."""
     times = np.array(times, dtype=np.float64)
     return pd.DataFrame(
         {
             "agent": agent,
-            "training_seed": training_seed,
+            "training_seed": pd.array([training_seed] * len(times), "Int64"),
             "environment": environment,
             "instance": range(len(times)),
             "duration": 2.0,
@@ -28,7 +28,7 @@ def played(agent, environment, times, training_seed=0):
 
 
 def summary(*frames, **arguments):
-    return summarize_battery(pd.concat(frames), resamples=200, **arguments).set_index("agent")
+    return rank_agents(pd.concat(frames), resamples=200, **arguments).set_index("agent")
 
 
 NAN = float("nan")
@@ -54,7 +54,6 @@ def test_a_copy_ties_with_itself():
     ranking = summary(
         *(played(agent, "one", times) for agent in ("mmc", "twin")),
         played("slower", "one", [0.6, 0.9, NAN, 1.4]),
-        untrained=["mmc", "twin", "slower"],
     )
     assert ranking["rank"].to_dict() == {"mmc": 1, "twin": 1, "slower": 3}
     assert ranking.loc["twin", "improvement"] == 0.5
@@ -66,14 +65,14 @@ def test_a_copy_ties_with_itself():
 
 def test_what_was_not_played_has_no_success():
     frames = [played("mmc", name, [0.5, NAN, NAN, NAN]) for name in ("one", "two")]
-    broken = [CellKey("broken", 0, name) for name in ("one", "two")]
+    broken = [CellKey("broken", None, name) for name in ("one", "two")]
     ranking = summary(*frames, not_played=broken)
     assert ranking["rank"].to_dict() == {"mmc": 1, "broken": 2}
     assert ranking["success"].to_dict() == {"mmc": 0.25, "broken": 0.0}
     assert ranking["not_played"].to_dict() == {"mmc": 0, "broken": 2}
     assert ranking.loc["broken", "improvement"] == 0.375
     half = summary(
-        *frames, played("half", "one", [0.5] * 4), not_played=[CellKey("half", 0, "two")]
+        *frames, played("half", "one", [0.5] * 4), not_played=[CellKey("half", None, "two")]
     )
     assert half["success"].to_dict() == {"half": 0.5, "mmc": 0.25}
 
@@ -90,7 +89,7 @@ def test_only_environments_that_all_have_attempted_count():
 
 def test_training_seeds_are_replicates():
     frames = [played("ppo", "one", [0.5 + 0.1 * seed] * 4, seed) for seed in range(3)]
-    ranking = summary(played("mmc", "one", [0.65] * 4), *frames, untrained=["mmc"])
+    ranking = summary(played("mmc", "one", [0.65] * 4), *frames)
     assert ranking["training_seeds"].to_dict() == {"mmc": 0, "ppo": 3}
     assert ranking.loc["ppo", "improvement"] == pytest.approx(2 / 3)
     assert ranking.loc["ppo", "settled_low"] < ranking.loc["ppo", "settled_high"]
@@ -103,7 +102,7 @@ def test_the_ideal_hand_is_not_ranked_and_no_baseline_is_no_comparison():
 
 
 def test_settled_is_the_part_of_an_episode_at_the_target():
-    scores = battery_scores(played("mmc", "one", [0.0, 0.5, NAN]))
+    scores = ranked_scores(played("mmc", "one", [0.0, 0.5, NAN]))
     assert scores["settled"].tolist() == [1.0, 0.75, 0.0]
 
 
@@ -113,7 +112,7 @@ def test_success_by_environment_is_a_mean_over_training_seeds():
         played("ppo", "one", [NAN, 0.5], 1),
         played("mmc", "two", [0.5, NAN]),
     ]
-    table = success_by_environment(pd.concat(frames), [CellKey("mmc", 0, "one")])
+    table = success_by_environment(pd.concat(frames), [CellKey("mmc", None, "one")])
     assert table.loc["ppo", "one"] == 0.75
     assert table.loc["mmc", "one"] == 0.0
     assert table.loc["mmc", "two"] == 0.5

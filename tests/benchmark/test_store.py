@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from mmc_gym._errors import UserError
 from mmc_gym.benchmark.store import (
     CellKey,
+    Manifest,
     cell_facts,
     episodes_file,
     paths_file,
     read_episodes,
     read_manifest,
     read_paths,
+    read_sets,
+    update_manifest,
     write_cell,
     write_manifest,
 )
@@ -23,6 +28,9 @@ from mmc_gym.measures.catalogue import MEASURES
 
 KEY = CellKey("ppo", 3, "random")
 SETTINGS = {"seed": 0, "arguments": [1, 2]}
+MANIFEST = Manifest(
+    episodes=3, seed=1, control_step=0.02, segment_lengths=(1, 1, 1), tolerance=0.05
+)
 FACTS = {"has_paths": True, "wall_seconds": 0.5}
 
 
@@ -97,7 +105,8 @@ def test_a_cell_is_known_by_its_settings(store):
     assert cell_facts(store, KEY, SETTINGS) == FACTS
     assert cell_facts(store, KEY, {**SETTINGS, "arguments": (1, 2)}) == FACTS
     assert cell_facts(store, KEY, {**SETTINGS, "seed": 1}) is None
-    assert cell_facts(store, KEY._replace(training_seed=4), SETTINGS) is None
+    for seed in (4, None):
+        assert cell_facts(store, KEY._replace(training_seed=seed), SETTINGS) is None
 
 
 @pytest.mark.parametrize("kind", ["episodes", "paths"])
@@ -135,30 +144,85 @@ def test_file_names_are_different_and_safe():
         "minimum jerk (ideal)",
         "a.b",
     )
-    files = {CellKey(name, 0, "random").file_name for name in names}
-    assert len({name.lower() for name in files}) == len(names)
+    files = {CellKey(name, seed, "random").file_name for name in names for seed in (None, 0)}
+    assert len({name.lower() for name in files}) == 2 * len(names)
     assert all("/" not in name and not name.startswith(".") for name in files)
-    assert all(name.count("--") == 2 for name in files)
+    assert {name.count("--") for name in files} == {1, 2}
     assert KEY.file_name == "ppo--3--random.parquet"
+    assert KEY._replace(training_seed=None).file_name == "ppo--random.parquet"
 
 
 def test_stores_that_are_none_are_refused(tmp_path):
-    for read in (read_episodes, read_paths, read_manifest):
-        with pytest.raises(ValueError, match="folder must hold a benchmark's"):
+    for read in (read_episodes, read_manifest):
+        with pytest.raises(UserError, match="folder must hold a benchmark's"):
             read(tmp_path)
-    write_manifest(tmp_path, {"seed": 3})
-    assert read_manifest(tmp_path)["seed"] == 3
-    (tmp_path / "manifest.json").write_text(json.dumps({"schema_version": 99}))
-    with pytest.raises(ValueError, match="must be of version 1, got 99"):
-        read_manifest(tmp_path)
-    (tmp_path / "manifest.json").write_text("{")
-    with pytest.raises(ValueError, match="is damaged"):
+    assert read_paths(tmp_path).empty and read_sets(tmp_path).empty
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('"schema_version":1', "must be of version 2, got 1"),
+        ("{", "is damaged"),
+        ('"episodes":"many"', "is damaged: episodes: Input should be a valid integer"),
+        ('"agents":{"mmc":{}}', "is damaged: agents.mmc: Input should be a valid list"),
+        ('"agent":{}', "is damaged: agent: Extra inputs are not permitted"),
+    ],
+)
+def test_a_damaged_manifest_is_told(tmp_path, change, message):
+    write_manifest(tmp_path, MANIFEST)
+    assert read_manifest(tmp_path) == MANIFEST
+    content = MANIFEST.model_dump() | (json.loads(f"{{{change}}}") if ":" in change else {})
+    (tmp_path / "manifest.json").write_text(json.dumps(content) if ":" in change else change)
+    with pytest.raises(UserError, match=message):
         read_manifest(tmp_path)
 
 
-def test_a_store_may_lack_a_measure_that_came_later(store):
-    path = store / "episodes" / CellKey("old", 0, "random").file_name
-    frame = pd.read_parquet(store / "episodes" / KEY.file_name).drop(columns="success")
-    frame.assign(agent="old").to_parquet(path)
+def test_updates_of_a_manifest_at_the_same_time_are_all_kept(tmp_path):
+    def update(number):
+        def more(kept):
+            kept = kept or MANIFEST
+            return kept.model_copy(update={"versions": {**kept.versions, str(number): ""}})
+
+        update_manifest(tmp_path, more)
+
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(update, range(40)))
+    assert len(read_manifest(tmp_path).versions) == 40
+
+
+def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch):
+    with monkeypatch.context() as earlier:
+        others = {name: one for name, one in MEASURES.items() if name != "success"}
+        earlier.setattr("mmc_gym.benchmark.store.MEASURES", others)
+        old = KEY._replace(agent="old")
+        write_cell(store, old, episodes_file(old, episodes, SETTINGS, {}), None)
+    assert cell_facts(store, old, SETTINGS) is None
     read = read_episodes(store).groupby("agent")["success"].count()
     assert read.to_dict() == {"old": 0, "ppo": 2}
+
+
+@pytest.mark.parametrize("kind", ["episodes", "paths"])
+def test_no_flipped_bit_is_taken_for_data(store, kind):
+    """Only bits that nobody reads may be flipped unnoticed."""
+    path = store / kind / KEY.file_name
+    read = {"episodes": read_episodes, "paths": read_paths}[kind]
+    whole, before = path.read_bytes(), read(store)
+    noticed, places = 0, np.random.default_rng(0).integers(len(whole), size=200)
+    for place in places.tolist():
+        content = bytearray(whole)
+        content[place] ^= 1 << place % 8
+        path.write_bytes(content)
+        try:
+            pd.testing.assert_frame_equal(read(store), before)
+        except UserError as error:
+            assert str(path) in str(error)
+            noticed += 1
+    assert noticed > 100
+
+
+def test_a_changed_column_name_is_noticed(store):
+    path = store / "episodes" / KEY.file_name
+    path.write_bytes(path.read_bytes().replace(b"final_distance", b"finel_distance"))
+    with pytest.raises(UserError, match=rf"{KEY.file_name} is damaged"):
+        read_episodes(store)

@@ -14,7 +14,16 @@ import pytest
 
 from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
-from mmc_gym.benchmark.store import CellKey, episodes_file, paths_file, write_cell, write_manifest
+from mmc_gym.benchmark.store import (
+    CellKey,
+    Manifest,
+    NotPlayed,
+    Policy,
+    episodes_file,
+    paths_file,
+    write_cell,
+    write_manifest,
+)
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
 from mmc_gym.report import write_report
@@ -89,34 +98,40 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), sources=None, inst
                     for instance in range(instances)
                 ]
                 if (name, seed, key) not in missing:
-                    write(folder, CellKey(name, seed, key), episodes, seed == min(seeds))
+                    number = seed if is_trained(seeds) else None
+                    write(folder, CellKey(name, number, key), episodes, seed == min(seeds))
     if "random" in keys:
         like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
-        write(folder, CellKey(REFERENCE, 0, "random"), minimum_jerk_episodes(like))
-    skipped = {"agent": "mmc", "training_seed": 0, "environment": "pursuit", "reason": "<b>no</b>"}
+        write(folder, CellKey(REFERENCE, None, "random"), minimum_jerk_episodes(like))
+    skipped = NotPlayed.of(CellKey("mmc", None, "pursuit"), "skipped", "<b>no</b>")
     made_of = {name: sources_of(name, seeds) for name, (seeds, *_) in agents.items()}
     made_of |= {REFERENCE: {"0": REFERENCE}} | (sources or {})
-    write_manifest(
-        folder,
-        {
-            "episodes": instances,
-            "control_step": CONTROL_STEP,
-            "segment_lengths": [1.0, 1.0, 1.0],
-            "tolerance": 0.05,
-            "measures": {name: one.facts for name, one in MEASURES.items()},
-            "set_measures": {name: one.facts for name, one in SET_MEASURES.items()},
-            "environments": environments,
-            "agents": {
-                name: {"trained": "1" in one or "3" in one, "sources": one}
-                for name, one in made_of.items()
-            },
-            "skipped": [skipped] if "mmc" in agents else [],
-            "failed": [],
-            "wall_seconds": {"a cell": 60.0},
-            "cpu_seconds": {"a cell": 50.0},
-            "versions": {"mmc-gym": "0.1.0"},
+    manifest = Manifest(
+        episodes=instances,
+        seed=0,
+        control_step=CONTROL_STEP,
+        segment_lengths=(1.0, 1.0, 1.0),
+        tolerance=0.05,
+        measures={name: one.facts for name, one in MEASURES.items()},
+        set_measures={name: one.facts for name, one in SET_MEASURES.items()},
+        environments=environments,
+        agents={
+            name: [
+                Policy(training_seed=seed if is_trained(map(int, one)) else None, source=source)
+                for seed, source in one.items()
+            ]
+            for name, one in made_of.items()
         },
+        not_played=[skipped] if "mmc" in agents else [],
+        wall_seconds={"a cell": 60.0},
+        cpu_seconds={"a cell": 50.0},
+        versions={"mmc-gym": "0.1.0"},
     )
+    write_manifest(folder, manifest)
+
+
+def is_trained(seeds):
+    return not {1, 3}.isdisjoint(seeds)
 
 
 def sources_of(name, seeds):

@@ -12,7 +12,8 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.measures import MEASURES, SET_MEASURES
+from mmc_gym.benchmark.store import CellKey, NotPlayed
+from mmc_gym.measures import catalogue
 from mmc_gym.report import write_report
 from mmc_gym.report.results import Identity, identify, read_results
 from mmc_gym.report.scores import Estimates
@@ -112,8 +113,10 @@ def test_measures_of_users_have_label_and_unit_though_their_code_is_not_here(sma
     told = {"statistic": "median", "shown": True, "successes_only": True}
     facts = {"name": "joint_effort", "label": "sweat", "unit": "ml", "best": "low", "decimals": 1}
     law = {"name": "fitts_slope", "label": "luck", "unit": "%", "best": "high", "decimals": 0}
-    monkeypatch.delitem(MEASURES, "joint_effort")
-    monkeypatch.delitem(SET_MEASURES, "fitts_slope")
+    for registry, name in (("MEASURES", "joint_effort"), ("SET_MEASURES", "fitts_slope")):
+        known = getattr(catalogue, registry)
+        others = {other: one for other, one in known.items() if other != name}
+        monkeypatch.setattr(catalogue, registry, others)
     change_manifest(
         small,
         measures={"joint_effort": facts | told},
@@ -128,7 +131,7 @@ def test_measures_of_users_have_label_and_unit_though_their_code_is_not_here(sma
 
 
 def test_an_agent_that_the_manifest_lacks_is_still_reported(small, tmp_path):
-    change_manifest(small, agents={"mmc": {"trained": False, "sources": {"0": "mmc"}}})
+    change_manifest(small, agents={"mmc": [{"training_seed": None, "source": "mmc"}]})
     results = read_results(small)
     assert results.kind("ik-dls") == "yours"
     assert write_report(small, tmp_path / "report.html", 20).exists()
@@ -152,10 +155,8 @@ def test_a_store_without_paths_has_no_replay(small, tmp_path):
 def test_where_nothing_could_be_played_the_reasons_are_told(small, tmp_path):
     for file in (small / "episodes").iterdir():
         file.unlink()
-    failed = [
-        {"agent": "mmc", "training_seed": 0, "environment": "random", "reason": "ValueError: no"}
-    ]
-    change_manifest(small, failed=failed)
+    failed = NotPlayed.of(CellKey("mmc", None, "random"), "failed", "ValueError: no")
+    change_manifest(small, not_played=[failed.model_dump()])
     with pytest.raises(UserError, match="mmc in random: ValueError: no"):
         read_results(small)
 
