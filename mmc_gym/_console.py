@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -22,7 +22,10 @@ from rich.text import Text
 WIDTH = 120  # columns, where there is no terminal to ask
 _GAP = 2
 _NAME_WIDTH = 16  # of a column's heading; longer ones continue on the next line
-_ASCII = str.maketrans({"µ": "u", "²": "2", "–": "-", "−": "-", "½": "1/2", "×": "x"})
+_ASCII = str.maketrans(
+    {"µ": "u", "²": "2", "½": "1/2", "–": "-", "−": "-", "×": "x", "±": "+-", "≤": "<="}
+    | {"°": " deg", "“": '"', "”": '"'}
+)
 
 
 def make_console() -> Console:
@@ -167,15 +170,52 @@ def print_columns(
     console.print(text_for(console, note))
 
 
+def print_shares(
+    console: Console, title: str, shares: Mapping[str, int], rows: Iterable[Sequence[str]]
+) -> None:
+    """Print a table of sentences as wide as the console.
+
+    Its signs are kept wherever they can be encoded, a pipe included.
+
+    Args:
+        console: where to.
+        title: line above the table.
+        shares: shares of the width, by heading: by content alone, a long note would leave the
+            other columns a word a line.
+        rows: cells, as many as there are headings.
+    """
+    table = _table()
+    table.expand = True
+    table.title, table.title_justify = encodable(console, title), "left"
+    for heading, share in shares.items():
+        table.add_column(heading, overflow="fold", vertical="top", ratio=share)
+    for row in rows:
+        table.add_row(*(encodable(console, content) for content in row))
+    console.print(Padding(table, (1, 0)))
+
+
+def encodable(console: Console, content: str) -> Text:
+    """Return a text, in plain ASCII if the console's encoding lacks its signs."""
+    return Text(content if _knows_signs(console) else _to_ascii(content))
+
+
 def text_for(console: Console, content: str) -> Text:
     """Return what a console can show: its first line as it is, the others dimmed.
 
     Plain ASCII where the console is no terminal, or its encoding lacks the signs.
     """
-    if not console.is_terminal or not console.encoding.lower().startswith("utf"):
-        content = content.translate(_ASCII).encode("ascii", "replace").decode()
+    if not console.is_terminal or not _knows_signs(console):
+        content = _to_ascii(content)
     first, line_break, rest = content.partition("\n")
     return Text.assemble(first, line_break, (rest, "dim"))
+
+
+def _knows_signs(console: Console) -> bool:
+    return console.encoding.lower().startswith("utf")
+
+
+def _to_ascii(content: str) -> str:
+    return content.translate(_ASCII).encode("ascii", "replace").decode()
 
 
 def _table() -> Table:

@@ -1,68 +1,88 @@
-"""What an experiment of the paper is: a name, a description, and a function that gives a result.
+"""What an experiment is: a name, a description, and a function that gives a result.
 
-A result has rows for the table that sets what was published beside what was measured, figures,
-and the data behind them.  A module of this package holds one experiment or more, and `catalogue`
-lists them all.
+A result has rows for the table that sets published beside measured, figures, and the data behind
+them.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._errors import require
 from mmc_gym._files import write_atomically
 from mmc_gym._plotting import save_figure
 
 Value: TypeAlias = float | str | None
 Data: TypeAlias = "pd.DataFrame | Mapping[str, NDArray[np.generic]]"
-Progress: TypeAlias = Callable[[int, int], None]
-"""Called with (parts done, their total number)."""
+Part = TypeVar("Part")
+
+
+def _ignore(done: int, total: int) -> None:
+    pass
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How experiments are run.
+    """How experiments are run, and whom they tell.
 
     Attributes:
         quick: run a small part of each experiment, to see that everything works.
-        seed: of everything random, not negative.
+        seed: seed of everything random, not negative.
         folder: where long work keeps its finished parts, to go on with after it was
             interrupted; None keeps nothing.
         jobs: number of processes for long work.
+        version: version of the package; parts that another version kept are made anew.
+        on_progress: is called with (parts done, their total number).
+        on_note: is called with a line that the user should read.
+
+    Raises:
+        UserError: if the seed or the number of processes is out of range.
     """
 
     quick: bool = False
     seed: int = 0
     folder: Path | None = None
     jobs: int = 1
+    version: str = version("mmc-gym")
+    on_progress: Callable[[int, int], None] = _ignore
+    on_note: Callable[[str], None] = warnings.warn
 
     def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("jobs", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
+        require(self.seed >= 0, "seed", self.seed, "0 or more")
+        require(self.jobs >= 1, "jobs", self.jobs, "1 or more")
+
+    def tracked(self, parts: Sequence[Part]) -> Iterator[Part]:
+        """Yield the parts, and report how many are done before each and after the last."""
+        for done, part in enumerate(parts):
+            self.on_progress(done, len(parts))
+            yield part
+        self.on_progress(len(parts), len(parts))
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table: a quantity as published and as measured.
 
-    Numbers are shown with four digits; text is shown as it is, None as a dash.
+    Numbers are shown with four digits, text as it is, None as a dash.
 
     Attributes:
-        quantity: what was measured.
-        paper: what the paper's text says.
-        data: what the data published with the paper give.
-        ours: what was measured here.
+        quantity: name of what was measured.
+        paper: value that the paper's text gives.
+        data: value from the data published with the paper.
+        ours: value measured here.
         unit: of all three, empty for a plain number.
-        note: what must be known to compare them.
+        note: anything a reader must know to compare them.
     """
 
     quantity: str
@@ -73,22 +93,27 @@ class Row:
     note: str = ""
 
 
+class Captioned(NamedTuple):
+    """A figure, and a caption that says what it shows."""
+
+    figure: Figure
+    caption: str
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What an experiment found.
+    """Findings of an experiment.
 
     Attributes:
-        rows: for the table, in order.
-        figures: by file stem; each is written as PNG and as SVG.
-        data: by file stem; a frame is written as CSV, a mapping of arrays as npz.
-        captions: of the figures, by the same stems: what each shows.
-        points: what was measured on a point of `points.POINTS`, by its number.
+        rows: lines of the table, in order.
+        figures: figures by file stem; each is written as PNG and as SVG.
+        data: data by file stem; a frame is written as CSV, a mapping of arrays as npz.
+        points: findings on the points of `published.POINTS`, by number.
     """
 
-    rows: tuple[Row, ...] = ()
-    figures: Mapping[str, Figure] = field(default_factory=dict)
+    rows: Sequence[Row] = ()
+    figures: Mapping[str, Captioned] = field(default_factory=dict)
     data: Mapping[str, Data] = field(default_factory=dict)
-    captions: Mapping[str, str] = field(default_factory=dict)
     points: Mapping[int, str] = field(default_factory=dict)
 
 
@@ -97,18 +122,18 @@ class Experiment:
     """An experiment of the paper.
 
     Attributes:
-        name: what the user calls it by, and the name of its folder.
+        name: name on the command line, and of its folder.
         description: one line.
         run: makes the result; it writes nothing but its parts under `settings.folder`.
     """
 
     name: str
     description: str
-    run: Callable[[Settings, Progress], Result]
+    run: Callable[[Settings], Result]
 
 
 def format_value(value: Value) -> str:
-    """A value as the table shows it.
+    """Return a value as the table shows it.
 
     >>> format_value(0.0226399), format_value(7.0), format_value("2.0×"), format_value(None)
     ('0.02264', '7', '2.0×', '–')
@@ -119,7 +144,7 @@ def format_value(value: Value) -> str:
 
 
 def mean_and_deviation(values: ArrayLike, decimals: int = 4) -> str:
-    """Mean and standard deviation (of the values themselves, ddof 0), as the table shows them.
+    """Return mean ± standard deviation (of the values themselves, ddof 0).
 
     >>> mean_and_deviation([0.1, 0.3])
     '0.2000 ± 0.1000'
@@ -128,25 +153,40 @@ def mean_and_deviation(values: ArrayLike, decimals: int = 4) -> str:
     return f"{values.mean():.{decimals}f} ± {values.std():.{decimals}f}"
 
 
+def over_runs(values: ArrayLike, digits: str = ".4f") -> str:
+    """Return the mean over runs and, if there are several, the smallest and the largest.
+
+    >>> over_runs([0.0625]), over_runs([0.05, 0.04, 0.09])
+    ('0.0625', '0.0600 (0.0400 to 0.0900)')
+    """
+    values = np.asarray(values, dtype=np.float64)
+    mean = f"{values.mean():{digits}}"
+    if values.size == 1:
+        return mean
+    return f"{mean} ({values.min():{digits}} to {values.max():{digits}})"
+
+
+def how_many(networks: int) -> str:
+    """Return the note on a value `over_runs` of so many networks; none for a single one."""
+    return f"{networks} networks: mean (least to most)" if networks > 1 else ""
+
+
 def write_result(result: Result, folder: Path) -> list[Path]:
-    """Write figures and data into `folder`, each file whole or not at all; the files written."""
+    """Write figures and data into `folder`, each file whole or not at all; return the files."""
     written = []
-    for stem, figure in result.figures.items():
+    for stem, (figure, _) in result.figures.items():
         written += save_figure(figure, folder / stem)
     for stem, data in result.data.items():
-        written.append(_write_data(data, folder / stem))
+        if isinstance(data, pd.DataFrame):
+            text = data.to_csv(index=False, lineterminator="\n")
+            written.append(write_atomically(folder / f"{stem}.csv", text))
+        else:
+            written.append(write_atomically(folder / f"{stem}.npz", pack_arrays(data)))
     return written
 
 
-def _write_data(data: Data, stem: Path) -> Path:
-    if isinstance(data, pd.DataFrame):
-        text = data.to_csv(index=False, lineterminator="\n")
-        return write_atomically(stem.with_suffix(".csv"), text)
-    return write_atomically(stem.with_suffix(".npz"), pack_arrays(data))
-
-
 def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
-    """The arrays as the content of an npz file; equal arrays give equal bytes."""
+    """Return the content of an npz file of arrays; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **dict(arrays))
     return buffer.getvalue()

@@ -1,8 +1,8 @@
 """The paper's normalization networks: twelve architectures, five runs each, trained and kept.
 
 The runs of an architecture are trained together, as one batch of tensors, and architectures in
-as many processes as asked for.  Every finished architecture is a file of its own, named by all
-that its content depends on, so that work which was interrupted goes on where it was.
+as many processes as asked for.  Every finished architecture is a file of its own, named by its
+recipe and seed, so that interrupted work goes on where it was.
 
 Together, the runs of all twelve take 76 seconds of one core; one network at a time, the sixty
 take 349 (`python benchmarks/normalization_training.py`).
@@ -11,8 +11,7 @@ take 349 (`python benchmarks/normalization_training.py`).
 from __future__ import annotations
 
 import hashlib
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,12 +22,12 @@ from numpy.typing import NDArray
 
 from mmc_gym._files import write_atomically
 from mmc_gym._grid import run_grid
+from mmc_gym.network.chain import Floats
 from mmc_gym.network.fitting import PAPER, Recipe, train_normalizers
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors, mean_squared_error
-from mmc_gym.paper.experiment import Progress, Settings, pack_arrays
+from mmc_gym.paper.experiment import Settings, pack_arrays
 
 Units: TypeAlias = "tuple[int, ...]"
-_Arrays: TypeAlias = "dict[str, NDArray[Any]]"
 
 # In the order of the paper's figures.
 ARCHITECTURES: tuple[Units, ...] = (
@@ -41,6 +40,7 @@ QUICK_ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (16,), (8, 8), (16, 16))
 QUICK_RUNS = 2
 QUICK_RECIPE = replace(PAPER, epochs=20)
 
+_BY_EPOCH, _AT_THE_END = ("training_mse", "validation_mse"), ("grid_mse", "angle_error")
 _NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest asks for
 _FEW_EPOCHS = 500  # take no longer than to start a process, and torch in it
 
@@ -60,30 +60,29 @@ class TrainedArchitecture:
 
     hidden_units: Units
     normalizers: tuple[LearnedNormalizer, ...]
-    training_mse: NDArray[np.float64]
-    validation_mse: NDArray[np.float64]
-    grid_mse: NDArray[np.float64]
-    angle_error: NDArray[np.float64]
+    training_mse: Floats
+    validation_mse: Floats
+    grid_mse: Floats
+    angle_error: Floats
 
 
 def architecture_name(hidden_units: Sequence[int]) -> str:
-    """Hidden layer sizes as the table and figures write them: "[16]", "[16, 16]"."""
+    """Return hidden layer sizes as the table and figures write them: "[16]", "[16, 16]"."""
     return str(list(hidden_units))
 
 
 def trained_architectures(
     settings: Settings,
-    progress: Progress,
     architectures: Sequence[Units] | None = None,
     weight_decay: float = PAPER.weight_decay,
 ) -> dict[Units, TrainedArchitecture]:
-    """Networks trained by the paper's recipe, from the settings' folder where they are there.
+    """Return networks trained by the paper's recipe, from the settings' folder if they are there.
 
     Args:
-        settings: a quick run trains fewer architectures and runs, for fewer epochs.
-        progress: called with (epochs done, their total number).
+        settings: a quick run trains fewer architectures and runs, for fewer epochs; progress is
+            reported in epochs.
         architectures: hidden layer sizes; by default the paper's twelve, or a quick run's five.
-        weight_decay: of the training; the paper's twelve have none.
+        weight_decay: weight decay of the training; the paper's twelve have none.
 
     Returns:
         All runs of each architecture, in the order asked for.
@@ -93,53 +92,47 @@ def trained_architectures(
     recipe, runs = (QUICK_RECIPE, QUICK_RUNS) if settings.quick else (PAPER, RUNS)
     recipe = replace(recipe, weight_decay=weight_decay)
     tasks = [_Task(tuple(units), recipe, runs, settings.seed) for units in architectures]
-    folder = settings.folder / "networks" if settings.folder else None
-    results = {task: _read(task, folder) for task in tasks}
-    missing = [task for task in tasks if not results[task]]
+    found = {task: _read(task, settings) for task in tasks}
+    missing = [task for task in tasks if found[task] is None]
     missing.sort(key=lambda task: sum(task.hidden_units), reverse=True)  # the longest first
-    total = sum(task.recipe.epochs for task in tasks)
-    before = total - sum(task.recipe.epochs for task in missing)
-    progress(before, total)
-    parallel = settings.jobs > 1 and len(missing) > 1 and total - before > _FEW_EPOCHS
-
-    done = before
+    total, left = recipe.epochs * len(tasks), recipe.epochs * len(missing)
+    done = total - left
+    settings.on_progress(done, total)
+    parallel = settings.jobs > 1 and len(missing) > 1 and left > _FEW_EPOCHS
 
     def report(epochs: int) -> None:
         nonlocal done
         done += epochs
-        progress(done, total)
+        settings.on_progress(done, total)
 
-    def keep(index: int, arrays: _Arrays) -> None:
-        task = missing[index]
-        results[task] = arrays
-        if folder:
-            write_atomically(folder / task.file_name, pack_arrays(arrays))
+    def keep(index: int, trained: TrainedArchitecture) -> None:
+        found[missing[index]] = trained
+        if settings.folder:
+            path = missing[index].path_in(settings.folder)
+            write_atomically(path, _packed(trained, settings.version))
         if parallel:
-            report(task.recipe.epochs)
+            report(recipe.epochs)
 
-    if parallel:
-        run_grid(_train, missing, jobs=settings.jobs, on_result=keep)
-    else:
-        run_grid(partial(_train, tick=partial(report, 1)), missing, jobs=1, on_result=keep)
-    return {task.hidden_units: _unpacked(task, results[task]) for task in tasks}
+    train = _train if parallel else partial(_train, tick=partial(report, 1))
+    run_grid(train, missing, jobs=settings.jobs if parallel else 1, on_result=keep)
+    return {task.hidden_units: trained for task, trained in found.items() if trained}
 
 
 @dataclass(frozen=True)
 class _Task:
-    """The training of one architecture, with all that its result depends on."""
+    """The training of one architecture, with all that its result depends on but the version."""
 
     hidden_units: Units
     recipe: Recipe
     runs: int
     seed: int
 
-    @property
-    def file_name(self) -> str:
+    def path_in(self, folder: Path) -> Path:
         digest = hashlib.sha256(repr(self).encode()).hexdigest()[:12]
-        return f"{'x'.join(map(str, self.hidden_units))}-{digest}.npz"
+        return folder / "networks" / f"{'x'.join(map(str, self.hidden_units))}-{digest}.npz"
 
 
-def _train(task: _Task, tick: Callable[[], None] = lambda: None) -> _Arrays:
+def _train(task: _Task, tick: Callable[[], None] = lambda: None) -> TrainedArchitecture:
     """Train one architecture, and measure it."""
     trained = train_normalizers(
         task.hidden_units,
@@ -148,34 +141,55 @@ def _train(task: _Task, tick: Callable[[], None] = lambda: None) -> _Arrays:
         task.seed,
         progress=lambda done, total: tick(),
     )
-    normalizers = [run.normalizer for run in trained]
-    arrays: _Arrays = {
-        "training_mse": np.stack([run.training_mse for run in trained]),
-        "validation_mse": np.stack([run.validation_mse for run in trained]),
-        "grid_mse": np.array([mean_squared_error(n, directions=180) for n in normalizers]),
-        "angle_error": np.array(
-            [np.degrees(angle_errors(n, _NEAR_ONE, directions=720)).mean() for n in normalizers]
-        ),
+    normalizers = tuple(run.normalizer for run in trained)
+    angles = [angle_errors(normalizer, _NEAR_ONE, directions=720) for normalizer in normalizers]
+    return TrainedArchitecture(
+        hidden_units=task.hidden_units,
+        normalizers=normalizers,
+        training_mse=np.stack([run.training_mse for run in trained]),
+        validation_mse=np.stack([run.validation_mse for run in trained]),
+        grid_mse=np.array([mean_squared_error(n, directions=180) for n in normalizers]),
+        angle_error=np.array([np.degrees(errors).mean() for errors in angles]),
+    )
+
+
+def _packed(trained: TrainedArchitecture, version: str) -> bytes:
+    arrays: dict[str, NDArray[Any]] = {
+        name: getattr(trained, name) for name in (*_BY_EPOCH, *_AT_THE_END)
     }
-    for layer in range(len(task.hidden_units) + 1):
-        arrays[f"weights_{layer}"] = np.stack([n.weights[layer] for n in normalizers])
-        arrays[f"biases_{layer}"] = np.stack([n.biases[layer] for n in normalizers])
-    return arrays
+    for layer in range(len(trained.hidden_units) + 1):
+        arrays[f"weights_{layer}"] = np.stack([n.weights[layer] for n in trained.normalizers])
+        arrays[f"biases_{layer}"] = np.stack([n.biases[layer] for n in trained.normalizers])
+    return pack_arrays(arrays | {"version": np.array(version)})
 
 
-def _read(task: _Task, folder: Path | None) -> _Arrays:
-    """What an earlier run kept; nothing if it kept none, or what is there is damaged."""
-    if not folder or not (folder / task.file_name).exists():
-        return {}
+def _read(task: _Task, settings: Settings) -> TrainedArchitecture | None:
+    """Return what this version kept; None, with a note, of another version or damaged."""
+    path = settings.folder and task.path_in(settings.folder)
+    if not path or not path.exists():
+        return None
     try:
         # Opened here, because numpy leaves a damaged file open.
-        with open(folder / task.file_name, "rb") as file, np.load(file) as arrays:
-            return dict(arrays)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return {}
+        with open(path, "rb") as file, np.load(file) as arrays:
+            version = str(arrays["version"]) if "version" in arrays else "unknown"
+            trained = _unpacked(task, dict(arrays))
+    except Exception as error:  # zip, zlib, tokenizer, key, shape …: each damage has its own
+        settings.on_note(f"{path} is damaged and is made anew ({type(error).__name__})")
+        return None
+    if version != settings.version:
+        settings.on_note(f"{path} was made by version {version} and is made anew")
+        return None
+    return trained
 
 
-def _unpacked(task: _Task, arrays: Mapping[str, NDArray[Any]]) -> TrainedArchitecture:
+def _unpacked(task: _Task, arrays: dict[str, NDArray[Any]]) -> TrainedArchitecture:
+    shapes: dict[str, tuple[int, ...]] = {
+        **{name: (task.runs, task.recipe.epochs) for name in _BY_EPOCH},
+        **{name: (task.runs,) for name in _AT_THE_END},
+    }
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {arrays[name].shape}")
     layers = range(len(task.hidden_units) + 1)
     normalizers = tuple(
         LearnedNormalizer(
@@ -184,5 +198,6 @@ def _unpacked(task: _Task, arrays: Mapping[str, NDArray[Any]]) -> TrainedArchite
         )
         for run in range(task.runs)
     )
-    measured = ("training_mse", "validation_mse", "grid_mse", "angle_error")
-    return TrainedArchitecture(task.hidden_units, normalizers, *(arrays[name] for name in measured))
+    return TrainedArchitecture(
+        task.hidden_units, normalizers, **{name: arrays[name] for name in shapes}
+    )

@@ -8,20 +8,21 @@ velocity are divided by the distance between the two targets (paper, Sect. "Resu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from mmc_gym.measures import speed as profiles
-from mmc_gym.measures.episode import moving_part
+from mmc_gym.measures import speed
 from mmc_gym.measures.reaching import largest_retreat
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from mmc_gym.paper.experiment import Progress, Settings
+from mmc_gym.paper.experiment import Settings
 from mmc_gym.paper.networks import architecture_name, trained_architectures
 
 WARM_ITERATIONS_KINEMATIC = 100
@@ -64,7 +65,7 @@ class Recording:
 
     @property
     def end_effector(self) -> Floats:
-        """Where the hand is after every iteration, (..., iterations, 2)."""
+        """Position of the hand after every iteration, (..., iterations, 2)."""
         hand: Floats = self.segments.sum(axis=-2)
         return hand
 
@@ -85,8 +86,22 @@ class Recording:
         return lengths
 
 
+Move: TypeAlias = Callable[[MMCNetwork, MMCState, Floats, int], tuple[MMCState, Floats]]
+"""Moves a network from a state to targets in so many iterations: last state, segments of all."""
+
+
+def clamp_and_run(
+    network: MMCNetwork, state: MMCState, target: Floats, iterations: int
+) -> tuple[MMCState, Floats]:
+    """Move as the paper does: clamp the target, and iterate."""
+    return network.trajectory(state, network.inverse(target), iterations)
+
+
 def record_movements(
-    network: MMCNetwork, iterations: int = 100, warm_iterations: int | None = None
+    network: MMCNetwork,
+    iterations: int = 100,
+    warm_iterations: int | None = None,
+    move: Move = clamp_and_run,
 ) -> Recording:
     """Run the 420 movements, all in one batch.
 
@@ -95,6 +110,7 @@ def record_movements(
         iterations: recorded iterations.
         warm_iterations: iterations of the warm movement; by default the paper's 100 for
             kinematic and 40 for dynamic networks.
+        move: makes both movements.
 
     Raises:
         ValueError: if the network has not three segments.
@@ -108,25 +124,38 @@ def record_movements(
         warm_iterations = WARM_ITERATIONS_KINEMATIC if kinematic else WARM_ITERATIONS_DYNAMIC
     start, target = TARGETS[PAIRS[:, 0]], TARGETS[PAIRS[:, 1]]
     # A movement's state depends on its first target alone: warm 21 networks, not 420.
-    warm = network.run(
-        network.state_from_segments(STARTING_SEGMENTS), network.inverse(TARGETS), warm_iterations
-    )
+    state = network.state_from_segments(STARTING_SEGMENTS)
+    warm, _ = move(network, state, TARGETS, warm_iterations)
     state = MMCState(np.ascontiguousarray(warm.values[..., PAIRS[:, 0]]), warm.segment_count)
-    return _record(network, state, start, target, iterations)
+    _, segments = move(network, state, target, iterations)
+    return Recording(state.segments, np.moveaxis(segments, 0, -3), start, target)
+
+
+def record_runs(
+    network: MMCNetwork,
+    normalizers: Sequence[Normalizer],
+    iterations: int,
+    warm_iterations: int | None = None,
+) -> Recording:
+    """Run the 420 movements with each normalizer in turn, one after the other, (420 runs, ...)."""
+    recordings = [
+        record_movements(replace(network, normalizer=normalizer), iterations, warm_iterations)
+        for normalizer in normalizers
+    ]
+    parts = ([getattr(r, field.name) for r in recordings] for field in fields(Recording))
+    return Recording(*map(np.concatenate, parts))
 
 
 def record_example(network: MMCNetwork, iterations: int = 40) -> Recording:
     """Run the paper's example movement, from the starting posture, without a warm movement."""
     state = network.state_from_segments(STARTING_SEGMENTS)
-    return _record(network, state, state.end_effector, EXAMPLE_TARGET, iterations)
-
-
-def _record(
-    network: MMCNetwork, state: MMCState, start: Floats, target: Floats, iterations: int
-) -> Recording:
-    start_segments = state.segments
-    _, segments = network.trajectory(state, network.inverse(target), iterations)
-    return Recording(start_segments, np.moveaxis(segments, 0, -3), start, target)
+    _, segments = clamp_and_run(network, state, EXAMPLE_TARGET, iterations)
+    return Recording(
+        start_segments=state.segments,
+        segments=np.moveaxis(segments, 0, -3),
+        start=state.end_effector,
+        target=EXAMPLE_TARGET,
+    )
 
 
 EUCLIDEAN, ACCURATE = "Euclidean", "accurate [16, 16]"
@@ -149,7 +178,7 @@ ITERATIONS = (10, 20, 40, 100)
 
 
 def summarize(recording: Recording) -> dict[str, float]:
-    """Distances and velocity peaks of movements, (movements, iterations), as columns.
+    """Summarize movements, (movements, iterations).
 
     Returns:
         distance_k, mean over the movements, for every k of `ITERATIONS` that was recorded; final
@@ -159,139 +188,79 @@ def summarize(recording: Recording) -> dict[str, float]:
     """
     distance, velocity = recording.distance, recording.velocity
     mean_distance, mean_velocity = distance.mean(axis=0), velocity.mean(axis=0)
-    rises = each(profiles.second_rise, velocity)
+    recorded = [k for k in ITERATIONS if k <= len(mean_distance)]
     return {
-        **{
-            f"distance_{k}": float(mean_distance[k - 1])
-            for k in ITERATIONS
-            if k <= len(mean_distance)
-        },
+        **{f"distance_{k}": float(mean_distance[k - 1]) for k in recorded},
         "final": float(mean_distance[-1]),
         "deviation": float(distance[:, -1].std()),
         "far": float((distance[:, -1] > FAR).sum()),
         "peak_velocity": float(mean_velocity.max()),
         "peak_iteration": float(mean_velocity.argmax() + 1),
         "overshoots": float((each(largest_retreat, distance) > OVERSHOOT).sum()),
-        "second_peaks": float((rises > SECOND_PEAK).sum()),
+        "second_peaks": float((each(speed.second_rise, velocity) > SECOND_PEAK).sum()),
     }
 
 
-def shapes(recording: Recording) -> dict[str, NDArray[np.float64]]:
-    """How bell-shaped each movement is, columns of (movements,): see `profiles` for each."""
-    velocity = recording.velocity
+def shapes(recording: Recording) -> dict[str, Floats]:
+    """Return how bell-shaped each movement is, columns of (movements,): see `measures.speed`."""
+    distance, velocity = recording.distance, recording.velocity
     return {
-        "correlation": each(profiles.correlation_with_minimum_jerk, velocity),
-        "peak_to_mean": each(profiles.peakedness, velocity),
-        "time_to_peak": each(profiles.phase_of_peak, velocity),
-        "velocity_peaks": each(profiles.count_peaks, velocity),
-        "overshoot": each(largest_retreat, recording.distance),
-        "final": np.asarray(recording.distance[:, -1], dtype=np.float64),
+        "correlation": each(speed.correlation_with_minimum_jerk, velocity),
+        "peak_to_mean": each(speed.peakedness, velocity),
+        "time_to_peak": each(speed.phase_of_peak, velocity),
+        "velocity_peaks": each(speed.count_peaks, velocity),
+        "overshoot": each(largest_retreat, distance),
+        "final": distance[:, -1],
     }
 
 
-def bulk(velocity: ArrayLike) -> NDArray[np.float64]:
-    """The part of a profile from the first to the last velocity of 5 % of the highest or more.
-
-    >>> bulk([0.01, 0.2, 1.0, 0.02, 0.1, 0.04]).tolist()
-    [0.2, 1.0, 0.02, 0.1]
-    """
-    profile = np.asarray(velocity, dtype=np.float64)
-    return profile[moving_part(profile)]
-
-
-def bulk_shape(velocity: Floats) -> tuple[float, float]:
-    """Shape of the bulk of profiles, (profiles, iterations), as medians over them.
-
-    Returns:
-        Peak over mean velocity, and the share of the iterations that are over before the fastest.
-    """
-    parts = [bulk(profile) for profile in velocity]
-    return (
-        float(np.median([part.max() / part.mean() for part in parts])),
-        float(np.median([part.argmax() / part.size for part in parts])),
-    )
-
-
-def each(measure: Callable[[Floats], float], profiles: Floats) -> NDArray[np.float64]:
-    """The measure of every profile, from (profiles, iterations)."""
+def each(measure: Callable[[Floats], float], profiles: Floats) -> Floats:
+    """Measure every profile of (profiles, iterations)."""
     return np.array([measure(profile) for profile in profiles])
 
 
-def all_normalizers(settings: Settings, progress: Progress) -> dict[str, tuple[Normalizer, ...]]:
-    """Euclidean, the shipped accurate one, and all runs of every architecture, by name."""
-    trained = trained_architectures(settings, progress)
+def all_normalizers(settings: Settings) -> dict[str, tuple[Normalizer, ...]]:
+    """Return Euclidean, the shipped accurate one, and all runs of every architecture, by name."""
+    trained = trained_architectures(settings)
     return {
         EUCLIDEAN: (EuclideanNormalizer(),),
         ACCURATE: (LearnedNormalizer.shipped("accurate"),),
-        **{architecture_name(units): trained[units].normalizers for units in trained},
+        **{architecture_name(units): found.normalizers for units, found in trained.items()},
     }
 
 
 def summarize_networks(
-    networks: Iterable[MMCNetwork],
+    settings: Settings,
+    networks: Sequence[MMCNetwork],
     normalizers: Mapping[str, Sequence[Normalizer]],
     iterations: int,
-    progress: Progress,
 ) -> pd.DataFrame:
     """Run the 420 movements with every normalizer in every network, and summarize each.
 
     Args:
+        settings: is told the progress.
         networks: descriptions whose normalizer is replaced.
         normalizers: all runs of each kind, by its name.
         iterations: recorded iterations, and as many of the warm movement.
-        progress: called with (recordings done, their total number).
 
     Returns:
         A row per network, normalizer and run: dynamics, decay (not a number for kinematic
         networks), schedule, normalizer, run, and the columns of `summarize`.
     """
-    networks = list(networks)
-    total = len(networks) * sum(map(len, normalizers.values()))
-    rows: list[dict[str, object]] = []
-    progress(0, total)
-    for network in networks:
-        kinematic = network.dynamics == "kinematic"
-        for name, runs in normalizers.items():
-            for number, normalizer in enumerate(runs):
-                recording = record_movements(
-                    replace(network, normalizer=normalizer), iterations, iterations
-                )
-                rows.append(
-                    {
-                        "dynamics": network.dynamics,
-                        "decay": np.nan if kinematic else network.velocity_decay,
-                        "schedule": network.schedule,
-                        "normalizer": name,
-                        "run": number,
-                        **summarize(recording),
-                    }
-                )
-                progress(len(rows), total)
+    runs = [(name, *run) for name, found in normalizers.items() for run in enumerate(found)]
+    rows = []
+    for network, (name, number, normalizer) in settings.tracked(list(product(networks, runs))):
+        recording = record_movements(
+            replace(network, normalizer=normalizer), iterations, iterations
+        )
+        rows.append(
+            {
+                "dynamics": network.dynamics,
+                "decay": np.nan if network.dynamics == "kinematic" else network.velocity_decay,
+                "schedule": network.schedule,
+                "normalizer": name,
+                "run": number,
+                **summarize(recording),
+            }
+        )
     return pd.DataFrame(rows)
-
-
-def pooled(
-    network: MMCNetwork, normalizers: Sequence[Normalizer], iterations: int, warm_iterations: int
-) -> tuple[Floats, Floats]:
-    """Distance and velocity of the movements with all normalizers, (movements, iterations)."""
-    recordings = [
-        record_movements(replace(network, normalizer=normalizer), iterations, warm_iterations)
-        for normalizer in normalizers
-    ]
-    return (
-        np.concatenate([recording.distance for recording in recordings]),
-        np.concatenate([recording.velocity for recording in recordings]),
-    )
-
-
-def over_runs(values: ArrayLike, digits: str = ".4f") -> str:
-    """Mean over the runs, and the least and the largest of them, if there are several.
-
-    >>> over_runs([0.0625]), over_runs([0.05, 0.04, 0.09])
-    ('0.0625', '0.0600 (0.0400 to 0.0900)')
-    """
-    values = np.asarray(values, dtype=np.float64)
-    mean = f"{values.mean():{digits}}"
-    if values.size == 1:
-        return mean
-    return f"{mean} ({values.min():{digits}} to {values.max():{digits}})"

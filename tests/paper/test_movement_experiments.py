@@ -3,51 +3,96 @@
 import numpy as np
 import pytest
 
-from mmc_gym.network import LearnedNormalizer
-from mmc_gym.paper import protocol as summaries
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network.model import linear_operator
+from mmc_gym.paper import protocol
 from mmc_gym.paper.experiment import Settings, write_result
-from mmc_gym.paper.experiments import dynamic, example, kinematic
+from mmc_gym.paper.experiments import (
+    accurate,
+    bell_shaped,
+    dynamic,
+    example,
+    forward_and_mixed,
+    kinematic,
+)
+from mmc_gym.paper.experiments.accurate import LENGTHS, measure
+from mmc_gym.paper.experiments.bell_shaped import minimum_jerk_movements, record_timed_movements
+from mmc_gym.paper.experiments.forward_and_mixed import (
+    NETWORKS,
+    TASKS,
+    errors,
+    factor,
+    random_tasks,
+)
 from mmc_gym.paper.networks import TrainedArchitecture
+from mmc_gym.paper.protocol import OVERSHOOT, PAIRS, TARGETS, record_movements, shapes
 
-NONE = np.zeros((2, 0))
-RUNS = tuple(LearnedNormalizer.shipped(name) for name in ("paper", "accurate"))
+ACCURATE = LearnedNormalizer.shipped("accurate")
+RUNS = (LearnedNormalizer.shipped("paper"), ACCURATE)
+NORMALIZERS = {"Euclidean": EuclideanNormalizer(), "accurate": ACCURATE}
+FORWARD = next(iter(TASKS))
 
 
-def trained(settings, progress, architectures=((16,), (16, 16))):
+def trained(settings, architectures=((16,), (16, 16))):
     """Instead of training: two 2-16-16-2 networks for every architecture."""
+    none = np.zeros((2, 0))
     return {
-        units: TrainedArchitecture(units, RUNS, NONE, NONE, np.zeros(2), np.zeros(2))
+        units: TrainedArchitecture(units, RUNS, none, none, np.zeros(2), np.zeros(2))
         for units in architectures
     }
 
 
+class Results(dict):
+    """Results of the experiments by module, run when they are first asked for."""
+
+    def __missing__(self, module):
+        calls = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(protocol, "trained_architectures", trained)
+            patch.setattr(example, "trained_architectures", trained)
+            quick = module in (accurate, bell_shaped, forward_and_mixed)
+            settings = Settings(quick, on_progress=lambda *report: calls.append(report))
+            self[module] = module.EXPERIMENT.run(settings)
+        assert module is example or calls[-1][0] == calls[-1][1] > 0
+        return self[module]
+
+
 @pytest.fixture(scope="module")
 def results():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(summaries, "trained_architectures", trained)
-        patch.setattr(example, "trained_architectures", trained)
-        return {
-            module.EXPERIMENT.name: module.EXPERIMENT.run(Settings(), lambda done, total: None)
-            for module in (kinematic, dynamic, example)
-        }
+    return Results()
 
 
-def ours(result, quantity):
-    return next(row.ours for row in result.rows if row.quantity.startswith(quantity))
+def row(result, quantity):
+    return next(row for row in result.rows if row.quantity.startswith(quantity))
 
 
-def test_every_figure_has_a_caption_and_every_result_its_data(results, tmp_path):
-    for name, result in results.items():
-        assert set(result.captions) == set(result.figures)
-        written = write_result(result, tmp_path / name)
-        assert len(written) == 2 * len(result.figures) + len(result.data)
+@pytest.mark.parametrize(
+    ("module", "rows", "figures"),
+    [
+        (kinematic, 20, 2),
+        (dynamic, 41, 1),
+        (example, 6, 2),
+        (accurate, 12, 1),
+        (bell_shaped, 71, 3),
+        (forward_and_mixed, 30, 1),
+    ],
+    ids=["kinematic", "dynamic", "example", "accurate", "bell-shaped", "forward-and-mixed"],
+)
+def test_an_experiment_has_rows_captioned_figures_and_data(
+    module, rows, figures, results, tmp_path
+):
+    result = results[module]
+    assert len(result.rows) == rows
+    assert len(result.figures) == figures
+    assert all(figure.caption for figure in result.figures.values())
+    assert len(write_result(result, tmp_path)) == 2 * figures + len(result.data)
 
 
 def test_rows_without_learned_weights_agree_with_the_data_to_the_digit(results):
     rows = [
         row
-        for name in ("kinematic", "dynamic")
-        for row in results[name].rows
+        for module in (kinematic, dynamic)
+        for row in results[module].rows
         if row.quantity.startswith("Euclidean") and row.data is not None
     ]
     assert len(rows) == 13
@@ -59,23 +104,23 @@ def test_rows_without_learned_weights_agree_with_the_data_to_the_digit(results):
 
 
 def test_the_classical_rows_agree_with_the_data(results):
-    for row in results["dynamic"].rows:
-        if row.quantity.startswith("classical") and not row.quantity.endswith("at iteration"):
-            assert float(row.ours) == pytest.approx(row.data, abs=5e-4)
-    assert ours(results["dynamic"], "classical (Euclidean): peak") == "0.1082 at 2"
-    assert ours(results["example"], "kinematic (Euclidean)") == "0.00977"
+    for found in results[dynamic].rows:
+        if found.quantity.startswith("classical") and not found.quantity.endswith("at iteration"):
+            assert float(found.ours) == pytest.approx(found.data, abs=5e-4)
+    assert row(results[dynamic], "classical (Euclidean): peak").ours == "0.1082 at 2"
+    assert row(results[example], "kinematic (Euclidean)").ours == "0.00977"
 
 
 def test_the_shape_of_single_movements_is_that_of_the_data(results):
     # 3.4 and 0 for the classical network, 2.6 and 0.15 for the dynamic one.
-    point = results["dynamic"].points[5]
+    point = results[dynamic].points[5]
     assert "classical 3.37, 0.00 (" in point
     assert "dynamic (Euclidean) 2.61, 0.15 (" in point
 
 
 def test_the_example_s_second_peak_is_given_for_each_network(results):
-    (found,) = (row for row in results["example"].rows if "second velocity peak" in row.quantity)
-    assert found.quantity.startswith("dynamic [16, 16], rule “reference”, decay 1")
+    found = results[example].rows[-1]
+    assert found.quantity.startswith("dynamic [16, 16], rule “reference”, decay 1: second velocity")
     assert found.data == "0.0139 at 28"
     assert len(found.ours.split(", ")) == len(RUNS)
     for peak in found.ours.split(", "):
@@ -85,16 +130,144 @@ def test_the_example_s_second_peak_is_given_for_each_network(results):
 
 
 def test_runs_of_a_normalizer_are_given_with_their_range(results):
-    assert " to " in ours(results["kinematic"], "[16, 16]: distance")
-    table = results["kinematic"].data["kinematic_networks"]
+    assert " to " in row(results[kinematic], "[16, 16]: distance").ours
+    table = results[kinematic].data["kinematic_networks"]
     assert len(table) == 2 * (1 + 1 + 2 + 2)
     assert set(table["schedule"]) == {"delayed", "synchronous"}
-    table = results["dynamic"].data["dynamic_networks"]
-    assert len(table) == 9 * (1 + 1 + 2 + 2)
+    assert len(results[dynamic].data["dynamic_networks"]) == 9 * (1 + 1 + 2 + 2)
 
 
 def test_the_points_on_movements_are_all_measured(results):
-    points = {number for result in results.values() for number in result.points}
-    assert points == {1, 2, 3, 4, 5, 6}
-    assert "not within 40 iterations" in results["dynamic"].points[1]
-    assert results["dynamic"].points[2].endswith("26 with Euclidean normalization")
+    found = [results[module].points for module in (kinematic, dynamic, example)]
+    assert {number for points in found for number in points} == {1, 2, 3, 4, 5, 6}
+    assert "not within 40 iterations" in results[dynamic].points[1]
+    assert results[dynamic].points[2].endswith("26 with Euclidean normalization")
+
+
+def test_the_exact_normalizer_has_no_errors():
+    exact = measure(NORMALIZERS["Euclidean"], directions=36)
+    assert exact.near_error < 1e-12
+    assert exact.worst_error.max() < 1e-12
+    np.testing.assert_allclose(exact.output_length, 1)
+    assert exact.final.mean() == pytest.approx(0.02264, abs=1e-5)
+    assert exact.final.std() == pytest.approx(0.03198, abs=1e-5)
+
+
+def test_the_accurate_normalizer_is_as_good_as_was_sought(results):
+    result = results[accurate]
+    assert row(result, "accurate: mean angle error at lengths 0.9 to 1.1").ours <= 0.01
+    assert row(result, "accurate: the same, as a multiple of the Euclidean").ours <= 1.02
+    assert row(result, "accurate: movements that end above 0.1").ours <= 7
+    assert row(result, "paper's recipe: the same, as a multiple of the Euclidean").data == 2.03
+    assert result.data["distance"]["accurate"].shape == (420, 100)
+    assert len(result.data["angle_errors"]) == len(LENGTHS)
+
+
+def test_no_length_up_to_three_is_turned_the_wrong_way():
+    assert LENGTHS.min() == 1e-6
+    assert LENGTHS.max() == 3
+    found = measure(ACCURATE, directions=720)
+    assert found.worst_error.max() < 5
+    assert 0.99 < found.output_length[0] < 1 < found.output_length[1] < 1.01
+
+
+@pytest.mark.parametrize("iterations", [40, 100])
+@pytest.mark.parametrize("name", NORMALIZERS)
+def test_each_movement_is_bell_shaped_and_ends_as_near(name, iterations):
+    found = shapes(record_timed_movements(MMCNetwork(normalizer=NORMALIZERS[name]), iterations))
+    assert np.median(found["correlation"]) >= 0.98
+    assert 1.8 <= np.median(found["peak_to_mean"]) <= 2.0
+    assert 0.45 <= np.median(found["time_to_peak"]) <= 0.55
+    assert (found["velocity_peaks"] == 1).mean() >= 0.95
+    assert (found["overshoot"] > OVERSHOOT).sum() == 0
+    for schedule in ("synchronous", "delayed"):
+        classical = record_movements(MMCNetwork(schedule=schedule), iterations, iterations)
+        assert found["final"].mean() <= classical.distance[:, -1].mean()
+
+
+def test_the_paper_s_networks_are_bell_shaped_on_average_only():
+    for network in (MMCNetwork(schedule="delayed", dynamics="reference"), MMCNetwork()):
+        found = shapes(record_movements(network, 40, 40))
+        assert np.median(found["correlation"]) < 0.1
+        assert np.median(found["peak_to_mean"]) > 2.5
+        assert np.median(found["time_to_peak"]) < 0.2
+
+
+@pytest.mark.parametrize("iterations", [40, 100])
+def test_minimum_jerk_passes_every_measure(iterations):
+    recording = minimum_jerk_movements(iterations)
+    found = shapes(recording)
+    np.testing.assert_allclose(found["correlation"], 1)
+    np.testing.assert_allclose(found["peak_to_mean"], 15 / 8, rtol=2e-3)
+    np.testing.assert_allclose(found["time_to_peak"], 0.5, atol=0.51 / iterations)
+    assert (found["velocity_peaks"] == 1).all()
+    np.testing.assert_allclose(found["overshoot"], 0, atol=1e-12)
+    np.testing.assert_allclose(recording.distance[:, -1], 0, atol=1e-12)
+    np.testing.assert_allclose(recording.velocity.sum(axis=-1), 1)
+
+
+def test_a_timed_movement_starts_where_its_warm_movement_ends():
+    recording = record_timed_movements(MMCNetwork(), 40)
+    np.testing.assert_allclose(recording.start, TARGETS[PAIRS[:, 0]])
+    starts = recording.start_segments.sum(axis=-2)
+    assert np.linalg.norm(starts - recording.start, axis=-1).mean() < 0.1
+    assert recording.segments.shape == (420, 40, 3, 2)
+
+
+def test_the_shapes_of_all_movements_are_kept(results):
+    frame = results[bell_shaped].data["bell_shape"]
+    assert frame.groupby(["name", "iterations"]).size().eq(420).all()
+    assert frame["name"].nunique() * 7 + 1 == len(results[bell_shaped].rows)
+
+
+def errors_of(network, task, arms=100, iterations=300):
+    state, vectors = random_tasks(network, arms, seed=1)
+    clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
+    return errors(network, state, clamps, iterations)
+
+
+@pytest.mark.parametrize("damping", [4.0, 10.0, 30.0])
+def test_the_forward_task_has_the_eigenvalues_of_its_equation(damping):
+    operator = linear_operator(MMCNetwork(damping=damping), (0, 1, 2))[3:, 3:]
+    expected = 1 - np.array([2 + np.sqrt(2), 2, 2 - np.sqrt(2)]) / damping
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(operator).real), expected, atol=1e-12)
+    assert factor(damping) == pytest.approx(expected[-1])
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_forward_error_shrinks_by_the_factor(name):
+    course = errors_of(NETWORKS[name], FORWARD).mean(axis=1)
+    np.testing.assert_allclose(course[60:200] / course[59:199], factor(10), rtol=1e-4)
+    assert course[-1] < 1e-6
+
+
+def test_a_forward_task_is_the_same_with_every_normalizer():
+    learned = MMCNetwork(normalizer=RUNS[0])
+    np.testing.assert_array_equal(errors_of(learned, FORWARD), errors_of(MMCNetwork(), FORWARD))
+
+
+@pytest.mark.parametrize("name", NORMALIZERS)
+@pytest.mark.parametrize("task", [task for task in TASKS if task != FORWARD])
+def test_mixed_and_inverse_tasks_are_solved(task, name):
+    course = errors_of(MMCNetwork(normalizer=NORMALIZERS[name]), task, iterations=500)
+    assert np.median(course[-1]) < 0.01
+    assert course[-1].mean() < 0.03 * course[0].mean()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_what_is_clamped_is_held(task):
+    network = MMCNetwork(dynamics="paper", schedule="delayed")
+    state, vectors = random_tasks(network, 5, seed=0)
+    clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
+    state = network.run(state, clamps, iterations=7)
+    rows = [{(0, 1): 0, (1, 2): 1, (2, 3): 2, (0, 2): 3, (0, 3): 5}[pair] for pair in TASKS[task]]
+    for row, pair in zip(rows, TASKS[task], strict=True):
+        np.testing.assert_allclose(state.vectors[:, row], vectors[pair], atol=1e-12)
+    lengths = np.linalg.norm(state.segments, axis=-1)
+    np.testing.assert_allclose(lengths, 1, atol=1e-12)
+
+
+def test_every_task_is_given_to_every_network(results):
+    result = results[forward_and_mixed]
+    assert result.data["forward_and_mixed"].shape == (500, 1 + len(NETWORKS) * 3 * len(TASKS))
+    assert any("0.94142" in str(found.ours) for found in result.rows)

@@ -1,18 +1,27 @@
 """The command `reproduce`: what it writes is whole, and its table has all that was published."""
 
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
 from mmc_gym.cli import main
-from mmc_gym.paper import networks as normalizers
-from mmc_gym.paper import run as reproduce
-from mmc_gym.paper.experiment import Experiment, Result, Row
+from mmc_gym.paper import networks, run
+from mmc_gym.paper.experiment import (
+    Captioned,
+    Experiment,
+    Result,
+    Row,
+    Settings,
+    write_result,
+)
 from mmc_gym.paper.published import POINTS
-from mmc_gym.paper.run import EXPERIMENTS, print_report
+from mmc_gym.paper.run import EXPERIMENTS, print_report, reproduce
 
 
 def make_figure():
@@ -21,17 +30,16 @@ def make_figure():
     return figure
 
 
-def run_first(settings, progress):
-    progress(1, 2)
+def run_first(settings):
+    settings.on_progress(1, 2)
     return Result(
         rows=(Row("distance", 0.025, "2.0 ± 0.1", 7.123456, "m", "a|b <i>"), Row("nothing")),
-        figures={"bell": make_figure()},
-        captions={"bell": "A bell."},
+        figures={"bell": Captioned(make_figure(), "A bell.")},
         points={1: "at iteration 30"},
     )
 
 
-def run_second(settings, progress):
+def run_second(settings):
     return Result(rows=(Row("seed", ours=settings.seed),), points={1: "not at all", 7: "as named"})
 
 
@@ -41,7 +49,7 @@ def two_experiments(monkeypatch):
         "first": Experiment("first", "one figure", run_first),
         "second": Experiment("second", "no figure", run_second),
     }
-    monkeypatch.setattr(reproduce, "EXPERIMENTS", experiments)
+    monkeypatch.setattr(run, "EXPERIMENTS", experiments)
     return experiments
 
 
@@ -68,7 +76,7 @@ class Tables(HTMLParser):
 
 
 def test_everything_is_written_and_nothing_half(two_experiments, tmp_path):
-    reproduce.reproduce(folder=tmp_path)
+    reproduce(folder=tmp_path)
     written = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
     assert written == {
         *("table.md", "table.html", "first/bell.png", "first/bell.svg"),
@@ -77,7 +85,7 @@ def test_everything_is_written_and_nothing_half(two_experiments, tmp_path):
 
 
 def test_the_table_has_every_number_unit_and_note(two_experiments, tmp_path, capsys):
-    reproduce.reproduce(folder=tmp_path)
+    reproduce(folder=tmp_path)
     printed = capsys.readouterr().out
     markdown = (tmp_path / "table.md").read_text("utf-8")
     page = Tables((tmp_path / "table.html").read_text("utf-8"))
@@ -91,7 +99,7 @@ def test_the_table_has_every_number_unit_and_note(two_experiments, tmp_path, cap
 def test_the_html_needs_no_other_file_and_the_markdown_links_within_its_folder(
     two_experiments, tmp_path
 ):
-    reproduce.reproduce(folder=tmp_path)
+    reproduce(folder=tmp_path)
     page = Tables((tmp_path / "table.html").read_text("utf-8"))
     assert len(page.images) == 1
     assert page.images[0].startswith("data:image/png;base64,")
@@ -100,7 +108,7 @@ def test_the_html_needs_no_other_file_and_the_markdown_links_within_its_folder(
 
 
 def test_all_seven_points_stand_in_the_table_with_what_was_measured(two_experiments, tmp_path):
-    reproduce.reproduce(folder=tmp_path)
+    reproduce(folder=tmp_path)
     cells = Tables((tmp_path / "table.html").read_text("utf-8")).cells[-5 * len(POINTS) :]
     rows = [cells[start : start + 5] for start in range(0, len(cells), 5)]
     assert [row[0] for row in rows] == ["1", "2", "3", "4", "5", "6", "7"]
@@ -112,26 +120,63 @@ def test_all_seven_points_stand_in_the_table_with_what_was_measured(two_experime
 
 
 def test_experiments_run_one_by_one_add_to_the_table(two_experiments, tmp_path):
-    assert [s.name for s in reproduce.reproduce(["second"], tmp_path)] == ["second"]
-    assert [s.name for s in reproduce.reproduce(["first"], tmp_path)] == ["first", "second"]
+    assert list(reproduce(["second"], tmp_path)) == ["second"]
+    assert list(reproduce(["first"], tmp_path)) == ["first", "second"]
     # What was made with another seed is of another table.
-    assert [s.name for s in reproduce.reproduce(["second"], tmp_path, seed=1)] == ["second"]
+    assert list(reproduce(["second"], tmp_path, seed=1)) == ["second"]
 
 
 def test_an_interrupted_experiment_is_not_in_the_table(two_experiments, tmp_path):
-    reproduce.reproduce(folder=tmp_path)
+    reproduce(folder=tmp_path)
 
-    def interrupt(settings, progress):
+    def interrupt(settings):
         raise KeyboardInterrupt
 
     two_experiments["first"] = Experiment("first", "one figure", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        reproduce.reproduce(["first"], tmp_path)
-    assert [s.name for s in reproduce.reproduce(["second"], tmp_path)] == ["second"]
+        reproduce(["first"], tmp_path)
+    assert list(reproduce(["second"], tmp_path)) == ["second"]
+
+
+def edit(**changes):
+    """Change entries of a result file, or drop those that are None."""
+
+    def change(path):
+        content = {**json.loads(path.read_text("utf-8")), **changes}
+        path.write_text(json.dumps({key: value for key, value in content.items() if value}))
+
+    return change
+
+
+OTHERS = {"quick": False, "seed": 0, "version": "0.0.1"}
+STALE = {
+    "cut short": (lambda path: path.write_text(path.read_text("utf-8")[:60]), "is damaged"),
+    "no text": (lambda path: path.write_bytes(b"\xff\xfe\x00"), "is damaged"),
+    "no object": (lambda path: path.write_text("[]"), "is damaged"),
+    "without rows": (edit(rows=None), "is damaged"),
+    "rows of another form": (edit(rows=[{"amount": 3}]), "is damaged"),
+    "points by name": (edit(points={"first": "at iteration 30"}), "is damaged"),
+    "another version": (edit(settings=OTHERS), "was made by version 0.0.1"),
+    "no version": (edit(settings={"quick": False, "seed": 0}), "was made by version unknown"),
+    "a figure missing": (lambda path: (path.parent / "bell.png").unlink(), "bell.png is missing"),
+}
+
+
+@pytest.mark.parametrize(("change", "reason"), STALE.values(), ids=STALE)
+def test_a_stale_result_is_named_and_made_anew(change, reason, two_experiments, tmp_path, capsys):
+    whole = reproduce(folder=tmp_path)
+    change(tmp_path / "first" / "result.json")
+    capsys.readouterr()
+    assert reproduce(["second"], tmp_path) == whole
+    first, *_ = capsys.readouterr().err.splitlines()
+    assert first.startswith(str(tmp_path / "first"))
+    assert first.endswith(f"{reason} and is made anew")
+    assert reproduce(["second"], tmp_path) == whole
+    assert "anew" not in capsys.readouterr().err
 
 
 def test_the_report_is_printed_where_the_encoding_is_poor(two_experiments, tmp_path):
-    sections = reproduce.reproduce(folder=tmp_path)
+    sections = reproduce(folder=tmp_path)
     path = tmp_path / "ascii.txt"
     with open(path, "w", encoding="ascii") as file:
         print_report(Console(file=file, width=120), sections, quick=True)
@@ -139,7 +184,7 @@ def test_the_report_is_printed_where_the_encoding_is_poor(two_experiments, tmp_p
 
 
 def test_a_quick_run_says_so(two_experiments, tmp_path, capsys):
-    reproduce.reproduce(folder=tmp_path, quick=True)
+    reproduce(folder=tmp_path, quick=True)
     for text in (capsys.readouterr().out, (tmp_path / "table.md").read_text("utf-8")):
         assert "quick run" in text
 
@@ -163,21 +208,61 @@ def test_mistakes_end_with_one_line_before_anything_is_written(
     assert not (tmp_path / "out").exists()
 
 
+def make_result():
+    frame = pd.DataFrame({"iteration": [1, 2], "distance": [0.5, 0.25]})
+    arrays = {"angles": np.linspace(0, 1, 5), "units": np.array(["4", "8, 8"])}
+    return Result(
+        figures={"picture": Captioned(make_figure(), "")}, data={"table": frame, "arrays": arrays}
+    )
+
+
+def test_a_result_is_written_as_pictures_and_data(tmp_path):
+    written = write_result(make_result(), tmp_path / "new")
+    names = ["arrays.npz", "picture.png", "picture.svg", "table.csv"]
+    assert sorted(path.name for path in written) == names
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == names  # nothing besides
+    with np.load(tmp_path / "new" / "arrays.npz") as arrays:
+        np.testing.assert_array_equal(arrays["angles"], np.linspace(0, 1, 5))
+        assert arrays["units"].tolist() == ["4", "8, 8"]
+    frame = pd.read_csv(tmp_path / "new" / "table.csv")
+    pd.testing.assert_frame_equal(frame, make_result().data["table"])
+
+
+def test_the_same_result_gives_the_same_bytes(tmp_path):
+    for name in ("one", "two"):
+        write_result(make_result(), tmp_path / name)
+    for path in (tmp_path / "one").iterdir():
+        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize(("name", "value"), [("seed", -1), ("jobs", 0)])
+def test_settings_that_cannot_be_say_so(name, value):
+    with pytest.raises(ValueError, match=f"{name} must be . or more, got {value}"):
+        Settings(**{name: value})
+
+
+def test_every_experiment_is_listed_by_its_name_and_described_in_a_line():
+    for name, experiment in EXPERIMENTS.items():
+        assert experiment.name == name
+        assert experiment.description
+        assert "\n" not in experiment.description
+
+
 @pytest.mark.slow
 def test_the_command_runs_named_experiments_end_to_end(tmp_path, capsys, monkeypatch):
-    recipe = normalizers.replace(normalizers.QUICK_RECIPE, samples=400, epochs=3)
-    monkeypatch.setattr(normalizers, "QUICK_RECIPE", recipe)
+    recipe = replace(networks.QUICK_RECIPE, samples=400, epochs=3)
+    monkeypatch.setattr(networks, "QUICK_RECIPE", recipe)
     arguments = ["population", "normalization", "--quick", "--seed", "3", "--jobs", "1"]
     main(["reproduce", *arguments, "--out", str(tmp_path)])
     assert "[16]: validation MSE" in capsys.readouterr().out
     for name in ("normalization", "population"):
         content = json.loads((tmp_path / name / "result.json").read_text("utf-8"))
-        assert content["settings"] == {"quick": True, "seed": 3}
+        assert content["settings"] == {"quick": True, "seed": 3, "version": Settings.version}
         assert content["rows"]
         for stem in content["captions"]:
             assert (tmp_path / name / f"{stem}.png").stat().st_size > 5000
             assert (tmp_path / name / f"{stem}.svg").exists()
-    networks = sorted(path.name for path in (tmp_path / "networks").iterdir())
     # One more than the architectures: the population's [8, 8] with weight decay.
-    assert len(networks) == len(normalizers.QUICK_ARCHITECTURES) + 1
+    trained = len(networks.QUICK_ARCHITECTURES) + 1
+    assert len(list((tmp_path / "networks").iterdir())) == trained
     assert EXPERIMENTS["population"].description in (tmp_path / "table.md").read_text("utf-8")

@@ -19,10 +19,12 @@ points the wrong way.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork
@@ -33,15 +35,15 @@ from mmc_gym.network.normalizers import (
     angle_errors,
 )
 from mmc_gym.paper.experiment import (
+    Captioned,
     Experiment,
-    Progress,
     Result,
     Row,
     Settings,
     mean_and_deviation,
 )
-from mmc_gym.paper.figures import Curves, draw_accurate
-from mmc_gym.paper.protocol import record_movements
+from mmc_gym.paper.figures import look, side_by_side, styled
+from mmc_gym.paper.protocol import EUCLIDEAN, FAR, record_movements
 
 NEAR_ONE: Floats = np.linspace(0.9, 1.1, 41)
 """Lengths at which an arm at rest asks for its segments, segment lengths."""
@@ -49,13 +51,14 @@ NEAR_ONE: Floats = np.linspace(0.9, 1.1, 41)
 LENGTHS: Floats = np.concatenate([np.geomspace(1e-6, 0.05, 60), np.linspace(0.06, 3, 295)])
 """Lengths in ]0, 3], segment lengths."""
 
+RECIPE = "paper's recipe"
+
 _ITERATIONS = 100
-_FAR = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What a normalizer does alone and in the MMC network.
+    """Errors of a normalizer alone, and its distances in the MMC network.
 
     Attributes:
         near_error: mean angle error at lengths 0.9 to 1.1, degrees.
@@ -94,101 +97,117 @@ def measure(normalizer: Normalizer, directions: int) -> Measured:
     )
 
 
-def run(settings: Settings, progress: Progress) -> Result:
+def run(settings: Settings) -> Result:
     """Measure the shipped networks, accurate and by the paper's recipe, beside the Euclidean."""
     normalizers: dict[str, Normalizer] = {
-        "Euclidean": EuclideanNormalizer(),
-        "paper's recipe": LearnedNormalizer.shipped("paper"),
+        EUCLIDEAN: EuclideanNormalizer(),
+        RECIPE: LearnedNormalizer.shipped("paper"),
         "accurate": LearnedNormalizer.shipped("accurate"),
     }
-    measured: dict[str, Measured] = {}
-    for name, normalizer in normalizers.items():
-        progress(len(measured), len(normalizers))
-        measured[name] = measure(normalizer, directions=720 if settings.quick else 3600)
-    progress(len(measured), len(normalizers))
+    directions = 720 if settings.quick else 3600
+    measured = {
+        name: measure(normalizers[name], directions) for name in settings.tracked([*normalizers])
+    }
+    errors = {
+        f"{name}: {kind} [deg]": values
+        for name, found in measured.items()
+        for kind, values in (("mean", found.mean_error), ("worst", found.worst_error))
+    }
     return Result(
-        rows=tuple(_rows(measured)),
+        rows=_rows(measured),
         figures={
-            "accurate": draw_accurate(
-                LENGTHS,
-                {
-                    name: Curves(m.mean_error, m.worst_error, m.distance)
-                    for name, m in measured.items()
-                },
-                exact="Euclidean",
+            "accurate": Captioned(
+                draw_errors_and_distances(measured),
+                "Left: angle error by length of the input, mean (line) and worst (thin) over all "
+                "directions. Right: normalized distance to the target, mean over the 420 "
+                "movements; the accurate network's curve lies on the Euclidean one.",
             )
         },
-        captions={
-            "accurate": "Left: angle error by length of the input, mean (line) and worst (thin) "
-            "over all directions. Right: normalized distance to the target, mean over the 420 "
-            "movements; the accurate network's curve lies on the Euclidean one."
-        },
         data={
-            "angle_errors": pd.DataFrame(
-                {"length": LENGTHS}
-                | {
-                    f"{name}: {kind} [deg]": values
-                    for name, m in measured.items()
-                    for kind, values in (("mean", m.mean_error), ("worst", m.worst_error))
-                }
-            ),
-            "distance": {name: m.distance for name, m in measured.items()},
+            "angle_errors": pd.DataFrame({"length": LENGTHS, **errors}),
+            "distance": {name: found.distance for name, found in measured.items()},
         },
     )
 
 
-def _rows(measured: dict[str, Measured]) -> list[Row]:
-    exact, recipe, accurate = (
-        measured[name] for name in ("Euclidean", "paper's recipe", "accurate")
-    )
+def _rows(measured: Mapping[str, Measured]) -> list[Row]:
+    exact = measured[EUCLIDEAN].final
     published = "its data: the [16, 16] network of the paper"
     rows = []
-    for name, data, m in (
-        ("paper's recipe", (0.25, "0.0458 ± 0.0658", 2.03, 30.0), recipe),
-        ("accurate", (None, None, None, None), accurate),
+    for name, (near, distance, ratio, far), notes in (
+        (RECIPE, (0.25, "0.0458 ± 0.0658", 2.03, 30.0), (published, published)),
+        ("accurate", (None,) * 4, ("sought: at most 0.01", "sought: at most 1.02")),
     ):
-        ratio = m.final.mean() / exact.final.mean()
-        note = published if data[0] else "sought: "
+        found = measured[name]
         rows += [
             Row(
                 f"{name}: mean angle error at lengths 0.9 to 1.1",
-                data=data[0],
-                ours=m.near_error,
+                data=near,
+                ours=found.near_error,
                 unit="°",
-                note=note if data[0] else note + "at most 0.01",
+                note=notes[0],
             ),
             Row(
                 f"{name}: normalized distance after 100 iterations",
-                data=data[1],
-                ours=mean_and_deviation(m.final, 5),
-                note=f"Euclidean {mean_and_deviation(exact.final, 5)}",
+                data=distance,
+                ours=mean_and_deviation(found.final, 5),
+                note=f"Euclidean {mean_and_deviation(exact, 5)}",
             ),
             Row(
                 f"{name}: the same, as a multiple of the Euclidean",
-                data=data[2],
-                ours=ratio,
-                note=note if data[0] else note + "at most 1.02",
+                data=ratio,
+                ours=found.final.mean() / exact.mean(),
+                note=notes[1],
             ),
             Row(
-                f"{name}: movements that end above {_FAR}",
-                data=data[3],
-                ours=float((m.final > _FAR).sum()),
-                note=f"of 420; Euclidean {(exact.final > _FAR).sum()}",
+                f"{name}: movements that end above {FAR}",
+                data=far,
+                ours=float((found.final > FAR).sum()),
+                note=f"of 420; Euclidean {(exact > FAR).sum()}",
             ),
             Row(
                 f"{name}: worst angle error at lengths in ]0, 3]",
-                ours=float(m.worst_error.max()),
+                ours=float(found.worst_error.max()),
                 unit="°",
-                note=f"at length {LENGTHS[m.worst_error.argmax()]:.2g}; below 90° no output "
+                note=f"at length {LENGTHS[found.worst_error.argmax()]:.2g}; below 90° no output "
                 "points the wrong way",
             ),
             Row(
                 f"{name}: lengths of the outputs for lengths in ]0.05, 3]",
-                ours="{:.4f} to {:.4f}".format(*m.output_length),
+                ours="{:.4f} to {:.4f}".format(*found.output_length),
                 note="exact: 1",
             ),
         ]
     return rows
+
+
+@styled
+def draw_errors_and_distances(measured: Mapping[str, Measured]) -> Figure:
+    """Draw the errors of all but the exact normalizer, and the distances of all."""
+    figure, (left, right) = side_by_side(2, 7.2, 3.2)
+    for number, (name, found) in enumerate(measured.items()):
+        style = look(number)
+        width = 1.3
+        if name == EUCLIDEAN:
+            # Wide below, so that curves that coincide are both seen.
+            style, width = style | {"color": "0.75"}, 3.5
+        else:
+            left.plot(
+                LENGTHS,
+                found.worst_error,
+                color=style["color"],
+                linewidth=0.6,
+                label=f"{name}, worst",
+            )
+            left.plot(LENGTHS, found.mean_error, linewidth=1.5, label=f"{name}, mean", **style)
+        mean = found.distance.mean(axis=0)
+        right.plot(np.arange(1, len(mean) + 1), mean, linewidth=width, label=name, **style)
+    left.set(yscale="log", xlim=(0, 3), xlabel="length of input [segment lengths]")
+    left.set_ylabel("angle error [°]")
+    right.set(yscale="log", xlabel="iteration", ylabel="normalized distance to target")
+    for axes in (left, right):
+        axes.legend(frameon=False)
+    return figure
 
 
 EXPERIMENT = Experiment(

@@ -12,31 +12,32 @@ hand that moves straight from start to target with minimum jerk.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.model import MMCNetwork, MMCState
+from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
-from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
-from mmc_gym.paper.figures import (
-    DISTANCE,
-    VELOCITY,
-    draw_courses,
-    draw_profiles,
-    draw_shares,
+from mmc_gym.paper.experiment import (
+    Captioned,
+    Experiment,
+    Result,
+    Row,
+    Settings,
+    mean_and_deviation,
 )
+from mmc_gym.paper.figures import DISTANCE, VELOCITY, draw_courses, draw_profiles, draw_shares
 from mmc_gym.paper.protocol import (
     ACCURATE,
     FAR,
     OVERSHOOT,
     PAIRS,
-    STARTING_SEGMENTS,
     TARGETS,
     Recording,
     record_movements,
@@ -54,17 +55,17 @@ _EXAMPLES = ((7, 10), (0, 8), (14, 18))  # pairs of targets: middle, inward out,
 
 
 def record_timed_movements(network: MMCNetwork, iterations: int) -> Recording:
-    """The 420 movements on a time base, each as long as its recording; the warm one as well."""
-    start, target = TARGETS[PAIRS[:, 0]], TARGETS[PAIRS[:, 1]]
-    state = network.state_from_segments(STARTING_SEGMENTS)
-    warm, _ = timed_trajectory(network, state, TARGETS, iterations)
-    state = MMCState(np.ascontiguousarray(warm.values[..., PAIRS[:, 0]]), warm.segment_count)
-    _, segments = timed_trajectory(network, state, target, iterations)
-    return Recording(state.segments, np.moveaxis(segments, 0, -3), start, target)
+    """Run the 420 movements on a time base, each as long as its recording; the warm one as well."""
+    return record_movements(network, iterations, iterations, move=timed_trajectory)
+
+
+def record_plain_movements(network: MMCNetwork, iterations: int) -> Recording:
+    """Run the 420 movements as the paper does, the warm one as long as the recording."""
+    return record_movements(network, iterations, iterations)
 
 
 def minimum_jerk_movements(iterations: int) -> Recording:
-    """A hand on the straight line from start to target with minimum jerk, 420 times.
+    """Move a hand on the straight line from start to target with minimum jerk, 420 times.
 
     There is no arm: each of the three vectors of a posture is a third of the hand's position.
     """
@@ -76,102 +77,79 @@ def minimum_jerk_movements(iterations: int) -> Recording:
 
 
 def movers() -> dict[str, Callable[[int], Recording]]:
-    """What makes the 420 movements in a given number of iterations, by name."""
+    """Return functions that make the 420 movements in a number of iterations, by name."""
     accurate, paper = LearnedNormalizer.shipped("accurate"), LearnedNormalizer.shipped("paper")
-    networks: Mapping[str, MMCNetwork] = {
-        f"{CLASSICAL}, synchronous": MMCNetwork(),
-        CLASSICAL: MMCNetwork(schedule="delayed"),
-        DYNAMIC: MMCNetwork(schedule="delayed", dynamics="reference", normalizer=paper),
-        "dynamic (Euclidean), decay 0.92": MMCNetwork(schedule="delayed", dynamics="reference"),
-        "dynamic (Euclidean), decay 1": MMCNetwork(
-            schedule="delayed", dynamics="reference", velocity_decay=1.0
-        ),
-        "dynamic (Euclidean), rule “paper”, decay 0.92": MMCNetwork(
-            schedule="delayed", dynamics="paper"
-        ),
-    }
-    timed = {
-        TIME_BASE: MMCNetwork(),
-        f"time base ({ACCURATE})": MMCNetwork(normalizer=accurate),
-        "time base (paper's recipe [16, 16])": MMCNetwork(normalizer=paper),
-    }
+    timed, plain = record_timed_movements, record_plain_movements
+    delayed = partial(MMCNetwork, schedule="delayed")
+    dynamic = partial(delayed, dynamics="reference")
     return {
         MINIMUM_JERK: minimum_jerk_movements,
-        **{name: partial(record_timed_movements, network) for name, network in timed.items()},
-        **{name: partial(_faithful, network) for name, network in networks.items()},
+        TIME_BASE: partial(timed, MMCNetwork()),
+        f"time base ({ACCURATE})": partial(timed, MMCNetwork(normalizer=accurate)),
+        "time base (paper's recipe [16, 16])": partial(timed, MMCNetwork(normalizer=paper)),
+        f"{CLASSICAL}, synchronous": partial(plain, MMCNetwork()),
+        CLASSICAL: partial(plain, delayed()),
+        DYNAMIC: partial(plain, dynamic(normalizer=paper)),
+        "dynamic (Euclidean), decay 0.92": partial(plain, dynamic()),
+        "dynamic (Euclidean), decay 1": partial(plain, dynamic(velocity_decay=1.0)),
+        "dynamic (Euclidean), rule “paper”, decay 0.92": partial(plain, delayed(dynamics="paper")),
     }
 
 
-def _faithful(network: MMCNetwork, iterations: int) -> Recording:
-    return record_movements(network, iterations, warm_iterations=iterations)
-
-
-def run(settings: Settings, progress: Progress) -> Result:
+def run(settings: Settings) -> Result:
     """Measure how bell-shaped the movements of all networks are."""
     makers = movers()
-    recordings: dict[tuple[str, int], Recording] = {}
-    found: dict[tuple[str, int], dict[str, NDArray[np.float64]]] = {}
-    total = len(makers) * len(ITERATIONS)
-    for name, make in makers.items():
-        for iterations in ITERATIONS:
-            progress(len(found), total)
-            recordings[name, iterations] = make(iterations)
-            found[name, iterations] = shapes(recordings[name, iterations])
-    progress(total, total)
+    recordings = {
+        (name, iterations): makers[name](iterations)
+        for name, iterations in settings.tracked(list(product(makers, ITERATIONS)))
+    }
+    found = {key: shapes(recording) for key, recording in recordings.items()}
     shown = {name: recordings[name, ITERATIONS[0]] for name in _SHOWN}
-    correlations = {name: found[name, ITERATIONS[0]]["correlation"] for name in _SHOWN[:-1]}
+    distances = {name: recording.distance for name, recording in shown.items()}
+    velocities = {name: recording.velocity for name, recording in shown.items()}
+    examples = [PAIRS.tolist().index(list(pair)) for pair in _EXAMPLES]
     return Result(
-        rows=tuple(row for name in makers for row in _rows(name, found)),
+        rows=[row for name in makers for row in _rows(name, found)],
         figures={
-            "bell_shape": draw_courses(
-                {
-                    DISTANCE: {name: recording.distance for name, recording in shown.items()},
-                    VELOCITY: {name: recording.velocity for name, recording in shown.items()},
-                }
+            "bell_shape": Captioned(
+                draw_courses({DISTANCE: distances, VELOCITY: velocities}),
+                "Normalized distance and velocity over the 420 movements in 40 iterations: the "
+                "paper's networks, the kinematic network on a time base, and minimum jerk.",
             ),
-            "bell_shape_examples": draw_profiles(
-                {
-                    _label(_movement(pair)): {
-                        name: recording.velocity[_movement(pair)]
-                        for name, recording in shown.items()
+            "bell_shape_examples": Captioned(
+                draw_profiles(
+                    {
+                        _label(movement): {name: v[movement] for name, v in velocities.items()}
+                        for movement in examples
                     }
-                    for pair in _EXAMPLES
-                }
+                ),
+                "Velocity in three movements (radius and angle of start and target).",
             ),
-            "bell_shape_correlation": draw_shares(
-                correlations, "correlation of velocity with minimum jerk"
+            "bell_shape_correlation": Captioned(
+                draw_shares(
+                    {name: found[name, ITERATIONS[0]]["correlation"] for name in _SHOWN[:-1]},
+                    "correlation of velocity with minimum jerk",
+                ),
+                "Share of the 420 movements whose velocity profile has at most this correlation "
+                "with minimum jerk (40 iterations).",
             ),
-        },
-        captions={
-            "bell_shape": "Normalized distance and velocity over the 420 movements in 40 "
-            "iterations: the paper's networks, the kinematic network on a time base, and minimum "
-            "jerk.",
-            "bell_shape_examples": "Velocity in three movements (radius and angle of start and "
-            "target).",
-            "bell_shape_correlation": "Share of the 420 movements whose velocity profile has at "
-            "most this correlation with minimum jerk (40 iterations).",
         },
         data={"bell_shape": _frame(found)},
     )
 
 
-def _movement(pair: tuple[int, int]) -> int:
-    return int(np.flatnonzero((np.array(pair) == PAIRS).all(axis=1))[0])
-
-
 def _label(movement: int) -> str:
-    """Start and target of a movement by radius and angle, such as "1, 60° → 2, 120°"."""
+    """Return start and target of a movement by radius and angle, such as "1, 60° → 2, 120°"."""
     first, second = (f"{target // 7 + 1}, {target % 7 * 30}°" for target in PAIRS[movement])
     return f"{first} → {second}"
 
 
-def _labels(chosen: NDArray[np.bool_]) -> list[str]:
-    return [_label(int(movement)) for movement in np.flatnonzero(chosen)]
+_Found = Mapping[tuple[str, int], Mapping[str, Floats]]
 
 
-def _frame(found: Mapping[tuple[str, int], Mapping[str, Floats]]) -> pd.DataFrame:
-    """A row per mover, number of iterations, and movement."""
-    labels = _labels(np.ones(len(PAIRS), dtype=bool))
+def _frame(found: _Found) -> pd.DataFrame:
+    """Return a row per mover, number of iterations, and movement."""
+    labels = [_label(movement) for movement in range(len(PAIRS))]
     return pd.concat(
         [
             pd.DataFrame({"name": name, "iterations": iterations, "movement": labels, **columns})
@@ -180,71 +158,73 @@ def _frame(found: Mapping[tuple[str, int], Mapping[str, Floats]]) -> pd.DataFram
     )
 
 
-def _rows(name: str, found: Mapping[tuple[str, int], Mapping[str, Floats]]) -> list[Row]:
-    """A row per measure, with 40 and 100 iterations side by side."""
+def _rows(name: str, found: _Found) -> list[Row]:
+    """Return a row per measure, with 40 and 100 iterations side by side."""
     both = [found[name, iterations] for iterations in ITERATIONS]
     classical = [found[CLASSICAL, iterations]["final"] for iterations in ITERATIONS]
-    quantities: list[tuple[str, str, list[str], str]] = [
-        (
+
+    def row(quantity: str, values: Sequence[str], unit: str = "", note: str = "") -> Row:
+        sides = zip(ITERATIONS, values, strict=True)
+        ours = "; ".join(f"{iterations}: {value}" for iterations, value in sides)
+        return Row(f"{name}: {quantity}", ours=ours, unit=unit, note=note)
+
+    rows = [
+        row(
             "correlation of velocity with minimum jerk, median (5 % to 95 %)",
-            "",
             [_spread(one["correlation"], ".3f") for one in both],
-            "aim: 0.95 or more",
+            note="aim: 0.95 or more",
         ),
-        (
+        row(
             "peak over mean velocity, median (5 % to 95 %)",
-            "",
             [_spread(one["peak_to_mean"], ".2f") for one in both],
-            "aim: 1.8 to 2.0",
+            note="aim: 1.8 to 2.0",
         ),
-        (
+        row(
             "time to peak, median (5 % to 95 %)",
-            "of duration",
             [_spread(one["time_to_peak"], ".2f") for one in both],
-            "aim: 0.45 to 0.55",
+            unit="of duration",
+            note="aim: 0.45 to 0.55",
         ),
-        (
+        row(
             "movements with a single velocity peak",
-            "%",
             [f"{100 * (one['velocity_peaks'] == 1).mean():.1f}" for one in both],
-            "aim: 95 or more",
+            unit="%",
+            note="aim: 95 or more",
         ),
-        (
+        row(
             "movements that overshoot",
-            "of 420",
             [f"{(one['overshoot'] > OVERSHOOT).sum()}" for one in both],
-            "aim: 0",
+            unit="of 420",
+            note="aim: 0",
         ),
-        (
+        row(
             "final distance, mean ± sd",
-            "of start to target",
-            [f"{one['final'].mean():.4f} ± {one['final'].std():.4f}" for one in both],
-            "aim: no more than " + " and ".join(f"{final.mean():.4f}" for final in classical),
+            [mean_and_deviation(one["final"]) for one in both],
+            unit="of start to target",
+            note="aim: no more than " + " and ".join(f"{final.mean():.4f}" for final in classical),
         ),
-        (
+        row(
             f"movements that end above {FAR}; farther than by the {CLASSICAL} network",
-            "of 420",
             [
                 f"{(one['final'] > FAR).sum()}; {(one['final'] > final).sum()}"
                 for one, final in zip(both, classical, strict=True)
             ],
-            "",
+            unit="of 420",
         ),
     ]
     if name == TIME_BASE:
-        quantities.append(
-            (
+        rows.append(
+            row(
                 "which have more velocity peaks (radius and angle)",
-                "",
                 ["; ".join(_labels(one["velocity_peaks"] > 1)) for one in both],
-                "the arm folds or turns over, at the largest gain, and then rushes",
+                note="the arm folds or turns over, at the largest gain, and then rushes",
             )
         )
-    first, second = ITERATIONS
-    return [
-        Row(f"{name}: {quantity}", ours=f"{first}: {a}; {second}: {b}", unit=unit, note=note)
-        for quantity, unit, (a, b), note in quantities
-    ]
+    return rows
+
+
+def _labels(chosen: NDArray[np.bool_]) -> list[str]:
+    return [_label(int(movement)) for movement in np.flatnonzero(chosen)]
 
 
 def _spread(values: Floats, digits: str) -> str:

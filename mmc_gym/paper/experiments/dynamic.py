@@ -23,22 +23,27 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmc_gym.measures import speed as profiles
-from mmc_gym.measures.episode import MOVING
+from mmc_gym.measures.episode import MOVING, moving_part
+from mmc_gym.measures.speed import peakedness, phase_of_peak
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalizers import Normalizer
-from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
+from mmc_gym.paper.experiment import (
+    Captioned,
+    Experiment,
+    Result,
+    Row,
+    Settings,
+    how_many,
+    over_runs,
+)
 from mmc_gym.paper.figures import DISTANCE, VELOCITY, draw_courses
 from mmc_gym.paper.protocol import (
     EUCLIDEAN,
     INNER,
     all_normalizers,
-    bulk_shape,
     each,
-    over_runs,
-    pooled,
-    record_movements,
+    record_runs,
     summarize_networks,
 )
 from mmc_gym.paper.published import (
@@ -55,7 +60,6 @@ CLASSICAL = MMCNetwork(schedule="delayed")
 DYNAMIC = MMCNetwork(schedule="delayed", dynamics="reference")
 UNDECAYED = replace(DYNAMIC, velocity_decay=1.0)
 
-
 NETWORKS: tuple[MMCNetwork, ...] = (
     CLASSICAL,
     *(
@@ -65,57 +69,56 @@ NETWORKS: tuple[MMCNetwork, ...] = (
 )
 
 
-def run(settings: Settings, progress: Progress) -> Result:
-    """Run the movements and the example with every normalizer, rule, decay and schedule."""
-    normalizers = all_normalizers(settings, progress)
-    table = summarize_networks(NETWORKS, normalizers, ITERATIONS, progress)
-    hidden = normalizers[HIDDEN]
-    courses = {
-        "classical (Euclidean)": pooled(CLASSICAL, normalizers[EUCLIDEAN], ITERATIONS, ITERATIONS),
-        f"dynamic {HIDDEN}, decay 0.92": pooled(DYNAMIC, hidden, ITERATIONS, ITERATIONS),
-        f"dynamic {HIDDEN}, decay 1": pooled(UNDECAYED, hidden, ITERATIONS, ITERATIONS),
+def run(settings: Settings) -> Result:
+    """Run the movements with every normalizer, rule, decay and schedule."""
+    normalizers = all_normalizers(settings)
+    table = summarize_networks(settings, NETWORKS, normalizers, ITERATIONS)
+    exact, hidden = normalizers[EUCLIDEAN], normalizers[HIDDEN]
+    classical, *followers = recordings = {
+        "classical (Euclidean)": record_runs(CLASSICAL, exact, ITERATIONS, ITERATIONS),
+        f"dynamic {HIDDEN}, decay 0.92": record_runs(DYNAMIC, hidden, ITERATIONS, ITERATIONS),
+        f"dynamic {HIDDEN}, decay 1": record_runs(UNDECAYED, hidden, ITERATIONS, ITERATIONS),
     }
-    means = {name: distance.mean(axis=0) for name, (distance, _) in courses.items()}
+    distances = {name: recording.distance for name, recording in recordings.items()}
+    velocities = {name: recording.velocity for name, recording in recordings.items()}
+    means = {name: distance.mean(axis=0) for name, distance in distances.items()}
+    overshoots = over_runs(_of(table, DYNAMIC, HIDDEN)["overshoots"], ".0f")
+    exact_overshoots = over_runs(_of(table, DYNAMIC, EUCLIDEAN)["overshoots"], ".0f")
     return Result(
-        rows=(*_rows(table), *_euclidean_rows(table)),
+        rows=[*_rows(table), *_euclidean_rows(table)],
         figures={
-            "classical_and_dynamic": draw_courses(
-                {
-                    label: {name: course[quantity] for name, course in courses.items()}
-                    for quantity, label in enumerate((DISTANCE, VELOCITY))
-                }
+            "classical_and_dynamic": Captioned(
+                draw_courses({DISTANCE: distances, VELOCITY: velocities}),
+                "Normalized distance and velocity over the 420 movements: kinematic network with "
+                f"Euclidean normalization, and dynamic network ({HIDDEN}, all trained networks "
+                "together; rule of the published figures).",
             ),
-        },
-        captions={
-            "classical_and_dynamic": "Normalized distance and velocity over the 420 movements: "
-            f"kinematic network with Euclidean normalization, and dynamic network ({HIDDEN}, all "
-            "trained networks together; rule of the published figures).",
         },
         data={
             "dynamic_networks": table,
             "dynamic_courses": {
                 f"{quantity} {name}": values
-                for name, course in courses.items()
-                for quantity, values in zip(("distance", "velocity"), course, strict=True)
+                for name in recordings
+                for quantity, values in (
+                    ("distance", distances[name]),
+                    ("velocity", velocities[name]),
+                )
             },
         },
         points={
             1: "; ".join(
-                f"{name}: {_catching_up(means['classical (Euclidean)'], mean)}"
-                for name, mean in means.items()
-                if name.startswith("dynamic")
+                f"{name}: {_catching_up(means[classical], means[name])}" for name in followers
             ),
-            2: f"{over_runs(_of(table, DYNAMIC, HIDDEN)['overshoots'], '.0f')} of 420 ({HIDDEN}, "
-            f"{len(hidden)} networks); {_of(table, DYNAMIC, EUCLIDEAN)['overshoots'].iloc[0]:.0f} "
-            f"with Euclidean normalization",
-            5: _shapes_of_movements(normalizers[EUCLIDEAN], hidden),
+            2: f"{overshoots} of 420 ({HIDDEN}, {len(hidden)} networks); "
+            f"{exact_overshoots} with Euclidean normalization",
+            5: _shapes_of_movements(exact, hidden),
             6: "both rules and both schedules, each in the table",
         },
     )
 
 
 def catching_up(leader: ArrayLike, follower: ArrayLike) -> int | None:
-    """Iteration, from 1, from which on the follower's distance is no larger; None if never.
+    """Return the iteration, from 1, from which on the follower is no farther; None if never.
 
     >>> catching_up([0.9, 0.5, 0.3, 0.2], [1.0, 0.5, 0.4, 0.1])
     4
@@ -133,41 +136,36 @@ def _catching_up(leader: Floats, follower: Floats) -> str:
 
 
 def _shapes_of_movements(exact: Sequence[Normalizer], hidden: Sequence[Normalizer]) -> str:
-    movers = (
-        ("classical", CLASSICAL, exact),
-        ("dynamic (Euclidean)", DYNAMIC, exact),
-        (f"dynamic {HIDDEN}", DYNAMIC, hidden),
+    shapes = (
+        f"classical {_shape(CLASSICAL, exact)}",
+        f"dynamic (Euclidean) {_shape(DYNAMIC, exact)}",
+        f"dynamic {HIDDEN} {_shape(DYNAMIC, hidden)}",
     )
-    found = "; ".join(f"{name} {_shape(network, parts)}" for name, network, parts in movers)
     return (
         "peak over mean, time to peak (and as in bell-shaped, over all of 40 iterations): "
-        f"{found}. Medians between targets at radius 1 and 2 from the first to the last of "
-        f"{SHAPE_ITERATIONS} iterations with {100 * MOVING:g} % of the peak velocity or "
+        f"{'; '.join(shapes)}. Medians between targets at radius 1 and 2 from the first to the "
+        f"last of {SHAPE_ITERATIONS} iterations with {100 * MOVING:g} % of the peak velocity or "
         "more. The data came without a definition; this one was found by trial to give their "
         "numbers, with the Euclidean normalization"
     )
 
 
 def _shape(network: MMCNetwork, normalizers: Sequence[Normalizer]) -> str:
-    """Medians over the movements between targets at radius 1 and 2."""
-    velocity = np.concatenate(
-        [
-            record_movements(replace(network, normalizer=normalizer), SHAPE_ITERATIONS).velocity[
-                INNER
-            ]
-            for normalizer in normalizers
-        ]
-    )
-    ratio, time = bulk_shape(velocity)
+    """Return medians over the movements between targets at radius 1 and 2."""
+    velocity = record_runs(network, normalizers, SHAPE_ITERATIONS).velocity
+    velocity = velocity[np.tile(INNER, len(normalizers))]
+    parts = [profile[moving_part(profile)] for profile in velocity]
+    ratio = np.median([part.max() / part.mean() for part in parts])
+    time = np.median([part.argmax() / part.size for part in parts])
     whole = velocity[:, :ITERATIONS]
-    whole_ratio, whole_time = (
-        np.median(each(measure, whole)) for measure in (profiles.peakedness, profiles.phase_of_peak)
+    whole_ratio, whole_time = np.median(
+        [each(peakedness, whole), each(phase_of_peak, whole)], axis=1
     )
     return f"{ratio:.2f}, {time:.2f} ({whole_ratio:.2f}, {whole_time:.2f})"
 
 
 def _of(table: pd.DataFrame, network: MMCNetwork, normalizer: str) -> pd.DataFrame:
-    """The rows of all runs of a normalizer in a network."""
+    """Return the rows of all runs of a normalizer in a network."""
     chosen = (
         (table["dynamics"] == network.dynamics)
         & (table["schedule"] == network.schedule)
@@ -189,14 +187,13 @@ def _rows(table: pd.DataFrame) -> list[Row]:
 
 
 def _network_rows(name: str, runs: pd.DataFrame, published: PublishedDynamics) -> list[Row]:
-    several = f"{len(runs)} networks: mean (least to most)" if len(runs) > 1 else ""
     distances = [
         Row(
             f"{name}: mean distance after {iteration} iterations",
             data=value,
             ours=over_runs(runs[f"distance_{iteration}"]),
             unit="of start to target",
-            note=several,
+            note=how_many(len(runs)),
         )
         for iteration, value in published.distances.items()
     ]

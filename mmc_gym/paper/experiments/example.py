@@ -15,10 +15,18 @@ from scipy.signal import find_peaks
 
 from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
-from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
+from mmc_gym.paper.experiment import (
+    Captioned,
+    Experiment,
+    Result,
+    Row,
+    Settings,
+    how_many,
+    over_runs,
+)
 from mmc_gym.paper.figures import draw_postures, draw_profiles
 from mmc_gym.paper.networks import trained_architectures
-from mmc_gym.paper.protocol import SECOND_PEAK, Recording, over_runs, record_example
+from mmc_gym.paper.protocol import SECOND_PEAK, Recording, record_example
 
 CLASSICAL = "kinematic (Euclidean)"
 NETWORKS: Mapping[str, MMCNetwork] = {
@@ -39,75 +47,74 @@ PUBLISHED: Mapping[str, str] = dict(
 _IN_THE_TEXT: Mapping[str, str] = dict(zip(list(NETWORKS)[1:3], ("0.025", "0.030"), strict=True))
 
 
-def run(settings: Settings, progress: Progress) -> Result:
+def run(settings: Settings) -> Result:
     """Make the example movement with every network."""
-    hidden = trained_architectures(settings, progress, ((16, 16),))[16, 16].normalizers
+    hidden = trained_architectures(settings, ((16, 16),))[16, 16].normalizers
     movements = {
         name: record_movement(network, [EuclideanNormalizer()] if name == CLASSICAL else hidden)
         for name, network in NETWORKS.items()
     }
     first = {name: recordings[0] for name, recordings in movements.items()}
+    first["kinematic [16, 16]"] = record_example(replace(NETWORKS[CLASSICAL], normalizer=hidden[0]))
     _, decayed, undecayed, *_ = NETWORKS
-    kinematic = record_example(replace(NETWORKS[CLASSICAL], normalizer=hidden[0]))
-    profiles = {
-        CLASSICAL: first[CLASSICAL].velocity,
-        "dynamic [16, 16], decay 0.92": first[decayed].velocity,
-        "dynamic [16, 16], decay 1": first[undecayed].velocity,
-    }
     return Result(
-        rows=(
+        rows=[
             *(_row(name, recordings) for name, recordings in movements.items()),
             _second_peak_row(undecayed, movements[undecayed]),
-        ),
+        ],
         figures={
-            "example_postures": draw_postures(
-                {
-                    CLASSICAL: first[CLASSICAL],
-                    "kinematic [16, 16]": kinematic,
-                    "dynamic [16, 16], decay 0.92": first[decayed],
-                }
+            "example_postures": Captioned(
+                draw_postures(
+                    {
+                        CLASSICAL: first[CLASSICAL],
+                        "kinematic [16, 16]": first["kinematic [16, 16]"],
+                        "dynamic [16, 16], decay 0.92": first[decayed],
+                    }
+                ),
+                "Example movement: a posture every two iterations, the hand as dots.",
             ),
-            "example_velocity": draw_profiles({"": profiles}),
-        },
-        captions={
-            "example_postures": "Example movement: a posture every two iterations, the hand as "
-            "dots.",
-            "example_velocity": "Velocity of the hand in the example movement: classical network, "
-            "and dynamic network with and without velocity decay (rule “reference”).",
+            "example_velocity": Captioned(
+                draw_profiles(
+                    {
+                        "": {
+                            CLASSICAL: first[CLASSICAL].velocity,
+                            "dynamic [16, 16], decay 0.92": first[decayed].velocity,
+                            "dynamic [16, 16], decay 1": first[undecayed].velocity,
+                        }
+                    }
+                ),
+                "Velocity of the hand in the example movement: classical network, and dynamic "
+                "network with and without velocity decay (rule “reference”).",
+            ),
         },
         data={
             "example": {
-                f"{part} {name}": values
-                for name, recording in {**first, "kinematic [16, 16]": kinematic}.items()
-                for part, values in (
-                    ("segments", recording.segments),
-                    ("distance", recording.distance),
-                    ("velocity", recording.velocity),
-                )
+                f"{part} {name}": getattr(recording, part)
+                for name, recording in first.items()
+                for part in ("segments", "distance", "velocity")
             }
         },
     )
 
 
 def record_movement(network: MMCNetwork, normalizers: Sequence[Normalizer]) -> list[Recording]:
-    """The example movement with each of the normalizers."""
+    """Record the example movement with each of the normalizers."""
     return [record_example(replace(network, normalizer=normalizer)) for normalizer in normalizers]
 
 
 def _row(name: str, recordings: Sequence[Recording]) -> Row:
-    several = f"{len(recordings)} networks: mean (least to most)" if len(recordings) > 1 else ""
     return Row(
         f"{name}: distance after 40 iterations",
         paper=_IN_THE_TEXT.get(name),
         data=PUBLISHED[name],
         ours=over_runs([float(recording.distance[-1]) for recording in recordings], ".5f"),
         unit="of start to target",
-        note=several,
+        note=how_many(len(recordings)),
     )
 
 
 def second_peak(velocity: ArrayLike) -> tuple[float, int] | None:
-    """Height and iteration, from 1, of the highest peak after the highest; None without one.
+    """Return height and iteration, from 1, of the highest peak after the highest; None without.
 
     A peak stands out by more than 5 % of the highest velocity (`SECOND_PEAK`).
 

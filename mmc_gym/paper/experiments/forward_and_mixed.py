@@ -20,18 +20,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import product
 from math import sqrt
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mmc_gym._plotting import COLOURS
 from mmc_gym.network.chain import Floats, Pair, chain_vectors, vector_pairs
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from mmc_gym.paper.experiment import Experiment, Progress, Result, Row, Settings
-from mmc_gym.paper.figures import draw_errors
+from mmc_gym.paper.experiment import Captioned, Experiment, Result, Row, Settings
+from mmc_gym.paper.figures import add_legend, look, side_by_side, styled
 from mmc_gym.paper.protocol import ACCURATE, EUCLIDEAN
 
 ARMS = 1000
@@ -58,7 +61,7 @@ _SHOWN = (10, 40, 100, 500)
 
 
 def factor(damping: float) -> float:
-    """By which the error of a forward task shrinks in an iteration: (d − 2 + √2)/d.
+    """Return the factor of the error of a forward task in an iteration: (d − 2 + √2)/d.
 
     >>> round(factor(10), 4)
     0.9414
@@ -69,7 +72,7 @@ def factor(damping: float) -> float:
 def random_tasks(
     network: MMCNetwork, arms: int, seed: int
 ) -> tuple[MMCState, dict[Pair, NDArray[np.float64]]]:
-    """Arms in random postures, and all vectors of other random postures, by node pair."""
+    """Return arms in random postures, and all vectors of other random postures, by node pair."""
     angles = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, arms, 3))
     wanted = network.state_from_joint_angles(angles[1]).segments
     vectors = np.asarray(chain_vectors(wanted), dtype=np.float64)
@@ -79,7 +82,7 @@ def random_tasks(
 
 
 def errors(network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int) -> Floats:
-    """Error after every iteration, segment lengths, (iterations, arms)."""
+    """Return the error after every iteration, segment lengths, (iterations, arms)."""
     diagonal = vector_pairs(3).index((0, 2))
     found = np.empty((iterations, *state.batch_shape))
     for iteration in range(iterations):
@@ -92,7 +95,11 @@ def errors(network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int
     return found
 
 
-def run(settings: Settings, progress: Progress) -> Result:
+_Found: TypeAlias = Mapping[tuple[str, str, str], Floats]
+"""Errors by network, normalizer and task, (iterations, arms)."""
+
+
+def run(settings: Settings) -> Result:
     """Give every task to every network with every normalizer."""
     arms = ARMS // 10 if settings.quick else ARMS
     normalizers: dict[str, Normalizer] = {
@@ -101,45 +108,65 @@ def run(settings: Settings, progress: Progress) -> Result:
         "paper's recipe [16, 16]": LearnedNormalizer.shipped("paper"),
     }
     found: dict[tuple[str, str, str], Floats] = {}
-    total = len(NETWORKS) * len(normalizers) * len(TASKS)
-    for network_name, description in NETWORKS.items():
-        for normalizer_name, normalizer in normalizers.items():
-            network = replace(description, normalizer=normalizer)
-            state, vectors = random_tasks(network, arms, settings.seed)
-            for task, pairs in TASKS.items():
-                progress(len(found), total)
-                clamps = network.clamp({pair: vectors[pair] for pair in pairs})
-                key = network_name, normalizer_name, task
-                found[key] = errors(network, state, clamps, ITERATIONS)
-    progress(total, total)
+    for name, normalizer, task in settings.tracked(list(product(NETWORKS, normalizers, TASKS))):
+        network = replace(NETWORKS[name], normalizer=normalizers[normalizer])
+        state, vectors = random_tasks(network, arms, settings.seed)
+        clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
+        found[name, normalizer, task] = errors(network, state, clamps, ITERATIONS)
+    courses = {key: error.mean(axis=1) for key, error in found.items()}
     return Result(
-        rows=(*_forward_rows(found), *_mixed_rows(found)),
+        rows=[*_forward_rows(found), *_mixed_rows(found)],
         figures={
-            "forward_and_mixed": draw_errors(
-                {
-                    name: {task: found["kinematic", name, task].mean(axis=1) for task in TASKS}
-                    for name in normalizers
-                },
-                factor(NETWORKS["kinematic"].damping),
+            "forward_and_mixed": Captioned(
+                draw_errors(
+                    {
+                        name: {task: courses["kinematic", name, task] for task in TASKS}
+                        for name in normalizers
+                    },
+                    factor(NETWORKS["kinematic"].damping),
+                ),
+                f"Mean error over {arms} random postures of the kinematic network, d = 10, by the "
+                "vectors that are clamped, for three normalizers; grey: the slope of a forward "
+                "task by theory.",
             )
         },
-        captions={
-            "forward_and_mixed": f"Mean error over {arms} random postures of the kinematic "
-            "network, d = 10, by the vectors that are clamped, for three normalizers; grey: the "
-            "slope of a forward task by theory."
+        data={
+            "forward_and_mixed": pd.DataFrame(
+                {"iteration": np.arange(1, ITERATIONS + 1)}
+                | {" | ".join(key): course for key, course in courses.items()}
+            )
         },
-        data={"forward_and_mixed": _frame(found)},
     )
 
 
-_Found: TypeAlias = Mapping[tuple[str, str, str], Floats]
+@styled
+def draw_errors(panels: Mapping[str, Mapping[str, Floats]], slope: float) -> Figure:
+    """Draw errors over the iterations on a logarithmic axis, a panel for each title.
 
-
-def _frame(found: _Found) -> pd.DataFrame:
-    columns: dict[str, Any] = {
-        " | ".join(key): course.mean(axis=1) for key, course in found.items()
-    }
-    return pd.DataFrame({"iteration": np.arange(1, ITERATIONS + 1), **columns})
+    Args:
+        panels: errors by title and name, (iterations,), segment lengths.
+        slope: a factor per iteration, drawn to compare with.
+    """
+    figure, row = side_by_side(len(panels), 2.7 * len(panels) + 0.6, 3.4, sharey=True)
+    for axes, (title, courses) in zip(row, panels.items(), strict=True):
+        for number, (name, error) in enumerate(courses.items()):
+            axes.plot(
+                np.arange(1, len(error) + 1),
+                error,
+                color=(*COLOURS, "black")[number],
+                linestyle=look(number)["linestyle"],
+                marker="osD^v"[number],
+                markevery=(10 * number, len(error) // 6),
+                markersize=3,
+                label=name,
+            )
+        iterations = np.arange(1, ITERATIONS + 1)
+        label = f"{slope:.4f}ᵏ"
+        axes.plot(iterations, slope**iterations, color="0.6", linewidth=0.8, label=label)
+        axes.set(title=title, xlabel="iteration k", yscale="log", ylim=(1e-4, 5))
+    row[0].set_ylabel("error [segment lengths]")
+    add_legend(figure, row[0])
+    return figure
 
 
 def _forward_rows(found: _Found) -> list[Row]:

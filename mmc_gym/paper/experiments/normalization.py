@@ -16,28 +16,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
+from mmc_gym._plotting import COLOURS, LINES
+from mmc_gym.network.chain import Floats
 from mmc_gym.network.fitting import PAPER
 from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.paper.experiment import (
+    Captioned,
     Experiment,
-    Progress,
     Result,
     Row,
     Settings,
     mean_and_deviation,
 )
-from mmc_gym.paper.figures import (
-    Errors,
-    VectorField,
-    draw_normalization_errors,
-    draw_surface,
-    draw_training_curves,
-    draw_vector_fields,
-)
+from mmc_gym.paper.figures import side_by_side, styled
 from mmc_gym.paper.networks import (
     QUICK_RECIPE,
     TrainedArchitecture,
@@ -49,7 +49,7 @@ from mmc_gym.paper.networks import (
 
 @dataclass(frozen=True)
 class Published:
-    """What was published of an architecture; means and standard deviations are of five runs.
+    """Published errors of an architecture; means and standard deviations are of five runs.
 
     Attributes:
         validation: mean and deviation of the validation MSE after 400 epochs.
@@ -82,64 +82,68 @@ PUBLISHED: dict[Units, Published] = {
 }
 
 _FIELD_UNITS: tuple[Units, ...] = ((8,), (16,))
-_GRID = np.linspace(-1.6, 1.6, 17)
 
 
-def run(settings: Settings, progress: Progress) -> Result:
+def run(settings: Settings) -> Result:
     """Train the networks, or read them, and compare their errors with the published ones."""
-    trained = trained_architectures(settings, progress)
-    errors = {
-        architecture_name(units): Errors(
-            len(units), architecture.validation_mse[:, -1], PUBLISHED[units].validation
-        )
-        for units, architecture in trained.items()
-    }
-    histories = {
-        architecture_name(units): architecture.validation_mse.mean(axis=0)
-        for units, architecture in trained.items()
-    }
-    fields = [
-        vector_field(trained[units].normalizers[0], architecture_name(units))
+    trained = trained_architectures(settings)
+    named = {architecture_name(units): architecture for units, architecture in trained.items()}
+    histories = {name: found.validation_mse.mean(axis=0) for name, found in named.items()}
+    fields = {
+        architecture_name(units): vector_field(trained[units].normalizers[0])
         for units in _FIELD_UNITS
-    ]
+    }
     quick = f"quick run: {QUICK_RECIPE.epochs} of {PAPER.epochs} epochs" if settings.quick else ""
     return Result(
-        rows=tuple(_rows(trained, quick)),
+        rows=_rows(trained, quick),
         figures={
-            "mse_by_architecture": draw_normalization_errors(errors),
-            "training_curves": draw_training_curves(histories),
-            "mse_surface": draw_surface(histories),
-            "vector_field": draw_vector_fields(fields),
-        },
-        captions={
-            "mse_by_architecture": "Validation MSE after training, mean ± standard deviation of "
-            "the runs, ours (filled) and as published (open); dots: single runs.",
-            "training_curves": "Validation MSE over the epochs, mean of the runs.",
-            "mse_surface": "The same as a surface over epoch and architecture.",
-            "vector_field": "Where the networks move their inputs: arrows from input to output; "
-            "the unit circle is where they should end.",
+            "mse_by_architecture": Captioned(
+                draw_errors(trained),
+                "Validation MSE after training, mean ± standard deviation of the runs, ours "
+                "(filled) and as published (open); dots: single runs.",
+            ),
+            "training_curves": Captioned(
+                draw_training_curves(histories),
+                "Validation MSE over the epochs, mean of the runs.",
+            ),
+            "mse_surface": Captioned(
+                draw_surfaces(histories), "The same as a surface over epoch and architecture."
+            ),
+            "vector_field": Captioned(
+                draw_vector_fields(fields),
+                "Where the networks move their inputs: arrows from input to output; the unit "
+                "circle is where they should end.",
+            ),
         },
         data={
             "mse": _frame(trained),
-            "training": _histories(trained),
+            "training": {
+                f"{kind} {name}": history
+                for name, found in named.items()
+                for kind, history in (
+                    ("training", found.training_mse),
+                    ("validation", found.validation_mse),
+                )
+            },
             "vector_field": {
-                f"{name} {field.name}": array
-                for field in fields
-                for name, array in (("inputs", field.inputs), ("outputs", field.outputs))
+                f"{kind} {name}": array
+                for name, pair in fields.items()
+                for kind, array in zip(("inputs", "outputs"), pair, strict=True)
             },
         },
         points={7: "vector fields drawn of [8] and [16], each under its name"},
     )
 
 
-def vector_field(normalizer: LearnedNormalizer, name: str) -> VectorField:
-    """Inputs on a grid of ±1.6 and what the network makes of them."""
-    inputs = np.stack(np.meshgrid(_GRID, _GRID), axis=-1).reshape(-1, 2)
-    return VectorField(name, inputs, normalizer(inputs))
+def vector_field(normalizer: LearnedNormalizer) -> tuple[Floats, Floats]:
+    """Return vectors on a grid of ±1.6, and what the network makes of them, (289, 2)."""
+    side = np.linspace(-1.6, 1.6, 17)
+    inputs = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    return inputs, normalizer(inputs)
 
 
 def agreement(ours: tuple[float, float], published: tuple[float, float]) -> str:
-    """Whether two means lie within the sum of their standard deviations, in words.
+    """Tell in words whether two means lie within the sum of their standard deviations.
 
     >>> agreement((0.0036, 0.0015), (0.0043, 0.0002))
     'within the spread of both'
@@ -208,15 +212,114 @@ def _frame(trained: Mapping[Units, TrainedArchitecture]) -> pd.DataFrame:
     )
 
 
-def _histories(trained: Mapping[Units, TrainedArchitecture]) -> dict[str, np.ndarray]:
-    return {
-        f"{kind} {architecture_name(units)}": history
-        for units, architecture in trained.items()
-        for kind, history in (
-            ("training", architecture.training_mse),
-            ("validation", architecture.validation_mse),
+@styled
+def draw_errors(trained: Mapping[Units, TrainedArchitecture]) -> Figure:
+    """Draw MSE by architecture, mean ± deviation on a log axis, ours beside the published."""
+    figure, (axes,) = side_by_side(1, 7.4, 3.4)
+    ours = np.array([_mean_and_deviation(found) for found in trained.values()])
+    published = np.array([PUBLISHED[units].validation for units in trained])
+    layers = np.array([len(units) for units in trained])
+    places = np.arange(len(trained))
+    for place, found in enumerate(trained.values()):
+        final = found.validation_mse[:, -1]
+        axes.plot(np.full(len(final), place + 0.12), final, ".", color="0.65", markersize=4)
+    for count in np.unique(layers):
+        group = layers == count
+        x = places[group]
+        _draw_series(axes, x + 0.12, ours[group], color=COLOURS[0], linestyle="-", marker="o")
+        _draw_series(
+            axes,
+            x - 0.12,
+            published[group],
+            color=COLOURS[1],
+            linestyle="--",
+            marker="s",
+            markerfacecolor="w",
         )
+    axes.legend(axes.containers[:2], ["ours", "published"], frameon=False)
+    axes.set(yscale="log", xlabel="units of the hidden layers", ylabel="validation MSE")
+    axes.set_xticks(places, [architecture_name(units) for units in trained])
+    return figure
+
+
+def _mean_and_deviation(architecture: TrainedArchitecture) -> tuple[float, float]:
+    error = architecture.validation_mse[:, -1]
+    return error.mean(), error.std()
+
+
+def _draw_series(axes: Axes, x: Floats, errors: Floats, **style: Any) -> None:
+    mean, deviation = errors.T
+    # A mean less its deviation may be negative, which a log axis cannot show.
+    bars = np.stack([np.minimum(deviation, 0.9 * mean), deviation])
+    axes.errorbar(x, mean, yerr=bars, markersize=4.5, linewidth=1.1, capsize=2.5, **style)
+
+
+@styled
+def draw_training_curves(histories: Mapping[str, Floats]) -> Figure:
+    """Draw MSE over epochs, a panel for a single hidden layer and one for two."""
+    figure, panels = side_by_side(2, 7.2, 3.4, sharey=True)
+    for axes, (title, group) in zip(panels, _by_layers(histories).items(), strict=True):
+        colours = colormaps["viridis"](np.linspace(0, 0.85, max(len(group), 2)))
+        for number, (name, mse) in enumerate(group.items()):
+            epochs, line = np.arange(1, len(mse) + 1), LINES[number % len(LINES)]
+            axes.plot(epochs, mse, color=colours[number], linestyle=line, label=name)
+        axes.set(title=title, xlabel="epoch", yscale="log", xlim=(0, None))
+        axes.legend(frameon=False, ncols=2, loc="upper right")
+    panels[0].set_ylabel("validation MSE")
+    return figure
+
+
+@styled
+def draw_surfaces(histories: Mapping[str, Floats]) -> Figure:
+    """Draw log10 MSE over epoch and architecture, a surface for each number of hidden layers."""
+    limits = np.log10([min(mse.min() for mse in histories.values()), 0.5])
+    figure, panels = side_by_side(2, 8.4, 3.9, subplot_kw={"projection": "3d"})
+    for axes, (title, group) in zip(panels, _by_layers(histories).items(), strict=True):
+        axes.set_title(title, y=0.98)
+        _draw_surface(axes, group, limits)
+    return figure
+
+
+def _draw_surface(axes: Any, histories: Mapping[str, Floats], limits: Floats) -> None:
+    heights = np.log10(np.stack(list(histories.values())))
+    epochs, places = np.meshgrid(np.arange(1, heights.shape[1] + 1), np.arange(len(heights)))
+    low, high = limits
+    look = {"cmap": "viridis", "vmin": low, "vmax": high, "alpha": 0.85}
+    axes.plot_surface(epochs, places, heights, rcount=len(heights), ccount=60, **look)
+    for place, height in enumerate(heights):
+        axes.plot(epochs[place], np.full(len(height), place), height, "k", linewidth=0.5)
+    axes.locator_params("x", nbins=4)
+    axes.set(xlabel="epoch", zlabel="log$_{10}$ validation MSE", zlim=limits)
+    axes.set_yticks(np.arange(len(heights)), list(histories), ha="left", va="center")
+    axes.set_ylabel("units of the hidden layers", labelpad=12)
+    axes.view_init(elev=28, azim=-50)
+    axes.set_box_aspect((4, 4, 2.8), zoom=0.86)
+
+
+def _by_layers(histories: Mapping[str, Floats]) -> dict[str, dict[str, Floats]]:
+    return {
+        title: {name: mse for name, mse in histories.items() if ("," in name) == deep}
+        for title, deep in (("one hidden layer", False), ("two hidden layers", True))
     }
+
+
+@styled
+def draw_vector_fields(fields: Mapping[str, tuple[Floats, Floats]]) -> Figure:
+    """Draw arrows from inputs to outputs, and the unit circle on which the outputs should lie.
+
+    Args:
+        fields: inputs and outputs of each network, (n, 2).
+    """
+    figure, panels = side_by_side(len(fields), 3.6 * len(fields), 3.8, sharey=True)
+    for axes, (name, (inputs, outputs)) in zip(panels, fields.items(), strict=True):
+        axes.set_title(name)
+        axes.add_patch(Circle((0, 0), 1, fill=False, color=COLOURS[1], linewidth=1.4))
+        arrows: Any = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
+        axes.quiver(*inputs.T, *(outputs - inputs).T, color=COLOURS[0], **arrows)
+        axes.set(xlim=(-1.75, 1.75), ylim=(-1.75, 1.75), aspect="equal")
+        axes.set_xlabel("x [segment lengths]")
+    panels[0].set_ylabel("y [segment lengths]")
+    return figure
 
 
 EXPERIMENT = Experiment(

@@ -22,22 +22,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from mmc_gym._plotting import COLOURS, LINES
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.paper.experiment import (
+    Captioned,
     Experiment,
-    Progress,
     Result,
     Row,
     Settings,
     mean_and_deviation,
 )
-from mmc_gym.paper.figures import Layer, draw_curves, draw_landscape, draw_tuning
+from mmc_gym.paper.figures import panel_grid, side_by_side, styled, write_number
 from mmc_gym.paper.networks import (
     TrainedArchitecture,
     Units,
@@ -61,12 +65,13 @@ DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """What the units of a layer that are not silent are tuned to, by preferred direction.
+    """Tuning of the units of a layer that are not silent, by preferred direction.
 
     Attributes:
         activations: h(φ) at `DIRECTIONS`, (directions, units).
         preferred: preferred directions, radians in [0, 2π[, (units,).
         width: tuning widths, degrees, (units,).
+        inside: True where h(φ) > (max h + min h)/2, (directions, units).
         active: number of units within their tuning width, by direction, (directions,).
         largest_gap: largest angle between neighbouring preferred directions, degrees.
         silent: number of units that are left out, because they are silent.
@@ -75,6 +80,7 @@ class Tuning:
     activations: Floats
     preferred: Floats
     width: Floats
+    inside: NDArray[np.bool_]
     active: NDArray[np.int_]
     largest_gap: float
     silent: int
@@ -86,7 +92,7 @@ class Tuning:
 
 
 def tuning(activations: Floats) -> Tuning:
-    """Tuning of units with these activations at `DIRECTIONS`, (directions, units).
+    """Return the tuning of units by their activations at `DIRECTIONS`, (directions, units).
 
     >>> cosines = np.cos(DIRECTIONS[:, None] - np.radians([10.0, 100.0, 280.0]))
     >>> found = tuning(cosines)
@@ -108,6 +114,7 @@ def tuning(activations: Floats) -> Tuning:
         activations=activations,
         preferred=preferred,
         width=360 * inside.mean(axis=0),
+        inside=inside,
         active=inside.sum(axis=1),
         largest_gap=float(np.degrees(gaps.max())),
         silent=units - len(preferred),
@@ -115,47 +122,50 @@ def tuning(activations: Floats) -> Tuning:
 
 
 def layer_tunings(normalizer: LearnedNormalizer) -> list[Tuning]:
-    """Tuning of every hidden layer of a network."""
+    """Return the tuning of every hidden layer of a network."""
     vectors = np.stack([np.cos(DIRECTIONS), np.sin(DIRECTIONS)], axis=-1)
     return [tuning(outputs) for outputs in normalizer.activations(vectors)[:-1]]
 
 
-def run(settings: Settings, progress: Progress) -> Result:
+def run(settings: Settings) -> Result:
     """Measure and draw the hidden units of the networks with 4, 8, and [8, 8] hidden units."""
-    trained = _trained(settings, progress)
+    plain = trained_architectures(settings, ARCHITECTURES)
+    decayed = trained_architectures(settings, ((8, 8),), WEIGHT_DECAY)[8, 8]
+    trained = {architecture_name(units): found for units, found in plain.items()}
+    trained[_DECAYED] = decayed
     layers: dict[str, tuple[Tuning, ...]] = {}
     for name, architecture in trained.items():
         runs = [layer_tunings(normalizer) for normalizer in architecture.normalizers]
         for number, of_runs in enumerate(zip(*runs, strict=True), start=1):
             suffix = f", layer {number}" if len(architecture.hidden_units) > 1 else ""
             layers[name + suffix] = of_runs
-    shown = [
-        Layer(name, DIRECTIONS, first.activations, first.preferred, first.width)
-        for name, (first, *_) in layers.items()
-    ]
-    in_three_dimensions = (architecture_name((8,)), f"{_PLAIN}, layer 2", f"{_DECAYED}, layer 2")
+    shown = {name: first for name, (first, *_) in layers.items()}
+    in_depth = (architecture_name((8,)), f"{_PLAIN}, layer 2", f"{_DECAYED}, layer 2")
     return Result(
-        rows=(
+        rows=[
             *(row for name, of_runs in layers.items() for row in _rows(name, of_runs)),
             *(_error_row(name, trained[name]) for name in (_PLAIN, _DECAYED)),
-        ),
+        ],
         figures={
-            "hidden_units": draw_curves(shown),
-            "hidden_units_3d": draw_landscape(
-                [layer for layer in shown if layer.name in in_three_dimensions]
+            "hidden_units": Captioned(
+                draw_activations(shown),
+                "Activation of the hidden units over the angle of a unit input vector, numbered "
+                "by preferred direction (first run of each network); silent units are left out.",
             ),
-            "tuning": draw_tuning(shown),
-        },
-        captions={
-            "hidden_units": "Activation of the hidden units over the angle of a unit input "
-            "vector, numbered by preferred direction (first run of each network); "
-            "silent units are left out.",
-            "hidden_units_3d": "The same, one curve per unit.",
-            "tuning": "Preferred direction (dot) and tuning width (arc) of each unit.",
+            "hidden_units_3d": Captioned(
+                draw_activations_in_depth({name: shown[name] for name in in_depth}),
+                "The same, one curve per unit.",
+            ),
+            "tuning": Captioned(
+                draw_tunings(shown),
+                "Preferred direction (dot) and tuning width (arc) of each unit.",
+            ),
         },
         data={
-            "hidden_units": {"directions": DIRECTIONS}
-            | {layer.name: layer.activations for layer in shown},
+            "hidden_units": {
+                "directions": DIRECTIONS,
+                **{name: found.activations for name, found in shown.items()},
+            },
             "tuning": _frame(layers),
         },
         points={
@@ -165,18 +175,8 @@ def run(settings: Settings, progress: Progress) -> Result:
     )
 
 
-def _trained(settings: Settings, progress: Progress) -> dict[str, TrainedArchitecture]:
-    """All runs of every network, by the name that it is shown with."""
-    plain = trained_architectures(settings, progress, ARCHITECTURES)
-    decayed = trained_architectures(settings, progress, ((8, 8),), WEIGHT_DECAY)
-    return {
-        **{architecture_name(units): architecture for units, architecture in plain.items()},
-        _DECAYED: decayed[8, 8],
-    }
-
-
 def _frame(layers: Mapping[str, Sequence[Tuning]]) -> pd.DataFrame:
-    """A row per layer, run and unit."""
+    """Return a row per layer, run and unit."""
     return pd.concat(
         [
             pd.DataFrame(
@@ -234,6 +234,81 @@ def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
             note=f"of {runs[0].size}, over all directions",
         ),
     ]
+
+
+_ANGLES = (0, 90, 180, 270, 360)
+
+
+@styled
+def draw_activations(layers: Mapping[str, Tuning]) -> Figure:
+    """Draw activations over the input angle, a panel per layer; number units where they peak."""
+    figure, panels = panel_grid(len(layers), 2.4, 2.5, margin=(0.4, 0.3))
+    for axes, (name, layer) in zip(panels, layers.items(), strict=True):
+        axes.set_title(name)
+        _draw_layer(axes, layer)
+        axes.set(xlim=(0, 360), xticks=_ANGLES, ylim=(-1.05, 1.15))
+        axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
+    figure.supxlabel("input angle [°]")
+    figure.supylabel("activation of hidden unit (tanh)")
+    return figure
+
+
+def _draw_layer(axes: Axes, layer: Tuning) -> None:
+    degrees = np.degrees(DIRECTIONS)
+    for unit, (activation, angle) in enumerate(
+        zip(layer.activations.T, layer.preferred, strict=True)
+    ):
+        colour, line = COLOURS[unit % len(COLOURS)], LINES[unit // len(COLOURS) % len(LINES)]
+        axes.plot(degrees, activation, color=colour, linestyle=line, linewidth=1.2)
+        # At the preferred direction; in the middle of the plateau of a unit that saturates.
+        height = float(np.interp(angle, DIRECTIONS, activation, period=2 * np.pi))
+        place = float(np.degrees(angle)), height
+        write_number(axes, unit + 1, place, (0, 2), ha="center", color=colour)
+
+
+@styled
+def draw_activations_in_depth(layers: Mapping[str, Tuning]) -> Figure:
+    """Draw a curve per unit in three dimensions: input angle, unit, activation."""
+    figure, panels = side_by_side(
+        len(layers), 4 * len(layers), 3.6, subplot_kw={"projection": "3d"}
+    )
+    degrees = np.degrees(DIRECTIONS)
+    axes: Any
+    for axes, (name, layer) in zip(panels, layers.items(), strict=True):
+        axes.set_title(name, y=1.0)
+        for unit, activation in enumerate(layer.activations.T):
+            colour = COLOURS[unit % len(COLOURS)]
+            axes.plot(degrees, np.full_like(degrees, unit + 1), activation, color=colour)
+        axes.set(
+            xlabel="input angle [°]",
+            ylabel="hidden unit",
+            zlabel="activation",
+            xticks=_ANGLES,
+            yticks=range(1, layer.activations.shape[1] + 1),
+            zlim=(-1, 1),
+        )
+        axes.view_init(elev=35, azim=-65)
+        axes.set_box_aspect((4, 4, 2.4), zoom=0.87)
+    return figure
+
+
+@styled
+def draw_tunings(layers: Mapping[str, Tuning]) -> Figure:
+    """Draw preferred direction and tuning width of every unit, each on its own circle."""
+    figure, panels = panel_grid(len(layers), 2.4, 2.9, projection="polar")
+    closed = np.append(DIRECTIONS, 2 * np.pi)
+    for axes, (name, layer) in zip(panels, layers.items(), strict=True):
+        axes.set_title(name, pad=14)
+        radii = np.linspace(0.35, 1, len(layer.preferred))
+        for unit, (radius, angle) in enumerate(zip(radii, layer.preferred, strict=True)):
+            colour = COLOURS[unit % len(COLOURS)]
+            arc = np.where(layer.inside[:, unit], radius, np.nan)
+            axes.plot(closed, np.append(arc, arc[0]), color=colour, linewidth=1.6)
+            axes.plot(angle, radius, "o", color=colour, markersize=4)
+            write_number(axes, unit + 1, (angle, radius), (3, 3), color=colour)
+        axes.set(ylim=(0, 1.1), yticks=[], xticks=np.radians(_ANGLES[:-1]))
+        axes.spines["polar"].set_color("0.8")
+    return figure
 
 
 EXPERIMENT = Experiment(

@@ -1,5 +1,7 @@
 """The paper's networks are trained once, kept, and the same for the same seed."""
 
+import tokenize
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -31,8 +33,8 @@ def calls(monkeypatch):
     return trained
 
 
-def train_few(folder=None, seed=0, progress=lambda done, total: None):
-    return trained_architectures(Settings(quick=True, seed=seed, folder=folder), progress, FEW)
+def train_few(folder=None, **settings):
+    return trained_architectures(Settings(quick=True, folder=folder, **settings), FEW)
 
 
 def assert_same(one, other):
@@ -77,12 +79,12 @@ def test_interrupted_work_goes_on_where_it_was(tmp_path, calls, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_few(tmp_path, progress=interrupt)
+        train_few(tmp_path, on_progress=interrupt)
     assert calls == [(3, 2), (2,)]  # the larger first
     calls.clear()
 
     reports = []
-    resumed = train_few(tmp_path, progress=lambda *report: reports.append(report))
+    resumed = train_few(tmp_path, on_progress=lambda *report: reports.append(report))
     assert calls == [(2,)]
     assert reports == [(done, 12) for done in range(6, 13)]
     assert_same(resumed, train_few())
@@ -102,13 +104,78 @@ def test_what_is_kept_is_for_its_seed_and_recipe_only(tmp_path, calls, monkeypat
     assert train_few(tmp_path)[2,].training_mse.shape == (2, 2)
 
 
-def test_a_damaged_file_is_made_anew(tmp_path, calls):
-    whole = train_few(tmp_path)
+def cut(path):
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def scramble(path):
+    """Damage what is compressed, and leave the archive's directory whole."""
+    content = bytearray(path.read_bytes())
+    content[70:110] = b"\xff" * 40
+    path.write_bytes(content)
+
+
+def rewrite(**changes):
+    """Replace arrays by others, or drop those that are None."""
+
+    def damage(path):
+        with np.load(path) as arrays:
+            changed = {**arrays, **changes}
+        np.savez(path, **{name: array for name, array in changed.items() if array is not None})
+
+    return damage
+
+
+DAMAGE = {
+    "cut short": cut,
+    "empty": lambda path: path.write_bytes(b""),
+    "scrambled": scramble,
+    "without weights": rewrite(weights_0=None),
+    "too few runs": rewrite(weights_0=np.zeros((1, 2, 2))),
+    "fewer epochs": rewrite(training_mse=np.zeros((2, 3))),
+    "no numbers": rewrite(biases_1=np.array(["a", "b"])),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_file_is_named_and_made_anew(damage, tmp_path, calls):
+    whole, notes = train_few(tmp_path), []
     (damaged,) = (tmp_path / "networks").glob("2-*.npz")
-    damaged.write_bytes(damaged.read_bytes()[:100])
+    damage(damaged)
     calls.clear()
-    assert_same(train_few(tmp_path), whole)
+    assert_same(train_few(tmp_path, on_note=notes.append), whole)
     assert calls == [(2,)]
+    (note,) = notes
+    assert note.startswith(f"{damaged} is damaged and is made anew")
+    calls.clear()
+    train_few(tmp_path)
+    assert calls == []
+
+
+@pytest.mark.parametrize("error", [zlib.error, tokenize.TokenError, RuntimeError, KeyError])
+def test_whatever_a_damaged_file_raises_it_is_made_anew(error, tmp_path, calls, monkeypatch):
+    def load(file):
+        raise error("damaged")
+
+    train_few(tmp_path)
+    calls.clear()
+    monkeypatch.setattr(np, "load", load)
+    with pytest.warns(UserWarning, match="is damaged and is made anew"):
+        train_few(tmp_path)
+    assert len(calls) == 2
+
+
+@pytest.mark.parametrize("version", ["0.0.1", None])
+def test_another_version_trains_anew(version, tmp_path, calls):
+    train_few(tmp_path, version=version or "0.1")
+    if not version:
+        for path in (tmp_path / "networks").iterdir():
+            rewrite(version=None)(path)  # as before versions were kept
+    calls.clear()
+    notes = []
+    train_few(tmp_path, on_note=notes.append)
+    assert len(calls) == len(notes) == 2
+    assert f"was made by version {version or 'unknown'}" in notes[0]
 
 
 @pytest.mark.slow
@@ -116,8 +183,7 @@ def test_processes_give_what_one_process_gives(tmp_path, monkeypatch):
     monkeypatch.setattr(normalizers, "_FEW_EPOCHS", 0)
     # Spawned processes know nothing of the recipe's replacement but what they are sent.
     reports = []
-    settings = Settings(quick=True, folder=tmp_path, jobs=2)
-    parallel = trained_architectures(settings, lambda *report: reports.append(report), FEW)
+    parallel = train_few(tmp_path, jobs=2, on_progress=lambda *report: reports.append(report))
     assert_same(parallel, train_few())
     assert_same(parallel, train_few(tmp_path))
     assert reports[0] == (0, 12)

@@ -1,12 +1,37 @@
-"""Tuning of units whose tuning is known, and of the paper's networks."""
+"""The experiments on the normalization networks: their errors, and their hidden units."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer
-from mmc_gym.paper import networks as normalizers
-from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.experiments.population import DIRECTIONS, layer_tunings, run, tuning
+from mmc_gym.paper import networks
+from mmc_gym.paper.experiment import Settings, write_result
+from mmc_gym.paper.experiments import normalization, population
+from mmc_gym.paper.experiments.population import DIRECTIONS, layer_tunings, tuning
+from mmc_gym.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES
+
+
+def test_every_architecture_has_published_errors():
+    assert tuple(normalization.PUBLISHED) == ARCHITECTURES
+    for published in normalization.PUBLISHED.values():
+        assert published.validation[0] == pytest.approx(
+            published.text or published.validation[0], rel=0.2
+        )
+
+
+def test_agreement_is_judged_by_the_spread_of_both():
+    assert normalization.agreement((1.0, 0.1), (1.29, 0.2)) == "within the spread of both"
+    assert "outside the spread of both: 1.5 ×" in normalization.agreement((1.0, 0.1), (1.45, 0.2))
+
+
+def test_the_vector_field_leads_to_the_unit_circle():
+    inputs, outputs = normalization.vector_field(LearnedNormalizer.shipped("accurate"))
+    assert inputs.shape == outputs.shape == (17 * 17, 2)
+    assert np.abs(inputs).max() == pytest.approx(1.6)
+    lengths = np.linalg.norm(outputs, axis=1)[np.linalg.norm(inputs, axis=1) > 0.1]
+    np.testing.assert_allclose(lengths, 1, atol=0.05)
 
 
 @pytest.mark.parametrize("bias", [-1.0, 0.0, 0.7])
@@ -46,10 +71,35 @@ def test_silent_units_are_counted_and_left_out():
 
 
 @pytest.mark.slow
+def test_a_small_set_is_trained_compared_and_drawn(tmp_path, monkeypatch):
+    recipe = replace(networks.QUICK_RECIPE, samples=800, epochs=20)
+    monkeypatch.setattr(networks, "QUICK_RECIPE", recipe)
+    monkeypatch.setattr(normalization, "QUICK_RECIPE", recipe)
+    result = normalization.run(Settings(quick=True, folder=tmp_path))
+    count = len(QUICK_ARCHITECTURES)
+    assert len(result.rows) == 3 * count
+    assert result.rows[2].quantity == "[16]: validation MSE"
+    assert result.rows[2].paper == 0.0042
+    assert result.rows[2].data == "0.00427 ± 0.00015"
+    assert "quick run: 20 of 400 epochs" in result.rows[2].note
+    table = result.data["mse"]
+    assert len(table) == 2 * count
+    assert (table["validation_mse"] < 0.3).all()  # an untrained network is near 0.5
+    assert result.data["training"]["validation [16]"].shape == (2, 20)
+    written = {path.name for path in write_result(result, tmp_path / "out")}
+    figures = {"mse_by_architecture", "training_curves", "mse_surface", "vector_field"}
+    assert written == {f"{stem}.{suffix}" for stem in figures for suffix in ("png", "svg")} | {
+        "mse.csv",
+        "training.npz",
+        "vector_field.npz",
+    }
+
+
+@pytest.mark.slow
 def test_the_experiment_measures_and_draws_every_layer(tmp_path, monkeypatch):
-    recipe = normalizers.replace(normalizers.QUICK_RECIPE, samples=400, epochs=3)
-    monkeypatch.setattr(normalizers, "QUICK_RECIPE", recipe)
-    result = run(Settings(quick=True, folder=tmp_path), lambda done, total: None)
+    recipe = replace(networks.QUICK_RECIPE, samples=400, epochs=3)
+    monkeypatch.setattr(networks, "QUICK_RECIPE", recipe)
+    result = population.run(Settings(quick=True, folder=tmp_path))
     layers = [
         *("[4]", "[8]", "[8, 8], layer 1", "[8, 8], layer 2"),
         *("[8, 8], weight decay, layer 1", "[8, 8], weight decay, layer 2"),
@@ -58,7 +108,6 @@ def test_the_experiment_measures_and_draws_every_layer(tmp_path, monkeypatch):
         f"{layer}: tuning width, mean (smallest to largest)" for layer in layers
     ]
     assert set(result.figures) == {"hidden_units", "hidden_units_3d", "tuning"}
-    assert set(result.captions) == set(result.figures)
     assert set(result.data["hidden_units"]) == {"directions", *layers}
     # Two runs each; units numbered from 1.
     table = result.data["tuning"]

@@ -1,0 +1,186 @@
+"""The 420 movements and the example reproduce the published figures without learned weights."""
+
+import numpy as np
+import pytest
+
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.paper.experiment import Settings, mean_and_deviation, over_runs
+from mmc_gym.paper.experiments import dynamic, kinematic
+from mmc_gym.paper.protocol import (
+    EUCLIDEAN,
+    EXAMPLE_TARGET,
+    INNER,
+    PAIRS,
+    STARTING_SEGMENTS,
+    TARGETS,
+    Recording,
+    record_example,
+    record_movements,
+    record_runs,
+    shapes,
+    summarize,
+    summarize_networks,
+)
+from mmc_gym.paper.published import CLASSICAL_PUBLISHED, DYNAMIC_EUCLIDEAN, KINEMATIC_COURSE
+
+DISTANCES = {
+    ("kinematic", 0.92, "delayed"): KINEMATIC_COURSE,
+    ("kinematic", 0.92, "synchronous"): {10: 0.39447, 20: 0.20629, 40: 0.08648, 100: 0.01945},
+    **DYNAMIC_EUCLIDEAN,
+}
+EXACT = [EuclideanNormalizer()]
+
+
+def test_there_are_21_targets_and_every_ordered_pair_of_them():
+    assert TARGETS.shape == (21, 2)
+    np.testing.assert_allclose(
+        TARGETS[[0, 6, 7, 10, 20]], [[1, 0], [-1, 0], [2, 0], [0, 2], [-3, 0]], atol=1e-15
+    )
+    expected = [(start, end) for start in range(21) for end in range(21) if start != end]
+    assert [tuple(pair) for pair in PAIRS] == expected
+    with pytest.raises(ValueError, match="read-only"):
+        TARGETS[0] = 0
+
+
+def test_inner_movements_are_those_that_need_no_stretched_arm():
+    radii = np.linalg.norm(TARGETS, axis=-1)[PAIRS]
+    np.testing.assert_array_equal(INNER, (radii < 2.5).all(axis=1))
+    assert INNER.sum() == 14 * 13
+
+
+def test_the_protocol_is_for_three_segments():
+    with pytest.raises(ValueError, match=r"segments must have shape \(\.\.\., 4, 2\)"):
+        record_movements(MMCNetwork(segment_lengths=(1.0,) * 4))
+
+
+@pytest.mark.parametrize("mover", DISTANCES)
+def test_the_mean_distance_is_the_published_one(mover):
+    dynamics, decay, schedule = mover
+    network = MMCNetwork(dynamics=dynamics, velocity_decay=decay, schedule=schedule)
+    distance = record_movements(network, iterations=max(DISTANCES[mover])).distance
+    assert distance.shape == (420, max(DISTANCES[mover]))
+    for iteration, published in DISTANCES[mover].items():
+        assert distance[:, iteration - 1].mean() == pytest.approx(published, abs=1e-5)
+    if dynamics == "kinematic":
+        spread = {"delayed": 0.03198, "synchronous": 0.02585}[schedule]
+        assert distance[:, -1].std() == pytest.approx(spread, abs=1e-5)
+
+
+def test_the_classical_network_has_the_published_peaks():
+    found = summarize(record_movements(MMCNetwork(schedule="delayed"), 40, 40))
+    published = CLASSICAL_PUBLISHED
+    assert found["overshoots"] == published.overshoots
+    assert found["second_peaks"] == published.second_peaks
+    assert found["deviation"] == pytest.approx(published.deviation, abs=5e-5)
+    assert found["peak_velocity"] == pytest.approx(0.1082, abs=5e-5)
+    assert f"{found['peak_velocity']:.4f} at {found['peak_iteration']:.0f}" == published.peak
+    for iteration, distance in published.distances.items():
+        assert found[f"distance_{iteration}"] == pytest.approx(distance, abs=5e-4)
+
+
+def test_the_example_movement_ends_where_it_was_published_to():
+    recording = record_example(MMCNetwork(schedule="delayed"))
+    assert recording.distance.shape == recording.velocity.shape == (40,)
+    assert recording.distance[-1] == pytest.approx(0.00977, abs=1e-5)
+    np.testing.assert_allclose(recording.start_segments, STARTING_SEGMENTS)
+    np.testing.assert_array_equal(recording.target, EXAMPLE_TARGET)
+
+
+def test_the_accurate_normalizer_moves_the_arm_as_the_exact_one_does():
+    accurate = LearnedNormalizer.shipped("accurate")
+    both = record_runs(MMCNetwork(schedule="delayed"), [*EXACT, accurate], 100).distance[:, -1]
+    exact, learned = both.reshape(2, 420)
+    assert learned.mean() <= 1.02 * exact.mean()
+    assert (exact > 0.1).sum() == 7
+    assert (learned > 0.1).sum() <= 7
+
+
+def test_a_recording_measures_the_arm_that_moved():
+    network = MMCNetwork(dynamics="paper")
+    recording = record_movements(network, iterations=5, warm_iterations=7)
+    start, target = TARGETS[PAIRS[123]]
+    state = network.run(network.state_from_segments(STARTING_SEGMENTS), network.inverse(start), 7)
+    np.testing.assert_allclose(recording.start_segments[123], state.segments, atol=1e-13)
+    before = state.end_effector
+    for iteration in range(5):
+        state = network.step(state, network.inverse(target))
+        np.testing.assert_allclose(recording.segments[123, iteration], state.segments, atol=1e-13)
+        path = np.linalg.norm(target - start)
+        distance = np.linalg.norm(state.end_effector - target) / path
+        assert recording.distance[123, iteration] == pytest.approx(distance)
+        velocity = np.linalg.norm(state.end_effector - before) / path
+        assert recording.velocity[123, iteration] == pytest.approx(velocity)
+        before = state.end_effector
+
+
+def movement_along_a_line(distances):
+    """A recording of one movement from (1, 0) to the origin with the given distances."""
+    segments = np.zeros((1, len(distances), 3, 2))
+    segments[0, :, 0, 0] = distances
+    start = np.array([[[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]])
+    return Recording(start, segments, np.array([[1.0, 0.0]]), np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize(
+    ("distances", "overshoots", "second_peaks", "far"),
+    [
+        ([0.9, 0.5, 0.1, 0.0], 0, 0, 0),
+        ([0.9, 0.5, 0.2, 0.22], 1, 0, 1),
+        ([0.9, 0.5, 0.1, 0.109], 0, 0, 1),
+        ([0.9, 0.5, 0.49, 0.2], 0, 1, 1),
+    ],
+)
+def test_a_movement_is_summarized_by_the_published_definitions(
+    distances, overshoots, second_peaks, far
+):
+    summary = summarize(movement_along_a_line(distances))
+    assert summary["overshoots"] == overshoots
+    assert summary["second_peaks"] == second_peaks
+    assert summary["far"] == far
+    assert summary["final"] == pytest.approx(distances[-1])
+    assert summary["peak_velocity"] == pytest.approx(0.4)
+    assert summary["peak_iteration"] == 2
+
+
+def test_the_rows_without_learned_weights_are_the_published_ones():
+    done = []
+    settings = Settings(on_progress=lambda part, total: done.append((part, total)))
+    table = summarize_networks(settings, dynamic.NETWORKS, {EUCLIDEAN: EXACT}, 40)
+    assert done == [(part, 9) for part in range(10)]
+    assert (table["normalizer"] == EUCLIDEAN).all()
+    table = table.set_index(["dynamics", "decay", "schedule"]).sort_index()
+    for network, published in DYNAMIC_EUCLIDEAN.items():
+        for iteration, distance in published.items():
+            found = table.loc[network, f"distance_{iteration}"]
+            assert found.item() == pytest.approx(distance, abs=1e-5)
+
+
+def test_running_longer_brings_the_classical_network_nearer():
+    course = kinematic.longer_course(EXACT)
+    for iteration, published in KINEMATIC_COURSE.items():
+        assert course[iteration - 1] == pytest.approx(published, abs=1e-5)
+    assert course[-1] == pytest.approx(0.0028, abs=5e-5)
+    assert (np.diff(course) < 0).all()
+
+
+def test_without_decay_the_dynamic_network_catches_up_at_iteration_29():
+    # Published for the learned normalizer; the exact one catches up earlier.
+    classical, undecayed, decayed = (
+        record_runs(network, EXACT, 40, 40).distance.mean(axis=0)
+        for network in (dynamic.CLASSICAL, dynamic.UNDECAYED, dynamic.DYNAMIC)
+    )
+    assert dynamic.catching_up(classical, decayed) is None
+    found = dynamic.catching_up(classical, undecayed)
+    assert found is not None and found <= 29
+
+
+def test_shapes_have_a_value_per_movement():
+    found = shapes(record_movements(MMCNetwork(), 40, 40))
+    assert {len(values) for values in found.values()} == {420}
+    assert (found["peak_to_mean"] >= 1).all()
+
+
+def test_runs_are_given_with_their_range():
+    assert over_runs([3, 5], ".0f") == "4 (3 to 5)"
+    assert over_runs([3], ".0f") == "3"
+    assert mean_and_deviation([3, 5], 1) == "4.0 ± 1.0"
