@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 import pygame
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
 from mmc_gym.benchmark.entries import make_for, single_entries
@@ -55,15 +56,23 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
         pygame.display.quit()
 
 
+class Label(NamedTuple):
+    """Where the name of an agent stands: its left edge in pixels, and its line."""
+
+    text: str
+    left: int
+    line: int
+
+
 class Game:
-    """The window: what keys and mouse do, and one control step per frame.
+    """The window: it heeds keys and mouse, and simulates one control step per frame.
 
     Attributes:
         agent: name of the agent at work.
         paused: whether time stands still.
-        running: false once the user has asked to quit.
-        target: where the mouse has put it, (x, y) in segment lengths.
-        message: why an agent could not be had, or "".
+        running: False once the user has asked to quit.
+        target: where the mouse has put the target, (x, y) in segment lengths.
+        message: why an agent could not be made, or "".
     """
 
     def __init__(
@@ -77,17 +86,17 @@ class Game:
 
         Args:
             env: an `MMCReachEnv`, wrapped or not, that renders "rgb_array" and has no time limit.
-            makers: by name, what makes each agent to choose from; called when it is chosen.
+            makers: of the agents to choose from, by name; called when one is chosen.
             agent: name of the first.
             seed: of the postures.
 
         Raises:
-            ValueError: for an unknown agent or another environment.
+            UserError: for an unknown agent or another environment.
         """
         if not isinstance(env.unwrapped, MMCReachEnv):
-            raise ValueError(f"env must be a reaching environment like MMCReach-v0, got {env}")
+            raise UserError(f"env must be a reaching environment like MMCReach-v0, got {env}")
         if agent not in makers:
-            raise ValueError(f"agent must be one of {tuple(makers)}, got {agent!r}")
+            raise UserError(f"agent must be one of {tuple(makers)}, got {agent!r}")
         self._env, self._reach = env, env.unwrapped
         self._view = drawing.View(self._reach.setup.farthest)
         self._makers, self._agents = dict(makers), {agent: makers[agent]()}
@@ -103,7 +112,7 @@ class Game:
             self._clock.tick(self._env.metadata["render_fps"])
 
     def frame(self) -> None:
-        """Heed keys and mouse, simulate one control step unless paused, and show the state."""
+        """Heed keys and mouse, simulate one control step unless paused, and draw the state."""
         changed = False
         for event in pygame.event.get():
             changed |= self._heed(event)
@@ -114,7 +123,7 @@ class Game:
             self._show()
 
     def choose(self, agent: str) -> None:
-        """Hand the arm to another agent, in the posture it has; see `message` if that fails."""
+        """Hand the arm to another agent as it is; `message` says why, if that fails."""
         try:
             if agent not in self._agents:
                 self._agents[agent] = self._makers[agent]()
@@ -140,7 +149,7 @@ class Game:
         self._hand_speed = math.dist(hand, self._hand) / self._reach.parameters.control_step
 
     def _heed(self, event: pygame.event.Event) -> bool:
-        """Do what an event asks for; whether it changes the picture."""
+        """Do what an event asks for, and tell whether it changes the picture."""
         if event.type == pygame.QUIT:
             self.running = False
         elif event.type == pygame.KEYDOWN:
@@ -152,7 +161,7 @@ class Game:
         return True
 
     def _move_target(self, point: tuple[float, float]) -> None:
-        """Put the target as near to a point as the hand gets; obstacles keep it where it was."""
+        """Put the target as near to a point as the hand gets, but not into an obstacle."""
         workspace = self._reach.setup.workspace
         nearest = workspace.nearest(point)
         if workspace.contains(nearest):
@@ -179,7 +188,7 @@ class Game:
         size = self._view.size
         self._font = pygame.font.Font(None, _FONT_SIZE)
         self._labels = self._lay_out_agents()
-        self._text_top = self._labels[-1][2] + 1  # first line below the agents
+        self._text_top = self._labels[-1].line + 1  # first line below the agents
         self._window = pygame.display.set_mode((size, size + (self._text_top + 2) * _LINE))
         self._picture = self._window.subsurface((0, 0, size, size))
         self._clock = pygame.time.Clock()
@@ -204,25 +213,25 @@ class Game:
         )
         return "    ".join(words)
 
-    def _lay_out_agents(self) -> list[tuple[str, int, int]]:
-        """Label, left edge in pixels, and line of each agent; as many lines as they need."""
+    def _lay_out_agents(self) -> list[Label]:
+        """Return the labels of all agents, in as many lines as they need."""
         labels, x, line = [], _INDENT, 0
         for number, name in enumerate(self._makers, start=1):
             label = f"{number} {name}" if number <= 9 else name
             width = self._font.size(label)[0]
             if x > _INDENT and x + width > self._view.size - _INDENT:
                 x, line = _INDENT, line + 1
-            labels.append((label, x, line))
+            labels.append(Label(label, x, line))
             x += width + _GAP
         return labels
 
     def _write_agents(self) -> None:
-        """All agents with their keys, the one at work in a box."""
-        for name, (label, x, line) in zip(self._makers, self._labels, strict=True):
+        """Write all agents with their keys, the one at work in a box."""
+        for name, label in zip(self._makers, self._labels, strict=True):
             at_work = name == self.agent
             color = drawing.REACHABLE if at_work else drawing.TRACE
-            text = self._font.render(label, True, color)
-            box = text.get_rect(left=x, top=self._view.size + line * _LINE)
+            text = self._font.render(label.text, True, color)
+            box = text.get_rect(left=label.left, top=self._view.size + label.line * _LINE)
             if at_work:
                 pygame.draw.rect(self._window, drawing.OUTLINE, box.inflate(12, 6), border_radius=4)
             self._window.blit(text, box)
