@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.network import LearnedNormalizer, MMCNetwork
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import (
     joint_angles_from_segments,
     segments_from_joint_angles,
@@ -14,6 +14,9 @@ from mmc_gym.network.chain import (
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
 DYNAMICS = ("kinematic", "paper", "reference")
+every_normalizer = pytest.mark.parametrize(
+    "normalizer", [EuclideanNormalizer(), LearnedNormalizer.shipped()], ids=repr
+)
 
 
 def run_to(network, state, target, body, iterations=1):
@@ -29,10 +32,9 @@ def targets(seed: int, batch: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("dynamics", DYNAMICS)
-@pytest.mark.parametrize("learned", [False, True])
-def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, learned):
-    normalizer = {"normalizer": LearnedNormalizer.shipped()} if learned else {}
-    network = MMCNetwork((1.0, 0.8, 1.2), dynamics=dynamics, **normalizer)
+@every_normalizer
+def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, normalizer):
+    network = MMCNetwork((1.0, 0.8, 1.2), dynamics=dynamics, normalizer=normalizer)
     state = network.state_from_joint_angles(postures(0, 7))
     target = targets(1, 7)
     expected = network.run(state, network.inverse(target), 20)
@@ -44,15 +46,14 @@ def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, 
         np.testing.assert_array_equal(actual.values, expected.values)
 
 
-@pytest.mark.parametrize("learned", [False, True])
-def test_each_arm_of_a_batch_may_have_lengths_of_its_own(learned):
-    normalizer = {"normalizer": LearnedNormalizer.shipped()} if learned else {}
+@every_normalizer
+def test_each_arm_of_a_batch_may_have_its_own_lengths(normalizer):
     lengths = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.5], [2.0, 0.5, 0.7]])
-    told = MMCNetwork(**normalizer)
+    told = MMCNetwork(normalizer=normalizer)
     state, target = told.state_from_joint_angles(postures(0, 3)), targets(1, 3)
     together = run_to(told, state, target, Embodiment(segment_lengths=lengths), 30)
     for index, own in enumerate(lengths):
-        network = MMCNetwork(tuple(own), **normalizer)
+        network = MMCNetwork(tuple(own), normalizer=normalizer)
         one = type(state)(state.values[..., index], 3)
         alone = network.run(one, network.inverse(target[index]), 30)
         np.testing.assert_allclose(together.values[..., index], alone.values, atol=1e-12)
@@ -94,19 +95,11 @@ def test_to_sense_the_posture_of_the_model_takes_the_place_of_as_much_damping(dy
 def test_the_greater_its_weight_the_nearer_the_model_stays_to_the_sensed_posture():
     network = MMCNetwork(damping=4.0, dynamics="paper")
     start = network.state_from_joint_angles([0.3, 0.6, 0.6])
-    moved = [
-        np.linalg.norm(
-            run_to(
-                network,
-                start,
-                [-1.0, 1.5],
-                Embodiment(sensed=start.segments, weight=weight),
-                200,
-            ).end_effector
-            - start.end_effector
-        )
-        for weight in (0.0, 0.5, 2.0, 8.0)
-    ]
+    moved = []
+    for weight in (0.0, 0.5, 2.0, 8.0):
+        body = Embodiment(sensed=start.segments, weight=weight)
+        end = run_to(network, start, [-1.0, 1.5], body, 200)
+        moved.append(np.linalg.norm(end.end_effector - start.end_effector))
     assert moved == sorted(moved, reverse=True)
     assert moved[-1] < 0.9 * moved[0]
 
@@ -173,13 +166,20 @@ def test_segments_folded_to_nothing_by_a_lock_stay_finite():
     )
 
 
-def test_what_is_accepted():
+@pytest.mark.parametrize(
+    ("knowledge", "message"),
+    [
+        ({"weight": -1.0}, "weight must be finite and not negative, got -1"),
+        ({"weight": 1.0}, "sensed must be given if it has a weight"),
+        ({"locked": np.ones(3, dtype=bool)}, "joint_angles must be given if joints are locked"),
+    ],
+)
+def test_incomplete_knowledge_is_refused(knowledge, message):
+    with pytest.raises(ValueError, match=message):
+        Embodiment(**knowledge)
+
+
+def test_a_delayed_network_is_refused():
     network = MMCNetwork(schedule="delayed")
     with pytest.raises(ValueError, match="schedule must be 'synchronous', got 'delayed'"):
         run_to(network, network.state_from_joint_angles(np.zeros(3)), [1, 1], Embodiment())
-    with pytest.raises(ValueError, match=r"weight must be finite and not negative, got -1"):
-        Embodiment(weight=-1.0)
-    with pytest.raises(ValueError, match="sensed must be given if it has a weight"):
-        Embodiment(weight=1.0)
-    with pytest.raises(ValueError, match="joint_angles must be given if joints are locked"):
-        Embodiment(locked=np.ones(3, dtype=bool))

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk, share, timed_step, timed_trajectory
 
-NORMALIZERS = [EuclideanNormalizer(), LearnedNormalizer.shipped("accurate")]
 POSTURE = [0.3, 0.6, 0.6]
+NETWORKS = [MMCNetwork(), MMCNetwork(normalizer=LearnedNormalizer.shipped("accurate"))]
 
 
 def start(network, batch=None):
@@ -44,10 +44,9 @@ def test_after_the_movement_all_that_remains_is_taken():
     assert share([10, 11, 1000], duration=10).tolist() == [1, 1, 1]
 
 
-@pytest.mark.parametrize("normalizer", NORMALIZERS, ids=repr)
+@pytest.mark.parametrize("network", NETWORKS, ids=["euclidean", "learned"])
 @pytest.mark.parametrize("part", [1e-4, 0.01, 0.1, 0.3])
-def test_the_hand_takes_the_share_of_its_distance(normalizer, part):
-    network = MMCNetwork(normalizer=normalizer)
+def test_the_hand_takes_the_share_of_its_distance(network, part):
     before = network.run(start(network), iterations=5)
     target = np.array([-1.0, 1.5])
     after = timed_step(network, before, target, part)

@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from mmc_gym.network import fitting as training
+from mmc_gym._errors import UserError
+from mmc_gym.network import fitting
 from mmc_gym.network.fitting import ACCURATE, PAPER, Recipe, Refinement, refine, train_normalizers
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors
 
+WIDTHS = (2, 5, 3, 2)
 SHORT = replace(PAPER, samples=400, epochs=8)
 SHORT_ACCURATE = replace(ACCURATE, samples=400, epochs=8, refinement=Refinement(iterations=12))
 
 
 def assert_same_weights(one, other):
-    for name in ("weights", "biases"):
-        for a, b in zip(getattr(one, name), getattr(other, name), strict=True):
-            np.testing.assert_array_equal(a, b)
+    layers = zip((*one.weights, *one.biases), (*other.weights, *other.biases), strict=True)
+    for a, b in layers:
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("recipe", [SHORT, SHORT_ACCURATE], ids=["paper", "accurate"])
@@ -66,14 +68,14 @@ def test_training_lowers_the_error_and_records_it(recipe):
 
 def test_the_recorded_error_is_that_of_the_normalizer():
     trained = train_normalizers((4,), SHORT, seed=5)[0]
-    generator = training._generator(5, 0)
-    samples = training._draw_samples(SHORT, generator).numpy().T[: SHORT.held_out]
+    generator = fitting._generator(5, 0)
+    samples = fitting._draw_samples(SHORT, generator).numpy().T[: SHORT.held_out]
     error = trained.normalizer(samples[:, :2]) - samples[:, 2:]
     assert trained.validation_mse[-1] == pytest.approx((error**2).mean(), rel=1e-5)
 
 
 def test_samples_are_spread_over_the_circle_and_the_lengths():
-    samples = training._draw_samples(PAPER, training._generator(0, 0)).numpy()
+    samples = fitting._draw_samples(PAPER, fitting._generator(0, 0)).numpy()
     lengths = np.linalg.norm(samples[:2], axis=0)
     np.testing.assert_allclose(samples[:2], lengths * samples[2:], atol=1e-15)
     degrees = np.sort(np.degrees(np.arctan2(samples[3], samples[2])) % 360)
@@ -83,33 +85,32 @@ def test_samples_are_spread_over_the_circle_and_the_lengths():
     assert lengths.mean() == pytest.approx(1, abs=0.05)
 
 
-def test_the_gradient_and_a_step_are_those_of_autograd():
-    generator = training._generator(0, 0)
-    widths = (2, 5, 3, 2)
-    parameters = torch.stack([training._initial_parameters(widths, generator) for _ in range(3)])
-    inputs = torch.randn(3, 2, 7, generator=generator, dtype=torch.float64)
+@pytest.fixture
+def parameters():
+    generator = fitting._generator(0, 0)
+    parameters = [fitting._initial_parameters(WIDTHS, generator) for _ in range(3)]
+    return torch.stack(parameters) + 0.1  # biases start at zero, where a penalty would not show
+
+
+def test_the_gradient_is_that_of_autograd(parameters):
+    inputs = torch.randn(3, 2, 7, generator=fitting._generator(1, 0), dtype=torch.float64)
     wanted = inputs / inputs.norm(dim=1, keepdim=True)
-    layers = training._layers(parameters, widths)
-    values = training._forward(layers, inputs)
-    written = training._gradient(layers, values, values[-1] - wanted)
+    layers = fitting._layers(parameters, WIDTHS)
+    values = fitting._forward(layers, inputs)
+    written = fitting._gradient(layers, values, values[-1] - wanted)
 
     parameters.requires_grad_()
     output = inputs
-    for weights, biases in training._layers(parameters, widths):
+    for weights, biases in fitting._layers(parameters, WIDTHS):
         output = torch.tanh(weights @ output + biases)
     ((output - wanted) ** 2).sum().div(2).backward()
     torch.testing.assert_close(written, parameters.grad, rtol=1e-12, atol=1e-12)
 
 
-def test_the_gradient_of_the_weight_decay_is_that_of_autograd():
-    generator = training._generator(0, 0)
-    widths = (2, 5, 3, 2)
-    parameters = torch.stack([training._initial_parameters(widths, generator) for _ in range(3)])
-    parameters += 0.1  # biases start at zero, where a penalty would not show
-    written = training._penalty_gradient(training._layers(parameters, widths), 0.0005)
-
+def test_the_gradient_of_the_weight_decay_is_that_of_autograd(parameters):
+    written = fitting._penalty_gradient(fitting._layers(parameters, WIDTHS), 0.0005)
     parameters.requires_grad_()
-    weights = [weights for weights, _ in training._layers(parameters, widths)]
+    weights = [weights for weights, _ in fitting._layers(parameters, WIDTHS)]
     (0.0005 * sum((weight**2).sum() for weight in weights)).backward()
     torch.testing.assert_close(written, parameters.grad, rtol=1e-12, atol=1e-12)
 
@@ -146,8 +147,8 @@ def test_refining_reduces_the_angle_error_of_any_normalizer():
 
 def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
     recipes = {"accurate": SHORT_ACCURATE, "paper": SHORT}
-    monkeypatch.setattr(training, "RECIPES", recipes)
-    training.main(["--folder", str(tmp_path)])
+    monkeypatch.setattr(fitting, "RECIPES", recipes)
+    fitting.main(["--folder", str(tmp_path)])
     printed = capsys.readouterr().out
     for name, recipe in recipes.items():
         written = LearnedNormalizer.load(tmp_path / f"{name}-16x16.safetensors")
@@ -157,29 +158,20 @@ def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("make", "settings", "message"),
     [
-        ({"runs": 0}, "runs must be 1 or more, got 0"),
-        ({"seed": -1}, "seed must be 0 or more, got -1"),
-        ({"hidden_units": (4, 0)}, r"hidden_units must be 1 or more each, got \(4, 0\)"),
-        ({"hidden_units": ()}, r"hidden_units must be 1 or more each, got \(\)"),
+        (train_normalizers, {"runs": 0}, "runs must be 1 or more, got 0"),
+        (train_normalizers, {"seed": -1}, "seed must be 0 or more, got -1"),
+        (train_normalizers, {"hidden_units": (4, 0)}, r"hidden_units must be .*, got \(4, 0\)"),
+        (train_normalizers, {"hidden_units": ()}, r"hidden_units must be 1 or more .*, got \(\)"),
+        (Recipe, {"epochs": 0}, "epochs must be 1 or more, got 0"),
+        (Recipe, {"samples": 0}, "samples must be 1 or more, got 0"),
+        (Recipe, {"batch_size": 0}, "batch_size must be 1 or more, got 0"),
+        (Recipe, {"weight_decay": -0.1}, "weight_decay must be finite and not neg.*, got -0.1"),
+        (Recipe, {"validation_share": 1.0}, "validation_share must be .* of 3600 .* got 1.0"),
+        (Recipe, {"length_ranges": ((1.0, 1.0),)}, r"length_ranges must .* got \(\(1.0, 1.0\),\)"),
     ],
 )
-def test_a_training_that_cannot_be_says_why(settings, message):
-    with pytest.raises(ValueError, match=message):
-        train_normalizers(**settings)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"epochs": 0}, "epochs must be 1 or more, got 0"),
-        ({"weight_decay": -0.1}, "weight_decay must be finite and not negative, got -0.1"),
-        ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
-        ({"validation_share": 1.0}, "validation_share must be a share of 3600 that .* got 1.0"),
-        ({"length_ranges": ((1.0, 1.0),)}, r"length_ranges must be pairs .* got \(\(1.0, 1.0\),\)"),
-    ],
-)
-def test_a_recipe_that_cannot_be_says_why(settings, message):
-    with pytest.raises(ValueError, match=message):
-        Recipe(**settings)
+def test_impossible_trainings_are_refused(make, settings, message):
+    with pytest.raises(UserError, match=message):
+        make(**settings)

@@ -8,6 +8,7 @@ import safetensors.numpy
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mmc_gym._errors import UserError
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
 from mmc_gym.network.normalizers import angle_errors, mean_squared_error
 
@@ -72,12 +73,20 @@ def test_a_learned_normalizer_works_the_same_at_every_scale(length, scale):
 # What ships
 
 
-def test_the_accurate_normalizer_turns_no_vector_much():
-    normalizer = LearnedNormalizer.shipped("accurate")
+@pytest.mark.parametrize(
+    ("name", "near", "lengths", "largest"),
+    [
+        ("accurate", 0.001, np.linspace(0.5, 1.5, 21), 0.06),
+        ("accurate", 0.001, np.geomspace(1e-9, 3.0, 200), 4.2),
+        ("paper", 0.5, np.linspace(0.1, 3.0, 21), 5.0),
+    ],
+    ids=["accurate at moderate lengths", "accurate anywhere", "paper"],
+)
+def test_a_shipped_normalizer_turns_no_vector_much(name, near, lengths, largest):
+    normalizer = LearnedNormalizer.shipped(name)
     assert normalizer.hidden_units == (16, 16)
-    assert np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)).mean()) < 0.001
-    assert np.degrees(angle_errors(normalizer, np.linspace(0.5, 1.5, 21)).max()) < 0.06
-    assert np.degrees(angle_errors(normalizer, np.geomspace(1e-9, 3.0, 200)).max()) < 4.2
+    assert np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)).mean()) < near
+    assert np.degrees(angle_errors(normalizer, lengths).max()) < largest
     assert mean_squared_error(normalizer) < 0.00053  # that of the published one
 
 
@@ -95,14 +104,6 @@ def test_the_accurate_normalizer_is_odd():
     normalizer = LearnedNormalizer.shipped("accurate")
     vectors = np.random.default_rng(0).normal(size=(100, 2))
     np.testing.assert_allclose(normalizer(-vectors), -normalizer(vectors), atol=1e-15)
-
-
-def test_the_paper_normalizer_is_as_good_as_the_paper_s():
-    normalizer = LearnedNormalizer.shipped("paper")
-    assert normalizer.hidden_units == (16, 16)
-    assert mean_squared_error(normalizer) < 0.00053
-    assert np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)).mean()) < 0.5
-    assert np.degrees(angle_errors(normalizer, np.linspace(0.1, 3.0, 21)).max()) < 5
 
 
 @pytest.mark.parametrize("name", ["accurate", "paper"])
@@ -147,9 +148,9 @@ def test_a_saved_normalizer_is_read_back_as_it_was(tmp_path):
     saved.save(tmp_path / "new folder" / "normalizer.safetensors")
     loaded = LearnedNormalizer.load(tmp_path / "new folder" / "normalizer.safetensors")
     assert loaded.card == saved.card
-    for name in ("weights", "biases"):
-        for before, after in zip(getattr(saved, name), getattr(loaded, name), strict=True):
-            np.testing.assert_array_equal(before, after)
+    before, after = ((*each.weights, *each.biases) for each in (saved, loaded))
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), small_normalizer()])
@@ -191,7 +192,7 @@ def damaged_files():
 def test_a_file_without_a_normalizer_is_refused_by_name(tmp_path, content):
     path = tmp_path / "broken.safetensors"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"broken\.safetensors does not hold a normalizer"):
+    with pytest.raises(UserError, match=r"broken\.safetensors does not hold a normalizer"):
         LearnedNormalizer.load(path)
 
 
