@@ -79,7 +79,7 @@ def dots(
                 least = min(one.low for one in found.values())
                 axes.set_xlim(100 * max(0.0, min(least - 0.05, 0.9)), 101)
             elif measure.unit == "lengths":
-                axes.set_xlim(0, max(axes.get_xlim()[1], results.tolerance))
+                axes.set_xlim(0, max(axes.get_xlim()[1], results.manifest.tolerance))
             unit = measure.shown_unit
             axes.set_xlabel(f"{measure.label} [{unit}]" if unit else measure.label)
         said = "; ".join(f"{agent} {measure.quantity(e.estimate)}" for agent, e in found.items())
@@ -110,7 +110,7 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
     panels, used, left_out = [], [], 0
 
     def finish(axes: Axes) -> None:
-        axes.axvline(results.tolerance, color="0.5", linestyle=":", linewidth=0.8)
+        axes.axvline(results.manifest.tolerance, color="0.5", linestyle=":", linewidth=0.8)
         axes.set(xscale="log", ylim=(0, 1.02), xlim=(taus[0], taus[-1]))
         axes.set_xlabel("τ: final distance [segment lengths]")
         axes.set_ylabel("episodes that end within τ")
@@ -151,7 +151,7 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
     return PanelFigure(
         tuple(panels),
         "Further to the left and higher is better. Dotted: the distance that counts as success, "
-        f"{results.tolerance:g}. Bands: 95 % intervals. {partly if left_out else ''}"
+        f"{results.manifest.tolerance:g}. Bands: 95 % intervals. {partly if left_out else ''}"
         f"{results.sample(look, used)}",
     )
 
@@ -322,7 +322,7 @@ def movements(results: Results, look: Mapping[str, Look]) -> PanelFigure | None:
         if not np.isnan(lowest):
             mine = mine[mine["training_seed"] == lowest]
             seeds.append(f"{agent} {lowest:.0f}")
-        shown[agent] = _movements_of(mine, results.control_step)
+        shown[agent] = _movements_of(mine, results.manifest.control_step)
         fastest = max(fastest, float(np.nanmax(speed_quartiles(shown[agent])[2])))
     if not shown:
         return None
@@ -349,12 +349,14 @@ def _draw_movements(drawn_of: Sequence[Movement], results: Results, fastest: flo
     with drawn(*_MOVEMENT_SIZE) as (figure, axes):
         axes.remove()
         above, below = figure.subplots(2, 1, height_ratios=(1.45, 1))
-        draw_paths(above, drawn_of, sum(results.segment_lengths), results.tolerance)
+        draw_paths(
+            above, drawn_of, sum(results.manifest.segment_lengths), results.manifest.tolerance
+        )
         above.set(xlabel="x [segment lengths]", ylabel="y [segment lengths]")
         quartiles = speed_quartiles(drawn_of)
-        draw_speed(below, quartiles, results.control_step)
+        draw_speed(below, quartiles, results.manifest.control_step)
         below.set(xlabel="time [s]", ylabel="hand speed [lengths/s]")
-        below.set(xlim=(0, (quartiles.shape[1] - 0.5) * results.control_step))
+        below.set(xlim=(0, (quartiles.shape[1] - 0.5) * results.manifest.control_step))
         below.set(ylim=(0, 1.05 * fastest))
     return figure
 

@@ -95,6 +95,7 @@ def context(estimates: Estimates) -> dict[str, Any]:
     others = [measure for measure in results.measures if measure.name not in MARGINS]
     return {
         "results": results,
+        "manifest": results.manifest,
         "scope": scope(results),
         "lead": lead(estimates),
         "ranking": tables.ranking_table(estimates),
@@ -122,7 +123,7 @@ def context(estimates: Estimates) -> dict[str, Any]:
         "profiles": figures.profiles(estimates, look),
         "degradation": figures.degradation(estimates, look),
         "tables": {key: tables.score_table(estimates, key) for key in results.environments},
-        "not_played": reasons(results.not_played),
+        "not_played": reasons((one.key, one.reason) for one in results.manifest.not_played),
         "main": main,
         "resamples": estimates.resamples,
         "profile_resamples": figures.PROFILE_RESAMPLES,

@@ -41,9 +41,9 @@ def replay(results: Results, environments: Sequence[str], agents: Sequence[str])
             if (found := _scenes(results, key, agents, instances))
         }
         data = {
-            "step": results.control_step,
-            "lengths": list(results.segment_lengths),
-            "tolerance": results.tolerance,
+            "step": results.manifest.control_step,
+            "lengths": list(results.manifest.segment_lengths),
+            "tolerance": results.manifest.tolerance,
             "agents": [a for a in agents if any(a in s["agents"] for s in chain(*scenes.values()))],
             "scenes": scenes,
         }
@@ -65,7 +65,7 @@ def _scenes(
         for agent, mine in rows.groupby("agent", sort=False, observed=True):
             seed = mine["training_seed"].fillna(0)
             steps = mine[seed == seed.min()].sort_values("step")
-            movements[str(agent)] = _movement(steps, results.segment_lengths)
+            movements[str(agent)] = _movement(steps, results.manifest.segment_lengths)
             own = steps[["target_x", "target_y"]].to_numpy(np.float64)
             target = own if len(own) > len(target) else target
         moving = bool(np.ptp(target, axis=0).max() > 0)

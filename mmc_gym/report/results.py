@@ -20,6 +20,7 @@ from mmc_gym.benchmark.ranking import read_ranking
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.store import (
     CellKey,
+    Manifest,
     read_episodes,
     read_manifest,
     read_paths,
@@ -96,10 +97,9 @@ def _identify(source: str) -> Identity:
 
 @dataclass(frozen=True)
 class Environment:
-    """An environment of the benchmark.
+    """An environment of the benchmark, as the manifest describes it.
 
     Attributes:
-        key: its short name.
         id: Gymnasium's.
         description: one line.
         family: of the perturbation; empty without one.
@@ -108,7 +108,6 @@ class Environment:
         baseline: key of the environment that differs from this one only in the perturbation.
     """
 
-    key: str
     id: str = ""
     description: str = ""
     family: str = ""
@@ -122,6 +121,7 @@ class Results:
     """The results of a benchmark.
 
     Attributes:
+        manifest: what they were made with, and which cells could not be played.
         episodes: columns agent, training_seed (missing without training), environment, instance,
             and those of all measures, NaN where `leave_out_failures` says so.
         paths: columns agent, training_seed, environment, instance, step, joint_angle_1 to _N,
@@ -129,12 +129,6 @@ class Results:
         environments: by key, in the order of the manifest.
         identities: who each agent is.
         agents: by kind, and within a kind as `AGENTS` lists them.
-        control_step: seconds.
-        segment_lengths: of the arm that agents are told of.
-        tolerance: distance that counts as reached, segment lengths.
-        versions: of the libraries.
-        cell_seconds: computing time of all cells together.
-        not_played: the cells without episodes, with the reason.
         measures: that tables show, and some episode has a value of.
         set_measures: of all episodes of a policy together, by name.
         sets: columns agent, training_seed, environment, measure, unit, episodes, value: one for
@@ -143,17 +137,12 @@ class Results:
             present cells.
     """
 
+    manifest: Manifest
     episodes: pd.DataFrame
     paths: pd.DataFrame
     environments: Mapping[str, Environment]
     identities: Mapping[str, Identity]
     agents: tuple[str, ...]
-    control_step: float
-    segment_lengths: tuple[float, ...]
-    tolerance: float
-    versions: Mapping[str, str]
-    cell_seconds: float
-    not_played: tuple[tuple[CellKey, str], ...]
     measures: tuple[Measure, ...]
     set_measures: Mapping[str, SetMeasure]
     sets: pd.DataFrame
@@ -224,7 +213,7 @@ class Results:
     @property
     def cells_not_played(self) -> list[CellKey]:
         """Cells without episodes, but for those of the hand without an arm."""
-        return [cell for cell, _ in self.not_played if cell.agent != REFERENCE]
+        return [one.key for one in self.manifest.not_played if one.agent != REFERENCE]
 
     def seeds(self, agent: str, environments: Iterable[str] = ()) -> tuple[int, int] | None:
         """Return the least and the most training seeds of an agent in any of some environments.
@@ -277,7 +266,7 @@ class Results:
     @cached_property
     def _instances(self) -> dict[str, int]:
         counts = self.episodes.groupby("environment")["instance"].nunique()
-        return {str(key): int(number) for key, number in counts.items()}
+        return dict(zip(map(str, counts.index), counts.tolist()))
 
 
 def count(number_of: int, noun: str) -> str:
@@ -320,21 +309,16 @@ def read_results(store: Path) -> Results:
         for agent in map(str, dict.fromkeys(episodes["agent"]))
     }
     return Results(
+        manifest=manifest,
         episodes=episodes,
         paths=_paths(store),
         environments={
-            key: _environment(key, manifest.environments.get(key, {}))
+            key: _environment(manifest.environments.get(key, {}))
             for key in dict.fromkeys([*manifest.environments, *sorted(present)])
             if key in present
         },
         identities=identities,
         agents=_ordered(identities),
-        control_step=manifest.control_step,
-        segment_lengths=manifest.segment_lengths,
-        tolerance=manifest.tolerance,
-        versions=manifest.versions,
-        cell_seconds=sum(manifest.wall_seconds.values()),
-        not_played=tuple((one.key, one.reason) for one in manifest.not_played),
         measures=tuple(
             one
             for name, one in measures.items()
@@ -357,17 +341,10 @@ def _ordered(identities: Mapping[str, Identity]) -> tuple[str, ...]:
     return tuple(sorted(identities, key=place))
 
 
-def _environment(key: str, entry: Mapping[str, Any]) -> Environment:
-    strength = entry.get("strength")
-    return Environment(
-        key,
-        id=entry.get("id", ""),
-        description=entry.get("description", ""),
-        family=entry.get("family", ""),
-        strength=math.nan if strength is None else float(strength),
-        unit=entry.get("unit", ""),
-        baseline=entry.get("baseline") or BASELINE,
-    )
+def _environment(settings: Mapping[str, Any]) -> Environment:
+    names = ("id", "description", "family", "strength", "unit", "baseline")
+    known = {name: settings[name] for name in names if settings.get(name) is not None}
+    return Environment(**known)
 
 
 def _paths(store: Path) -> pd.DataFrame:
