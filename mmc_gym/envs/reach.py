@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.body.base import SingleArm
 from mmc_gym.body.engines import make_arm
 from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.rewards import dense_reward, reward_and_info, sparse_reward
-from mmc_gym.envs.spec import HasSetup, ReachSetup, RewardType, finite, require_one_of
-from mmc_gym.envs.workspace import REACH_TOLERANCE, Point
+from mmc_gym.envs.rewards import distances, goal_reward, reward_and_info
+from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, finite, require_one_of
+from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
     from mmc_gym.envs.render.renderer import Renderer, Scene
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 Info = dict[str, Any]
 
 
-class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
+class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     """A planar arm of three segments reaches for a target and stays there.
 
     ## Description
@@ -107,16 +106,16 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         """Make the environment; the arguments are listed in the class docstring.
 
         Raises:
-            ValueError: if an argument is outside what it accepts.
+            UserError: a `ValueError`, if an argument is outside what it accepts.
             TypeError: if one is unknown.
         """
         require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        self.setup = setup = ReachSetup(**arguments)
+        self.setup = setup = self.make_setup(**arguments)
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1 / setup.told.control_step)}
         self.action_space = setup.action_space
         self._action_shape = setup.action_space.shape
-        self.observation_space = self._make_observation_space()
+        self.observation_space = setup.observation_space
         self._arm = make_arm(setup.engine, setup.body, setup.action.servo)
         self._has_events = setup.path_length > 1 or bool(setup.lock_step)
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
@@ -131,7 +130,7 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
         """Start an episode: see "Starting State" in the class docstring.
 
         Raises:
-            ValueError: for an unknown option, or one of wrong shape, not finite, outside the
+            UserError: for an unknown option, or one of wrong shape, not finite, outside the
                 joint limits, or out of reach; the environment stays as it was.
         """
         checked = self.setup.check_options(options)
@@ -181,7 +180,7 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
             target: (x, y) in segment lengths.  It stays there, whatever the task.
 
         Raises:
-            ValueError: if it is of wrong shape, not finite, or out of reach; the target stays
+            UserError: if it is of wrong shape, not finite, or out of reach; the target stays
                 where it was.
         """
         self._targets = [self.setup.check_target("target", target)]
@@ -194,16 +193,14 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
             joint_angles: N relative angles in radians, or None for no ghost.
 
         Raises:
-            ValueError: if they are of wrong shape or not finite.
+            UserError: if they are of wrong shape or not finite.
         """
-        self._ghost = (
-            None
-            if joint_angles is None
-            else finite("joint_angles", joint_angles, self.setup.joint_count)
-        )
+        if joint_angles is not None:
+            joint_angles = finite("joint_angles", joint_angles, self.setup.joint_count)
+        self._ghost = joint_angles
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The picture (height, width, 3) for "rgb_array"; for "human", a window shows it."""
+        """Return the picture (height, width, 3) for "rgb_array"; show it for "human"."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: gym.make(..., render_mode='rgb_array')")
             return None
@@ -235,11 +232,8 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}  # windows belong to a process
 
-    def _make_observation_space(self) -> spaces.Space[Any]:
-        return self.setup.layout.space()
-
     def _outcome(self) -> tuple[Any, float, Info]:
-        """Observation, reward and info of the present state."""
+        """Return observation, reward and info of the present state."""
         arm, setup, target = self._arm, self.setup, self._target
         hand = arm.end_effector if setup.rotation is None else self._seen_hand()
         limit = setup.told.speed_limit
@@ -263,26 +257,15 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
                 np.array([target]),
             )
             return setup.observe(setup.disturb(readings, [self.np_random]))[0], reward, info
-        return self._observe(speeds, hand), reward, info
+        return setup.observe_one(arm.joint_angles, speeds, hand, target), reward, info
 
     def _seen_hand(self) -> Point:
-        """Where the hand is, or the cursor that stands for it."""
+        """Return where the hand is, or the cursor that stands for it."""
         rotation, hand = self.setup.rotation, self._arm.end_effector
         return hand if rotation is None else rotation.cursor(*hand)
 
-    def _observe(self, speeds: list[float], hand: Point) -> Any:
-        """Return the observation of undisturbed senses."""
-        setup = self.setup
-        return setup.layout.encode_one(
-            self._arm.joint_angles,
-            speeds,
-            hand=hand,
-            target=self._target,
-            clip=setup.may_exceed_reach,
-        )
-
     def _delayed(self, observation: Any) -> Any:
-        """What is observed now, if senses are late; it shares no memory with what comes."""
+        """Return what is observed now if senses are late; it shares no memory with what comes."""
         if not self.setup.are_senses_disturbed:
             return observation
         self._late.append(observation)
@@ -300,7 +283,7 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
             self._renderer.clear_trace()
 
     def _advance_events(self) -> None:
-        """What else happens in a step: the target moves on, and joints lock."""
+        """Let the rest of a step happen: the target moves on, and joints lock."""
         self._steps += 1
         if self._steps == self.setup.lock_step:
             self._arm.lock()
@@ -325,44 +308,45 @@ class MMCReachEnv(HasSetup, gym.Env[Any, NDArray[np.float32]]):
 
 
 def _distance(one: Point, other: Point) -> float:
-    # The operations of `compute_reward`, so that relabelling gives the same bits.
+    # The operations of `rewards.distances`, so that relabelling gives the same bits.
     x, y = other[0] - one[0], other[1] - one[1]
     return math.sqrt(x * x + y * y)
 
 
-class GoalRewards(HasSetup):
-    """What stable-baselines3 asks a goal environment for, so that it can relabel transitions."""
+class GoalEnvironment(ReachEnvironment):
+    """What makes a goal environment: its setup, and rewards for relabelled transitions."""
+
+    make_setup = GoalSetup
 
     def compute_reward(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
     ) -> Any:
-        """Reward for hands (..., 2) and targets (..., 2), shape (...); `info` is not used."""
+        """Return the reward for hands (..., 2) and targets (..., 2), shape (...).
+
+        `info` is not used.
+        """
         del info
-        offset = np.asarray(desired_goal, np.float64) - np.asarray(achieved_goal, np.float64)
-        x, y = offset[..., 0], offset[..., 1]
-        distance = np.sqrt(x * x + y * y)
-        if self.reward_type == "sparse":
-            return sparse_reward(distance <= self.success_distance)
-        return dense_reward(distance)
+        hands, targets = (np.asarray(goal, np.float64) for goal in (achieved_goal, desired_goal))
+        return goal_reward(self.setup, distances(hands, targets))
 
     def compute_terminated(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
     ) -> Any:
-        """False for every transition, shape (...): the hand must stay at the target."""
+        """Return False for every transition, shape (...): the hand must stay at the target."""
         del desired_goal, info
         return np.zeros(np.shape(achieved_goal)[:-1], dtype=bool)[()]
 
     def compute_truncated(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
     ) -> Any:
-        """False for every transition, shape (...): the time limit alone truncates."""
+        """Return False for every transition, shape (...): the time limit alone truncates."""
         return self.compute_terminated(achieved_goal, desired_goal, info)
 
 
-class MMCReachGoalEnv(GoalRewards, MMCReachEnv):
+class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):
     """`MMCReachEnv` as a goal environment, for hindsight experience replay.
 
-    As `MMCReach-v0`, but for:
+    It differs from `MMCReach-v0` in:
 
     ## Observation Space
     `Dict`: `observation`, `Box(-1, 1, (9,), float32)` (cos and sin of the joint angles, joint
@@ -373,47 +357,9 @@ class MMCReachGoalEnv(GoalRewards, MMCReachEnv):
     Sparse by default.  There is no control cost: the reward is `compute_reward` of the two
     goals alone, so that replayed transitions can be relabelled.
 
+    ## Arguments
+    Those of `MMCReachEnv`, less `control_weight` and `smoothness_weight`.
+
     ## Version History
     * v0: initial version
     """
-
-    def __init__(self, *, reward_type: RewardType = "sparse", **kwargs: Any) -> None:
-        """Make the environment; the arguments are those of `MMCReachEnv`, less costs' weights.
-
-        Raises:
-            ValueError: if an argument is outside what it accepts.
-        """
-        super().__init__(reward_type=reward_type, **without_control_weight(kwargs))
-        check_goals(self.setup)
-
-    def _make_observation_space(self) -> spaces.Space[Any]:
-        return goal_observation_space(self.setup)
-
-    def _observe(self, speeds: list[float], hand: Point) -> Any:
-        return self.setup.layout.encode_goals_of_one(
-            self._arm.joint_angles, speeds, hand=hand, target=self._target
-        )
-
-
-def goal_observation_space(setup: ReachSetup) -> spaces.Dict:
-    """Return the observation space of `MMCReachGoal-v0`."""
-    # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
-    return setup.layout.goal_space(setup.farthest * (1 + REACH_TOLERANCE))
-
-
-def check_goals(setup: ReachSetup) -> None:
-    """Raise a `ValueError` if the reward would not be a function of the observed goals."""
-    if setup.noises or setup.delay or setup.task.advance == "reach":
-        raise ValueError(
-            "a goal environment must have a reward that is a function of the observed goals: no "
-            f"noise, no delay and no via points, got task={setup.task}, "
-            f"perturbations={setup.perturbations}"
-        )
-
-
-def without_control_weight(arguments: dict[str, Any]) -> dict[str, Any]:
-    """The arguments with no weight for the control cost, or a `ValueError` if there is one."""
-    for name in ("control_weight", "smoothness_weight"):
-        if arguments.get(name, 0.0) != 0.0:
-            raise ValueError(f"{name} must be 0: the reward is a function of the goals")
-    return {**arguments, "control_weight": 0.0}

@@ -58,7 +58,8 @@ class Family:
         make: makes the perturbation of a strength.
         strengths: those of the benchmark.
         told: those of the benchmark of which agents are told; None if they cannot be told.
-        ids: names that have an id; if agents can be told, so have those with `-told`.
+        ids: names that have an id, the family's by default; if agents can be told, so have
+            those with `-told`.
     """
 
     name: str
@@ -308,7 +309,6 @@ FAMILIES: dict[str, Family] = {
             default=60.0,
             make=ForceField,
             strengths=(30.0, 60.0, 90.0),
-            ids=("force-field",),
         ),
         Family(
             name="rotation",
@@ -326,7 +326,6 @@ FAMILIES: dict[str, Family] = {
             default=3.0,
             make=HandMass,
             strengths=(1.0, 3.0, 10.0),
-            ids=("hand-mass",),
         ),
         Family(
             name="longer",
@@ -356,7 +355,6 @@ FAMILIES: dict[str, Family] = {
             make=_joint,
             strengths=(1.0, 2.0, 3.0),
             told=(1.0, 2.0, 3.0),
-            ids=("locked",),
         ),
         Family(
             name="locks",
@@ -366,7 +364,6 @@ FAMILIES: dict[str, Family] = {
             make=lambda joint: _joint(joint, time=0.2),
             strengths=(1.0, 2.0, 3.0),
             told=(2.0,),
-            ids=("locks",),
         ),
         Family(
             name="joint-noise",
@@ -375,7 +372,6 @@ FAMILIES: dict[str, Family] = {
             default=0.02,
             make=JointNoise,
             strengths=(0.01, 0.02, 0.05),
-            ids=("joint-noise",),
         ),
         Family(
             name="joint-noise-speed",
@@ -384,7 +380,6 @@ FAMILIES: dict[str, Family] = {
             default=0.01,
             make=lambda std: JointNoise(0.0, speed_std=std),
             strengths=(0.01, 0.03),
-            ids=("joint-noise-speed",),
         ),
         Family(
             name="vision-noise",
@@ -393,7 +388,6 @@ FAMILIES: dict[str, Family] = {
             default=0.03,
             make=VisionNoise,
             strengths=(0.01, 0.03, 0.1),
-            ids=("vision-noise",),
         ),
         Family(
             name="vision-noise-distance",
@@ -402,7 +396,6 @@ FAMILIES: dict[str, Family] = {
             default=0.05,
             make=lambda std: VisionNoise(0.0, distance_std=std),
             strengths=(0.05, 0.15),
-            ids=("vision-noise-distance",),
         ),
         Family(
             name="delay",
@@ -420,7 +413,6 @@ FAMILIES: dict[str, Family] = {
             default=2.0,
             make=_obstacles,
             strengths=(1.0, 2.0, 4.0),
-            ids=("obstacles",),
         ),
         Family(
             name="gravity",
@@ -429,7 +421,6 @@ FAMILIES: dict[str, Family] = {
             default=60.0,
             make=Gravity,
             strengths=(10.0, 60.0, 120.0),
-            ids=("gravity",),
         ),
     )
 }
@@ -438,7 +429,7 @@ FAMILIES: dict[str, Family] = {
 PERTURBATION_NAMES: tuple[str, ...] = tuple(
     name
     for family in FAMILIES.values()
-    for untold in family.ids
+    for untold in family.ids or (family.name,)
     for name in ([untold] if family.told is None else [untold, f"{untold}-told"])
 )
 """Names of perturbations that have an id of their own."""

@@ -1,7 +1,7 @@
 """What a reaching environment is made of: its arguments, checked, and all that follows from them.
 
-Nothing here changes while an environment runs, and the single and the vector environment use the
-same, so that both mean the same by every argument.
+Nothing here changes while an environment runs.  The single and the vector environment use the
+same setup, so that every argument means the same in both.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
-from typing import Any, Literal, get_args
+from operator import attrgetter
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from typing_extensions import override
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym.body import ArmParameters
 from mmc_gym.body.engines import Engine
 from mmc_gym.envs.perturbations import (
@@ -31,7 +33,7 @@ from mmc_gym.envs.perturbations import (
 )
 from mmc_gym.envs.scenarios import environment_id, find_perturbation, find_task
 from mmc_gym.envs.tasks import Request, Task, Trial
-from mmc_gym.envs.workspace import Point, Workspace
+from mmc_gym.envs.workspace import REACH_TOLERANCE, Point, Workspace
 from mmc_gym.interface import (
     CONTROLS,
     Control,
@@ -44,6 +46,20 @@ from mmc_gym.interface import (
 RewardType = Literal["dense", "sparse"]
 
 
+class Options(NamedTuple):
+    """The options of a reset, checked; None where nothing was asked for.
+
+    Attributes:
+        joint_angles: posture to start from, N radians.
+        target: (x, y), segment lengths.
+        trial: number of the task's trial.
+    """
+
+    joint_angles: list[float] | None = None
+    target: Point | None = None
+    trial: int | None = None
+
+
 class ReachSetup:
     """The arguments of `MMCReachEnv`, and what follows from them.
 
@@ -51,7 +67,7 @@ class ReachSetup:
         told: physical parameters of the arm, as agents are told them.
         body: those of the arm that is simulated; perturbations make the difference.
         task: where trials come from.
-        task_name: the name that it was given by, if any.
+        task_name: the name that the task was given by, if any.
         perturbations: what goes wrong.
         caption: task and perturbations, for a picture; empty if they are the plain ones.
         workspace: what the hand can reach.
@@ -63,10 +79,14 @@ class ReachSetup:
         lock_step: after how many control steps the lockable joints lock; None: never.
         path_length: places on the path of the target.
         action: what the actions mean.
+        action_space: of one arm.
+        observation_space: of one arm.
         layout: of the observations; its `reach` is the sum of the told lengths.
         farthest: distance from the base within which the hand, or its cursor, always is.
         may_exceed_reach: whether that is beyond `reach`, so that observations must be clipped.
     """
+
+    observation_space: spaces.Space[Any]
 
     def __init__(
         self,
@@ -77,22 +97,25 @@ class ReachSetup:
         smoothness_weight: float = 0.0,
         success_distance: float = 0.05,
         task: str | Task = "random",
-        perturbations: Sequence[str | Perturbation] = (),
+        perturbations: str | Perturbation | Sequence[str | Perturbation] = (),
         engine: Engine = "pymunk",
         **arm_parameters: Any,
     ) -> None:
         """Check the arguments; they are listed in `MMCReachEnv`.
 
         Raises:
-            ValueError: if one is outside what it accepts.
+            UserError: if one is outside what it accepts.
             TypeError: if one is unknown.
         """
         require_one_of("control", control, CONTROLS)
         require_one_of("reward_type", reward_type, get_args(RewardType))
         require_one_of("engine", engine, get_args(Engine))
-        _require_at_least_zero("control_weight", control_weight)
-        _require_at_least_zero("smoothness_weight", smoothness_weight)
-        _require_at_least_zero("success_distance", success_distance)
+        for name, value in (
+            ("control_weight", control_weight),
+            ("smoothness_weight", smoothness_weight),
+            ("success_distance", success_distance),
+        ):
+            require(0 <= value < math.inf, name, value, "finite and not negative")
         self.control: Control = control
         self.reward_type: RewardType = reward_type
         self.control_weight = float(control_weight)
@@ -100,10 +123,10 @@ class ReachSetup:
         self.success_distance = float(success_distance)
         self.engine: Engine = engine
         self.task = find_task(task)
+        self.task_name = task if isinstance(task, str) else None
         if isinstance(perturbations, (str, Perturbation)):
             perturbations = (perturbations,)
         self.perturbations = tuple(map(find_perturbation, perturbations))
-        self.task_name = task if isinstance(task, str) else None
         named = [*([] if task == "random" else [task]), *perturbations]
         self.caption = ", ".join(n if isinstance(n, str) else type(n).__name__ for n in named)
         self._apply_perturbations(ArmParameters(**arm_parameters))
@@ -111,15 +134,15 @@ class ReachSetup:
         lengths = self.told.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
         self.layout = ObservationLayout(self.joint_count, self.reach)
+        self.observation_space = self.layout.space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         self.path_length = self.task.path_length(self.told.control_step)
         self.task.check(self.workspace)
 
     def _apply_perturbations(self, parameters: ArmParameters) -> None:
-        changes = self.perturbations
-        step = parameters.control_step
-        self.body = reduce(lambda arm, change: change.change_body(arm), changes, parameters)
+        changes, step = self.perturbations, parameters.control_step
         told = [change for change in changes if change.told]
+        self.body = reduce(lambda arm, change: change.change_body(arm), changes, parameters)
         self.told = reduce(lambda arm, change: change.change_body(arm), told, parameters)
         self.noises = [change for change in changes if isinstance(change, Noise)]
         count = len(parameters.segment_lengths)
@@ -138,37 +161,6 @@ class ReachSetup:
         self.farthest = sum(self.body.segment_lengths) + math.hypot(*shift)
         self.may_exceed_reach = self.farthest > sum(self.told.segment_lengths)
 
-    def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
-        """Return the readings of n arms under the noises.
-
-        Args:
-            readings: of the arms, (n, …).
-            randoms: the generator of each of the n arms.
-        """
-        for noise, draws in zip(self.noises, self.noise_draws, strict=True):
-            normals = np.stack([random.standard_normal(draws) for random in randoms])
-            readings = noise.disturb(readings, normals)
-        return readings
-
-    def observe(self, readings: Readings) -> NDArray[np.float32]:
-        """Return the observations of `MMCReach-v0` for readings, (..., 3 N + 4)."""
-        return self.layout.encode(
-            readings.joint_angles,
-            relative_speeds(readings.joint_velocities, self.told.speed_limit),
-            hand=readings.hand,
-            target=readings.target,
-            clip=self.may_exceed_reach or bool(self.noises),
-        )
-
-    def observe_goals(self, readings: Readings) -> dict[str, NDArray[Any]]:
-        """Return the observations of `MMCReachGoal-v0` for readings."""
-        return self.layout.encode_goals(
-            readings.joint_angles,
-            relative_speeds(readings.joint_velocities, self.told.speed_limit),
-            hand=readings.hand,
-            target=readings.target,
-        )
-
     def _rotation(self) -> VisuomotorRotation | None:
         """Return the rotation, if there is one, about the point that it is meant to turn about."""
         rotations = [one for one in self.perturbations if isinstance(one, VisuomotorRotation)]
@@ -185,84 +177,164 @@ class ReachSetup:
         """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
         return max_joint_delta(speed_limit=self.told.speed_limit, servo_gain=self.told.servo_gain)
 
+    # --- What is observed
+
+    def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
+        """Return the readings of n arms under the noises.
+
+        Args:
+            readings: of the arms, (n, …).
+            randoms: the generator of each of the n arms.
+        """
+        for noise, draws in zip(self.noises, self.noise_draws, strict=True):
+            normals = np.stack([random.standard_normal(draws) for random in randoms])
+            readings = noise.disturb(readings, normals)
+        return readings
+
+    def observe(self, readings: Readings) -> Any:
+        """Return the observations of n arms for their readings, (n, …)."""
+        return self.layout.encode(
+            readings.joint_angles,
+            relative_speeds(readings.joint_velocities, self.told.speed_limit),
+            hand=readings.hand,
+            target=readings.target,
+            clip=self.may_exceed_reach or bool(self.noises),
+        )
+
+    def observe_one(
+        self, joint_angles: Sequence[float], speeds: list[float], hand: Point, target: Point
+    ) -> Any:
+        """Return the observation of one arm with undisturbed senses: as `observe`, but quicker.
+
+        Args:
+            joint_angles: N radians.
+            speeds: of the joints, N fractions of their limit.
+            hand: where the hand is seen.
+            target: where the target is.
+        """
+        clip = self.may_exceed_reach
+        return self.layout.encode_one(joint_angles, speeds, hand=hand, target=target, clip=clip)
+
+    # --- How an episode starts
+
     def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
-        """A trial of the task, with what the options decide.
+        """Return a trial of the task, with what the options decide.
 
         A target given as an option stands still.  Everything is drawn in any case, so that an
-        option given for the one does not change the other.
+        option for the one does not change the other.
         """
-        posture, target, number = options
-        trial = self.task.draw(Request(self.workspace, random, number, posture))
-        return trial if target is None else Trial(trial.joint_angles, [target])
+        trial = self.task.draw(Request(self.workspace, random, options.trial, options.joint_angles))
+        return trial if options.target is None else Trial(trial.joint_angles, [options.target])
 
     def check_options(self, options: dict[str, Any] | None) -> Options:
-        """Posture, target and number of the trial that the options of a reset ask for, or None.
+        """Return the options of a reset.
 
         Raises:
-            ValueError: for an unknown option, or one of wrong shape, not finite, outside the
+            UserError: for an unknown option, or one of wrong shape, not finite, outside the
                 joint limits, out of reach, or in an obstacle.
         """
         options = options or {}
-        unknown = set(options) - {"joint_angles", "target", "trial"}
-        if unknown:
-            names = sorted(map(str, unknown))
-            raise ValueError(f"options must be 'joint_angles', 'target' or 'trial', got {names}")
-        posture, target, trial = (options.get(key) for key in ("joint_angles", "target", "trial"))
-        return (
+        unknown = sorted(map(str, set(options) - set(Options._fields)))
+        require(not unknown, "options", unknown, "'joint_angles', 'target' or 'trial'")
+        posture, target, trial = map(options.get, Options._fields)
+        return Options(
             None if posture is None else self._check_posture(posture),
             None if target is None else self.check_target("options['target']", target),
             None if trial is None else self._check_trial(trial),
         )
 
     def _check_posture(self, posture: ArrayLike) -> list[float]:
-        angles = finite("options['joint_angles']", posture, self.joint_count)
-        posture = [math.remainder(angle, math.tau) for angle in angles]
-        for angle, (low, high) in zip(posture, self.body.joint_limits or (), strict=False):
-            if not low <= angle <= high:
-                raise ValueError(
-                    f"options['joint_angles'] must lie within the joint limits "
-                    f"{self.body.joint_limits}, got {posture}"
-                )
-        if not self.workspace.is_clear(posture):
-            raise ValueError(
-                f"options['joint_angles'] must keep the arm clear of the obstacles "
-                f"{self.body.obstacles}, got {posture}"
-            )
-        return posture
+        name, body = "options['joint_angles']", self.body
+        angles = [
+            math.remainder(angle, math.tau) for angle in finite(name, posture, self.joint_count)
+        ]
+        for angle, (low, high) in zip(angles, body.joint_limits or (), strict=False):
+            accepted = f"within the joint limits {body.joint_limits}"
+            require(low <= angle <= high, name, angles, accepted)
+        accepted = f"a posture in which the arm is clear of the obstacles {body.obstacles}"
+        require(self.workspace.is_clear(angles), name, angles, accepted)
+        return angles
 
     def check_target(self, name: str, target: ArrayLike) -> Point:
-        """The target as a point, if it can be reached.
+        """Return the target as a point that can be reached.
 
         Raises:
-            ValueError: if it is of wrong shape, not finite, out of reach, or in an obstacle.
+            UserError: if it is of wrong shape, not finite, out of reach, or in an obstacle.
         """
         x, y = finite(name, target, 2)
-        if not self.workspace.contains((x, y)):
-            inner, outer = self.workspace.inner, self.workspace.outer
-            clear = " and clear of the obstacles" if self.body.obstacles else ""
-            raise ValueError(
-                f"{name} must lie between {inner:g} and {outer:g} from the base{clear}, "
-                f"got {(x, y)}"
-            )
+        clear = " and clear of the obstacles" if self.body.obstacles else ""
+        accepted = f"between {self.workspace.inner:g} and {self.workspace.outer:g} from the base"
+        require(self.workspace.contains((x, y)), name, (x, y), accepted + clear)
         return x, y
 
     def _check_trial(self, trial: Any) -> int:
         count = self.task.trial_count
         if count is None:
-            raise ValueError(
+            raise UserError(
                 f"options['trial'] must not be given: {self.task} has no numbered trials"
             )
         whole = isinstance(trial, (int, np.integer)) and not isinstance(trial, bool)
-        if not whole or not 0 <= trial < count:
-            raise ValueError(f"options['trial'] must be from 0 to {count - 1}, got {trial!r}")
+        fine = whole and 0 <= trial < count
+        require(fine, "options['trial']", trial, f"from 0 to {count - 1}")
         return int(trial)
 
 
-class HasSetup:
-    """What an environment tells of its setup; agents and measures read it."""
+class GoalSetup(ReachSetup):
+    """The arguments of `MMCReachGoalEnv`, and what follows from them."""
 
+    def __init__(self, *, reward_type: RewardType = "sparse", **arguments: Any) -> None:
+        """Check the arguments; those of `ReachSetup`, less the weights of costs.
+
+        Raises:
+            UserError: if the reward would not be a function of the observed goals.
+        """
+        for name in ("control_weight", "smoothness_weight"):
+            weight = arguments.pop(name, 0.0)
+            require(weight == 0.0, name, weight, "0: the reward is a function of the goals")
+        super().__init__(reward_type=reward_type, control_weight=0.0, **arguments)
+        if self.noises or self.delay or self.task.advance == "reach":
+            raise UserError(
+                "a goal environment must have a reward that is a function of the observed goals: "
+                f"no noise, no delay and no via points, got task={self.task}, "
+                f"perturbations={self.perturbations}"
+            )
+        # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
+        self.observation_space = self.layout.goal_space(self.farthest * (1 + REACH_TOLERANCE))
+
+    @override
+    def observe(self, readings: Readings) -> Any:
+        return self.layout.encode_goals(
+            readings.joint_angles,
+            relative_speeds(readings.joint_velocities, self.told.speed_limit),
+            hand=readings.hand,
+            target=readings.target,
+        )
+
+    @override
+    def observe_one(
+        self, joint_angles: Sequence[float], speeds: list[float], hand: Point, target: Point
+    ) -> Any:
+        return self.layout.encode_goals_of_one(joint_angles, speeds, hand=hand, target=target)
+
+
+class ReachEnvironment:
+    """What the single and the vector environment have in common."""
+
+    make_setup: ClassVar[type[ReachSetup]] = ReachSetup
     setup: ReachSetup
     _spec: EnvSpec | None = None
+
+    parameters = property(attrgetter("setup.told"), doc="The arm as agents are told it.")
+    control = property(attrgetter("setup.control"), doc="What actions mean.")
+    reward_type = property(attrgetter("setup.reward_type"), doc='"dense" or "sparse".')
+    control_weight = property(attrgetter("setup.control_weight"), doc="Of the control cost.")
+    success_distance = property(
+        attrgetter("setup.success_distance"), doc="How near a target is reached, segment lengths."
+    )
+    reach = property(attrgetter("setup.reach"), doc="Sum of the told segment lengths.")
+    max_joint_delta = property(
+        attrgetter("setup.max_joint_delta"), doc=ReachSetup.max_joint_delta.__doc__
+    )
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -291,64 +363,19 @@ class HasSetup:
                 "which accepts all other arguments"
             )
 
-    @property
-    def parameters(self) -> ArmParameters:
-        """The arm as agents are told it."""
-        return self.setup.told
-
-    @property
-    def control(self) -> Control:
-        """What actions mean."""
-        return self.setup.control
-
-    @property
-    def reward_type(self) -> RewardType:
-        """The kind of reward."""
-        return self.setup.reward_type
-
-    @property
-    def control_weight(self) -> float:
-        """Weight of the control cost."""
-        return self.setup.control_weight
-
-    @property
-    def success_distance(self) -> float:
-        """Distance within which the target counts as reached, segment lengths."""
-        return self.setup.success_distance
-
-    @property
-    def reach(self) -> float:
-        """Sum of the told segment lengths."""
-        return self.setup.reach
-
-    @property
-    def max_joint_delta(self) -> float:
-        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
-        return self.setup.max_joint_delta
-
-
-Options = tuple[list[float] | None, Point | None, int | None]
-
 
 def require_one_of(name: str, value: object, accepted: Sequence[object]) -> None:
-    """Raise a `ValueError` that names the argument unless `value` is one of `accepted`."""
-    if value not in accepted:
-        raise ValueError(f"{name} must be one of {tuple(accepted)}, got {value!r}")
-
-
-def _require_at_least_zero(name: str, value: float) -> None:
-    if not 0 <= value < math.inf:
-        raise ValueError(f"{name} must be finite and not negative, got {value!r}")
+    """Raise a `UserError` that names the argument unless `value` is one of `accepted`."""
+    require(value in accepted, name, value, f"one of {tuple(accepted)}")
 
 
 def finite(name: str, value: ArrayLike, count: int) -> list[float]:
-    """The value as `count` numbers, or a `ValueError` that names the argument."""
-    message = f"{name} must be {count} finite numbers, got {value!r}"
+    """Return the value as `count` numbers, or raise a `UserError` that names the argument."""
+    accepted = f"{count} finite numbers"
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:  # not numbers, or of uneven lengths
-        raise ValueError(message) from error
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(message)
+        raise UserError(f"{name} must be {accepted}, got {value!r}") from error
+    require(array.shape == (count,) and bool(np.isfinite(array).all()), name, value, accepted)
     values: list[float] = array.tolist()
     return values

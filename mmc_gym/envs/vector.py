@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
@@ -26,14 +25,9 @@ from mmc_gym._errors import require
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.reach import (
-    GoalRewards,
-    check_goals,
-    goal_observation_space,
-    without_control_weight,
-)
-from mmc_gym.envs.rewards import reward_and_info
-from mmc_gym.envs.spec import HasSetup, Options, ReachSetup, RewardType, require_one_of
+from mmc_gym.envs.reach import GoalEnvironment
+from mmc_gym.envs.rewards import distances, reward_and_info
+from mmc_gym.envs.spec import Options, ReachEnvironment, require_one_of
 from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
@@ -109,7 +103,7 @@ Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
 
-class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
+class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
     """Many arms of `MMCReachEnv`, array in, array out.
 
     `gym.make_vec("MMCReach-v0", num_envs=64)` makes one.  With the same seeds and actions it
@@ -148,7 +142,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             TypeError: if one is unknown.
         """
         require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        self.setup = setup = ReachSetup(**arguments)
+        self.setup = setup = self.make_setup(**arguments)
         if max_episode_steps == "task":
             max_episode_steps = setup.task.episode_steps
         for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
@@ -164,7 +158,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_action_space = setup.action_space
-        self.single_observation_space = self._make_observation_space()
+        self.single_observation_space = setup.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._body = make_arms(setup.engine, setup.body, num_envs, setup.action.servo, threads)
@@ -228,7 +222,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         self._steps += 1
         self._advance_events()
         if len(waiting):
-            self._place(waiting, _NO_OPTIONS)
+            self._place(waiting, Options())
         observation, rewards, info = self._outcome(_EVERY)
         self._late = [*self._late[1:], observation]
         if len(waiting):
@@ -334,7 +328,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             return
         if setup.task.advance == "reach":
             hands = self._seen_hands(_EVERY)
-            reached = _distance(hands, self._targets) <= self.success_distance
+            reached = distances(hands, self._targets) <= self.success_distance
             self._places = np.minimum(self._places + reached, last)
         elif setup.task.periodic:
             self._places = self._steps % (last + 1)
@@ -350,7 +344,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
             final_observations[arm] = deepcopy(pick(self._late[0], arm))
         names = [name for name in infos if not name.startswith("_")]
         final = spread({name: infos[name][arms] for name in names}, over)
-        self._place(arms, _NO_OPTIONS)
+        self._place(arms, Options())
         observation, _, info = self._outcome(arms)
         self._show_start(arms, observation)
         for name, values in info.items():
@@ -365,7 +359,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         setup, body, targets = self.setup, self._body, self._targets[arms]
         hands = self._seen_hands(arms)
         readings = Readings(body.joint_angles[arms], body.joint_velocities[arms], hands, targets)
-        distance = _distance(hands, targets)
+        distance = distances(hands, targets)
         is_success = distance <= self.success_distance
         if setup.task.advance == "reach":
             is_success &= self._places[arms] == self._last_places[arms]
@@ -380,7 +374,7 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         if setup.noises:
             randoms = [self._randoms[arm] for arm in self._all[arms]]
             readings = setup.disturb(readings, randoms)
-        return self._observe(readings), rewards, info
+        return setup.observe(readings), rewards, info
 
     def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
         """Where the hands are, or the cursors that stand for them, (k, 2)."""
@@ -388,12 +382,6 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         if self.setup.rotation is None:
             return hands
         return np.stack(self.setup.rotation.cursor(*hands.T), axis=-1)
-
-    def _make_observation_space(self) -> spaces.Space[Any]:
-        return self.setup.layout.space()
-
-    def _observe(self, readings: Readings) -> Any:
-        return self.setup.observe(readings)
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
         """Show these arms' observation from now on, also where senses are late."""
@@ -428,33 +416,8 @@ class MMCReachVectorEnv(HasSetup, VectorEnv[Any, NDArray[np.float32], NDArray[An
         return values
 
 
-_NO_OPTIONS: Options = (None, None, None)
 _EVERY = slice(None)
 
 
-def _distance(hands: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:
-    # The operations of `compute_reward`, so that relabelling gives the same bits.
-    offset = targets - hands
-    x, y = offset[:, 0], offset[:, 1]
-    return np.sqrt(x * x + y * y)
-
-
-class MMCReachGoalVectorEnv(GoalRewards, MMCReachVectorEnv):
+class MMCReachGoalVectorEnv(GoalEnvironment, MMCReachVectorEnv):
     """`MMCReachGoalEnv` as a vector environment; see `MMCReachVectorEnv`."""
-
-    def __init__(
-        self, num_envs: int = 1, *, reward_type: RewardType = "sparse", **kwargs: Any
-    ) -> None:
-        """Make the environment; the arguments are those of `MMCReachVectorEnv`.
-
-        Raises:
-            ValueError: if an argument is outside what it accepts.
-        """
-        super().__init__(num_envs, reward_type=reward_type, **without_control_weight(kwargs))
-        check_goals(self.setup)
-
-    def _make_observation_space(self) -> spaces.Space[Any]:
-        return goal_observation_space(self.setup)
-
-    def _observe(self, readings: Readings) -> Any:
-        return self.setup.observe_goals(readings)

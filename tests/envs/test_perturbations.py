@@ -27,6 +27,7 @@ from mmc_gym.envs.perturbations import (
 )
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import find_perturbation
+from mmc_gym.envs.spec import Options
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 
 STILL = np.zeros(3, np.float32)
@@ -369,7 +370,7 @@ def test_a_hand_in_reach_brings_the_cursor_to_every_target(task: str, name: str)
     assert rotation is not None
     random = np.random.default_rng(0)
     for _ in range(50):
-        for target in env.setup.draw_trial(random, (None, None, None)).targets:
+        for target in env.setup.draw_trial(random, Options()).targets:
             assert math.hypot(*rotation.hand(*target)) <= 3 + 1e-8
 
 

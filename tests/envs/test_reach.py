@@ -360,7 +360,7 @@ def test_bad_options_are_refused_and_leave_no_trace(options: Any, message: str) 
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ((3.1, 0.0), r"target must lie between 0 and 3 from the base, got \(3.1, 0.0\)"),
+        ((3.1, 0.0), r"target must be between 0 and 3 from the base, got \(3.1, 0.0\)"),
         ((math.nan, 0.0), "target must be 2 finite numbers"),
         ((0.0, 0.0, 0.0), "target must be 2 finite numbers"),
         ("far away", "target must be 2 finite numbers, got 'far away'"),
@@ -372,7 +372,7 @@ def test_bad_targets_are_refused_and_leave_no_trace(target: Any, message: str) -
 
 def test_a_posture_outside_the_joint_limits_is_refused() -> None:
     env = MMCReachEnv(joint_limits=LIMITS)
-    with pytest.raises(ValueError, match=r"options\['joint_angles'\] must lie within the joint l"):
+    with pytest.raises(ValueError, match=r"options\['joint_angles'\] must be within the joint l"):
         env.reset(options={"joint_angles": [0.0, 0.0, 0.0]})
 
 

@@ -25,7 +25,7 @@ from mmc_gym.envs.render import shapes as drawing
 from mmc_gym.envs.render.renderer import Renderer, Scene, Window, old_lengths
 from mmc_gym.envs.render.shapes import View
 from mmc_gym.envs.scenarios import PERTURBATION_NAMES
-from mmc_gym.envs.spec import ReachSetup
+from mmc_gym.envs.spec import Options, ReachSetup
 
 LENGTHS = (1.0, 1.0, 1.0)
 FAR = (-2.5, 0.0)
@@ -232,7 +232,7 @@ def test_targets_to_come_are_shown_and_those_that_were_are_not() -> None:
 
 def test_the_whole_path_of_a_pursued_target_is_shown() -> None:
     setup = ReachSetup(task="pursuit")
-    path = setup.draw_trial(np.random.default_rng(0), (None, None, None)).targets
+    path = setup.draw_trial(np.random.default_rng(0), Options()).targets
     scene = Scene([0.0] * 3, path[0], path=path)
     for place in (100, 250, 400):
         assert changed(setup, scene, Scene([0.0] * 3, path[0]), path[place])
