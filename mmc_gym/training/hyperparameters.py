@@ -14,9 +14,10 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import yaml
 from pydantic import (
@@ -67,13 +68,6 @@ class Rate:
     def __call__(self, progress_remaining: float) -> float:
         """Return the rate where this part of the training remains."""
         return self.start * progress_remaining if self.falls else self.start
-
-
-class Named(NamedTuple):
-    """A class that an entry names, and the arguments that it is made with."""
-
-    make: Callable[..., Any]
-    arguments: dict[str, Any]
 
 
 def _number(value: Any) -> float:
@@ -177,16 +171,13 @@ def _looked_up(name: Any, table: Mapping[str, Any]) -> Any:
     return table[name]
 
 
-def _named(
-    table: Mapping[str, Callable[..., Any]], value: Any, *first: None, at_most: int | None = None
-) -> list[Named]:
+def _named(table: Mapping[str, Callable[..., Any]], value: Any, *first: None) -> list[partial[Any]]:
     """Read a name, or a list of names and of mappings of one name to its arguments.
 
     Args:
         table: what may be named.
         value: what is read.
         first: stand for the arguments that are given besides.
-        at_most: so many.
     """
     found = []
     for part in value if isinstance(value, list) else [] if value is None else [value]:
@@ -197,10 +188,19 @@ def _named(
             inspect.signature(make).bind(*first, **arguments)
         except TypeError as error:
             raise ValueError(f"must have arguments that {name} takes: {error}") from error
-        found.append(Named(make, arguments))
-    if at_most is not None and len(found) > at_most:
-        raise ValueError(f"must be {at_most} at most")
+        found.append(partial(make, **arguments))
     return found
+
+
+def _wrapper(value: Any) -> partial[VecEnvWrapper] | None:
+    wrappers = _named(_WRAPPERS, value, None)
+    if len(wrappers) > 1:
+        raise ValueError("must be one at most")
+    return wrappers[0] if wrappers else None
+
+
+def _callbacks(value: Any) -> list[partial[BaseCallback]]:
+    return _named(_CALLBACKS, value)
 
 
 Real = Annotated[float, BeforeValidator(_number)]
@@ -267,11 +267,9 @@ class Settings(_Keys):
     policy: str
     n_envs: Count = 1
     env_kwargs: Annotated[dict[str, Any], AfterValidator(_limited)] = {}
-    vec_env_wrapper: Annotated[
-        list[Named], PlainValidator(lambda value: _named(_WRAPPERS, value, None, at_most=1))
-    ] = []
+    vec_env_wrapper: Annotated[partial[VecEnvWrapper] | None, PlainValidator(_wrapper)] = None
     normalize: Annotated[Normalization | None, BeforeValidator(_normalized)] = None
-    callback: Annotated[list[Named], PlainValidator(lambda value: _named(_CALLBACKS, value))] = []
+    callback: Annotated[list[partial[BaseCallback]], PlainValidator(_callbacks)] = []
 
     learning_rate: AnyRate = Rate(3e-4)
     gamma: Share = 0.99
@@ -317,8 +315,8 @@ class Settings(_Keys):
         Raises:
             UserError: if the algorithm or the policy does not take the options.
         """
-        for wrapper in self.vec_env_wrapper:
-            env = wrapper.make(env, **wrapper.arguments)
+        if self.vec_env_wrapper is not None:
+            env = self.vec_env_wrapper(env)
         if self.normalize is not None:
             env = VecNormalize(env, **{"gamma": self.gamma, **_given(self.normalize)})
         options = {key: value for key, value in _given(self).items() if key not in _OWN}
@@ -334,10 +332,6 @@ class Settings(_Keys):
         except (TypeError, AssertionError) as error:
             name = self.algorithm.__name__
             raise UserError(f"{name} does not take these hyperparameters: {error}") from error
-
-    def make_callbacks(self) -> list[BaseCallback]:
-        """Return the callbacks that the entry names."""
-        return [callback.make(**callback.arguments) for callback in self.callback]
 
 
 # Keys that are not arguments of the algorithm.

@@ -136,7 +136,7 @@ class Training:
             if (remaining := self.total_steps - model.num_timesteps) > 0:
                 model.learn(
                     remaining,
-                    callback=[_Legs(self), *self.settings.make_callbacks()],
+                    callback=[_Legs(self), *(make() for make in self.settings.callback)],
                     reset_num_timesteps=False,
                     tb_log_name=self.label,
                 )

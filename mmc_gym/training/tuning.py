@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,12 +33,18 @@ from mmc_gym.training.training import Training
 
 if TYPE_CHECKING:
     import optuna
-    from optuna.trial import BaseTrial, FrozenTrial
+    from optuna.trial import BaseTrial
 
 TUNING_SEED = 2_000_000  # of episodes and trainings: far from all others
 TRAINED_EPISODES = 500
 EPISODE_STEPS = 100
 
+NETWORK_IN_USE = {
+    "damping": 4.0,
+    "velocity_damping": 5.0,
+    "velocity_decay": 0.92,
+    "iterations_per_step": 3,
+}
 FEEDBACK_SCENARIOS = (
     "random",
     "force-field-60",
@@ -54,7 +60,6 @@ FEEDBACK_SCENARIOS = (
 """Where feedback is tuned: nothing is wrong, feedback helps, feedback harms."""
 
 Constants = dict[str, Any]
-MakeAgent = Callable[[ReachInterface], Agent[Any]]
 
 
 @dataclass(frozen=True)
@@ -82,19 +87,76 @@ def find_target(name: str) -> Target:
     Raises:
         UserError: for any other name, and for hyperparameters that cannot be trained with.
     """
-    if name in _NETWORKS:
-        return _NETWORKS[name]
+    if name == "mmc":
+        return _network_target(NETWORK_IN_USE, _suggest_network, ("random",))
+    if name == "mmc-feedback":
+        in_use = {**NETWORK_IN_USE, "posture_weight": POSTURE_WEIGHT, "hand_rate": HAND_RATE}
+        objective = f"{Target.objective}, mean over {', '.join(FEEDBACK_SCENARIOS)}"
+        target = _network_target(in_use, _suggest_feedback, FEEDBACK_SCENARIOS)
+        return replace(target, objective=objective)
     recipe = read_recipe(name)
     settings = recipe.settings
     return Target(
         in_use={**vars(settings), "learning_rate": settings.learning_rate.start},
-        space=partial(_learning, settings),
-        judge=partial(_judge_training, recipe),
+        space=partial(_suggest_learning, settings),
+        judge=partial(judge_training, recipe),
         episodes=lambda steps: TRAINED_EPISODES,
     )
 
 
-def _network(trial: BaseTrial) -> Constants:
+def _network_target(
+    in_use: Constants, space: Callable[[BaseTrial], Constants], scenarios: Sequence[str]
+) -> Target:
+    """Return the target of a network's constants, judged by the mean over scenarios."""
+
+    def episodes(steps: int) -> int:
+        return max(1, steps // EPISODE_STEPS // len(scenarios)) * len(scenarios)
+
+    def judge(constants: Constants, steps: int) -> float:
+        make, each = partial(make_network_agent, constants), episodes(steps) // len(scenarios)
+        found = find_scenarios(scenarios).values()
+        return float(np.mean([_time_at_target(make, s.env_id, s.arguments, each) for s in found]))
+
+    return Target(in_use, space, judge, episodes)
+
+
+def make_network_agent(constants: Constants, interface: ReachInterface) -> Agent[Any]:
+    """Return the agent "mmc" with other constants; "mmc-feedback" if they include a hand rate."""
+    network = MMCNetwork(
+        interface.segment_lengths,
+        constants["damping"],
+        dynamics="paper",
+        velocity_damping=constants["velocity_damping"],
+        velocity_decay=constants["velocity_decay"],
+    )
+    iterations = constants["iterations_per_step"]
+    if "hand_rate" not in constants:
+        return MMCAgent(interface, network, iterations)
+    loops = Loops(constants["posture_weight"], constants["hand_rate"])
+    return ClosedLoopMMCAgent(BodyObserver(interface, loops), network, iterations)
+
+
+def judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:
+    """Return how a policy does after a short training with the constants."""
+    recipe = recipe.with_changes(**constants, n_timesteps=steps)
+    with tempfile.TemporaryDirectory() as folder:
+        training = Training(recipe, TUNING_SEED, Path(folder), evaluations=1)
+        card = training.run()
+        network, _ = load_policy(training.policy_files[0])
+    make = partial(PolicyAgent, network, card)
+    return _time_at_target(make, recipe.env_id, training.settings.env_kwargs, TRAINED_EPISODES)
+
+
+def _time_at_target(
+    make: Callable[[ReachInterface], Agent[Any]],
+    env_id: str,
+    arguments: Mapping[str, Any],
+    episodes: int,
+) -> float:
+    return evaluate(make, env_id, arguments, episodes, TUNING_SEED)["time_at_target"]
+
+
+def _suggest_network(trial: BaseTrial) -> Constants:
     return {
         "damping": trial.suggest_float("damping", 2.1, 10.0),
         "velocity_damping": trial.suggest_float("velocity_damping", 1.0, 10.0),
@@ -103,9 +165,9 @@ def _network(trial: BaseTrial) -> Constants:
     }
 
 
-def _feedback(trial: BaseTrial) -> Constants:
+def _suggest_feedback(trial: BaseTrial) -> Constants:
     """Suggest the same, with the weight of the posture taken out of the damping (see `Loops`)."""
-    constants = _network(trial)
+    constants = _suggest_network(trial)
     weight = trial.suggest_float("posture_weight", 0.0, 1.0)
     return {
         **constants,
@@ -115,7 +177,7 @@ def _feedback(trial: BaseTrial) -> Constants:
     }
 
 
-def _learning(settings: PPOSettings | SACSettings, trial: BaseTrial) -> Constants:
+def _suggest_learning(settings: PPOSettings | SACSettings, trial: BaseTrial) -> Constants:
     """Suggest hyperparameters; the space includes those of the settings, wherever they are."""
 
     def around(name: str, low: float, high: float, value: float) -> float:
@@ -149,90 +211,6 @@ def _learning(settings: PPOSettings | SACSettings, trial: BaseTrial) -> Constant
         "ent_coef": among("ent_coef", "auto", "auto_0.05"),
         "target_entropy": among("target_entropy", -3.0, -6.0),
     }
-
-
-def _make_network(constants: Constants, interface: ReachInterface) -> MMCAgent:
-    network = _dynamic_network(constants, interface)
-    return MMCAgent(interface, network, constants["iterations_per_step"])
-
-
-def _make_feedback(constants: Constants, interface: ReachInterface) -> ClosedLoopMMCAgent:
-    loops = Loops(constants["posture_weight"], constants["hand_rate"])
-    network = _dynamic_network(constants, interface)
-    observer = BodyObserver(interface, loops)
-    return ClosedLoopMMCAgent(observer, network, constants["iterations_per_step"])
-
-
-def _dynamic_network(constants: Constants, interface: ReachInterface) -> MMCNetwork:
-    return MMCNetwork(
-        interface.segment_lengths,
-        constants["damping"],
-        dynamics="paper",
-        velocity_damping=constants["velocity_damping"],
-        velocity_decay=constants["velocity_decay"],
-    )
-
-
-def _judge_network(constants: Constants, steps: int) -> float:
-    make = partial(_make_network, constants)
-    return _time_at_target(make, "MMCReach-v0", {}, _network_episodes(steps))
-
-
-def _judge_feedback(constants: Constants, steps: int) -> float:
-    """Return the mean over the scenarios; their starts and targets are the same."""
-    scenarios = find_scenarios(FEEDBACK_SCENARIOS).values()
-    episodes = _feedback_episodes(steps) // len(FEEDBACK_SCENARIOS)
-    make = partial(_make_feedback, constants)
-    values = [_time_at_target(make, s.env_id, dict(s.arguments), episodes) for s in scenarios]
-    return float(np.mean(values))
-
-
-def _judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:
-    """Return how a policy does after a short training with the constants."""
-    recipe = recipe.with_changes(**constants, n_timesteps=steps)
-    with tempfile.TemporaryDirectory() as folder:
-        training = Training(recipe, TUNING_SEED, Path(folder), evaluations=1)
-        card = training.run()
-        network, _ = load_policy(training.policy_files[0])
-    return _time_at_target(
-        lambda interface: PolicyAgent(network, card, interface),
-        recipe.env_id,
-        training.settings.env_kwargs,
-        TRAINED_EPISODES,
-    )
-
-
-def _time_at_target(make: MakeAgent, env_id: str, arguments: Constants, episodes: int) -> float:
-    return evaluate(make, env_id, arguments, episodes, TUNING_SEED)["time_at_target"]
-
-
-def _network_episodes(steps: int) -> int:
-    return max(1, steps // EPISODE_STEPS)
-
-
-def _feedback_episodes(steps: int) -> int:
-    """Return the episodes of all scenarios, as many in each."""
-    scenarios = len(FEEDBACK_SCENARIOS)
-    return max(1, steps // EPISODE_STEPS // scenarios) * scenarios
-
-
-_NETWORK_IN_USE: Constants = {
-    "damping": 4.0,
-    "velocity_damping": 5.0,
-    "velocity_decay": 0.92,
-    "iterations_per_step": 3,
-}
-
-_NETWORKS = {
-    "mmc": Target(_NETWORK_IN_USE, _network, _judge_network, _network_episodes),
-    "mmc-feedback": Target(
-        {**_NETWORK_IN_USE, "posture_weight": POSTURE_WEIGHT, "hand_rate": HAND_RATE},
-        _feedback,
-        _judge_feedback,
-        _feedback_episodes,
-        f"part of the time at the target, mean over {', '.join(FEEDBACK_SCENARIOS)}",
-    ),
-}
 
 
 _STEPS, _CONSTANTS = "steps per trial", "constants"  # attributes of a study, and of a trial
@@ -271,24 +249,38 @@ def tune(
             raise UserError(f"{argument} must be at least 1, got {count}")
     target, name = find_target(name), Path(name).stem
     study = _open_study(name, steps, out)
-    in_use = _in_use(target)
-    _end_interrupted(study)
-    while (done := len(_trials(study, "COMPLETE"))) < trials or _trial_of(study, in_use) is None:
-        if _trial_of(study, in_use) is None and not _trials(study, "WAITING"):
-            study.enqueue_trial(in_use)
-        on_trial(done, _run_trial(study, target, steps, done))
-    first, best = _trial_of(study, in_use), study.best_trial
-    assert first is not None
+    from optuna.samplers import TPESampler
+    from optuna.trial import FixedTrial, TrialState
+
+    reference = FixedTrial(target.in_use)
+    target.space(reference)
+    for killed in study.get_trials(states=[TrialState.RUNNING]):
+        study.tell(killed.number, state=TrialState.FAIL)  # and run it again
+    while True:
+        complete = study.get_trials(states=[TrialState.COMPLETE])
+        in_use = [trial for trial in complete if trial.params == reference.params]
+        if len(complete) >= trials and in_use:
+            break
+        if not in_use and not study.get_trials(states=[TrialState.WAITING]):
+            study.enqueue_trial(reference.params)
+        seed = np.random.SeedSequence([TUNING_SEED, len(complete)]).generate_state(1)[0]
+        study.sampler = TPESampler(seed=int(seed))
+        trial = study.ask()
+        constants = target.space(trial)
+        trial.set_user_attr(_CONSTANTS, constants)
+        value = target.judge(constants, steps)
+        study.tell(trial, value)
+        on_trial(len(complete), value)
     result = {
         "name": name,
-        "trials": done,
+        "trials": len(complete),
         "steps_per_trial": steps,
         "objective": target.objective,
         "episodes": target.episodes(steps),
-        "value_of_those_in_use": first.value,
-        "in_use": first.user_attrs[_CONSTANTS],
-        "best_value": best.value,
-        "best": best.user_attrs[_CONSTANTS],
+        "value_of_those_in_use": in_use[0].value,
+        "in_use": in_use[0].user_attrs[_CONSTANTS],
+        "best_value": study.best_trial.value,
+        "best": study.best_trial.user_attrs[_CONSTANTS],
     }
     write_atomically(out / f"{name}.json", json.dumps(result, indent=1) + "\n")
     return result
@@ -331,46 +323,3 @@ def _drop_torn_record(journal: Path) -> None:
     if journal.exists():
         with journal.open("r+b") as file:
             file.truncate(file.read().rfind(b"\n") + 1)
-
-
-def _run_trial(study: optuna.Study, target: Target, steps: int, done: int) -> float:
-    """Run the trial after `done` complete ones, and return its value."""
-    import optuna
-
-    seed = int(np.random.SeedSequence([TUNING_SEED, done]).generate_state(1)[0])
-    study.sampler = optuna.samplers.TPESampler(seed=seed)
-    trial = study.ask()
-    constants = target.space(trial)
-    trial.set_user_attr(_CONSTANTS, constants)
-    value = target.judge(constants, steps)
-    study.tell(trial, value)
-    return value
-
-
-def _end_interrupted(study: optuna.Study) -> None:
-    """Mark trials that a killed process left as failed; they are run again."""
-    from optuna.trial import TrialState
-
-    for trial in _trials(study, "RUNNING"):
-        study.tell(trial.number, state=TrialState.FAIL)
-
-
-def _trials(study: optuna.Study, state: str) -> list[FrozenTrial]:
-    from optuna.trial import TrialState
-
-    return study.get_trials(states=(TrialState[state],))
-
-
-def _trial_of(study: optuna.Study, parameters: Constants) -> FrozenTrial | None:
-    """Return the complete trial of these parameters, if there is one."""
-    found = (trial for trial in _trials(study, "COMPLETE") if trial.params == parameters)
-    return next(found, None)
-
-
-def _in_use(target: Target) -> Constants:
-    """Return the parameters of the trial that has the constants in use."""
-    from optuna.trial import FixedTrial
-
-    trial = FixedTrial(target.in_use)
-    target.space(trial)
-    return trial.params

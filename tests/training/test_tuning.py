@@ -58,8 +58,8 @@ def test_a_journal_torn_by_a_full_disk_is_repaired(tmp_path, monkeypatch):
     content, result = ((tmp_path / f"mmc.{kind}").read_bytes() for kind in ("journal", "json"))
     trials = complete(tmp_path)
     values = {json.dumps(parameters): value for parameters, value in trials}
-    judge = lambda constants, steps: values[json.dumps(constants)]  # noqa: E731
-    monkeypatch.setitem(tuning._NETWORKS, "mmc", replace(find_target("mmc"), judge=judge))
+    target = replace(find_target("mmc"), judge=lambda one, steps: values[json.dumps(one)])
+    monkeypatch.setattr(tuning, "find_target", lambda name: target)
     ends = [0, *itertools.accumulate(map(len, content.splitlines(keepends=True)))]
     amid = [(start + end) // 2 for start, end in itertools.pairwise(ends)]
     for size in (*amid, *range(ends[-2], ends[-1])):
@@ -112,7 +112,7 @@ def test_the_first_trial_has_the_constants_in_use(tmp_path):
 
 def test_constants_that_came_into_use_later_have_a_trial_too(tmp_path, monkeypatch):
     before = tune("mmc", 2, STEPS, tmp_path)
-    monkeypatch.setitem(tuning._NETWORK_IN_USE, "iterations_per_step", 5)
+    monkeypatch.setitem(tuning.NETWORK_IN_USE, "iterations_per_step", 5)
     after = tune("mmc", 2, STEPS, tmp_path)
     assert (before["in_use"]["iterations_per_step"], after["in_use"]["iterations_per_step"]) == (
         3,
@@ -126,12 +126,13 @@ def test_constants_that_came_into_use_later_have_a_trial_too(tmp_path, monkeypat
 def test_constants_in_use_are_those_of_the_agent_of_that_name(name):
     target = find_target(name)
     constants = target.space(optuna.trial.FixedTrial(target.in_use))
-    made = getattr(tuning, {"mmc": "_make_network"}.get(name, "_make_feedback"))
     arguments = {"perturbations": ["rotation-30"]}
     expected = evaluate(
         lambda interface: make_agent(name, gym.make("MMCReach-v0")), "MMCReach-v0", arguments, 20, 5
     )
-    scores = evaluate(partial(made, constants), "MMCReach-v0", arguments, 20, 5)
+    scores = evaluate(
+        partial(tuning.make_network_agent, constants), "MMCReach-v0", arguments, 20, 5
+    )
     assert scores == expected
 
 
@@ -185,7 +186,7 @@ def tried(monkeypatch):
         tried.append(constants)
         return len(tried) / 100
 
-    monkeypatch.setattr(tuning, "_judge_training", judge)
+    monkeypatch.setattr(tuning, "judge_training", judge)
     return tried
 
 
