@@ -1,7 +1,7 @@
-"""Policies of stable-baselines3 and sb3-contrib that have one of our views (see `views`).
+"""Policies of stable-baselines3 and sb3-contrib that see through one of our views (see `views`).
 
-They are named by their full names in the YAML files, so that rl_zoo3 finds them too.  Their
-layers are rectified linear, unless `policy_kwargs` says otherwise.
+YAML files give their full names, so that rl_zoo3 finds them too.  Layers are rectified linear,
+unless `policy_kwargs` says otherwise.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.sac import policies as sac
+from typing_extensions import override
 
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
@@ -31,7 +32,8 @@ class ViewLayer(BaseFeaturesExtractor):
     """`features` as a layer without parameters.
 
     Attributes:
-        view: which.
+        view: what it computes.
+        layout: of the observations.
     """
 
     def __init__(self, observation_space: spaces.Space[Any], view: View, joint_count: int) -> None:
@@ -49,13 +51,13 @@ class ViewLayer(BaseFeaturesExtractor):
         self.layout = layout
 
     def forward(self, observations: torch.Tensor | Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """The features of observations, (batch, features)."""
+        """Return the features of observations, (batch, features)."""
         seen: torch.Tensor = features(torch, self.view, observations, self.layout)
         return seen
 
 
 class _HasView(BasePolicy):
-    """What the policies below have in common."""
+    """A policy with `view` before its first layer."""
 
     view: View = "arm"
 
@@ -66,9 +68,9 @@ class _HasView(BasePolicy):
         lr_schedule: Schedule,
         **options: Any,
     ) -> None:
-        """Make a policy; the options are those of the class that it extends.
+        """Make a policy with the options of its base class.
 
-        `activation_fn` may be a key of `ACTIVATIONS`, for YAML has no classes.
+        `activation_fn` may be a key of `ACTIVATIONS`, because YAML has no classes.
         """
         activation = options.get("activation_fn", "relu")
         options["activation_fn"] = ACTIVATIONS.get(activation, activation)
@@ -93,26 +95,27 @@ class PPOWorldPolicy(PPOPolicy):
 class PPOTargetPolicy(PPOPolicy):
     """`ActorCriticPolicy` with the target's view, for joint positions.
 
-    Its distribution is that of the actions in this view; they are turned as they go out, and
-    turned back where their probability is asked for.
+    Its distribution is over actions in this view.  They are turned as they go out, and turned back
+    where their probability is asked for.
     """
 
     view = "target"
 
+    @override
     def forward(
         self, obs: torch.Tensor, deterministic: bool = False
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Actions, their values and the logarithms of their probabilities."""
         actions, values, log_probabilities = super().forward(obs, deterministic)
         return self._turned(actions, obs), values, log_probabilities
 
+    @override
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:
         return self._turned(super()._predict(observation, deterministic), observation)
 
+    @override
     def evaluate_actions(
         self, obs: PyTorchObs, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Values, logarithms of the actions' probabilities, and the distribution's entropy."""
         return super().evaluate_actions(obs, self._turned(actions, obs, back=True))
 
     def _turned(
@@ -138,9 +141,9 @@ POLICIES: dict[str, type[BasePolicy]] = {
 
 
 def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
-    """The network of a policy that PPO, SAC or TQC trains, and what it sees.
+    """Return the network of a policy that PPO, SAC or TQC trains, and what it sees.
 
-    Its weights are copies.
+    The weights are copies.
 
     Raises:
         ValueError: if the policy has another kind of layers, or none of our views.
@@ -159,8 +162,11 @@ def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
     if not isinstance(layer, ViewLayer):
         raise ValueError(f"policy must have one of the views here, got {layer}")
     linear = [part for part in hidden if isinstance(part, torch.nn.Linear)]
-    kinds = {type(part) for part in hidden} - {torch.nn.Linear}
     parts |= {f"hidden.{index}": part for index, part in enumerate(linear)}
+    kinds = {type(part) for part in hidden} - {torch.nn.Linear}
+    activation = next((name for name, kind in ACTIVATIONS.items() if kinds == {kind}), None)
+    if activation is None:
+        raise ValueError(f"policy must have one of {list(ACTIVATIONS)} between layers, got {kinds}")
     tensors: dict[str, Float32] = {}
     for name, part in parts.items():
         if isinstance(part, torch.nn.Linear):
@@ -168,15 +174,9 @@ def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
         elif isinstance(part, torch.nn.Parameter):
             tensors[name] = _array(part)
         else:
-            raise ValueError(f"policy must have linear layers, got {part} for {name}")
-    return PolicyNetwork(tensors, _activation(kinds), distribution), layer.view
-
-
-def _activation(kinds: set[type]) -> Activation:
-    for name, kind in ACTIVATIONS.items():
-        if kinds == {kind}:
-            return name
-    raise ValueError(f"policy must have one of {list(ACTIVATIONS)} between its layers, got {kinds}")
+            kind = type(part).__name__
+            raise ValueError(f"policy must have linear layers, got {kind} for {name}")
+    return PolicyNetwork(tensors, activation, distribution), layer.view
 
 
 def _array(parameter: torch.Tensor) -> Float32:

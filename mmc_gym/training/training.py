@@ -127,7 +127,10 @@ class Training:
             logs = str(self.tensorboard) if self.tensorboard else None
             # The monitor shows TensorBoard the rewards before `VecNormalize` scales them.
             model = self.settings.make_model(VecMonitor(env), self.seed, self.device, logs)
-            PolicyAgent(*self._policy(model), self._interface)  # what cannot act is not trained
+            try:
+                PolicyAgent(*self._policy(model), self._interface)
+            except ValueError as error:
+                raise UserError(f"hyperparameters must give a policy that acts: {error}") from error
             if head is not None:
                 load_checkpoint(model, head, self.checkpoint)
                 self.curve = head["curve"]

@@ -1,8 +1,8 @@
-"""Gymnasium's vector environments as stable-baselines3's: one step of arrays for many arms.
+"""Gymnasium's vector environments for stable-baselines3: one step of arrays for many arms.
 
-stable-baselines3 has a `VecEnv` of its own, which begins a new episode in the step that ends one
-and tells in the infos how it ended.  `GymnasiumVecEnv` is one around any
-`gymnasium.vector.VectorEnv` that does the same (`autoreset_mode="SameStep"`).
+A `VecEnv` of stable-baselines3 begins a new episode in the step that ends one, and tells in the
+infos how it ended.  `GymnasiumVecEnv` makes one of any `gymnasium.vector.VectorEnv` that does the
+same (`autoreset_mode="SameStep"`).
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvObs,
     VecEnvStepReturn,
 )
+from typing_extensions import override
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
@@ -41,11 +42,10 @@ _OF_ALL = ("close", "render", "reset", "step")
 class GymnasiumVecEnv(VecEnv):
     """A `gymnasium.vector.VectorEnv` as a stable-baselines3 `VecEnv`.
 
-    It does what `DummyVecEnv` does with the same environments, seeds and actions, except that
-    the infos of a step are empty where no episode has ended: a dict with everything for each
-    environment at each step would cost more than the step itself.  Where one has ended the info
-    is complete, with `terminal_observation` and `TimeLimit.truncated`, which is all that
-    stable-baselines3 reads (`VecMonitor` adds the episode's return).  `info_keys` asks for more.
+    It does what `DummyVecEnv` does with the same environments, seeds and actions.  But infos are
+    empty where no episode has ended: to make them would take longer than the step itself.  Where
+    one has ended they are complete, with `terminal_observation` and `TimeLimit.truncated`, which is
+    all that stable-baselines3 reads.  `info_keys` asks for more.
 
     Attributes:
         vector_env: the environment inside.
@@ -62,7 +62,7 @@ class GymnasiumVecEnv(VecEnv):
 
         Args:
             vector_env: any that restarts in the step that ends an episode.
-            info_keys: names of what the infos shall have in every step.
+            info_keys: names of infos to give in every step.
 
         Raises:
             UserError: if the environment has another autoreset mode.
@@ -103,12 +103,12 @@ class GymnasiumVecEnv(VecEnv):
         self._reset_options()
         return observation  # type: ignore[no-any-return]
 
+    @override
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take note of the actions, of shape (n, ...)."""
         self._actions = actions
 
+    @override
     def step_wait(self) -> VecEnvStepReturn:
-        """Step all environments by the noted actions."""
         observation, rewards, terminated, truncated, infos = self.vector_env.step(self._actions)
         dones = terminated | truncated
         rows: list[Info] = [{} for _ in range(self.num_envs)]
@@ -131,12 +131,12 @@ class GymnasiumVecEnv(VecEnv):
             }
         return observation, rewards.astype(np.float32), dones, rows
 
+    @override
     def close(self) -> None:
-        """Close the environment."""
         self.vector_env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A picture of each environment, if its render mode is "rgb_array"."""
+        """Return a picture of each environment, if its render mode is "rgb_array"."""
         if self.render_mode != "rgb_array":
             warnings.warn(
                 f"render_mode must be 'rgb_array' for pictures, got {self.render_mode!r}",
@@ -147,10 +147,7 @@ class GymnasiumVecEnv(VecEnv):
         return list(pictures)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The attribute of each chosen environment.
-
-        A native vector environment is one object for all: what it has, each has.
-        """
+        """Return the attribute of each chosen environment: all share a native one's."""
         return [self._values(attr_name)[index] for index in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
@@ -182,7 +179,7 @@ class GymnasiumVecEnv(VecEnv):
         indices: VecEnvIndices = None,
         **method_kwargs: Any,
     ) -> list[Any]:
-        """What the method returns, called once for each chosen environment.
+        """Call a method once for each chosen environment; return the results.
 
         Raises:
             UserError: if a native vector environment has it only for all at once.
@@ -203,9 +200,9 @@ class GymnasiumVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Whether each chosen environment is in such a wrapper; those of no process here are not.
+        """Tell of each chosen environment whether it is in such a wrapper.
 
-        The arms of a native vector environment are in none.
+        Neither native arms nor environments of other processes are.
         """
         envs = getattr(self.vector_env.unwrapped, "envs", None)
         return [
@@ -217,7 +214,7 @@ class GymnasiumVecEnv(VecEnv):
         return [int(index) for index in self._get_indices(indices)]
 
     def _values(self, name: str) -> list[Any]:
-        """An attribute of each environment."""
+        """Return an attribute of each environment."""
         env: Any = self.vector_env.unwrapped
         if hasattr(env, "get_attr"):
             return list(env.get_attr(name))
@@ -226,7 +223,7 @@ class GymnasiumVecEnv(VecEnv):
 
 
 def _row(infos: Info, index: int) -> Info:
-    """The info of one environment, out of Gymnasium's arrays with a mask for each."""
+    """Return the info of one environment, out of Gymnasium's arrays with a mask for each."""
     row = {}
     for name, values in infos.items():
         mask = infos.get(f"_{name}")
@@ -238,7 +235,7 @@ def _row(infos: Info, index: int) -> Info:
 
 
 class Residual(VecEnvWrapper):
-    """An environment whose actions are corrections of a base agent's.
+    """An environment whose actions correct those of a base agent.
 
     Attributes:
         base_agent: which agent, a key of `BASE_AGENTS`.
@@ -266,8 +263,8 @@ class Residual(VecEnvWrapper):
         self.base_agent = base_agent
         self._base = BASE_AGENTS[base_agent](ReachInterface.of(venv))
 
+    @override
     def reset(self) -> VecEnvObs:
-        """Start an episode in every environment."""
         observation = self.venv.reset()
         assert isinstance(observation, np.ndarray)
         self._proposal, self._state = self._base.predict(observation)
@@ -277,8 +274,8 @@ class Residual(VecEnvWrapper):
         """Take note of the corrections, of shape (n, N)."""
         self.venv.step_async(corrected(self._proposal, actions))
 
+    @override
     def step_wait(self) -> VecEnvStepReturn:
-        """Step all environments by the corrected actions."""
         observation, rewards, dones, infos = self.venv.step_wait()
         assert isinstance(observation, np.ndarray)
         if dones.any():  # what the base agent would have gone on to do

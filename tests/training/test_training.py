@@ -288,13 +288,14 @@ def test_an_environment_that_is_none_to_train_in_is_refused(tmp_path, env_id, en
     [
         ({"gamma": 5}, "hyperparameters of ppo: gamma must be at most 1, got 5"),
         ({"env_kwargs": {"max_episode_steps": None}}, "max_episode_steps"),  # hung when evaluated
+        ({"use_sde": True}, "must give a policy that acts: log_std must be"),
     ],
 )
 def test_mistakes_in_hyperparameters_are_told_before_anything_is_trained(
     tmp_path, changes, message
 ):
     with pytest.raises(UserError, match=message):
-        training("ppo", tmp_path / "out", **changes)
+        training("ppo", tmp_path / "out", **changes).run()
     assert not (tmp_path / "out").exists()
 
 
