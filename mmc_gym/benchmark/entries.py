@@ -58,7 +58,7 @@ class Entry:
         """The agent itself; a worker process finds it anew."""
         return resolve(self.source)
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
         """What tells it from another agent of the same name: see `ResolvedAgent`."""
         return "" if self.is_reference else self.agent.fingerprint

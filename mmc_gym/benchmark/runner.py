@@ -14,13 +14,12 @@ import platform
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 
 from mmc_gym._errors import UserError
@@ -44,7 +43,8 @@ from mmc_gym.benchmark.store import (
     write_cell,
 )
 from mmc_gym.benchmark.suite import find_scenarios
-from mmc_gym.envs.scenarios import Scenario, scenario
+from mmc_gym.envs.scenarios import Scenario
+from mmc_gym.envs.scenarios import scenario as find_scenario
 from mmc_gym.interface import CannotActError
 from mmc_gym.measures import (
     MEASURES,
@@ -71,23 +71,21 @@ _SAME = 1e-3  # segment lengths between two rollouts of one episode
 
 
 @dataclass(frozen=True)
-class BatteryCell:
-    """An agent in an environment.
+class Cell:
+    """An agent in a scenario.
 
     Attributes:
-        entry: of the agent.
-        name: of the environment.
-        environment: itself.
-        episodes: how many, where the environment does not number its trials.
+        entry: the agent, or one of its trainings.
+        scenario: where it plays.
+        episodes: how many, where the scenario does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
-        fingerprint: of the agent, which it takes long to find.
+        fingerprint: of the agent; it takes long to find.
         keeps_paths: whether its first paths are kept.
-        measures: of the user's own, which a worker does not know.
+        measures: your own, which a worker does not know.
     """
 
     entry: Entry
-    name: str
-    environment: Scenario
+    scenario: Scenario
     episodes: int
     seed: int
     fingerprint: str = ""
@@ -97,16 +95,16 @@ class BatteryCell:
     @property
     def key(self) -> CellKey:
         """Name of the cell."""
-        return CellKey(self.entry.label, self.entry.training_seed, self.name)
+        return CellKey(self.entry.label, self.entry.training_seed, self.scenario.name)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What its results depend on, as far as it can be told, ready for JSON."""
+        """All that its results are known to depend on, ready for JSON."""
         return {
             "recording": RECORDING,
             "source": str(self.entry.source),
             "fingerprint": self.fingerprint,
-            "environment": self.environment.settings,
+            "environment": self.scenario.settings,
             "episodes": self.episodes,
             "seed": self.seed,
             "measures": {one.name: digest(one) for one in self.measures},
@@ -114,17 +112,17 @@ class BatteryCell:
 
 
 @dataclass(frozen=True)
-class CellOutcome:
-    """What came of a cell.
+class Outcome:
+    """The result of a cell.
 
     Attributes:
-        status: "skipped" if the agent cannot act in the environment, "failed" if it raised.
+        status: "skipped" if the agent cannot act in the scenario, "failed" if it raised.
         reason: why it was skipped or failed.
         episodes: content of its file of episodes; empty unless played.
         paths: content of its file of paths; None if it keeps none.
-        sets: content of its file of set measures; None if none is taken in its environment.
+        sets: content of its file of set measures; None if the scenario has none.
         facts: kept with it: wall_seconds, cpu_seconds, control (the meaning of actions), together
-            (whether its episodes were played at once), has_paths, has_sets, `software`.
+            (whether its episodes were played at once), has_paths, has_sets, software.
     """
 
     status: Literal["played", "skipped", "failed"]
@@ -132,19 +130,26 @@ class CellOutcome:
     episodes: bytes = b""
     paths: bytes | None = None
     sets: bytes | None = None
-    facts: Mapping[str, Any] | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def run_cell(cell: BatteryCell) -> CellOutcome:
-    """Play a cell.  What an agent raises is a result, and ends nothing."""
+class _Recorded(NamedTuple):
+    episodes: Sequence[Episode]
+    control: str
+    together: bool
+    joint_count: int
+
+
+def run_cell(cell: Cell) -> Outcome:
+    """Play a cell.  An error of the agent is a result, and ends nothing."""
     register_measures(cell.measures)
     begin, processor_begin = time.perf_counter(), time.process_time()
     try:
         recorded = _play(cell)
     except CannotActError as error:
-        return CellOutcome("skipped", str(error))
+        return Outcome("skipped", str(error))
     except (Exception, SystemExit) as error:
-        return CellOutcome("failed", f"{type(error).__name__}: {error}")
+        return Outcome("failed", f"{type(error).__name__}: {error}")
     paths = None
     if cell.keeps_paths:
         paths = paths_file(cell.key, recorded.episodes[:DRAWN], recorded.joint_count)
@@ -159,12 +164,12 @@ def run_cell(cell: BatteryCell) -> CellOutcome:
         "software": software(),
     }
     content = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
-    return CellOutcome("played", "", content, paths, sets, facts)
+    return Outcome("played", "", content, paths, sets, facts)
 
 
 @cache
 def software() -> dict[str, str]:
-    """What results may depend on: versions, by name, and the machine."""
+    """Return what results may depend on: versions, by name, and the machine."""
     return {
         **{package: version(package) for package in _PACKAGES},
         "python": platform.python_version(),
@@ -172,25 +177,25 @@ def software() -> dict[str, str]:
     }
 
 
-@dataclass(frozen=True)
-class _Recorded:
-    episodes: Sequence[Episode]
-    control: str
-    together: bool
-    joint_count: int
-
-
-def _play(cell: BatteryCell) -> _Recorded:
-    instances = cell.environment.instances(cell.episodes)
+def _play(cell: Cell) -> _Recorded:
+    instances = cell.scenario.instances(cell.episodes)
     seeds = episode_seeds(cell.seed, len(instances))
     if cell.entry.is_reference:
         return _play_reference(cell, seeds, instances)
     factory = cell.entry.agent.factory
-    env, agent = make_for(factory, cell.environment.make)
+    env, agent = make_for(factory, cell.scenario.make)
     control, joints = env.unwrapped.control, env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
     timed = run_episodes(agent, env, seeds[:TIMED], options=instances[:TIMED])
-    together = _play_together(cell, env, control, seeds, instances)
-    if together is None or not (cell.entry.agent.acts_on_batches or _are_same(timed, together)):
+    together: tuple[Episode, ...] = ()
+    vector = cell.scenario.make_vec(len(seeds), control)
+    try:
+        together = run_episodes(factory(env), vector, seeds, options=instances)
+    except Exception:
+        if cell.entry.agent.acts_on_batches:
+            raise
+    finally:
+        vector.close()
+    if not cell.entry.agent.acts_on_batches and not _are_same(timed, together):
         agent = factory(env)  # a new one: it may remember what it should not
         alone = run_episodes(agent, env, seeds, options=instances)
         return _Recorded(alone, control, False, joints)
@@ -200,45 +205,26 @@ def _play(cell: BatteryCell) -> _Recorded:
     return _Recorded([*times, *together[TIMED:]], control, True, joints)
 
 
-def _play_together(
-    cell: BatteryCell,
-    env: gym.Env[Any, Any],
-    control: str,
-    seeds: Sequence[int],
-    instances: Sequence[Mapping[str, Any]],
-) -> tuple[Episode, ...] | None:
-    """All episodes at once; None if the agent does not take batches of observations."""
-    vector = cell.environment.make_vec(len(seeds), control)
-    try:
-        return run_episodes(cell.entry.agent.factory(env), vector, seeds, options=instances)
-    except Exception:
-        if cell.entry.agent.acts_on_batches:
-            raise
-        return None
-    finally:
-        vector.close()
-
-
 def _are_same(alone: Sequence[Episode], together: Sequence[Episode]) -> bool:
-    """Whether an agent plays together as it does alone.
+    """Tell whether an agent plays together as it does alone.
 
-    One that takes batches, and keeps in itself what it should keep in its state, does not.
+    One that takes no batches does not, and none that keeps in itself what belongs in its state.
     """
-    return all(
+    return len(together) >= len(alone) and all(
         np.allclose(one.hands, other.hands, rtol=0.0, atol=_SAME)
         for one, other in zip(alone, together)
     )
 
 
 def _play_reference(
-    cell: BatteryCell, seeds: Sequence[int], instances: Sequence[Mapping[str, Any]]
+    cell: Cell, seeds: Sequence[int], instances: Sequence[Mapping[str, Any]]
 ) -> _Recorded:
-    """The ideal hand, which no perturbation touches; starts and targets are anybody's."""
-    env = cell.environment.make()
-    if cell.environment.family or not has_reference(env):
+    """Play the ideal hand, which no perturbation touches; starts and targets are anybody's."""
+    env = cell.scenario.make()
+    if cell.scenario.family or not has_reference(env):
         raise CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
     joints = env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
-    vector = cell.environment.make_vec(len(seeds))
+    vector = cell.scenario.make_vec(len(seeds))
     anybody = run_episodes(RandomAgent(joints), vector, seeds, options=instances)
     vector.close()
     return _Recorded(minimum_jerk_episodes(anybody), "", True, joints)
@@ -258,7 +244,7 @@ class Progress:
     done: int
     total: int
     key: CellKey | None = None
-    outcome: CellOutcome | None = None
+    outcome: Outcome | None = None
 
 
 def benchmark(
@@ -290,34 +276,32 @@ def benchmark(
     Raises:
         UserError: for unknown names, or a store that was made with other settings.
     """
-    found = find_scenarios(environments)
-    players = find_entries(agents)
+    scenarios = find_scenarios(environments)
+    entries = find_entries(agents)
     episode_seeds(seed, episodes)
     check_cluster(cluster)
     check_folder(out, "out")
-    update_manifest(out, partial(_joined, out, found, players, episodes, seed))
-    cells = _cells(found, players, episodes, seed)
+    update_manifest(out, partial(_joined, out, scenarios, entries, episodes, seed))
+    cells = _cells(scenarios, entries, episodes, seed)
     begin = time.perf_counter()
     missing = [cell for cell in cells if cell_facts(out, cell.key, cell.settings) is None]
     reused = done = len(cells) - len(missing)
     on_progress(Progress(done, len(cells)))
     not_played: dict[CellKey, NotPlayed | None] = {cell.key: None for cell in cells}
 
-    def keep(cell: BatteryCell, outcome: CellOutcome) -> None:
+    def keep(index: int, outcome: Outcome) -> None:
         nonlocal done
+        key = missing[index].key
         if (status := outcome.status) == "played":
-            write_cell(out, cell.key, outcome.episodes, outcome.paths, outcome.sets)
+            write_cell(out, key, outcome.episodes, outcome.paths, outcome.sets)
         else:
-            remove_cell(out, cell.key)  # of an agent that has changed
-            not_played[cell.key] = NotPlayed.of(cell.key, status, outcome.reason)
+            remove_cell(out, key)  # it may have been played before the agent changed
+            not_played[key] = NotPlayed.of(key, status, outcome.reason)
         done += 1
-        on_progress(Progress(done, len(cells), cell.key, outcome))
+        on_progress(Progress(done, len(cells), key, outcome))
 
-    def on_result(index: int, outcome: CellOutcome) -> None:
-        keep(missing[index], outcome)
-
-    def on_death(index: int, error: CellError) -> None:
-        keep(missing[index], CellOutcome("failed", str(error.__cause__)))
+    def bury(index: int, error: CellError) -> None:
+        keep(index, Outcome("failed", str(error.__cause__)))
 
     def finished(manifest: Manifest | None) -> Manifest:
         assert manifest is not None
@@ -333,52 +317,45 @@ def benchmark(
         )
 
     try:
-        run_grid(
-            run_cell, missing, jobs=jobs, cluster=cluster, on_result=on_result, on_failure=on_death
-        )
+        run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep, on_failure=bury)
     finally:
         manifest = update_manifest(out, finished)
     return manifest
 
 
 def _cells(
-    environments: Mapping[str, Scenario],
-    players: Sequence[Entry],
-    episodes: int,
-    seed: int,
-) -> list[BatteryCell]:
+    scenarios: Mapping[str, Scenario], entries: Sequence[Entry], episodes: int, seed: int
+) -> list[Cell]:
     """Return all cells; of each agent, the first of its trainings keeps paths."""
-    fingerprints = {one: one.fingerprint for one in players}
     first: dict[str, int | None] = {}
-    for one in sorted(players, key=lambda one: one.training_seed or 0):
+    for one in sorted(entries, key=lambda one: one.training_seed or 0):
         first.setdefault(one.label, one.training_seed)
     return [
-        BatteryCell(
+        Cell(
             entry=one,
-            name=name,
-            environment=environment,
+            scenario=scenario,
             episodes=episodes,
             seed=seed,
-            fingerprint=fingerprints[one],
+            fingerprint=one.fingerprint,
             keeps_paths=one.training_seed == first[one.label],
             measures=own_measures(),
         )
-        for one in players
-        for name, environment in environments.items()
-        if not (one.is_reference and environment.family)  # no perturbation touches it
+        for one in entries
+        for scenario in scenarios.values()
+        if not (one.is_reference and scenario.family)  # no perturbation touches it
     ]
 
 
 def _joined(
     out: Path,
-    environments: Mapping[str, Scenario],
-    players: Sequence[Entry],
+    scenarios: Mapping[str, Scenario],
+    entries: Sequence[Entry],
     episodes: int,
     seed: int,
     manifest: Manifest | None,
 ) -> Manifest:
-    """Return the manifest of the store, with these environments and agents added."""
-    plain: Any = scenario("random").make().unwrapped
+    """Return the manifest of the store, with these scenarios and agents added."""
+    plain: Any = find_scenario("random").make().unwrapped
     manifest = manifest or Manifest(
         episodes=episodes,
         seed=seed,
@@ -389,24 +366,24 @@ def _joined(
     )
     _require_same(out, "episodes", manifest.episodes, episodes)
     _require_same(out, "seed", manifest.seed, seed)
-    known = dict(manifest.environments)
-    for name, environment in environments.items():
-        settings = environment.settings
-        _require_same(out, f"environment {name}", known.setdefault(name, settings), settings)
+    environments = dict(manifest.environments)
+    for name, scenario in scenarios.items():
+        settings = environments.setdefault(name, scenario.settings)
+        _require_same(out, f"environment {name}", settings, scenario.settings)
     agents = {name: list(policies) for name, policies in manifest.agents.items()}
-    for one in players:
+    for one in entries:
         policies = agents.setdefault(one.label, [])
-        sources = {policy.training_seed: policy.source for policy in policies}
-        if one.training_seed not in sources:
-            policies.append(Policy(training_seed=one.training_seed, source=str(one.source)))
-        else:
-            _require_same(out, f"agent {one.label}", sources[one.training_seed], one.source)
+        asked = Policy(training_seed=one.training_seed, source=str(one.source))
+        same = [policy for policy in policies if policy.training_seed == asked.training_seed]
+        policies += [] if same else [asked]
+        for kept in same:
+            _require_same(out, f"agent {one.label}", kept.source, asked.source)
     # A measure that another run alone has known keeps its columns, and so its facts.
     measures = {name: one.facts for name, one in MEASURES.items()}
     set_measures = {name: one.facts for name, one in SET_MEASURES.items()}
     return manifest.model_copy(
         update={
-            "environments": known,
+            "environments": environments,
             "agents": agents,
             "measures": manifest.measures | measures,
             "set_measures": manifest.set_measures | set_measures,

@@ -388,7 +388,7 @@ def test_a_policy_for_other_actions_has_its_own(tmp_path, monkeypatch):
 
     agent = ResolvedAgent("limp", "limp", given=made)
     monkeypatch.setattr(Entry, "agent", agent)
-    cell = runner.BatteryCell(Entry("limp", 0, "limp"), "random", SCENARIOS["random"], 2, 0)
+    cell = runner.Cell(Entry("limp", 0, "limp"), SCENARIOS["random"], 2, 0)
     outcome = runner.run_cell(cell)
     assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
 
