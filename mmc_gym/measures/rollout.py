@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, TypeAlias
 
 import gymnasium as gym
@@ -26,18 +26,15 @@ from mmc_gym.measures.reaching import final_distance, success, time_to_target
 
 MAX_STEPS = 100_000
 
-_RECORDS = {
-    "end_effector": "hands",
-    "distance": "distances",
-    "target": "targets",
-    "cursor": "cursors",  # under a visuomotor rotation only
-}
-"""Entries of info, and the attributes of an `Episode` that they become."""
+_SEEN = {"hands": "end_effector", "distances": "distance", "targets": "target", "cursors": "cursor"}
+"""Attributes of an `Episode`, and the entries of info that they are; some have no cursor."""
 
 _REQUIRED = ("distance", "end_effector", "target")
+_EFFORT = ("servo_impulses", "servo_work")
 
 Env: TypeAlias = "gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]"
 Options: TypeAlias = Mapping[str, Any]
+_Start: TypeAlias = tuple[Any, Mapping[str, Any]]
 
 
 def episode_seeds(seed: int, episodes: int) -> list[int]:
@@ -120,38 +117,89 @@ def run_episodes(
     asked = [{}] * len(seeds) if options is None else options
     if len(asked) != len(seeds):
         raise UserError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
-    episodes: list[Episode] = []
-    # Senses may be noisy and late, so the posture is the arm's own and not the observed one.
     if isinstance(env, gym.vector.VectorEnv):
-        native = _checked(env, len(seeds))
-        starts = [(seeds, partial(_start_together, native, seeds, asked))]
-        arm: Any = native.arms
+        arm: Any = _check_vector(env, len(seeds)).arms
+        groups = [(seeds, asked)]
     else:
         check_environment(env)
-        starts = [
-            ([seed], partial(_start, env, seed, option))
-            for seed, option in zip(seeds, asked, strict=True)
-        ]
+        groups = [([seed], [option]) for seed, option in zip(seeds, asked, strict=True)]
         arm = getattr(env.unwrapped, "arm", None)
+    episodes: list[Episode] = []
     with one_torch_thread(), _effort(arm, records_effort):
-        for played, start in starts:
-            for episode in _play(agent, env, played, start, arm):
+        for group in groups:
+            for episode in _play(agent, env, *group, arm):
                 episodes.append(episode)
                 if on_episode is not None:
                     on_episode(episode)
     return tuple(episodes)
 
 
-def _start(env: gym.Env[Any, Any], seed: int, options: Options) -> tuple[Any, dict[str, Any]]:
+def _play(
+    agent: Predictor, env: Env, seeds: Sequence[int], options: Sequence[Options], arm: Any
+) -> list[Episode]:
+    """Play from a reset to the end of an episode, or of those of all arms of a vector."""
+    together = isinstance(env, gym.vector.VectorEnv)
+    observation, info = (_reset_together if together else _reset)(env, seeds, options)
+    seen = {name: key for name, key in _SEEN.items() if key in info}
+    effort = _EFFORT if getattr(arm, "records_effort", False) else ()
+    records: defaultdict[str, list[Any]] = defaultdict(list)
+
+    def note(info: Mapping[str, Any]) -> None:
+        for name, key in seen.items():
+            records[name].append(info[key])
+        # Senses may be noisy and late: the posture is the arm's own and not the observed one.
+        records["joint_angles"].append(np.array(getattr(arm, "joint_angles", ())))
+
+    note(info)
+    times: list[int] = []
+    state, episode_start, over = None, np.ones(len(seeds), dtype=bool), False
+    while not over:
+        if len(times) == MAX_STEPS:
+            raise RuntimeError(f"the episode did not end within {MAX_STEPS} steps: no time limit?")
+        begin = time.perf_counter_ns()
+        action, state = agent.predict(observation, state, episode_start, deterministic=True)
+        times.append(time.perf_counter_ns() - begin)
+        observation, reward, terminated, truncated, info = env.step(action)
+        note(info)
+        records["rewards"].append(reward)
+        for name in effort:
+            records[name].append(np.array(getattr(arm, name)))
+        episode_start = np.zeros(len(seeds), dtype=bool)
+        over = bool(np.all(np.logical_or(terminated, truncated)))
+
+    def by_episode(values: Sequence[Any]) -> Floats:
+        """Return arrays (steps, …) or (steps, episodes, …) as (episodes, steps, …)."""
+        found = np.array(values, dtype=np.float64)
+        return np.ascontiguousarray(found.swapaxes(0, 1)) if together else found[None]
+
+    arrays = {name: by_episode(values) for name, values in records.items()}
+    untold = np.full_like(arrays["joint_angles"][:, 1:], math.nan)
+    arrays = {**dict.fromkeys(_EFFORT, untold), **arrays}
+    world: Any = env.unwrapped
+    return [
+        Episode(
+            seed=seed,
+            **{name: values[number] for name, values in arrays.items()},
+            # Of one `predict` for many arms nobody can tell how long it takes for one.
+            action_times=np.where(together, math.nan, np.array(times, dtype=np.float64) * 1e-9),
+            control_step=float(world.parameters.control_step),
+            tolerance=float(world.success_distance),
+            reach=float(world.reach),
+        )
+        for number, seed in enumerate(seeds)
+    ]
+
+
+def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> _Start:
+    ((seed, option),) = zip(seeds, options, strict=True)
     # Not `seed` itself: the space would draw the very numbers that the environment draws for its
     # starting state, and the first random action would be the posture the arm is in.
     env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
-    return env.reset(seed=seed, options=dict(options))
+    observation, info = env.reset(seed=seed, options=dict(option))
+    return observation, info
 
 
-def _start_together(
-    env: MMCReachVectorEnv, seeds: Sequence[int], options: Sequence[Options]
-) -> tuple[Any, dict[str, Any]]:
+def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> _Start:
     """Reset each arm with its own seed and options; those with the same options together."""
     alike: dict[str, list[int]] = {}
     for number, option in enumerate(options):
@@ -163,72 +211,11 @@ def _start_together(
         mask[group] = True
         asked = {**options[group[0]], "reset_mask": mask}
         observation, info = env.reset(seed=list(seeds), options=asked)
-        for name in _RECORDS.keys() & info.keys():
-            values = seen.setdefault(name, np.zeros(info[name].shape))
-            values[group] = info[name][group]
+        for key in _SEEN.values():
+            if key in info:
+                values = seen.setdefault(key, np.zeros(info[key].shape))
+                values[group] = info[key][group]
     return observation, seen
-
-
-def _play(
-    agent: Predictor,
-    env: Env,
-    seeds: Sequence[int],
-    start: Callable[[], tuple[Any, dict[str, Any]]],
-    arm: Any,
-) -> list[Episode]:
-    """Play from one reset to the end of the episodes: of one, or of all arms of a vector."""
-    observation, info = start()
-    posture = np.array(getattr(arm, "joint_angles", ()))
-    told, untold = getattr(arm, "records_effort", False), np.full(posture.shape, math.nan)
-    seen: dict[str, list[Any]] = {name: [info[name]] for name in _RECORDS if name in info}
-    postures: list[Floats] = [posture]
-    impulses: list[Floats] = []
-    work: list[Floats] = []
-    rewards: list[Any] = []
-    times: list[int] = []
-    state, episode_start, over = None, np.ones(len(seeds), dtype=bool), False
-    while not over:
-        if len(rewards) == MAX_STEPS:
-            raise RuntimeError(f"the episode did not end within {MAX_STEPS} steps: no time limit?")
-        begin = time.perf_counter_ns()
-        action, state = agent.predict(observation, state, episode_start, deterministic=True)
-        times.append(time.perf_counter_ns() - begin)
-        observation, reward, terminated, truncated, info = env.step(action)
-        for name, values in seen.items():
-            values.append(info[name])
-        postures.append(np.array(getattr(arm, "joint_angles", ())))
-        impulses.append(np.array(arm.servo_impulses if told else untold))
-        work.append(np.array(arm.servo_work if told else untold))
-        rewards.append(reward)
-        episode_start = np.zeros(len(seeds), dtype=bool)
-        over = bool(np.all(np.logical_or(terminated, truncated)))
-    together = isinstance(env, gym.vector.VectorEnv)
-
-    def by_episode(values: Sequence[Any]) -> Floats:
-        """Return arrays (steps, …) or (steps, episodes, …) as (episodes, steps, …)."""
-        found = np.array(values, dtype=np.float64)
-        return np.ascontiguousarray(found.swapaxes(0, 1)) if together else found[None]
-
-    records = {
-        **{_RECORDS[name]: by_episode(values) for name, values in seen.items()},
-        "joint_angles": by_episode(postures),
-        "servo_impulses": by_episode(impulses),
-        "servo_work": by_episode(work),
-        "rewards": by_episode(rewards),
-    }
-    world: Any = env.unwrapped
-    action_times = np.array(times, dtype=np.float64) * 1e-9
-    return [
-        Episode(
-            seed=seed,
-            **{name: values[number] for name, values in records.items()},
-            action_times=np.full(len(times), math.nan) if together else action_times,
-            control_step=float(world.parameters.control_step),
-            tolerance=float(world.success_distance),
-            reach=float(world.reach),
-        )
-        for number, seed in enumerate(seeds)
-    ]
 
 
 @contextmanager
@@ -245,7 +232,8 @@ def _effort(arm: Any, records: bool) -> Iterator[None]:
         arm.records_effort = before
 
 
-def _checked(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MMCReachVectorEnv:
+def _check_vector(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MMCReachVectorEnv:
+    """Return the native environment; raise a `UserError` if it is none."""
     native = env.unwrapped
     if not isinstance(native, MMCReachVectorEnv) or native.max_episode_steps is None:
         raise UserError(
