@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -33,16 +34,33 @@ KEYS = ("random", "centre-out", "rotation-15", "rotation-60", "delay-100", "lock
 INSTANCES = 14
 STEPS, CONTROL_STEP = 60, 0.02
 
-# Training seeds, duration of a movement in steps, trembling, and radians lost per degree turned.
+
+class Mover(NamedTuple):
+    """How an agent moves.
+
+    Attributes:
+        duration: of a movement, steps.
+        trembling: radians.
+        lost: radians for each degree of a rotation.
+        seeds: of its trainings; of none by default.
+        source: what it is made of, if not of its name.
+    """
+
+    duration: int
+    trembling: float
+    lost: float
+    seeds: tuple[int | None, ...] = (None,)
+    source: str = ""
+
+
 AGENTS = {
-    "mmc": ((0,), 20, 0.06, 0.02),
-    "mmc-closed": ((0,), 22, 0.05, 0.002),
-    "ik-dls": ((0,), 30, 0.02, 0.02),
-    "ppo": ((0, 1), 28, 0.02, 0.0005),
-    "ppo-smooth": ((0, 1), 45, 0.0, 0.001),
-    HOSTILE: ((0,), 35, 0.01, 0.01),
+    "mmc": Mover(20, 0.06, 0.02),
+    "mmc-closed": Mover(22, 0.05, 0.002),
+    "ik-dls": Mover(30, 0.02, 0.02),
+    "ppo": Mover(28, 0.02, 0.0005, (0, 1)),
+    "ppo-smooth": Mover(45, 0.0, 0.001, (0, 1)),
+    HOSTILE: Mover(35, 0.01, 0.01, source="hostile:make"),
 }
-TRAINED = ("ppo", "ppo-smooth")
 
 
 def hand_of(joint_angles):
@@ -77,35 +95,40 @@ def episode(instance, duration, trembling, error, seed=0):
     )
 
 
-def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), sources=None, instances=INSTANCES):
+def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCES):
     """Write a store.
 
     Args:
         folder: of it.
-        agents: what is made up of each, as in `AGENTS`.
+        agents: names in `AGENTS`, or movers by name.
         keys: of the environments.
         missing: (agent, training seed, environment) of cells that were not played.
-        sources: what agents were made of, where it is not what they are called.
         instances: in each environment.
     """
+    movers = agents if isinstance(agents, dict) else {name: AGENTS[name] for name in agents}
     environments = {key: SCENARIOS[key].settings for key in keys}
-    for name, (seeds, duration, trembling, lost) in agents.items():
+    policies = {REFERENCE: [Policy(training_seed=None, source=REFERENCE)]}
+    for name, (duration, trembling, lost, seeds, source) in movers.items():
+        policies[name] = [
+            Policy(
+                training_seed=seed,
+                source=source or (name if seed is None else f"{name}-{seed}"),
+            )
+            for seed in seeds
+        ]
         for key, settings in environments.items():
             error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)
             for seed in seeds:
                 episodes = [
-                    episode(instance, duration, trembling, error, seed)
+                    episode(instance, duration, trembling, error, seed or 0)
                     for instance in range(instances)
                 ]
                 if (name, seed, key) not in missing:
-                    number = seed if is_trained(seeds) else None
-                    write(folder, CellKey(name, number, key), episodes, seed == min(seeds))
+                    write(folder, CellKey(name, seed, key), episodes, seed == seeds[0])
     if "random" in keys:
         like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
         write(folder, CellKey(REFERENCE, None, "random"), minimum_jerk_episodes(like))
     skipped = NotPlayed.of(CellKey("mmc", None, "pursuit"), "skipped", "<b>no</b>")
-    made_of = {name: sources_of(name, seeds) for name, (seeds, *_) in agents.items()}
-    made_of |= {REFERENCE: {"0": REFERENCE}} | (sources or {})
     manifest = Manifest(
         episodes=instances,
         seed=0,
@@ -115,30 +138,12 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), sources=None, inst
         measures={name: one.facts for name, one in MEASURES.items()},
         set_measures={name: one.facts for name, one in SET_MEASURES.items()},
         environments=environments,
-        agents={
-            name: [
-                Policy(training_seed=seed if is_trained(map(int, one)) else None, source=source)
-                for seed, source in one.items()
-            ]
-            for name, one in made_of.items()
-        },
-        not_played=[skipped] if "mmc" in agents else [],
+        agents=policies,
+        not_played=[skipped] if "mmc" in movers else [],
         wall_seconds={"a cell": 60.0},
-        cpu_seconds={"a cell": 50.0},
         versions={"mmc-gym": "0.1.0"},
     )
     write_manifest(folder, manifest)
-
-
-def is_trained(seeds):
-    return not {1, 3}.isdisjoint(seeds)
-
-
-def sources_of(name, seeds):
-    """What an agent was made of, by training seed."""
-    if name == HOSTILE:
-        return {"0": "hostile:make"}
-    return {str(seed): f"{name}-{seed}" if name in TRAINED else name for seed in seeds}
 
 
 def write(folder, key, episodes, keeps_paths=True):
@@ -164,6 +169,11 @@ def benchmark_store(tmp_path_factory):
 @pytest.fixture(scope="session")
 def make_store():
     return write_store
+
+
+@pytest.fixture(scope="session")
+def movers():
+    return AGENTS
 
 
 @pytest.fixture(scope="session")

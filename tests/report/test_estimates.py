@@ -27,8 +27,6 @@ from mmc_gym.report.results import read_results
 from mmc_gym.report.scores import MARGINS, SUCCESS, Comparison, Estimates, judge
 from mmc_gym.report.tables import LAWS, heat_table, law_table, ranking_table, score_table
 
-MMC, IK, PPO = ((0,), 20, 0.06, 0.02), ((0,), 30, 0.02, 0.02), ((0, 1), 28, 0.02, 0.0001)
-
 
 @pytest.fixture(scope="module")
 def estimates(benchmark_store):
@@ -41,7 +39,7 @@ def interrupted(make_store, tmp_path_factory):
     folder = tmp_path_factory.mktemp("interrupted")
     missing = [("ppo", 1, "rotation-15"), ("ppo", 1, "centre-out")]
     keys = ("random", "centre-out", "rotation-15", "rotation-60")
-    make_store(folder, {"mmc": MMC, "ik-dls": IK, "ppo": PPO}, keys, missing)
+    make_store(folder, ["mmc", "ik-dls", "ppo"], keys, missing)
     return folder
 
 
@@ -157,11 +155,11 @@ def test_the_verdict_counts_all_outcomes(estimates):
 
 
 def test_the_reason_is_told_why_nothing_is_compared(make_store, tmp_path):
-    make_store(tmp_path / "few", {"mmc": MMC, "ik-dls": IK}, ("random",), instances=3)
+    make_store(tmp_path / "few", ["mmc", "ik-dls"], ("random",), instances=3)
     few = read_results(tmp_path / "few")
     assert Estimates(few, 50).scoreboard("mmc") == []
     assert "fewer than 5 instances" in render.nothing_compared(few, ["mmc"])
-    make_store(tmp_path / "alone", {"mmc": MMC}, ("random",))
+    make_store(tmp_path / "alone", ["mmc"], ("random",))
     alone = read_results(tmp_path / "alone")
     assert "has no rival" in render.nothing_compared(alone, ["mmc"])
     assert "did not take part" in render.nothing_compared(alone, [])
@@ -246,8 +244,9 @@ def test_seeds_are_counted_where_the_figures_are(interrupted, tmp_path):
     assert "Training seeds: ppo 1 to 2." in results.sample(results.agents, results.environments)
 
 
-def test_movements_are_of_one_training_seed_and_say_which(make_store, tmp_path):
-    make_store(tmp_path, {"mmc": MMC, "ppo": ((3,), 28, 0.02, 0.0005)}, ("random",))
+def test_movements_are_of_one_training_seed_and_say_which(make_store, movers, tmp_path):
+    agents = {"mmc": movers["mmc"], "ppo": movers["ppo"]._replace(seeds=(3,))}
+    make_store(tmp_path, agents, ("random",))
     results = read_results(tmp_path)
     shown = movements(results, looks(results.agents))
     assert {panel.title for panel in shown.panels} >= {"mmc", "ppo"}

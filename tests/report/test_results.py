@@ -19,13 +19,11 @@ from mmc_gym.report.results import Identity, identify, read_results
 from mmc_gym.report.scores import Estimates
 from mmc_gym.report.tables import cost_table, law_table, score_table, told_table
 
-MMC, IK, PPO = ((0,), 20, 0.06, 0.02), ((0,), 30, 0.02, 0.02), ((0, 1), 28, 0.02, 0.0001)
-
 
 @pytest.fixture
 def small(make_store, tmp_path):
     """A store of two agents in one environment."""
-    make_store(tmp_path / "store", {"mmc": MMC, "ik-dls": IK}, ("random",))
+    make_store(tmp_path / "store", ["mmc", "ik-dls"], ("random",))
     return tmp_path / "store"
 
 
@@ -69,10 +67,10 @@ def test_a_policy_given_by_its_file_is_known_by_its_card(make_policy, tmp_path):
     assert "gone.json" in gone.damaged[0]
 
 
-def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, tmp_path):
-    mover = ((0,), 20, 0.01, 0.01)
-    sources = {"twin": {"0": "mmc"}, "old": {"0": "ppo-0"}, "ppo-mine": {"0": "mine:make"}}
-    make_store(tmp_path, dict.fromkeys(sources, mover), ("random",), sources=sources)
+def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, movers, tmp_path):
+    sources = {"twin": "mmc", "old": "ppo-0", "ppo-mine": "mine:make"}
+    agents = {name: movers["ik-dls"]._replace(source=source) for name, source in sources.items()}
+    make_store(tmp_path, agents, ("random",))
     results = read_results(tmp_path)
     assert results.labelled("mmc") == "twin"
     assert {name: results.kind(name) for name in sources} == {
@@ -98,9 +96,11 @@ def test_cards_are_of_the_seeds_that_took_part(benchmark_store):
     [([], None), ([{"reward": 1.0}], "mine does not hold a policy")],
     ids=["no curve", "a curve of another form"],
 )
-def test_a_report_without_a_learning_curve_says_why(curve, said, make_store, make_policy, tmp_path):
-    sources = {"mine": {"0": make_policy(tmp_path, learning_curve=curve)}}
-    make_store(tmp_path / "store", {"mine": ((0,), 20, 0.0, 0.0)}, ("random",), sources=sources)
+def test_a_report_without_a_learning_curve_says_why(
+    curve, said, make_store, movers, make_policy, tmp_path
+):
+    mine = movers["mmc"]._replace(source=make_policy(tmp_path, learning_curve=curve))
+    make_store(tmp_path / "store", {"mine": mine}, ("random",))
     results = read_results(tmp_path / "store")
     assert results.curves == {}
     assert [said in line for line in results.damaged] == ([True] if said else [])
@@ -162,7 +162,7 @@ def test_where_nothing_could_be_played_the_reasons_are_told(small, tmp_path):
 
 
 def test_the_base_is_an_environment_without_perturbation_if_there_is_one(make_store, tmp_path):
-    make_store(tmp_path / "a", {"mmc": MMC}, ("rotation-15", "rotation-60"))
-    make_store(tmp_path / "b", {"mmc": MMC}, ("rotation-15", "centre-out"))
+    make_store(tmp_path / "a", ["mmc"], ("rotation-15", "rotation-60"))
+    make_store(tmp_path / "b", ["mmc"], ("rotation-15", "centre-out"))
     assert read_results(tmp_path / "a").base == "rotation-15"
     assert read_results(tmp_path / "b").base == "centre-out"
