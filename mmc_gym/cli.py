@@ -25,7 +25,7 @@ from mmc_gym._grid import CellError
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
     from mmc_gym.benchmark.runner import Progress as BenchmarkProgress
-    from mmc_gym.training.training import Progress as TrainingProgress
+    from mmc_gym.training.training import TrainingProgress
 
 TRACEBACK = "MMC_GYM_TRACEBACK"
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.agents import AGENTS
@@ -97,8 +97,7 @@ def train_all(
         CellError: if a training failed.
     """
     check_folder(out, "out")
-    if steps is not None and steps < 1:
-        raise UserError(f"steps must be at least 1, got {steps}")
+    require(steps is None or steps >= 1, "steps", steps, "at least 1")
     if cluster is None:
         usable_device(device)
     cards: dict[PolicyName, PolicyCard] = {}

@@ -24,7 +24,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, unwrap_vec_wrapper
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym._files import check_folder
 from mmc_gym._grid import one_torch_thread
 from mmc_gym.agents.policy import (
@@ -48,7 +48,7 @@ EVALUATIONS = 25
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """How far a training is, and the last row of its learning curve if it was just evaluated."""
 
     steps: int
@@ -68,16 +68,17 @@ class Training:
         evaluations: about how often the policy is evaluated and a checkpoint written.
         device: that torch computes on.
         tensorboard: folder for TensorBoard's logs; None for none.
+        curve: a row for each evaluation.
     """
 
     recipe: Recipe
     seed: int
     folder: Path
-    report: Callable[[Progress], None] = lambda progress: None
+    report: Callable[[TrainingProgress], None] = lambda progress: None
     evaluations: int = EVALUATIONS
     device: str = "cpu"
     tensorboard: Path | None = None
-    curve: list[dict[str, float]] = field(default_factory=list)
+    curve: list[dict[str, float]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         """Check all that can be checked before anything is trained.
@@ -85,8 +86,8 @@ class Training:
         Raises:
             UserError: if a hyperparameter, the environment or the device is not accepted.
         """
-        if self.evaluations < 1:
-            raise UserError(f"evaluations must be at least 1, got {self.evaluations}")
+        require(self.evaluations >= 1, "evaluations", self.evaluations, "at least 1")
+        require(0 <= self.seed < 2**32, "seed", self.seed, "from 0 to 2**32 - 1")
         self.device = usable_device(self.device)
         self.settings = self.recipe.settings
         try:
@@ -187,7 +188,7 @@ class Training:
             model.logger.dump(model.num_timesteps)
         head = {**self._identity(), **self._times(), "curve": self.curve}
         save_checkpoint(model, head, self.checkpoint)
-        self.report(Progress(model.num_timesteps, self.total_steps, self.curve[-1]))
+        self.report(TrainingProgress(model.num_timesteps, self.total_steps, self.curve[-1]))
 
     def begin_leg(self, model: BaseAlgorithm) -> None:
         """Reset the environments and seed everything random from the seed and the step count."""
@@ -283,7 +284,7 @@ class _Legs(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         training = self._training
-        training.report(Progress(self.num_timesteps, training.total_steps))
+        training.report(TrainingProgress(self.num_timesteps, training.total_steps))
 
     def _on_step(self) -> bool:
         return True

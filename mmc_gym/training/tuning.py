@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCAgent
@@ -245,8 +245,7 @@ def tune(
             or Optuna is not installed.
     """
     for argument, count in (("trials", trials), ("steps", steps)):
-        if count < 1:
-            raise UserError(f"{argument} must be at least 1, got {count}")
+        require(count >= 1, argument, count, "at least 1")
     target, name = find_target(name), Path(name).stem
     study = _open_study(name, steps, out)
     from optuna.samplers import TPESampler

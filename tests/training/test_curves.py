@@ -17,9 +17,10 @@ from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     FINAL_EPISODES,
     PolicyCard,
+    load_policy,
     save_policy,
+    shipped_file,
 )
-from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.cli import main
 from mmc_gym.training.curves import (
     curve_rows,
@@ -44,16 +45,7 @@ FILES = {
 RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
 
 
-def tiny_network() -> PolicyNetwork:
-    shapes = {
-        "hidden.0.weight": (4, 13),
-        "hidden.0.bias": (4,),
-        "mean.weight": (3, 4),
-        "mean.bias": (3,),
-        "log_std": (3,),
-    }
-    tensors = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
-    return PolicyNetwork(tensors, "tanh", "gaussian")
+NETWORK, CARD = load_policy(shipped_file("ppo", 0))
 
 
 def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) -> PolicyCard:
@@ -68,22 +60,14 @@ def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) 
         }
         for leg, value in enumerate(success, start=1)
     ]
-    card = PolicyCard(
+    card = replace(
+        CARD,
         name=name,
-        algorithm="ppo",
-        env_id="MMCReach-v0",
-        control="joint_delta",
-        segment_count=3,
-        activation="tanh",
-        distribution="gaussian",
-        view="arm",
-        base_agent="",
-        hyperparameters={"n_timesteps": 5_000, "gamma": 0.9},
         seed=seed,
+        hyperparameters={"n_timesteps": 5_000, "gamma": 0.9},
         training_steps=1_000 * len(success),
         training_seconds=2 * seconds_per_leg * len(success),
         training_cpu_seconds=seconds_per_leg * len(success),
-        versions={},
         scores={"success": success[-1], "final_distance": 0.01},
         learning_curve=curve,
     )
@@ -92,7 +76,7 @@ def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) 
 
 def write(folder, *cards):
     for card in cards:
-        save_policy(tiny_network(), card, folder)
+        save_policy(NETWORK, card, folder)
     return folder
 
 
@@ -105,10 +89,6 @@ def summary_of(*cards):
 
 def interval(row):
     return row["estimate"], row["low"], row["high"]
-
-
-def console():
-    return Console(file=io.StringIO(), width=120, color_system=None)
 
 
 def test_policies_are_grouped_by_name_in_the_order_of_their_seeds(tmp_path):
@@ -165,11 +145,6 @@ def test_damaged_or_misplaced_policies_are_an_error(tmp_path):
         read_cards(tmp_path)
 
 
-def test_a_card_without_a_curve_is_an_error():
-    with pytest.raises(UserError, match="learning_curve of ppo-0 must have evaluations, got none"):
-        curve_rows({"ppo": [training(learning_curve=[])]})
-
-
 def test_there_is_a_row_for_each_evaluation_of_each_training():
     frame = curve_rows({"ppo": [training(seed=0), training(seed=5, seconds_per_leg=30.0)]})
     assert list(frame.columns[:6]) == [
@@ -207,10 +182,12 @@ def test_seeds_that_agree_still_played_but_a_sample_of_episodes(against):
         assert end.to_numpy() == pytest.approx(RISE, abs=0.005)
 
 
-def test_one_seed_has_no_interval():
+def test_one_seed_has_no_interval_and_none_no_curve():
     curve = mean_curves(curve_rows({"ppo": [training()]}), "cpu_seconds")
     assert list(curve["success"]) == list(RISE)
     assert curve[["low", "high"]].isna().all(axis=None)
+    with pytest.raises(UserError, match="learning_curve of ppo-0 must have evaluations, got none"):
+        curve_rows({"ppo": [training(learning_curve=[])]})
 
 
 def test_against_time_a_seed_counts_with_what_was_last_known_of_it():
@@ -296,7 +273,7 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
 def test_all_files_are_written_and_the_table_is_printed(tmp_path):
     never = training("sac", success=(0.1, 0.2))
     write(tmp_path / "in", *(training(seed=seed) for seed in range(3)), never)
-    target, out = console(), tmp_path / "out"
+    target, out = Console(file=io.StringIO(), width=120, color_system=None), tmp_path / "out"
     cards = learning_curves(tmp_path / "in", out, target)
     assert list(cards) == ["ppo", "sac"]
     assert {path.name for path in out.iterdir()} == FILES

@@ -306,6 +306,12 @@ def test_the_card_tells_whose_actions_are_corrected(tmp_path, arguments):
     assert card.base_agent == "mmc"
 
 
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_that_numpy_does_not_take_is_refused(tmp_path, seed):
+    with pytest.raises(UserError, match=f"seed must be from 0 to .*, got {seed}"):
+        training("ppo", tmp_path, seed)
+
+
 def test_an_unknown_base_agent_is_refused(tmp_path):
     wrapper = [{"mmc_gym.training.vec_env.Residual": {"base_agent": "ik"}}]
     with pytest.raises(UserError, match="base_agent must be one of"):
