@@ -374,7 +374,7 @@ class ReachInterface:
             observation: of MMCReach-v0, (..., 13) at N = 3, or of MMCReachGoal-v0, a mapping.
 
         Raises:
-            ValueError: if its last axis has another length.
+            UserError: if its last axis has another length.
         """
         layout = self.layout
         if isinstance(observation, Mapping):
@@ -386,7 +386,7 @@ class ReachInterface:
             target = values[..., layout.posture_size : layout.posture_size + 2] * layout.reach
             expected = layout.size
         if values.shape[-1:] != (expected,):
-            raise ValueError(f"observation must have shape (..., {expected}), got {values.shape}")
+            raise UserError(f"observation must have shape (..., {expected}), got {values.shape}")
         cosines, sines = layout.cosines_and_sines(values)
         return Sensed(self.within_limits(np.arctan2(sines, cosines)), target)
 
@@ -403,7 +403,7 @@ class ReachInterface:
         """Return the observation as arrays.
 
         Raises:
-            ValueError: if its last axis has another length than that of this environment.
+            UserError: if its last axis has another length than that of this environment.
         """
         if isinstance(observation, Mapping):
             arrays = {name: np.asarray(value) for name, value in observation.items()}

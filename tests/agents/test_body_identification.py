@@ -160,14 +160,3 @@ def test_an_old_posture_is_run_forward_with_the_commands_since():
     old = np.stack([path[10 - late][index] for index, late in enumerate(steps)])
     now = delay.run_forward(interface, old, steps)
     np.testing.assert_allclose(now, path[10], atol=1e-12)
-
-
-def test_the_hand_is_read_off_both_kinds_of_observation():
-    posture, target = [0.3, 0.6, 0.6], [-1.0, 1.5]
-    for name in ("MMCReach-v0", "MMCReachGoal-v0"):
-        env = gym.make(name, perturbations="longer-20")
-        options = {"joint_angles": posture, "target": target}
-        observation, info = env.reset(seed=0, options=options)
-        interface = ReachInterface.of(env)
-        hand = interface.seen_hand(observation)
-        np.testing.assert_allclose(hand, info["end_effector"], atol=1e-6)

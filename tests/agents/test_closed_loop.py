@@ -167,54 +167,6 @@ def test_a_target_that_moves_is_pursued_as_closely_as_in_open_loop(name):
 
 
 @pytest.mark.parametrize("name", CLOSED)
-def test_a_batch_acts_as_its_members_do_alone(name):
-    options = {"perturbations": ("longer-20", "locked", "delay-40")}
-    env = gym.make("MMCReach-v0", **options)
-    agent = make_agent(name, env)
-    envs = gym.make_vec("MMCReach-v0", num_envs=4, **options)
-    (observations, _), together = envs.reset(seed=SEED), None
-    alone = [None] * 4
-    for _ in range(40):
-        actions, together = agent.predict(observations, together)
-        for index, observation in enumerate(observations):
-            action, alone[index] = agent.predict(observation, alone[index])
-            np.testing.assert_allclose(actions[index], action, atol=1e-6)
-        observations, *_ = envs.step(actions)
-
-
-@pytest.mark.parametrize("name", CLOSED)
-def test_a_new_episode_knows_nothing_of_the_last(name):
-    options = {"perturbations": ("shorter-20", "locked", "delay-40")}
-    agent = make_agent(name, gym.make("MMCReach-v0", **options))
-    envs = gym.make_vec("MMCReach-v0", num_envs=3, max_episode_steps=15, **options)
-    (observations, _), state = envs.reset(seed=SEED), None
-    over = np.zeros(3, dtype=bool)
-    for _ in range(15):
-        actions, state = agent.predict(observations, state, over)
-        observations, _, _, over, _ = envs.step(actions)
-    assert over.all()
-    actions, state = agent.predict(observations, state, [False, True, False])
-    observations, *_ = envs.step(actions)  # autoreset: the actions do not matter
-    actions, state = agent.predict(observations, state, over)
-    fresh, new = agent.predict(observations)
-    np.testing.assert_array_equal(actions, fresh)
-    again, _ = agent.predict(observations, state)
-    np.testing.assert_array_equal(again, agent.predict(observations, new)[0])
-
-
-@pytest.mark.parametrize("name", CLOSED)
-def test_what_it_remembers_is_its_state_alone(name):
-    env = gym.make("MMCReach-v0", perturbations=("longer-20", "locked"))
-    agent, (observation, _), state = make_agent(name, env), env.reset(seed=1), None
-    for _ in range(10):
-        action, state = agent.predict(observation, state)
-        observation, *_ = env.step(action)
-    action, _ = agent.predict(observation, state)
-    agent.predict(env.reset(seed=2)[0])
-    np.testing.assert_array_equal(agent.predict(observation, state)[0], action)
-
-
-@pytest.mark.parametrize("name", CLOSED)
 def test_goal_observations_are_understood(name):
     options = {"perturbations": ("longer-20",)}
     at_least = 0.0 if name == "mmc-lock" else 0.97
@@ -244,9 +196,3 @@ def test_what_is_accepted():
         closed_loop_mmc(interface, Loops(posture_weight=4.0))
     with pytest.raises(ValueError, match="loops must be feedback and delay alone"):
         closed_loop_inverse_kinematics(interface, damped_least_squares, LOOPS["lock"])
-
-
-@pytest.mark.parametrize("name", CLOSED)
-def test_torque_control_is_refused_for_want_of_a_servo(name):
-    with pytest.raises(ValueError, match=r"control must be .* got 'joint_torque'"):
-        make_agent(name, gym.make("MMCReach-v0", control="joint_torque"))

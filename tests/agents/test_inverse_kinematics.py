@@ -1,5 +1,7 @@
 """Every inverse kinematics solver: where it arrives, and what it does in the hard cases."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -130,72 +132,45 @@ def test_joints_turn_the_short_way_round_so_angles_do_not_jump_at_pi(name, lengt
     np.testing.assert_allclose(wrap_angle(turned - change), 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("share", [-0.9, -0.3, 0.3, 0.9])
-@pytest.mark.parametrize("lengths", [(1.0, 1.0), (1.0, 1.0, 1.0), (0.5,) * 7])
-@pytest.mark.parametrize("name", SOLVERS)
-def test_a_stretched_arm_reaches_targets_in_its_own_line(name, lengths, share):
-    if not can(name, lengths):
-        pytest.skip("no closed form for so many segments")
-    posture, target = np.zeros(len(lengths)), np.array([share * sum(lengths), 0.0])
+def settled(name: str, posture: object, target: object, lengths: tuple[float, ...]) -> np.ndarray:
+    posture = np.array(posture)
     for _ in range(60):
-        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
-    assert distances(posture, target, lengths) < 0.05
+        posture = iterate(SOLVERS[name], posture, np.array(target), lengths, 10)
+    return posture
 
 
-@pytest.mark.parametrize("radius", [0.5, 1.5, 2.5])
+def hard_cases() -> Iterator[tuple[tuple[float, ...], object, object]]:
+    """Arms, postures and targets where a naive iteration gets stuck."""
+    for lengths in ((1.0, 1.0), (1.0, 1.0, 1.0), (0.5,) * 7):  # stretched, in line with the target
+        for share in (-0.9, -0.3, 0.3, 0.9):
+            yield lengths, np.zeros(len(lengths)), [share * sum(lengths), 0.0]
+    for radius in (0.5, 1.5, 2.5):  # folded, in line with the target
+        yield (1.0, 1.0, 1.0), [0.0, np.pi, np.pi], [radius, 0.0]
+    for lengths in (arm for arm in ARMS if reachable_radii(arm)[0] == 0.0):  # its own base
+        yield lengths, np.linspace(0.4, 0.9, len(lengths)), [0.0, 0.0]
+    yield (2.0, 1.0, 0.5), [0.3, 0.5, 0.7], polar(0.5, 1.0)  # the inner rim
+    # Joints on each other, and on the target.
+    for posture in ([0.0, np.pi, 0.5], [0.3, 0.5, np.pi], [0.0, np.pi, 0.0], [0.0, 0.5, 0.5]):
+        for target in (*np.cumsum(polar(1.0, np.cumsum(posture)), axis=0), [0.0, 0.0]):
+            yield (1.0, 1.0, 1.0), posture, target
+
+
 @pytest.mark.parametrize("name", SOLVERS)
-def test_a_folded_arm_reaches_targets_in_its_own_line(name, radius):
-    lengths = (1.0, 1.0, 1.0)
-    posture, target = np.array([0.0, np.pi, np.pi]), np.array([radius, 0.0])
-    for _ in range(60):
-        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
-    assert distances(posture, target, lengths) < 0.05
+def test_targets_are_reached_from_where_iterations_get_stuck(name):
+    for lengths, posture, target in hard_cases():
+        if can(name, lengths):
+            end = settled(name, posture, target, lengths)
+            assert distances(end, np.array(target), lengths) < 0.05, (lengths, posture, target)
 
 
-@pytest.mark.parametrize("lengths", ARMS)
-@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(("name", "lengths"), CASES)
 def test_points_at_targets_out_of_reach_and_rests(name, lengths):
-    if not can(name, lengths):
-        pytest.skip("no closed form for so many segments")
     posture, target = random_reaches(lengths, 1)[0][0], polar(1.5 * sum(lengths), 2.0)
-    for _ in range(100):
-        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
+    posture = settled(name, settled(name, posture, target, lengths), target, lengths)
     hand = hand_position(posture, lengths)
     np.testing.assert_allclose(hand, polar(sum(lengths), 2.0), atol=0.05)
     after = iterate(SOLVERS[name], posture, target, lengths, 30)
     np.testing.assert_allclose(hand_position(after, lengths), hand, atol=0.01)
-
-
-@pytest.mark.parametrize("lengths", [arm for arm in ARMS if reachable_radii(arm)[0] == 0.0])
-@pytest.mark.parametrize("name", SOLVERS)
-def test_reaches_its_own_base(name, lengths):
-    if not can(name, lengths):
-        pytest.skip("no closed form for so many segments")
-    posture, target = np.linspace(0.4, 0.9, len(lengths)), np.zeros(2)
-    for _ in range(60):
-        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
-    assert distances(posture, target, lengths) < 0.05
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_reaches_the_inner_rim_of_an_arm_with_a_long_segment(name):
-    lengths, target = (2.0, 1.0, 0.5), polar(0.5, 1.0)
-    posture = np.array([0.3, 0.5, 0.7])
-    for _ in range(60):
-        posture = iterate(SOLVERS[name], posture, target, lengths, 10)
-    assert distances(posture, target, lengths) < 0.05
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_starts_with_joints_on_each_other_and_on_the_target(name):
-    lengths = (1.0, 1.0, 1.0)
-    for posture in ([0.0, np.pi, 0.5], [0.3, 0.5, np.pi], [0.0, np.pi, 0.0], [0.0, 0.5, 0.5]):
-        segments = np.cumsum(polar(1.0, np.cumsum(posture)), axis=0)
-        for target in (*segments, np.zeros(2)):
-            after = np.array(posture)
-            for _ in range(60):
-                after = iterate(SOLVERS[name], after, target, lengths, 10)
-            assert distances(after, target, lengths) < 0.05
 
 
 @given(

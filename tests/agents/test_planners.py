@@ -1,12 +1,10 @@
 """The agents that plan or time a movement: minimum jerk, Passive Motion Paradigm, timed MMC."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym import make_agent
 from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.agents.ik.agent import hand_position, jacobian
 from mmc_gym.agents.mmc import TimedMMCAgent
@@ -214,20 +212,6 @@ def test_a_movement_begins_anew_only_where_the_target_jumps():
         movement = step(movement)
     movement = follow(movement, hand, target + shift + [0.0, 0.01], DT)
     assert (movement.remaining == HORIZON).all()
-
-
-def test_arms_of_a_batch_have_movements_of_their_own_after_a_restart():
-    env = gym.make("MMCReach-v0")
-    for name in PLANNERS:
-        agent = make_agent(name, env)
-        observations = np.stack([env.reset(seed=seed)[0] for seed in range(3)])
-        _, state = agent.predict(observations)
-        for _ in range(9):
-            _, state = agent.predict(observations, state)
-        restarted, state = agent.predict(observations, state, episode_start=[False, True, False])
-        fresh, _ = agent.predict(observations)
-        np.testing.assert_array_equal(restarted[1], fresh[1])
-        assert not np.array_equal(restarted[0], fresh[0])
 
 
 def test_settings_of_the_timed_network_are_checked():
