@@ -11,79 +11,16 @@ from mmc_gym.measures.catalogue import set_measures_in
 from mmc_gym.measures.sets import (
     FITTS_WIDTHS,
     fitts_law,
-    fitts_line,
     posture_spread,
     posture_variability,
-    power_line,
     speed_curvature_law,
 )
 
 STEP = 0.02
 
 
-def test_equal_postures_do_not_vary_however_often_they_are_wound():
-    turns = math.tau * np.random.default_rng(0).integers(-3, 4, size=(20, 3))
-    assert posture_spread(np.array([0.3, -2.0, 3.1]) + turns) == pytest.approx(0, abs=1e-7)
-
-
-def test_opposite_and_uniform_postures_vary_by_the_root_of_two():
-    assert posture_spread([[0.0], [math.pi]]) == pytest.approx(math.sqrt(2))
-    around = np.linspace(0, math.tau, 7)[:-1, None]
-    assert posture_spread(around) == pytest.approx(math.sqrt(2))
-
-
-def test_small_spreads_are_standard_deviations_across_the_seam_too():
-    angles = np.random.default_rng(1).normal(math.pi, 0.05, size=(4000, 1))
-    wrapped = (angles + math.pi) % math.tau - math.pi
-    assert posture_spread(wrapped) == pytest.approx(angles.std(), rel=1e-3)
-    both = np.concatenate([wrapped, np.zeros_like(wrapped)], axis=-1)
-    assert posture_spread(both) == pytest.approx(angles.std() / math.sqrt(2), rel=1e-3)
-
-
-def test_no_postures_do_not_vary():
-    assert math.isnan(posture_spread(np.zeros((0, 3))))
-
-
-def test_fitts_line_through_exact_conditions_is_found():
-    amplitudes, widths = np.meshgrid([0.3, 0.6, 1.2], [0.02, 0.05, 0.1])
-    times = 0.15 + 0.08 * np.log2(2 * amplitudes / widths)
-    line = fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel())
-    assert line == pytest.approx((0.15, 0.08, 1.0))
-    times[0, 0] = math.nan
-    assert fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel()) == pytest.approx(line)
-
-
-def test_two_difficulties_make_no_law():
-    assert all(map(math.isnan, fitts_law([1, 2], [0.1, 0.1], [0.4, 0.5])))
-    assert all(map(math.isnan, fitts_law([1, 1, 1], [0.1, 0.1, 0.1], [0.4, 0.5, 0.6])))
-
-
-@pytest.mark.parametrize("axes", [(1.0, 0.4), (0.7, 0.2)])
-def test_a_harmonic_ellipse_follows_the_two_thirds_power_law(axes):
-    # κ = a b ω³ / v³, and so v = ω (a b)^{1/3} κ^{−1/3}.
-    turn, omega = np.array([[0.8, -0.6], [0.6, 0.8]]), 1.5
-    phase = omega * STEP * np.arange(400)
-    hands = np.stack([axes[0] * np.cos(phase), axes[1] * np.sin(phase)], axis=-1) @ turn.T
-    law = speed_curvature_law(hands, STEP)
-    assert law.slope == pytest.approx(-1 / 3, abs=1e-3)
-    assert law.intercept == pytest.approx(math.log(omega * np.prod(axes) ** (1 / 3)), abs=1e-3)
-    assert law.r_squared == pytest.approx(1, abs=1e-3)
-
-
-def test_the_same_ellipse_at_constant_speed_has_the_exponent_zero():
-    phase = np.linspace(0, math.tau, 20_001)
-    fine = np.stack([np.cos(phase), 0.4 * np.sin(phase)], axis=-1)
-    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=-1))])
-    even = np.interp(np.linspace(0, way[-1], 400), way, phase)
-    law = speed_curvature_law(np.stack([np.cos(even), 0.4 * np.sin(even)], axis=-1), STEP)
-    assert law.slope == pytest.approx(0, abs=5e-3)
-
-
-def test_straight_paths_and_hands_at_rest_have_no_power_law():
-    line = np.linspace(0, 1, 50)[:, None] ** 2 * [1.0, 2.0]
-    trembling = 1e-4 * np.random.default_rng(0).standard_normal((50, 2)) * STEP
-    for hands in (line, trembling, np.zeros((50, 2)), np.zeros((2, 2)), np.zeros((0, 2))):
-        assert math.isnan(speed_curvature_law(hands, STEP).slope)
+def take(names, episodes):
+    return [SET_MEASURES[name].of(episodes) for name in names]
 
 
 def test_set_measures_are_taken_in_environments_that_exist():
@@ -101,10 +38,33 @@ def test_the_environments_are_what_the_measures_need(frozen):
     assert len(SCENARIOS["paper"].instances(1)) == 420
     targets = few("distances", range(32))
     assert len(SCENARIOS["distances"].instances(1)) == 32
-    assert np.unique([e.distances[0].round(6) for e in targets]) == pytest.approx(
-        [0.3, 0.6, 0.9, 1.2]
-    )
+    distances = np.unique([e.distances[0].round(6) for e in targets])
+    assert distances == pytest.approx([0.3, 0.6, 0.9, 1.2])
     assert len({tuple(episode.hands[0].round(6)) for episode in targets}) == 1
+
+
+TURNS = math.tau * np.random.default_rng(0).integers(-3, 4, size=(20, 3))
+
+
+@pytest.mark.parametrize(
+    ("postures", "spread"),
+    [
+        (np.array([0.3, -2.0, 3.1]) + TURNS, 0),  # equal, however often they are wound
+        ([[0.0], [math.pi]], math.sqrt(2)),
+        (np.linspace(0, math.tau, 7)[:-1, None], math.sqrt(2)),
+        (np.zeros((0, 3)), math.nan),
+    ],
+)
+def test_postures_spread_from_none_to_the_root_of_two(postures, spread):
+    assert posture_spread(postures) == pytest.approx(spread, abs=1e-7, nan_ok=True)
+
+
+def test_small_spreads_are_standard_deviations_across_the_seam_too():
+    angles = np.random.default_rng(1).normal(math.pi, 0.05, size=(4000, 1))
+    wrapped = (angles + math.pi) % math.tau - math.pi
+    assert posture_spread(wrapped) == pytest.approx(angles.std(), rel=1e-3)
+    both = np.concatenate([wrapped, np.zeros_like(wrapped)], axis=-1)
+    assert posture_spread(both) == pytest.approx(angles.std() / math.sqrt(2), rel=1e-3)
 
 
 def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(make_episode):
@@ -127,34 +87,78 @@ def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(
     assert math.isnan(posture_variability([ending([0.0], here)]))
 
 
+def test_fitts_line_through_exact_conditions_is_found():
+    amplitudes, widths = np.meshgrid([0.3, 0.6, 1.2], [0.02, 0.05, 0.1])
+    times = 0.15 + 0.08 * np.log2(2 * amplitudes / widths)
+    line = fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel())
+    assert line == pytest.approx((0.15, 0.08, 1.0))
+    times[0, 0] = math.nan
+    assert fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel()) == pytest.approx(line)
+
+
+def test_two_difficulties_make_no_law():
+    assert all(map(math.isnan, fitts_law([1, 2], [0.1, 0.1], [0.4, 0.5])))
+    assert all(map(math.isnan, fitts_law([1, 1, 1], [0.1, 0.1, 0.1], [0.4, 0.5, 0.6])))
+
+
+FITTS = ("fitts_slope", "fitts_intercept", "fitts_r_squared")
+
+
 def test_fitts_law_of_a_hand_that_halves_its_distance_again_and_again(make_episode):
     # d = D 2^{−t/τ} is within W/2 after τ log2(2 D / W): a slope of τ, and no intercept.
     halving, step = 0.07, 0.001
-    time = np.arange(3000) * step
+    way = 1 - 2 ** (-np.arange(3000) * step / halving)
     episodes = [
-        make_episode(
-            (distance * (1 - 2 ** (-time / halving)))[:, None] * [1.0, 0.0], [distance, 0.0], step
-        )
+        make_episode(distance * np.outer(way, [1.0, 0.0]), [distance, 0.0], step)
         for distance in (0.3, 0.6, 0.9, 1.2)
     ]
-    line = fitts_line(episodes)
-    assert line.slope == pytest.approx(halving, rel=0.01)
-    assert line.intercept == pytest.approx(0, abs=2 * step)
-    assert line.r_squared == pytest.approx(1, abs=1e-4)
+    slope, intercept, r_squared = take(FITTS, episodes)
+    assert slope == pytest.approx(halving, rel=0.01)
+    assert intercept == pytest.approx(0, abs=2 * step)
+    assert r_squared == pytest.approx(1, abs=1e-4)
 
 
 def test_a_condition_in_which_some_hand_does_not_settle_is_left_out(make_episode):
     still = make_episode(np.zeros((50, 2)), [0.3, 0.0])
-    assert math.isnan(fitts_line([still]).slope)
-    assert math.isnan(fitts_line([]).slope)
+    assert np.isnan(take(FITTS, [still])).all() and np.isnan(take(FITTS, [])).all()
     assert len(FITTS_WIDTHS) >= 3
 
 
+def ellipse(phase, axes=(1.0, 0.4)):
+    return np.stack([axes[0] * np.cos(phase), axes[1] * np.sin(phase)], axis=-1)
+
+
+@pytest.mark.parametrize("axes", [(1.0, 0.4), (0.7, 0.2)])
+def test_a_harmonic_ellipse_follows_the_two_thirds_power_law(axes):
+    # κ = a b ω³ / v³, and so v = ω (a b)^{1/3} κ^{−1/3}.
+    turn, omega = np.array([[0.8, -0.6], [0.6, 0.8]]), 1.5
+    law = speed_curvature_law(ellipse(omega * STEP * np.arange(400), axes) @ turn.T, STEP)
+    expected = math.log(omega * np.prod(axes) ** (1 / 3)), -1 / 3, 1
+    assert law == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_same_ellipse_at_constant_speed_has_the_exponent_zero():
+    phase = np.linspace(0, math.tau, 20_001)
+    lengths = np.linalg.norm(np.diff(ellipse(phase), axis=0), axis=-1)
+    way = np.concatenate([[0], np.cumsum(lengths)])
+    even = np.interp(np.linspace(0, way[-1], 400), way, phase)
+    assert speed_curvature_law(ellipse(even), STEP).slope == pytest.approx(0, abs=5e-3)
+
+
+def test_straight_paths_and_hands_at_rest_have_no_power_law():
+    line = np.linspace(0, 1, 50)[:, None] ** 2 * [1.0, 2.0]
+    trembling = 1e-4 * np.random.default_rng(0).standard_normal((50, 2)) * STEP
+    for hands in (line, trembling, np.zeros((50, 2)), np.zeros((2, 2)), np.zeros((0, 2))):
+        assert math.isnan(speed_curvature_law(hands, STEP).slope)
+
+
+POWER = ("speed_curvature_exponent", "speed_curvature_r_squared")
+
+
 def test_the_power_law_is_that_of_the_path_after_the_warm_up(make_episode):
-    phase = 1.5 * 0.02 * np.arange(500)
-    hands = np.stack([np.cos(phase), 0.4 * np.sin(phase)], axis=-1)
+    hands = ellipse(1.5 * STEP * np.arange(500))
     hands[:50] = np.random.default_rng(0).normal(size=(50, 2))
     episode = make_episode(hands, hands)
-    assert power_line([episode, episode]).slope == pytest.approx(-1 / 3, abs=1e-3)
-    assert math.isnan(power_line([]).slope)
-    assert math.isnan(power_line([make_episode(np.zeros((500, 2)), [1.0, 0.0])]).slope)
+    assert take(POWER, [episode, episode]) == pytest.approx([1 / 3, 1], abs=1e-3)
+    still = make_episode(np.zeros((500, 2)), [1.0, 0.0])
+    assert np.isnan(take(POWER, [])).all() and np.isnan(take(POWER, [still])).all()
