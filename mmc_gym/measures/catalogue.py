@@ -27,7 +27,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 Statistic: TypeAlias = Literal["mean", "median"]
 Direction: TypeAlias = Literal["high", "low", "neither"]
 
-Function = TypeVar("Function", bound=Callable[[Episode], float])
-SetFunction = TypeVar("SetFunction", bound=Callable[[Sequence[Episode]], float])
+OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
+OfEpisodes = TypeVar("OfEpisodes", bound=Callable[[Sequence[Episode]], float])
 
 METHODS = ("correlation", "SPARC", "log dimensionless jerk")
 """How a plain number was computed: stands in place of a unit, and beside the label in a text."""
@@ -53,6 +53,10 @@ _COLUMNS = (
     *("start_x", "start_y", "target_x", "target_y", "duration", "measure"),
 )
 """Other columns of the data, which no measure may be called."""
+
+
+def _not_here(episode: object) -> float:
+    raise RuntimeError("this measure is known from a store, but its function is not here")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +73,9 @@ class Quantity:
 
     name: str
     label: str
-    unit: str
-    best: Direction
-    decimals: int
+    unit: str = ""
+    best: Direction = "neither"
+    decimals: int = 2
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -134,10 +138,10 @@ class Measure(Quantity):
         of: the function of an episode; it gives NaN where there is no value.
     """
 
-    statistic: Statistic
-    shown: bool
-    successes_only: bool
-    of: Callable[[Episode], float] = field(compare=False)
+    statistic: Statistic = "median"
+    shown: bool = False
+    successes_only: bool = False
+    of: Callable[[Episode], float] = field(default=_not_here, compare=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +154,7 @@ class SetMeasure(Quantity):
     """
 
     environment: str
-    of: Callable[[Sequence[Episode]], float] = field(compare=False)
+    of: Callable[[Sequence[Episode]], float] = field(default=_not_here, compare=False)
 
 
 MEASURES: dict[str, Measure] = {}
@@ -169,7 +173,7 @@ def measure(
     decimals: int = 2,
     shown: bool = False,
     successes_only: bool = False,
-) -> Callable[[Function], Function]:
+) -> Callable[[OfEpisode], OfEpisode]:
     """Register a function `Episode -> float` as a measure under its own name.
 
     Args:
@@ -185,22 +189,14 @@ def measure(
         A decorator that returns the function as it is.
 
     Raises:
-        UserError: if another measure or another column of the data has this name.
+        UserError: if another measure or another column of the data has this name, or a value is
+            none of those.
     """
 
-    def register(function: Function) -> Function:
-        made = Measure(
-            name=function.__name__,
-            label=label,
-            unit=unit,
-            best=best,
-            statistic=statistic,
-            decimals=decimals,
-            shown=shown,
-            successes_only=successes_only,
-            of=function,
-        )
-        _add(made)
+    def register(function: OfEpisode) -> OfEpisode:
+        facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
+        facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
+        _add(Measure(name=function.__name__, of=function, **facts))
         return function
 
     return register
@@ -213,7 +209,7 @@ def set_measure(
     unit: str = "",
     best: Direction = "neither",
     decimals: int = 2,
-) -> Callable[[SetFunction], SetFunction]:
+) -> Callable[[OfEpisodes], OfEpisodes]:
     """Register a function `Sequence[Episode] -> float` as a measure of sets under its own name.
 
     Args:
@@ -230,23 +226,19 @@ def set_measure(
         UserError: if another measure or another column of the data has this name.
     """
 
-    def register(function: SetFunction) -> SetFunction:
-        made = SetMeasure(
-            name=function.__name__,
-            label=label,
-            unit=unit,
-            best=best,
-            decimals=decimals,
-            environment=environment,
-            of=function,
-        )
-        _add(made)
+    def register(function: OfEpisodes) -> OfEpisodes:
+        facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
+        _add(SetMeasure(name=function.__name__, environment=environment, of=function, **facts))
         return function
 
     return register
 
 
 def _add(made: Measure | SetMeasure) -> None:
+    for name, accepted in (("best", get_args(Direction)), ("statistic", get_args(Statistic))):
+        value = getattr(made, name, accepted[0])
+        if value not in accepted:
+            raise UserError(f"{name} of {made.name!r} must be one of {accepted}, got {value!r}")
     known = MEASURES.get(made.name) or SET_MEASURES.get(made.name)
     # The same function may come again: a notebook's cell that is run twice, a module in a worker.
     if made.name in _COLUMNS or (known and _origin(known) != _origin(made)):
@@ -307,26 +299,14 @@ def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
     Args:
         facts: of the store's measures, by their names; see `Quantity.facts`.
     """
-    others = {
-        name: Measure(**told, of=_not_here)
-        for name, told in facts.items()
-        if name not in MEASURES and isinstance(told, Mapping)
-    }
+    others = {name: Measure(**told) for name, told in facts.items() if name not in MEASURES}
     return {**MEASURES, **others}
 
 
 def set_measures_of(facts: Mapping[str, Any]) -> dict[str, SetMeasure]:
     """Return the measures of sets of a store by their names, see `measures_of`."""
-    others = {
-        name: SetMeasure(**told, of=_not_here)
-        for name, told in facts.items()
-        if name not in SET_MEASURES
-    }
+    others = {name: SetMeasure(**told) for name, told in facts.items() if name not in SET_MEASURES}
     return {**SET_MEASURES, **others}
-
-
-def _not_here(episode: object) -> float:
-    raise RuntimeError("this measure is known from a store, but its function is not here")
 
 
 def shown_measures() -> tuple[Measure, ...]:

@@ -65,6 +65,15 @@ def test_two_measures_of_one_name_are_refused():
         measure(label="other")(success)
 
 
+@pytest.mark.parametrize("facts", [{"best": "highest"}, {"statistic": "mode"}])
+def test_directions_and_statistics_that_there_are_not_are_refused(facts):
+    with pytest.raises(ValueError, match=r"(best|statistic) of 'speed' must be one of \(.*got"):
+
+        @measure(label="speed", **facts)
+        def speed(episode):
+            return 0.0
+
+
 def test_measures_of_a_notebook_travel_as_they_are(make_episode):
     function = register_half_way_time()
     packed = cloudpickle.dumps(own_measures())
