@@ -124,12 +124,21 @@ class Experiment:
     Attributes:
         name: name on the command line, and of its folder.
         description: one line.
-        run: makes the result; it writes nothing but its parts under `settings.folder`.
+        function: makes the result; it writes nothing but its parts under `settings.folder`.
     """
 
     name: str
     description: str
-    run: Callable[[Settings], Result]
+    function: Callable[[Settings], Result]
+
+    def __call__(self, settings: Settings) -> Result:
+        """Run the experiment."""
+        return self.function(settings)
+
+
+def experiment(name: str, description: str) -> Callable[[Callable[[Settings], Result]], Experiment]:
+    """Make a function that returns a result an experiment, as a decorator."""
+    return lambda function: Experiment(name, description, function)
 
 
 def format_value(value: Value) -> str:

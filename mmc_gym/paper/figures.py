@@ -1,6 +1,6 @@
 """Figures of movements, and what the figures of all experiments share.
 
-A function that draws is decorated with `styled`; its panels come from `side_by_side`, the look of
+A function that draws is decorated with `styled`; its panels come from `make_panels`, the look of
 a curve from `look`, and the legend of all panels from `add_legend`.
 """
 
@@ -25,23 +25,16 @@ VELOCITY = "velocity [of start to target / iteration]"
 styled = rc_context(STYLE)
 
 
-def side_by_side(
-    panels: int, width: float, height: float, **shared: Any
+def make_panels(
+    count: int, width: float, height: float, columns: int | None = None, **shared: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure, in inches, and its panels, with `shared` for all of them."""
+    """Return a figure, in inches, and its panels, side by side or in so many columns."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, list(figure.subplots(1, panels, squeeze=False, **shared)[0])
-
-
-def panel_grid(
-    panels: int, width: float, height: float, margin: tuple[float, float] = (0, 0), **kind: Any
-) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its panels, three in a row; sizes of a panel and of all margins."""
-    columns = min(panels, 3)
-    rows = -(-panels // columns)
-    size = width * columns + margin[0], height * rows + margin[1]
-    figure = Figure(figsize=size, layout="constrained")
-    return figure, [figure.add_subplot(rows, columns, n + 1, **kind) for n in range(panels)]
+    columns = columns or count
+    panels = figure.subplots(-(-count // columns), columns, squeeze=False, **shared).ravel()
+    for unused in panels[count:]:
+        unused.remove()
+    return figure, list(panels[:count])
 
 
 def look(number: int) -> dict[str, Any]:
@@ -75,7 +68,7 @@ def draw_courses(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
     Args:
         panels: courses by the label of the vertical axis and by name, (movements, iterations).
     """
-    figure, row = side_by_side(len(panels), 3.7 * len(panels) + 0.5, 3.6)
+    figure, row = make_panels(len(panels), 3.7 * len(panels) + 0.5, 3.6)
     for axes, (label, courses) in zip(row, panels.items(), strict=True):
         for number, (name, course) in enumerate(courses.items()):
             _draw_course(axes, name, course, number)
@@ -103,7 +96,7 @@ def draw_profiles(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
     Args:
         panels: profiles by title and name, (iterations,).
     """
-    figure, row = side_by_side(len(panels), 3.1 * len(panels) + 0.6, 3.2, sharey=True)
+    figure, row = make_panels(len(panels), 3.1 * len(panels) + 0.6, 3.2, sharey=True)
     for axes, (title, profiles) in zip(row, panels.items(), strict=True):
         for number, (name, profile) in enumerate(profiles.items()):
             iterations = np.arange(1, len(profile) + 1)
@@ -123,7 +116,7 @@ def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
         samples: a value per movement by name, (movements,).
         label: of the horizontal axis.
     """
-    figure, (axes,) = side_by_side(1, 4.2, 3.3)
+    figure, (axes,) = make_panels(1, 4.2, 3.3)
     for number, (name, values) in enumerate(samples.items()):
         axes.ecdf(values, linewidth=1.5, label=name, **look(number))
     axes.set(xlabel=label, ylabel="share of movements", ylim=(0, 1))
@@ -139,7 +132,7 @@ def draw_postures(movements: Mapping[str, Recording], every: int = 2) -> Figure:
         movements: a recording of one movement by title.
         every: a posture is drawn each so many iterations; the first and the last are thick.
     """
-    figure, row = side_by_side(len(movements), 3.1 * len(movements), 2.5, sharex=True, sharey=True)
+    figure, row = make_panels(len(movements), 3.1 * len(movements), 2.5, sharex=True, sharey=True)
     for axes, (title, movement) in zip(row, movements.items(), strict=True):
         _draw_movement(axes, movement, every)
         axes.set(title=title, xlabel="x [segment lengths]", aspect="equal")

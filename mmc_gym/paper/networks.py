@@ -40,7 +40,7 @@ QUICK_ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (16,), (8, 8), (16, 16))
 QUICK_RUNS = 2
 QUICK_RECIPE = replace(PAPER, epochs=20)
 
-_BY_EPOCH, _AT_THE_END = ("training_mse", "validation_mse"), ("grid_mse", "angle_error")
+_MEASURES = ("training_mse", "validation_mse", "grid_mse", "angle_error")
 _NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest asks for
 _FEW_EPOCHS = 500  # take no longer than to start a process, and torch in it
 
@@ -75,7 +75,7 @@ def trained_architectures(
     settings: Settings,
     architectures: Sequence[Units] | None = None,
     weight_decay: float = PAPER.weight_decay,
-) -> dict[Units, TrainedArchitecture]:
+) -> dict[str, TrainedArchitecture]:
     """Return networks trained by the paper's recipe, from the settings' folder if they are there.
 
     Args:
@@ -85,7 +85,7 @@ def trained_architectures(
         weight_decay: weight decay of the training; the paper's twelve have none.
 
     Returns:
-        All runs of each architecture, in the order asked for.
+        All runs of each architecture, by its name, in the order asked for.
     """
     if architectures is None:
         architectures = QUICK_ARCHITECTURES if settings.quick else ARCHITECTURES
@@ -115,7 +115,9 @@ def trained_architectures(
 
     train = _train if parallel else partial(_train, tick=partial(report, 1))
     run_grid(train, missing, jobs=settings.jobs if parallel else 1, on_result=keep)
-    return {task.hidden_units: trained for task, trained in found.items() if trained}
+    return {
+        architecture_name(task.hidden_units): trained for task, trained in found.items() if trained
+    }
 
 
 @dataclass(frozen=True)
@@ -154,9 +156,7 @@ def _train(task: _Task, tick: Callable[[], None] = lambda: None) -> TrainedArchi
 
 
 def _packed(trained: TrainedArchitecture, version: str) -> bytes:
-    arrays: dict[str, NDArray[Any]] = {
-        name: getattr(trained, name) for name in (*_BY_EPOCH, *_AT_THE_END)
-    }
+    arrays: dict[str, NDArray[Any]] = {name: getattr(trained, name) for name in _MEASURES}
     for layer in range(len(trained.hidden_units) + 1):
         arrays[f"weights_{layer}"] = np.stack([n.weights[layer] for n in trained.normalizers])
         arrays[f"biases_{layer}"] = np.stack([n.biases[layer] for n in trained.normalizers])
@@ -183,13 +183,6 @@ def _read(task: _Task, settings: Settings) -> TrainedArchitecture | None:
 
 
 def _unpacked(task: _Task, arrays: dict[str, NDArray[Any]]) -> TrainedArchitecture:
-    shapes: dict[str, tuple[int, ...]] = {
-        **{name: (task.runs, task.recipe.epochs) for name in _BY_EPOCH},
-        **{name: (task.runs,) for name in _AT_THE_END},
-    }
-    for name, shape in shapes.items():
-        if arrays[name].shape != shape:
-            raise ValueError(f"{name} must have shape {shape}, got {arrays[name].shape}")
     layers = range(len(task.hidden_units) + 1)
     normalizers = tuple(
         LearnedNormalizer(
@@ -198,6 +191,5 @@ def _unpacked(task: _Task, arrays: dict[str, NDArray[Any]]) -> TrainedArchitectu
         )
         for run in range(task.runs)
     )
-    return TrainedArchitecture(
-        task.hidden_units, normalizers, **{name: arrays[name] for name in shapes}
-    )
+    measures = {name: arrays[name] for name in _MEASURES}
+    return TrainedArchitecture(task.hidden_units, normalizers, **measures)

@@ -23,7 +23,7 @@ from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.networks import architecture_name, trained_architectures
+from mmc_gym.paper.networks import trained_architectures
 
 WARM_ITERATIONS_KINEMATIC = 100
 WARM_ITERATIONS_DYNAMIC = 40
@@ -221,11 +221,10 @@ def each(measure: Callable[[Floats], float], profiles: Floats) -> Floats:
 
 def all_normalizers(settings: Settings) -> dict[str, tuple[Normalizer, ...]]:
     """Return Euclidean, the shipped accurate one, and all runs of every architecture, by name."""
-    trained = trained_architectures(settings)
     return {
         EUCLIDEAN: (EuclideanNormalizer(),),
         ACCURATE: (LearnedNormalizer.shipped("accurate"),),
-        **{architecture_name(units): found.normalizers for units, found in trained.items()},
+        **{name: found.normalizers for name, found in trained_architectures(settings).items()},
     }
 
 

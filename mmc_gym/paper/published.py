@@ -1,4 +1,4 @@
-"""Published figures of the movements, measured again from the data published with the paper.
+"""Published figures, measured again from the data published with the paper.
 
 Distances and velocities are normalized; the schedule is "delayed" unless one is named.
 """
@@ -7,8 +7,46 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from mmc_gym.network.model import Dynamics, Schedule
+
+MeanAndDeviation: TypeAlias = "tuple[float, float]"
+
+
+@dataclass(frozen=True)
+class PublishedErrors:
+    """Published errors of an architecture; means and standard deviations are of five runs.
+
+    Attributes:
+        validation: mean and deviation of the validation MSE after 400 epochs.
+        training: the same of the training MSE.
+        angle_error: mean absolute angle error at lengths 0.9 to 1.1 of one network, degrees.
+        text: validation MSE in the paper's text.
+    """
+
+    validation: MeanAndDeviation
+    training: MeanAndDeviation
+    angle_error: float
+    text: float | None = None
+
+
+# Errors: training histories published with the paper.  Angle errors: measured on the networks
+# published with it, one for each architecture.
+NORMALIZATION_PUBLISHED: dict[str, PublishedErrors] = {
+    "[2]": PublishedErrors((0.03399, 0.00012), (0.03013, 0.00003), 2.23),
+    "[4]": PublishedErrors((0.01433, 0.00106), (0.01262, 0.00104), 3.34),
+    "[8]": PublishedErrors((0.00552, 0.00068), (0.00452, 0.00061), 2.64),
+    "[16]": PublishedErrors((0.00427, 0.00015), (0.00336, 0.00010), 0.62, text=0.0042),
+    "[32]": PublishedErrors((0.00399, 0.00010), (0.00309, 0.00007), 0.76),
+    "[64]": PublishedErrors((0.00399, 0.00022), (0.00313, 0.00018), 0.61),
+    "[128]": PublishedErrors((0.00414, 0.00035), (0.00329, 0.00030), 0.74),
+    "[2, 2]": PublishedErrors((0.01621, 0.00016), (0.01417, 0.00002), 4.02),
+    "[4, 4]": PublishedErrors((0.00360, 0.00022), (0.00322, 0.00023), 1.55),
+    "[8, 8]": PublishedErrors((0.00116, 0.00024), (0.00123, 0.00016), 0.43),
+    "[16, 16]": PublishedErrors((0.00035, 0.00006), (0.00062, 0.00010), 0.25, text=0.0003),
+    "[32, 32]": PublishedErrors((0.00030, 0.00009), (0.00059, 0.00005), 0.56),
+}
 
 KINEMATIC_DISTANCES: dict[str, str] = {
     "[2]": "0.2715 ± 0.2685",

@@ -20,7 +20,6 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -56,21 +55,19 @@ LEGEND = (
 )
 QUICK = "This is a quick run: a small part of each experiment, to see that everything works."
 
-EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
-    {
-        module.EXPERIMENT.name: module.EXPERIMENT
-        for module in (
-            normalization,
-            population,
-            accurate,
-            kinematic,
-            dynamic,
-            example,
-            bell_shaped,
-            forward_and_mixed,
-        )
-    }
-)
+EXPERIMENTS: Mapping[str, Experiment] = {
+    module.run.name: module.run
+    for module in (
+        normalization,
+        population,
+        accurate,
+        kinematic,
+        dynamic,
+        example,
+        bell_shaped,
+        forward_and_mixed,
+    )
+}
 """Experiments by name."""
 
 # Columns of the tables, and their shares of a terminal's width.
@@ -181,7 +178,7 @@ def run_experiment(
     def report(done: int, total: int) -> None:
         bar.update(task, completed=done, total=total)
 
-    result = experiment.run(replace(settings, on_progress=report))
+    result = experiment(replace(settings, on_progress=report))
     bar.remove_task(task)
     write_result(result, folder)
     section = Section(

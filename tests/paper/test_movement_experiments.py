@@ -24,7 +24,7 @@ from mmc_gym.paper.experiments.forward_and_mixed import (
     factor,
     random_tasks,
 )
-from mmc_gym.paper.networks import TrainedArchitecture
+from mmc_gym.paper.networks import TrainedArchitecture, architecture_name
 from mmc_gym.paper.protocol import OVERSHOOT, PAIRS, TARGETS, record_movements, shapes
 
 ACCURATE = LearnedNormalizer.shipped("accurate")
@@ -37,7 +37,9 @@ def trained(settings, architectures=((16,), (16, 16))):
     """Instead of training: two 2-16-16-2 networks for every architecture."""
     none = np.zeros((2, 0))
     return {
-        units: TrainedArchitecture(units, RUNS, none, none, np.zeros(2), np.zeros(2))
+        architecture_name(units): TrainedArchitecture(
+            units, RUNS, none, none, np.zeros(2), np.zeros(2)
+        )
         for units in architectures
     }
 
@@ -52,7 +54,7 @@ class Results(dict):
             patch.setattr(example, "trained_architectures", trained)
             quick = module in (accurate, bell_shaped, forward_and_mixed)
             settings = Settings(quick, on_progress=lambda *report: calls.append(report))
-            self[module] = module.EXPERIMENT.run(settings)
+            self[module] = module.run(settings)
         assert module is example or calls[-1][0] == calls[-1][1] > 0
         return self[module]
 

@@ -10,12 +10,13 @@ from mmc_gym.paper import networks
 from mmc_gym.paper.experiment import Settings, write_result
 from mmc_gym.paper.experiments import normalization, population
 from mmc_gym.paper.experiments.population import DIRECTIONS, layer_tunings, tuning
-from mmc_gym.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES
+from mmc_gym.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES, architecture_name
+from mmc_gym.paper.published import NORMALIZATION_PUBLISHED
 
 
 def test_every_architecture_has_published_errors():
-    assert tuple(normalization.PUBLISHED) == ARCHITECTURES
-    for published in normalization.PUBLISHED.values():
+    assert list(NORMALIZATION_PUBLISHED) == [architecture_name(units) for units in ARCHITECTURES]
+    for published in NORMALIZATION_PUBLISHED.values():
         assert published.validation[0] == pytest.approx(
             published.text or published.validation[0], rel=0.2
         )

@@ -55,8 +55,8 @@ def test_the_paper_has_twelve_architectures_of_five_runs():
 
 def test_trained_networks_are_measured():
     few = train_few()
-    assert tuple(few) == FEW
-    for units, architecture in few.items():
+    assert list(few) == ["[2]", "[3, 2]"]
+    for units, architecture in zip(FEW, few.values(), strict=True):
         assert architecture.hidden_units == units
         assert architecture.training_mse.shape == architecture.validation_mse.shape == (2, 6)
         for normalizer, grid_mse in zip(
@@ -70,7 +70,7 @@ def test_trained_networks_are_measured():
 def test_a_seed_gives_the_same_networks_and_another_seed_others():
     one, again, other = train_few(), train_few(), train_few(seed=1)
     assert_same(one, again)
-    assert not np.allclose(one[2,].training_mse, other[2,].training_mse)
+    assert not np.allclose(one["[2]"].training_mse, other["[2]"].training_mse)
 
 
 def test_interrupted_work_goes_on_where_it_was(tmp_path, calls, monkeypatch):
@@ -101,7 +101,7 @@ def test_what_is_kept_is_for_its_seed_and_recipe_only(tmp_path, calls, monkeypat
     assert len(calls) == 2
     recipe = replace(normalizers.QUICK_RECIPE, epochs=2)
     monkeypatch.setattr(normalizers, "QUICK_RECIPE", recipe)
-    assert train_few(tmp_path)[2,].training_mse.shape == (2, 2)
+    assert train_few(tmp_path)["[2]"].training_mse.shape == (2, 2)
 
 
 def cut(path):
@@ -132,7 +132,6 @@ DAMAGE = {
     "scrambled": scramble,
     "without weights": rewrite(weights_0=None),
     "too few runs": rewrite(weights_0=np.zeros((1, 2, 2))),
-    "fewer epochs": rewrite(training_mse=np.zeros((2, 3))),
     "no numbers": rewrite(biases_1=np.array(["a", "b"])),
 }
 

@@ -1,17 +1,11 @@
 """The normalization network bettered: one that turns vectors so little that the arm arrives.
 
 Ships as the default beside the one trained by the paper's recipe; both are 2-16-16-2 tanh
-networks f, and the MMC network is the same.  What is different:
-
-    What matters   At rest the free segments satisfy L̃ = L + e/d with e the sum of the triangles'
-                   contradictions (Eq. 2), and L = f(L̃).  An f that turns vectors of length near
-                   1 by ε leaves a contradiction of about d·ε, and with it a distance of about
-                   1.5·d·ε to the target.  The MSE over lengths in ]0, 2] says little about ε.
-    Odd            No biases: f(−x) = −f(x), as the exact normalization has it, so that f keeps
-                   directions down to the shortest vectors.
-    Objective      Adam on the MSE with lengths in ]0, 3], half of them in ]0.8, 1.2]; then
-                   Levenberg-Marquardt on the errors across and along the direction u,
-                   Σ w(r)² [(u × f(r u))² + c² (u · f(r u) − 1)²], heaviest for r near 1.
+networks f, and the MMC network is the same.  How it is trained: `network.fitting`.  Why: at rest
+the free segments satisfy L̃ = L + e/d with e the sum of the triangles' contradictions (Eq. 2), and
+L = f(L̃).  An f that turns vectors of length near 1 by ε leaves a contradiction of about d·ε, and
+with it a distance of about 1.5·d·ε to the target.  The MSE over lengths in ]0, 2] says little
+about ε.
 
 The worst angle error over ]0, 3] is measured over lengths down to 10⁻⁶; below 90° an output never
 points the wrong way.
@@ -36,13 +30,13 @@ from mmc_gym.network.normalizers import (
 )
 from mmc_gym.paper.experiment import (
     Captioned,
-    Experiment,
     Result,
     Row,
     Settings,
+    experiment,
     mean_and_deviation,
 )
-from mmc_gym.paper.figures import look, side_by_side, styled
+from mmc_gym.paper.figures import look, make_panels, styled
 from mmc_gym.paper.protocol import EUCLIDEAN, FAR, record_movements
 
 NEAR_ONE: Floats = np.linspace(0.9, 1.1, 41)
@@ -97,6 +91,7 @@ def measure(normalizer: Normalizer, directions: int) -> Measured:
     )
 
 
+@experiment("accurate", "bettered: a normalization network that hardly turns a vector")
 def run(settings: Settings) -> Result:
     """Measure the shipped networks, accurate and by the paper's recipe, beside the Euclidean."""
     normalizers: dict[str, Normalizer] = {
@@ -184,7 +179,7 @@ def _rows(measured: Mapping[str, Measured]) -> list[Row]:
 @styled
 def draw_errors_and_distances(measured: Mapping[str, Measured]) -> Figure:
     """Draw the errors of all but the exact normalizer, and the distances of all."""
-    figure, (left, right) = side_by_side(2, 7.2, 3.2)
+    figure, (left, right) = make_panels(2, 7.2, 3.2)
     for number, (name, found) in enumerate(measured.items()):
         style = look(number)
         width = 1.3
@@ -208,8 +203,3 @@ def draw_errors_and_distances(measured: Mapping[str, Measured]) -> Figure:
     for axes in (left, right):
         axes.legend(frameon=False)
     return figure
-
-
-EXPERIMENT = Experiment(
-    "accurate", "bettered: a normalization network that hardly turns a vector", run
-)

@@ -26,10 +26,10 @@ from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
 from mmc_gym.paper.experiment import (
     Captioned,
-    Experiment,
     Result,
     Row,
     Settings,
+    experiment,
     mean_and_deviation,
 )
 from mmc_gym.paper.figures import DISTANCE, VELOCITY, draw_courses, draw_profiles, draw_shares
@@ -96,6 +96,7 @@ def movers() -> dict[str, Callable[[int], Recording]]:
     }
 
 
+@experiment("bell-shaped", "bettered: a time base makes each movement bell-shaped")
 def run(settings: Settings) -> Result:
     """Measure how bell-shaped the movements of all networks are."""
     makers = movers()
@@ -230,6 +231,3 @@ def _labels(chosen: NDArray[np.bool_]) -> list[str]:
 def _spread(values: Floats, digits: str) -> str:
     low, median, high = np.nanpercentile(values, (5, 50, 95))
     return f"{median:{digits}} ({low:{digits}} to {high:{digits}})"
-
-
-EXPERIMENT = Experiment("bell-shaped", "bettered: a time base makes each movement bell-shaped", run)

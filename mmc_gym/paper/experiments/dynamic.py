@@ -30,10 +30,10 @@ from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalizers import Normalizer
 from mmc_gym.paper.experiment import (
     Captioned,
-    Experiment,
     Result,
     Row,
     Settings,
+    experiment,
     how_many,
     over_runs,
 )
@@ -69,6 +69,9 @@ NETWORKS: tuple[MMCNetwork, ...] = (
 )
 
 
+@experiment(
+    "dynamic", "420 movements of the dynamic network: rules, decays, schedules, normalizers"
+)
 def run(settings: Settings) -> Result:
     """Run the movements with every normalizer, rule, decay and schedule."""
     normalizers = all_normalizers(settings)
@@ -245,8 +248,3 @@ def _euclidean_rows(table: pd.DataFrame) -> list[Row]:
             )
         )
     return rows
-
-
-EXPERIMENT = Experiment(
-    "dynamic", "420 movements of the dynamic network: rules, decays, schedules, normalizers", run
-)

@@ -17,10 +17,10 @@ from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 from mmc_gym.paper.experiment import (
     Captioned,
-    Experiment,
     Result,
     Row,
     Settings,
+    experiment,
     how_many,
     over_runs,
 )
@@ -47,9 +47,10 @@ PUBLISHED: Mapping[str, str] = dict(
 _IN_THE_TEXT: Mapping[str, str] = dict(zip(list(NETWORKS)[1:3], ("0.025", "0.030"), strict=True))
 
 
+@experiment("example", "the example movement, kinematic and dynamic")
 def run(settings: Settings) -> Result:
     """Make the example movement with every network."""
-    hidden = trained_architectures(settings, ((16, 16),))[16, 16].normalizers
+    hidden = trained_architectures(settings, ((16, 16),))["[16, 16]"].normalizers
     movements = {
         name: record_movement(network, [EuclideanNormalizer()] if name == CLASSICAL else hidden)
         for name, network in NETWORKS.items()
@@ -140,6 +141,3 @@ def _second_peak_row(name: str, recordings: Sequence[Recording]) -> Row:
         unit="of start to target / iteration",
         note="each network" if len(found) > 1 else "",
     )
-
-
-EXPERIMENT = Experiment("example", "the example movement, kinematic and dynamic", run)

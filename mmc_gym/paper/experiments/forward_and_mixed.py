@@ -33,8 +33,8 @@ from mmc_gym._plotting import COLOURS
 from mmc_gym.network.chain import Floats, Pair, chain_vectors, vector_pairs
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from mmc_gym.paper.experiment import Captioned, Experiment, Result, Row, Settings
-from mmc_gym.paper.figures import add_legend, look, side_by_side, styled
+from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, experiment
+from mmc_gym.paper.figures import add_legend, look, make_panels, styled
 from mmc_gym.paper.protocol import ACCURATE, EUCLIDEAN
 
 ARMS = 1000
@@ -99,6 +99,7 @@ _Found: TypeAlias = Mapping[tuple[str, str, str], Floats]
 """Errors by network, normalizer and task, (iterations, arms)."""
 
 
+@experiment("forward-and-mixed", "forward and mixed tasks with the network of the inverse tasks")
 def run(settings: Settings) -> Result:
     """Give every task to every network with every normalizer."""
     arms = ARMS // 10 if settings.quick else ARMS
@@ -147,7 +148,7 @@ def draw_errors(panels: Mapping[str, Mapping[str, Floats]], slope: float) -> Fig
         panels: errors by title and name, (iterations,), segment lengths.
         slope: a factor per iteration, drawn to compare with.
     """
-    figure, row = side_by_side(len(panels), 2.7 * len(panels) + 0.6, 3.4, sharey=True)
+    figure, row = make_panels(len(panels), 2.7 * len(panels) + 0.6, 3.4, sharey=True)
     for axes, (title, courses) in zip(row, panels.items(), strict=True):
         for number, (name, error) in enumerate(courses.items()):
             axes.plot(
@@ -210,8 +211,3 @@ def _mixed_rows(found: _Found) -> list[Row]:
         for (network, normalizer, task), course in found.items()
         if not task.startswith("forward") and network != "kinematic, delayed"  # as kinematic
     ]
-
-
-EXPERIMENT = Experiment(
-    "forward-and-mixed", "forward and mixed tasks with the network of the inverse tasks", run
-)

@@ -19,14 +19,14 @@ from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import Normalizer
 from mmc_gym.paper.experiment import (
     Captioned,
-    Experiment,
     Result,
     Row,
     Settings,
+    experiment,
     how_many,
     over_runs,
 )
-from mmc_gym.paper.figures import DISTANCE, draw_courses, side_by_side, styled
+from mmc_gym.paper.figures import DISTANCE, draw_courses, make_panels, styled
 from mmc_gym.paper.protocol import (
     ACCURATE,
     EUCLIDEAN,
@@ -43,6 +43,7 @@ DELAYED = MMCNetwork(schedule="delayed")
 SYNCHRONOUS = MMCNetwork(schedule="synchronous")
 
 
+@experiment("kinematic", "420 movements of the kinematic network with every normalizer")
 def run(settings: Settings) -> Result:
     """Run the movements with every normalizer, in both schedules."""
     normalizers = all_normalizers(settings)
@@ -174,7 +175,7 @@ def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figur
     places = np.arange(len(runs))
     means = np.array([of_runs.mean() for of_runs in runs.values()])
     deviations = np.array([of_runs.std() for of_runs in runs.values()])
-    figure, (axes,) = side_by_side(1, max(0.5 * len(runs) + 1.2, 4.2), 3.1)
+    figure, (axes,) = make_panels(1, max(0.5 * len(runs) + 1.2, 4.2), 3.1)
     axes.fill_between(
         places,
         np.maximum(means - deviations, 0),
@@ -199,8 +200,3 @@ def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figur
     )
     axes.legend(frameon=False, ncols=2, loc="upper center")
     return figure
-
-
-EXPERIMENT = Experiment(
-    "kinematic", "420 movements of the kinematic network with every normalizer", run
-)

@@ -15,7 +15,7 @@ over the dense grid, which is free of that luck.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,68 +31,25 @@ from mmc_gym.network.fitting import PAPER
 from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.paper.experiment import (
     Captioned,
-    Experiment,
     Result,
     Row,
     Settings,
+    experiment,
     mean_and_deviation,
 )
-from mmc_gym.paper.figures import side_by_side, styled
-from mmc_gym.paper.networks import (
-    QUICK_RECIPE,
-    TrainedArchitecture,
-    Units,
-    architecture_name,
-    trained_architectures,
-)
+from mmc_gym.paper.figures import make_panels, styled
+from mmc_gym.paper.networks import QUICK_RECIPE, TrainedArchitecture, trained_architectures
+from mmc_gym.paper.published import NORMALIZATION_PUBLISHED, MeanAndDeviation
+
+_FIELDS = ("[8]", "[16]")
 
 
-@dataclass(frozen=True)
-class Published:
-    """Published errors of an architecture; means and standard deviations are of five runs.
-
-    Attributes:
-        validation: mean and deviation of the validation MSE after 400 epochs.
-        training: the same of the training MSE.
-        angle_error: mean absolute angle error at lengths 0.9 to 1.1 of one network, degrees.
-        text: the MSE that the paper's text gives.
-    """
-
-    validation: tuple[float, float]
-    training: tuple[float, float]
-    angle_error: float
-    text: float | None = None
-
-
-# Errors: training histories published with the paper.  Angle errors: measured on the networks
-# published with it, one for each architecture.
-PUBLISHED: dict[Units, Published] = {
-    (2,): Published((0.03399, 0.00012), (0.03013, 0.00003), 2.23),
-    (4,): Published((0.01433, 0.00106), (0.01262, 0.00104), 3.34),
-    (8,): Published((0.00552, 0.00068), (0.00452, 0.00061), 2.64),
-    (16,): Published((0.00427, 0.00015), (0.00336, 0.00010), 0.62, text=0.0042),
-    (32,): Published((0.00399, 0.00010), (0.00309, 0.00007), 0.76),
-    (64,): Published((0.00399, 0.00022), (0.00313, 0.00018), 0.61),
-    (128,): Published((0.00414, 0.00035), (0.00329, 0.00030), 0.74),
-    (2, 2): Published((0.01621, 0.00016), (0.01417, 0.00002), 4.02),
-    (4, 4): Published((0.00360, 0.00022), (0.00322, 0.00023), 1.55),
-    (8, 8): Published((0.00116, 0.00024), (0.00123, 0.00016), 0.43),
-    (16, 16): Published((0.00035, 0.00006), (0.00062, 0.00010), 0.25, text=0.0003),
-    (32, 32): Published((0.00030, 0.00009), (0.00059, 0.00005), 0.56),
-}
-
-_FIELD_UNITS: tuple[Units, ...] = ((8,), (16,))
-
-
+@experiment("normalization", "errors of twelve normalization networks, five runs each")
 def run(settings: Settings) -> Result:
     """Train the networks, or read them, and compare their errors with the published ones."""
     trained = trained_architectures(settings)
-    named = {architecture_name(units): architecture for units, architecture in trained.items()}
-    histories = {name: found.validation_mse.mean(axis=0) for name, found in named.items()}
-    fields = {
-        architecture_name(units): vector_field(trained[units].normalizers[0])
-        for units in _FIELD_UNITS
-    }
+    histories = {name: found.validation_mse.mean(axis=0) for name, found in trained.items()}
+    fields = {name: vector_field(trained[name].normalizers[0]) for name in _FIELDS}
     quick = f"quick run: {QUICK_RECIPE.epochs} of {PAPER.epochs} epochs" if settings.quick else ""
     return Result(
         rows=_rows(trained, quick),
@@ -119,7 +76,7 @@ def run(settings: Settings) -> Result:
             "mse": _frame(trained),
             "training": {
                 f"{kind} {name}": history
-                for name, found in named.items()
+                for name, found in trained.items()
                 for kind, history in (
                     ("training", found.training_mse),
                     ("validation", found.validation_mse),
@@ -142,7 +99,7 @@ def vector_field(normalizer: LearnedNormalizer) -> tuple[Floats, Floats]:
     return inputs, normalizer(inputs)
 
 
-def agreement(ours: tuple[float, float], published: tuple[float, float]) -> str:
+def agreement(ours: MeanAndDeviation, published: MeanAndDeviation) -> str:
     """Tell in words whether two means lie within the sum of their standard deviations.
 
     >>> agreement((0.0036, 0.0015), (0.0043, 0.0002))
@@ -156,36 +113,21 @@ def agreement(ours: tuple[float, float], published: tuple[float, float]) -> str:
     return f"outside the spread of both: {apart:.1f} × the sum of the deviations"
 
 
-def _rows(trained: Mapping[Units, TrainedArchitecture], quick: str) -> list[Row]:
+def _rows(trained: Mapping[str, TrainedArchitecture], quick: str) -> list[Row]:
     validation, training, angles = [], [], []
-    for units, architecture in trained.items():
-        name, published = architecture_name(units), PUBLISHED[units]
-        error = architecture.validation_mse[:, -1]
-        grid = mean_and_deviation(architecture.grid_mse, 5)
-        note = quick or agreement((error.mean(), error.std()), published.validation)
-        validation.append(
-            Row(
-                f"{name}: validation MSE",
-                published.text,
-                _plus_minus(published.validation),
-                mean_and_deviation(error, 5),
-                note=f"{note}; over the dense grid ours is {grid}",
-            )
-        )
-        error = architecture.training_mse[:, -1]
+    for name, found in trained.items():
+        published = NORMALIZATION_PUBLISHED[name]
+        row = _mse_row(f"{name}: validation MSE", found.validation_mse, published.validation, quick)
+        note = f"{row.note}; over the dense grid ours is {mean_and_deviation(found.grid_mse, 5)}"
+        validation.append(replace(row, paper=published.text, note=note))
         training.append(
-            Row(
-                f"{name}: training MSE",
-                data=_plus_minus(published.training),
-                ours=mean_and_deviation(error, 5),
-                note=quick or agreement((error.mean(), error.std()), published.training),
-            )
+            _mse_row(f"{name}: training MSE", found.training_mse, published.training, quick)
         )
         angles.append(
             Row(
                 f"{name}: mean angle error",
                 data=f"{published.angle_error:.2f}",
-                ours=mean_and_deviation(architecture.angle_error, 2),
+                ours=mean_and_deviation(found.angle_error, 2),
                 unit="°",
                 note=quick or "lengths 0.9 to 1.1; its data: one network",
             )
@@ -193,58 +135,52 @@ def _rows(trained: Mapping[Units, TrainedArchitecture], quick: str) -> list[Row]
     return validation + training + angles
 
 
-def _plus_minus(mean_and_sd: tuple[float, float]) -> str:
-    return "{:.5f} ± {:.5f}".format(*mean_and_sd)
+def _mse_row(quantity: str, mse: Floats, published: MeanAndDeviation, quick: str) -> Row:
+    final = mse[:, -1]
+    return Row(
+        quantity,
+        data="{:.5f} ± {:.5f}".format(*published),
+        ours=mean_and_deviation(final, 5),
+        note=quick or agreement((final.mean(), final.std()), published),
+    )
 
 
-def _frame(trained: Mapping[Units, TrainedArchitecture]) -> pd.DataFrame:
+def _frame(trained: Mapping[str, TrainedArchitecture]) -> pd.DataFrame:
     return pd.DataFrame(
         {
-            "hidden_units": architecture_name(units),
+            "hidden_units": name,
             "run": number,
             "validation_mse": architecture.validation_mse[number, -1],
             "training_mse": architecture.training_mse[number, -1],
             "grid_mse": architecture.grid_mse[number],
             "angle_error_deg": architecture.angle_error[number],
         }
-        for units, architecture in trained.items()
+        for name, architecture in trained.items()
         for number in range(len(architecture.normalizers))
     )
 
 
 @styled
-def draw_errors(trained: Mapping[Units, TrainedArchitecture]) -> Figure:
+def draw_errors(trained: Mapping[str, TrainedArchitecture]) -> Figure:
     """Draw MSE by architecture, mean ± deviation on a log axis, ours beside the published."""
-    figure, (axes,) = side_by_side(1, 7.4, 3.4)
-    ours = np.array([_mean_and_deviation(found) for found in trained.values()])
-    published = np.array([PUBLISHED[units].validation for units in trained])
-    layers = np.array([len(units) for units in trained])
+    figure, (axes,) = make_panels(1, 7.4, 3.4)
+    finals = [found.validation_mse[:, -1] for found in trained.values()]
+    ours = np.array([(final.mean(), final.std()) for final in finals])
+    published = np.array([NORMALIZATION_PUBLISHED[name].validation for name in trained])
+    layers = np.array([len(found.hidden_units) for found in trained.values()])
     places = np.arange(len(trained))
-    for place, found in enumerate(trained.values()):
-        final = found.validation_mse[:, -1]
+    for place, final in enumerate(finals):
         axes.plot(np.full(len(final), place + 0.12), final, ".", color="0.65", markersize=4)
+    filled: Any = {"color": COLOURS[0], "linestyle": "-", "marker": "o"}
+    hollow: Any = {"color": COLOURS[1], "linestyle": "--", "marker": "s", "markerfacecolor": "w"}
     for count in np.unique(layers):
         group = layers == count
-        x = places[group]
-        _draw_series(axes, x + 0.12, ours[group], color=COLOURS[0], linestyle="-", marker="o")
-        _draw_series(
-            axes,
-            x - 0.12,
-            published[group],
-            color=COLOURS[1],
-            linestyle="--",
-            marker="s",
-            markerfacecolor="w",
-        )
+        _draw_series(axes, places[group] + 0.12, ours[group], **filled)
+        _draw_series(axes, places[group] - 0.12, published[group], **hollow)
     axes.legend(axes.containers[:2], ["ours", "published"], frameon=False)
     axes.set(yscale="log", xlabel="units of the hidden layers", ylabel="validation MSE")
-    axes.set_xticks(places, [architecture_name(units) for units in trained])
+    axes.set_xticks(places, list(trained))
     return figure
-
-
-def _mean_and_deviation(architecture: TrainedArchitecture) -> tuple[float, float]:
-    error = architecture.validation_mse[:, -1]
-    return error.mean(), error.std()
 
 
 def _draw_series(axes: Axes, x: Floats, errors: Floats, **style: Any) -> None:
@@ -257,7 +193,7 @@ def _draw_series(axes: Axes, x: Floats, errors: Floats, **style: Any) -> None:
 @styled
 def draw_training_curves(histories: Mapping[str, Floats]) -> Figure:
     """Draw MSE over epochs, a panel for a single hidden layer and one for two."""
-    figure, panels = side_by_side(2, 7.2, 3.4, sharey=True)
+    figure, panels = make_panels(2, 7.2, 3.4, sharey=True)
     for axes, (title, group) in zip(panels, _by_layers(histories).items(), strict=True):
         colours = colormaps["viridis"](np.linspace(0, 0.85, max(len(group), 2)))
         for number, (name, mse) in enumerate(group.items()):
@@ -273,7 +209,7 @@ def draw_training_curves(histories: Mapping[str, Floats]) -> Figure:
 def draw_surfaces(histories: Mapping[str, Floats]) -> Figure:
     """Draw log10 MSE over epoch and architecture, a surface for each number of hidden layers."""
     limits = np.log10([min(mse.min() for mse in histories.values()), 0.5])
-    figure, panels = side_by_side(2, 8.4, 3.9, subplot_kw={"projection": "3d"})
+    figure, panels = make_panels(2, 8.4, 3.9, subplot_kw={"projection": "3d"})
     for axes, (title, group) in zip(panels, _by_layers(histories).items(), strict=True):
         axes.set_title(title, y=0.98)
         _draw_surface(axes, group, limits)
@@ -310,7 +246,7 @@ def draw_vector_fields(fields: Mapping[str, tuple[Floats, Floats]]) -> Figure:
     Args:
         fields: inputs and outputs of each network, (n, 2).
     """
-    figure, panels = side_by_side(len(fields), 3.6 * len(fields), 3.8, sharey=True)
+    figure, panels = make_panels(len(fields), 3.6 * len(fields), 3.8, sharey=True)
     for axes, (name, (inputs, outputs)) in zip(panels, fields.items(), strict=True):
         axes.set_title(name)
         axes.add_patch(Circle((0, 0), 1, fill=False, color=COLOURS[1], linewidth=1.4))
@@ -320,8 +256,3 @@ def draw_vector_fields(fields: Mapping[str, tuple[Floats, Floats]]) -> Figure:
         axes.set_xlabel("x [segment lengths]")
     panels[0].set_ylabel("y [segment lengths]")
     return figure
-
-
-EXPERIMENT = Experiment(
-    "normalization", "errors of twelve normalization networks, five runs each", run
-)

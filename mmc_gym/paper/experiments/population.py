@@ -35,19 +35,14 @@ from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.paper.experiment import (
     Captioned,
-    Experiment,
     Result,
     Row,
     Settings,
+    experiment,
     mean_and_deviation,
 )
-from mmc_gym.paper.figures import panel_grid, side_by_side, styled, write_number
-from mmc_gym.paper.networks import (
-    TrainedArchitecture,
-    Units,
-    architecture_name,
-    trained_architectures,
-)
+from mmc_gym.paper.figures import make_panels, styled, write_number
+from mmc_gym.paper.networks import TrainedArchitecture, Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
 WEIGHT_DECAY = 0.0005
@@ -127,12 +122,11 @@ def layer_tunings(normalizer: LearnedNormalizer) -> list[Tuning]:
     return [tuning(outputs) for outputs in normalizer.activations(vectors)[:-1]]
 
 
+@experiment("population", "hidden units of the normalization networks as a population code")
 def run(settings: Settings) -> Result:
     """Measure and draw the hidden units of the networks with 4, 8, and [8, 8] hidden units."""
-    plain = trained_architectures(settings, ARCHITECTURES)
-    decayed = trained_architectures(settings, ((8, 8),), WEIGHT_DECAY)[8, 8]
-    trained = {architecture_name(units): found for units, found in plain.items()}
-    trained[_DECAYED] = decayed
+    trained = trained_architectures(settings, ARCHITECTURES)
+    trained[_DECAYED] = trained_architectures(settings, ((8, 8),), WEIGHT_DECAY)[_PLAIN]
     layers: dict[str, tuple[Tuning, ...]] = {}
     for name, architecture in trained.items():
         runs = [layer_tunings(normalizer) for normalizer in architecture.normalizers]
@@ -140,7 +134,7 @@ def run(settings: Settings) -> Result:
             suffix = f", layer {number}" if len(architecture.hidden_units) > 1 else ""
             layers[name + suffix] = of_runs
     shown = {name: first for name, (first, *_) in layers.items()}
-    in_depth = (architecture_name((8,)), f"{_PLAIN}, layer 2", f"{_DECAYED}, layer 2")
+    in_depth = ("[8]", f"{_PLAIN}, layer 2", f"{_DECAYED}, layer 2")
     return Result(
         rows=[
             *(row for name, of_runs in layers.items() for row in _rows(name, of_runs)),
@@ -202,24 +196,19 @@ def _error_row(name: str, trained: TrainedArchitecture) -> Row:
     )
 
 
-def _silence(runs: Sequence[Tuning]) -> str:
-    silent = sum(found.silent for found in runs)
-    if not silent:
-        return ""
-    return f"; {silent} of {sum(found.size for found in runs)} units are silent and left out"
-
-
 def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
     widths = np.concatenate([found.width for found in runs])
     gaps = np.array([found.largest_gap for found in runs])
     active = np.concatenate([found.active for found in runs])
+    silent, units = sum(found.silent for found in runs), sum(found.size for found in runs)
+    silence = f"; {silent} of {units} units are silent and left out" if silent else ""
     return [
         Row(
             f"{name}: tuning width, mean (smallest to largest)",
             paper="“a certain range of the orientation”",
             ours=f"{widths.mean():.0f} ({widths.min():.0f} to {widths.max():.0f})",
             unit="°",
-            note=f"{len(runs)} runs{_silence(runs)}",
+            note=f"{len(runs)} runs{silence}",
         ),
         Row(
             f"{name}: largest gap between preferred directions",
@@ -237,12 +226,14 @@ def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
 
 
 _ANGLES = (0, 90, 180, 270, 360)
+_COLUMNS = 3
 
 
 @styled
 def draw_activations(layers: Mapping[str, Tuning]) -> Figure:
     """Draw activations over the input angle, a panel per layer; number units where they peak."""
-    figure, panels = panel_grid(len(layers), 2.4, 2.5, margin=(0.4, 0.3))
+    rows = -(-len(layers) // _COLUMNS)
+    figure, panels = make_panels(len(layers), 7.6, 2.5 * rows + 0.3, _COLUMNS)
     for axes, (name, layer) in zip(panels, layers.items(), strict=True):
         axes.set_title(name)
         _draw_layer(axes, layer)
@@ -269,9 +260,7 @@ def _draw_layer(axes: Axes, layer: Tuning) -> None:
 @styled
 def draw_activations_in_depth(layers: Mapping[str, Tuning]) -> Figure:
     """Draw a curve per unit in three dimensions: input angle, unit, activation."""
-    figure, panels = side_by_side(
-        len(layers), 4 * len(layers), 3.6, subplot_kw={"projection": "3d"}
-    )
+    figure, panels = make_panels(len(layers), 4 * len(layers), 3.6, subplot_kw={"projection": "3d"})
     degrees = np.degrees(DIRECTIONS)
     axes: Any
     for axes, (name, layer) in zip(panels, layers.items(), strict=True):
@@ -295,7 +284,9 @@ def draw_activations_in_depth(layers: Mapping[str, Tuning]) -> Figure:
 @styled
 def draw_tunings(layers: Mapping[str, Tuning]) -> Figure:
     """Draw preferred direction and tuning width of every unit, each on its own circle."""
-    figure, panels = panel_grid(len(layers), 2.4, 2.9, projection="polar")
+    rows = -(-len(layers) // _COLUMNS)
+    polar = {"projection": "polar"}
+    figure, panels = make_panels(len(layers), 7.2, 2.9 * rows, _COLUMNS, subplot_kw=polar)
     closed = np.append(DIRECTIONS, 2 * np.pi)
     for axes, (name, layer) in zip(panels, layers.items(), strict=True):
         axes.set_title(name, pad=14)
@@ -309,8 +300,3 @@ def draw_tunings(layers: Mapping[str, Tuning]) -> Figure:
         axes.set(ylim=(0, 1.1), yticks=[], xticks=np.radians(_ANGLES[:-1]))
         axes.spines["polar"].set_color("0.8")
     return figure
-
-
-EXPERIMENT = Experiment(
-    "population", "hidden units of the normalization networks as a population code", run
-)
