@@ -168,7 +168,7 @@ class Obstacles(Perturbation):
 
 @dataclass(frozen=True)
 class Readings:
-    """What the senses tell before it is encoded; all arrays lead with the batch.
+    """Readings of the senses before they are encoded; all arrays lead with the batch.
 
     Attributes:
         joint_angles: radians, (..., N).

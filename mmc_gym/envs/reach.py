@@ -57,44 +57,45 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     | 11–12 | (target − hand) / (2 · reach) |
 
     ## Rewards
-    Dense (default): −distance − 0.1 · mean((joint velocity / 2π)²), the distance from hand to
-    target in segment lengths.  With `smoothness_weight` w also − w · mean(change of joint velocity
+    Dense (default): −distance − 0.1 · mean((joint velocity / 2π)²); the distance is that from hand
+    to target in segment lengths.  A `smoothness_weight` w adds −w · mean(change of joint velocity
     / 2π over the step, squared).  Sparse: 0 within 0.05 of the target, −1 elsewhere.
 
     ## Starting State
-    Joint angles uniform on the circle, at rest; target area-uniform over the disc (for unequal
-    segments: the ring) that the hand can reach.  `reset(options={"joint_angles": …})` (3
-    angles in radians) and `{"target": (x, y)}` set either.  Other tasks start otherwise; where
+    Joint angles are uniform on the circle, at rest; the target is area-uniform over the disc (for
+    unequal segments: the ring) that the hand can reach.  `reset(options={"joint_angles": …})` (3
+    angles in radians) and `{"target": (x, y)}` set them.  Other tasks start in other ways; where
     their trials are numbered (`setup.task.trial_count`), `{"trial": k}` takes one.
 
     ## Episode End
-    Never terminates: the hand must stay at the target.  `gym.make` truncates after 100 steps
-    (2 s; pursuit 500, via points 200).
+    Episodes never terminate: the hand must stay at the target.  `gym.make` truncates them after
+    the task's number of steps: 100 (2 s), `pursuit` 500, `via-points` 200.
 
     ## Information
-    `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05, with via points at the
-    last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance`,
-    `reward_control` and, if it has a weight, `reward_smoothness`.  All of them are true, whatever
-    is observed.  Under a visuomotor rotation, `cursor` is what stands for the hand, and what
-    distance, success and reward are about.
+    `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05; with via points only at
+    the last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance`,
+    `reward_control` and, if it has a weight, `reward_smoothness`.  All are true, whatever is
+    observed.  Under a visuomotor rotation a `cursor` stands for the hand; distance, success and
+    reward are the cursor's.
 
     ## Tasks and Perturbations
-    `task` says where the target is and how it moves, `perturbations` what goes wrong with body,
-    cursor or senses; each has an id of its own, such as `MMCReachPursuit-v0`.  See
-    `mmc_gym.envs.tasks` and `mmc_gym.envs.perturbations`.  `env.unwrapped.parameters` is the arm
-    that agents are told of.
+    `task` says where the target is and how it moves; every task has an id, such as
+    `MMCReachPursuit-v0`.  `perturbations` says what goes wrong with body, cursor or senses, by
+    names with any strength: `["delay-150", "longer-35-told"]`.  Many have an id, too, such as
+    `MMCReachLonger20Told-v0`.  See `mmc_gym.envs.tasks` and `mmc_gym.envs.scenarios`.
+    `env.unwrapped.parameters` is the arm that agents are told of.
 
     ## Arguments
     `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `smoothness_weight` (0),
-    `success_distance` (0.05), `render_mode` ("human", "rgb_array"), `task` (a name in `TASKS` or a
-    `Task`), `perturbations` (names in `PERTURBATIONS` or `Perturbation`s), `engine` ("pymunk",
-    "analytic"), and any field of `mmc_gym.body.ArmParameters` by name: `segment_lengths`,
-    `segment_masses`, `speed_limit`, `torque_limit`, `servo_gain`, `joint_limits`, `gravity`,
-    `substep`, `substeps`, and those that perturbations set.  The arm has as many joints as
-    `segment_lengths`, and action and observation grow with it.
+    `success_distance` (0.05), `render_mode` ("human", "rgb_array"), `task` (a name or a `Task`; by
+    name only tasks with the id's number of steps), `perturbations` (names or `Perturbation`s),
+    `engine` ("pymunk", "analytic"), and any field of `mmc_gym.body.ArmParameters` by name:
+    `segment_lengths`, `segment_masses`, `speed_limit`, `torque_limit`, `servo_gain`,
+    `joint_limits`, `gravity`, `substep`, `substeps`, and those that perturbations set.  The arm
+    has as many joints as `segment_lengths`; action and observation grow with it.
 
-    A pickled or deep-copied environment goes on from where it is as the original does, bit for
-    bit; it has no window.  Far into an endless episode it refuses, see `mmc_gym.body.Arm`.
+    A pickled or deep-copied environment goes on from where it is, bit for bit as the original
+    does; it has no window.  Far into an endless episode it refuses, see `mmc_gym.body.Arm`.
 
     ## Version History
     * v0: initial version
@@ -314,7 +315,7 @@ def _distance(one: Point, other: Point) -> float:
 
 
 class GoalEnvironment(ReachEnvironment):
-    """What makes a goal environment: its setup, and rewards for relabelled transitions."""
+    """The setup of a goal environment, and rewards for relabelled transitions."""
 
     make_setup = GoalSetup
 

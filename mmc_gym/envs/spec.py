@@ -1,4 +1,4 @@
-"""What a reaching environment is made of: its arguments, checked, and all that follows from them.
+"""The setup of a reaching environment: its arguments, checked, and all that follows from them.
 
 Nothing here changes while an environment runs.  The single and the vector environment use the
 same setup, so that every argument means the same in both.
@@ -318,14 +318,14 @@ class GoalSetup(ReachSetup):
 
 
 class ReachEnvironment:
-    """What the single and the vector environment have in common."""
+    """The part that the single and the vector environment share."""
 
     make_setup: ClassVar[type[ReachSetup]] = ReachSetup
     setup: ReachSetup
     _spec: EnvSpec | None = None
 
     parameters = property(attrgetter("setup.told"), doc="The arm as agents are told it.")
-    control = property(attrgetter("setup.control"), doc="What actions mean.")
+    control = property(attrgetter("setup.control"), doc="The control mode.")
     reward_type = property(attrgetter("setup.reward_type"), doc='"dense" or "sparse".')
     control_weight = property(attrgetter("setup.control_weight"), doc="Of the control cost.")
     success_distance = property(

@@ -1,8 +1,8 @@
-"""Reaching tasks: where a trial starts, and where its target is.  A task is a few lines of data.
+"""Reaching tasks: where a trial starts, and where its target is.
 
 A trial is a posture to start from and a path of target positions.  The target moves along the
-path by one place a control step, or, for via points, whenever it has been reached; in the end
-it stays at the last place, or starts over if the task is periodic.
+path by one place every control step, or, for via points, whenever it has been reached.  At the
+end it stays at the last place, or starts over if the task is periodic.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class Trial(NamedTuple):
 
 
 class Request(NamedTuple):
-    """What a trial is drawn from.
+    """Everything that a trial is drawn from.
 
     Attributes:
         workspace: of the arm.
-        random: all randomness comes from here.
-        trial: which one to take, where they are counted; None draws one.
-        joint_angles: the posture to start from, where it is already decided.
+        random: source of all randomness.
+        trial: number of the trial, where they are numbered; None draws one.
+        joint_angles: posture to start from; None draws one.
     """
 
     workspace: Workspace
@@ -45,12 +45,12 @@ class Request(NamedTuple):
     joint_angles: list[float] | None = None
 
     def draw_posture(self) -> list[float]:
-        """A posture to start from: drawn in any case, so that all that follows stays the same."""
+        """Return the posture to start from; draw in any case, so that the rest stays the same."""
         drawn = self.workspace.draw_posture(self.random)
         return self.joint_angles or drawn
 
     def draw_target(self, posture: list[float]) -> Point:
-        """A target that the hand can reach from a posture."""
+        """Return a target that the hand can reach from a posture."""
         return self.workspace.draw_target(self.random, posture)
 
 
@@ -58,7 +58,7 @@ class Task(ABC):
     """A reaching task.
 
     Attributes:
-        advance: what moves the target on along its path: "time", by one place a control step,
+        advance: what moves the target along its path: "time", by one place every control step,
             or "reach", when the hand has come within the success distance.
         periodic: whether the path starts over at its end.
         episode_steps: control steps of an episode in the environments that Gymnasium makes.
@@ -75,7 +75,7 @@ class Task(ABC):
 
     @property
     def trial_count(self) -> int | None:
-        """How many different trials there are, for `options={"trial": …}`; None: unlimited."""
+        """Number of different trials, for `options={"trial": …}`; None: unlimited."""
         return None
 
     def check(self, workspace: Workspace) -> None:  # noqa: B027  (most tasks suit all arms)
@@ -83,7 +83,7 @@ class Task(ABC):
 
     @abstractmethod
     def path_length(self, control_step: float) -> int:
-        """Places on the path of the target, the same for all trials."""
+        """Return the number of places on the path of the target, the same for all trials."""
 
     @abstractmethod
     def draw(self, request: Request) -> Trial:
@@ -97,12 +97,12 @@ class RandomTarget(Task):
     Postures are uniform in the joint angles, targets area-uniform over the reachable set.
     """
 
+    @override
     def path_length(self, control_step: float) -> int:
-        """See `Task.path_length`."""
         return 1
 
+    @override
     def draw(self, request: Request) -> Trial:
-        """See `Task.draw`."""
         start = request.draw_posture()
         return Trial(start, [request.draw_target(start)])
 
@@ -122,12 +122,12 @@ class DoubleStep(RandomTarget):
     def __post_init__(self) -> None:
         require(0 <= self.delay < math.inf, "delay", self.delay, "finite and not negative")
 
+    @override
     def path_length(self, control_step: float) -> int:
-        """See `Task.path_length`."""
         return round(self.delay / control_step) + 1
 
+    @override
     def draw(self, request: Request) -> Trial:
-        """See `Task.draw`."""
         start, targets = super().draw(request)
         steps = self.path_length(request.workspace.body.control_step) - 1
         return Trial(start, targets * steps + [request.draw_target(start)])
@@ -150,12 +150,12 @@ class ViaPoints(RandomTarget):
     def __post_init__(self) -> None:
         require(self.count >= 1, "count", self.count, "at least 1")
 
+    @override
     def path_length(self, control_step: float) -> int:
-        """See `Task.path_length`."""
         return self.count
 
+    @override
     def draw(self, request: Request) -> Trial:
-        """See `Task.draw`."""
         start, targets = super().draw(request)
         more = [request.draw_target(start) for _ in range(self.count - 1)]
         return Trial(start, targets + more)
@@ -179,8 +179,8 @@ class PointToPoint(Task):
         require(fine, "pairs", self.pairs, f"at least one pair of indices from 0 to {count - 1}")
 
     @property
+    @override
     def trial_count(self) -> int:
-        """See `Task.trial_count`."""
         return len(self.pairs)
 
     @property
@@ -189,19 +189,19 @@ class PointToPoint(Task):
         starts = {start for start, _ in self.pairs}
         return self.points[starts.pop()] if len(starts) == 1 else None
 
+    @override
     def path_length(self, control_step: float) -> int:
-        """See `Task.path_length`."""
         return 1
 
+    @override
     def draw(self, request: Request) -> Trial:
-        """See `Task.draw`."""
         drawn = int(request.random.integers(len(self.pairs)))
         trial = drawn if request.trial is None else request.trial
         start, target = self._ends(request.workspace, trial)
         return Trial(request.joint_angles or request.workspace.posture_at(start), [target])
 
+    @override
     def check(self, workspace: Workspace) -> None:
-        """See `Task.check`: the arm must reach every target, from where its trial starts."""
         out_of_reach = []
         for trial in range(len(self.pairs)):
             start, target = self._ends(workspace, trial)
@@ -216,7 +216,7 @@ class PointToPoint(Task):
             )
 
     def _ends(self, workspace: Workspace, trial: int) -> tuple[Point, Point]:
-        """Where the hand starts in a trial, and the target."""
+        """Return where the hand starts in a trial, and the target."""
         start, target = (self.points[index] for index in self.pairs[trial])
         reach = workspace.outer
         return (start[0] * reach, start[1] * reach), (target[0] * reach, target[1] * reach)
@@ -230,9 +230,9 @@ class Pursuit(Task):
     another; phases are random.  The centre is half a reach in front of the base (up, along y).
 
     Attributes:
-        period: after which the path repeats, s.
-        multiples_x: frequencies of the sines in x, in periods.
-        multiples_y: likewise in y.
+        period: time after which the path repeats, s.
+        multiples_x: frequencies of the sines in x, per period.
+        multiples_y: the same in y.
         amplitude: sum of the amplitudes in x, and in y, as a fraction of the reach.
     """
 
@@ -250,12 +250,12 @@ class Pursuit(Task):
             fine = bool(multiples) and min(multiples) >= 1
             require(fine, name, multiples, "at least one, of at least 1")
 
+    @override
     def path_length(self, control_step: float) -> int:
-        """See `Task.path_length`."""
         return round(self.period / control_step)
 
+    @override
     def draw(self, request: Request) -> Trial:
-        """See `Task.draw`."""
         workspace, start = request.workspace, request.draw_posture()
         count = self.path_length(workspace.body.control_step)
         x, y = (
@@ -268,7 +268,7 @@ class Pursuit(Task):
     def _coordinate(
         self, multiples: Sequence[int], count: int, random: np.random.Generator
     ) -> NDArray[np.float64]:
-        """One coordinate of the path, (count,), fractions of the reach; slow sines are larger."""
+        """Return a coordinate of the path, (count,), in reaches; slow sines are larger."""
         weights = 1 / np.array(multiples)
         amplitudes = self.amplitude * weights / weights.sum()
         time = np.arange(count)[:, None] / count * math.tau
@@ -278,7 +278,7 @@ class Pursuit(Task):
 
 
 def _paper_task() -> PointToPoint:
-    """The paper's 21 targets at three radii and seven angles: 420 movements between them."""
+    """Return the paper's 420 movements between 21 targets at three radii and seven angles."""
     points = tuple(
         (radius / 3 * math.cos(angle * math.pi / 6), radius / 3 * math.sin(angle * math.pi / 6))
         for radius in (1, 2, 3)

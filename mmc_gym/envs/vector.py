@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def pick(observation: Any, arms: Any) -> Any:
-    """The rows of an observation, an array or a dict of them, that belong to `arms`."""
+    """Return the rows of an observation, an array or a dict of them, that belong to `arms`."""
     if isinstance(observation, dict):
         return {key: values[arms] for key, values in observation.items()}
     return observation[arms]
@@ -51,7 +51,7 @@ def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
 
 
 def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
-    """Gymnasium's vector infos: rows of the masked arms in arrays for all, each with its mask."""
+    """Return Gymnasium's vector infos: arrays for all arms with the rows of those in the mask."""
     infos: dict[str, Any] = {}
     everywhere = mask.all()
     for name, values in info.items():
@@ -65,27 +65,24 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
 
 
 def check_mask(mask: Any, count: int) -> Bools:
-    """The mask of the arms to reset; None stands for all.
+    """Return the mask of the arms to reset; None stands for all.
 
     Raises:
-        ValueError: if it is no numpy array of `count` bools, or all are False.
+        UserError: if it is no numpy array of `count` bools, or all are False.
     """
     if mask is None:
         return np.ones(count, dtype=bool)
-    fine = isinstance(mask, np.ndarray) and mask.dtype == bool
-    if not fine or mask.shape != (count,) or not mask.any():
-        raise ValueError(
-            f"options['reset_mask'] must be a numpy array of {count} bools, not all False, "
-            f"got {mask!r}"
-        )
+    fine = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)
+    accepted = f"a numpy array of {count} bools, not all False"
+    require(fine and bool(mask.any()), "options['reset_mask']", mask, accepted)
     return np.array(mask)
 
 
 def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """A seed for each arm, or None; from one number, it and those that follow it.
+    """Return a seed or None for each arm; from one number, it and those that follow it.
 
     Raises:
-        ValueError: if there are not `count` of them, or one is negative.
+        UserError: if there are not `count` of them, or one is negative.
     """
     if seed is None:
         return [None] * count
@@ -93,8 +90,8 @@ def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int
         seeds: list[int | None] = [int(seed) + arm for arm in range(count)]
     else:
         seeds = list(seed)
-    if len(seeds) != count or any(one is not None and one < 0 for one in seeds):
-        raise ValueError(f"seed must be a number of at least 0, or {count} of them, got {seed!r}")
+    fine = len(seeds) == count and all(one is None or one >= 0 for one in seeds)
+    require(fine, "seed", seed, f"a number of at least 0, or {count} of them")
     return seeds
 
 
@@ -138,7 +135,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Make the environment; the arguments are listed in the class docstring.
 
         Raises:
-            ValueError: if an argument is outside what it accepts.
+            UserError: a `ValueError`, if an argument is outside what it accepts.
             TypeError: if one is unknown.
         """
         require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
@@ -191,7 +188,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             options: as in `MMCReachEnv.reset`, the same for all; and `reset_mask`, (n,) bool.
 
         Raises:
-            ValueError: if a seed or an option is outside what it accepts; nothing has changed.
+            UserError: if a seed or an option is outside what it accepts; nothing has changed.
         """
         options = dict(options or {})
         mask = check_mask(options.pop("reset_mask", None), self.num_envs)
@@ -216,7 +213,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 episode is over.
         """
         self._require_running()
-        waiting = np.flatnonzero(self._is_over)  # they are reset in place of a step
+        waiting = np.flatnonzero(self._is_over)  # they are reset instead of stepped
         self._body.command(self._commands(actions, waiting))
         self._body.step()
         self._steps += 1
@@ -243,7 +240,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return self._body
 
     def render(self) -> tuple[Any, ...] | None:
-        """A picture (height, width, 3) of each arm."""
+        """Return a picture (height, width, 3) of each arm."""
         if self.render_mode is None:
             gym.logger.warn("render() needs render_mode='rgb_array'")
             return None
@@ -320,7 +317,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             renderer.clear_trace()
 
     def _advance_events(self) -> None:
-        """What else happens in a step: targets move on, and joints lock."""
+        """Let the rest of a step happen: targets move on, and joints lock."""
         setup, last = self.setup, self._last_places
         if setup.lock_step:
             self._body.lock(np.flatnonzero(self._steps == setup.lock_step))
@@ -337,7 +334,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._targets = self._paths[self._all, self._places]
 
     def _restart(self, infos: Info, over: Bools) -> Info:
-        """Under SAME_STEP: start the arms that are over; the infos tell how they ended."""
+        """Restart the arms that are over, under SAME_STEP; the infos tell how they ended."""
         arms = np.flatnonzero(over)
         final_observations = np.full(self.num_envs, None, dtype=object)
         for arm in arms:
@@ -355,7 +352,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     # --- What is seen of them
 
     def _outcome(self, arms: Indices | slice) -> tuple[Any, NDArray[np.float64], Info]:
-        """Observation, reward and info of the present state of these arms."""
+        """Return observation, reward and info of the present state of these arms."""
         setup, body, targets = self.setup, self._body, self._targets[arms]
         hands = self._seen_hands(arms)
         readings = Readings(body.joint_angles[arms], body.joint_velocities[arms], hands, targets)
@@ -377,7 +374,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return setup.observe(readings), rewards, info
 
     def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
-        """Where the hands are, or the cursors that stand for them, (k, 2)."""
+        """Return where the hands are, or the cursors that stand for them, (k, 2)."""
         hands = self._body.end_effectors[arms]
         if self.setup.rotation is None:
             return hands
@@ -398,7 +395,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             raise ResetNeeded(f"reset the arms whose episodes are over before step(): {arms}")
 
     def _commands(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.float64]:
-        """What the servos are asked for, (n, N); the actions of waiting arms do not matter."""
+        """Return the commands to the servos, (n, N); actions of waiting arms do not matter."""
         values = np.array(actions, dtype=np.float64)
         if values.shape != self.action_space.shape:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""The workspace of an arm: where its hand can be, and postures and targets drawn from there."""
+"""The workspace of an arm: where its hand can be, and drawing postures and targets from there."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mmc_gym._errors import UserError
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.network.chain import (
     node_positions,
@@ -30,10 +31,10 @@ Point = tuple[float, float]
 
 
 class Workspace:
-    """What the hand of one arm can reach.
+    """The points that the hand of one arm can reach.
 
-    The joints in `locked` cannot move, so that the segments on both sides of them are one rigid
-    piece, and what can be reached depends on the posture.
+    The joints in `locked` cannot move: the segments on both sides of them are one rigid piece, and
+    what can be reached depends on the posture.
 
     Attributes:
         body: the arm.
@@ -54,11 +55,11 @@ class Workspace:
 
         Args:
             body: the arm that moves.
-            told: the arm that an agent takes it for, if another: the workspace is then what
+            told: the arm that agents take it for, if it is another: the workspace is then what
                 both can reach.
             locked: indices of joints that are locked all the time.
-            rotation: of the cursor that stands for the hand, if there is one; what can be
-                reached is then what the cursor can.
+            rotation: of the cursor that stands for the hand, if there is one: the workspace is
+                then what the cursor can reach.
         """
         self.body = body
         self.locked = tuple(locked)
@@ -71,10 +72,13 @@ class Workspace:
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
 
     def contains(self, point: Sequence[float], posture: Sequence[float] | None = None) -> bool:
-        """Whether the hand can be at `point` (x, y), with joints without limits.
+        """Tell whether the hand can be at `point` (x, y), leaving joint limits aside.
 
-        With a rotation, whether its cursor can, at a point that the hand could be at, too.
-        With a posture, whether it can from there, with the joints locked that are.
+        Args:
+            point: (x, y).  With a rotation, the cursor must be able to be there, and the point
+                must be one where the hand could be, too.
+            posture: N joint angles to start from, at which the locked joints stay; None leaves
+                the locks aside.
         """
         x, y = point
         hand = (x, y) if self.rotation is None else self.rotation.hand(x, y)
@@ -87,7 +91,7 @@ class Workspace:
         return inner - slack <= math.dist(base, hand) <= outer + slack
 
     def nearest(self, point: Sequence[float]) -> Point:
-        """The nearest point to `point` (x, y) between `inner` and `outer`."""
+        """Return the nearest point to `point` (x, y) between `inner` and `outer`."""
         x, y = point
         distance = math.hypot(x, y)
         if self.inner <= distance <= self.outer:
@@ -97,7 +101,7 @@ class Workspace:
         return radius * math.cos(angle), radius * math.sin(angle)
 
     def draw_posture(self, random: np.random.Generator) -> list[float]:
-        """Joint angles uniform on the circle or within their limits, clear of obstacles."""
+        """Draw joint angles, uniform on the circle or within their limits, clear of obstacles."""
         for _ in range(_MOST_DRAWS):
             posture = [_uniform(low, high, random) for low, high in self._limits]
             if self.is_clear(posture):
@@ -105,11 +109,11 @@ class Workspace:
         raise RuntimeError("the obstacles leave no room for the arm")
 
     def draw_target(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
-        """A target that the hand can reach from `posture`, clear of obstacles.
+        """Draw a target that the hand can reach from `posture`, clear of obstacles.
 
-        Area-uniform over the reachable set: with joint limits up to the size of a grid cell.
-        Only where some joints are locked and others limited, it is the hand of a posture drawn
-        uniformly, hence not area-uniform.
+        It is area-uniform over the reachable set; with joint limits, up to the size of a grid
+        cell.  Where some joints are locked and others limited, it is the hand of a posture drawn
+        uniformly, and not area-uniform.
         """
         for _ in range(_MOST_DRAWS):
             hand = self._draw_hand(random, posture)
@@ -139,7 +143,7 @@ class Workspace:
         return base[0] + x, base[1] + y
 
     def is_clear(self, posture: Sequence[float]) -> bool:
-        """Whether an arm in this posture (N joint angles) touches no obstacle."""
+        """Tell whether an arm in this posture (N joint angles) touches no obstacle."""
         if not self.body.obstacles:
             return True
         rods = list(pairwise(self._nodes(posture)))
@@ -151,23 +155,23 @@ class Workspace:
         )
 
     def posture_at(self, point: Sequence[float]) -> list[float]:
-        """The evenly bent posture (N joint angles) that has the hand at `point` (x, y).
+        """Return the evenly bent posture (N joint angles) that has the hand at `point` (x, y).
 
         All joints but the first have the same angle, from 0 (stretched) on, counter-clockwise.
 
         Raises:
-            ValueError: if there is none, or none within the joint limits.
+            UserError: if there is none, or none within the joint limits.
         """
         lengths, distance = self.body.segment_lengths, math.hypot(*point)
         bend = _even_bend(lengths, distance)
         if bend is None:
-            raise ValueError(f"no evenly bent posture has the hand at {tuple(point)}")
+            raise UserError(f"no evenly bent posture has the hand at {tuple(point)}")
         x, y = _bent_hand(lengths, bend)
         base = math.remainder(math.atan2(point[1], point[0]) - math.atan2(y, x), math.tau)
         posture = [base] + [bend] * (len(lengths) - 1)
         for angle, (low, high) in zip(posture, self._limits, strict=True):
             if not low <= angle <= high:
-                raise ValueError(
+                raise UserError(
                     f"the evenly bent posture with the hand at {tuple(point)}, {posture}, is "
                     f"beyond the joint limits {self.body.joint_limits}"
                 )
@@ -178,7 +182,7 @@ class Workspace:
         return [(float(x), float(y)) for x, y in node_positions(segments)]
 
     def _rigid_pieces(self, posture: Sequence[float]) -> tuple[Point, list[float]]:
-        """First joint that is free, and the lengths of the rigid pieces beyond it."""
+        """Return the first free joint, and the lengths of the rigid pieces beyond it."""
         nodes = self._nodes(posture)
         free = [joint for joint in range(len(posture)) if joint not in self.locked]
         ends = [nodes[joint] for joint in free] + [nodes[-1]]
@@ -189,7 +193,7 @@ class Workspace:
         return self.inner - slack <= math.hypot(*point) <= self.outer + slack
 
     def _is_free(self, point: Sequence[float]) -> bool:
-        """Whether the tip of the hand at `point` touches no obstacle."""
+        """Tell whether the tip of the hand at `point` touches no obstacle."""
         radius = self.body.segment_radius
         return all(math.dist(point, (x, y)) > disc + radius for x, y, disc in self.body.obstacles)
 
@@ -198,10 +202,10 @@ class Workspace:
 def reachable_hands(
     segment_lengths: tuple[float, ...], joint_limits: tuple[tuple[float, float], ...]
 ) -> list[NDArray[np.float64]]:
-    """Hand positions that an arm with joint limits reaches, grouped by cells of a square grid.
+    """Return hand positions of an arm with joint limits, grouped by the cells of a square grid.
 
-    Draw a cell, then a position in it, for targets that are area-uniform up to the size of a
-    cell (a thirtieth of the reach) and reachable without exception.
+    Draw a cell, then a position in it: such targets are all reachable, and area-uniform up to the
+    size of a cell (a thirtieth of the reach).
 
     Returns:
         One array (n, 2) per cell that the hand can reach.
@@ -220,7 +224,7 @@ def reachable_hands(
 
 @lru_cache(maxsize=64)  # tasks start from a few points, time and again
 def _even_bend(segment_lengths: tuple[float, ...], distance: float) -> float | None:
-    """The smallest angle of all joints but the first at which the hand is so far from the base."""
+    """Return the least bend of all joints but the first for a hand so far from the base."""
     from scipy.optimize import brentq  # not with the registration of the environments
 
     if math.isclose(distance, sum(segment_lengths), rel_tol=REACH_TOLERANCE):
@@ -236,19 +240,19 @@ def _even_bend(segment_lengths: tuple[float, ...], distance: float) -> float | N
 
 
 def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
-    """The hand of an arm whose joint angles are all `bend`, but the first, which is 0."""
+    """Return the hand of an arm whose joint angles are all `bend`, but the first, which is 0."""
     x = sum(length * math.cos(joint * bend) for joint, length in enumerate(segment_lengths))
     y = sum(length * math.sin(joint * bend) for joint, length in enumerate(segment_lengths))
     return x, y
 
 
 def _uniform(low: float, high: float, random: np.random.Generator) -> float:
-    """What `random.uniform(low, high)` gives, in a third of its time."""
+    """Return what `random.uniform(low, high)` does, in a third of its time."""
     return low + (high - low) * random.random()
 
 
 def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:
-    """A point drawn area-uniformly between two distances from the base."""
+    """Draw a point area-uniformly between two distances from the base."""
     radius = math.sqrt(_uniform(inner**2, outer**2, random))
     angle = _uniform(-math.pi, math.pi, random)
     return radius * math.cos(angle), radius * math.sin(angle)

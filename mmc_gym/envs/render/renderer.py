@@ -16,8 +16,7 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym.envs.perturbations import SegmentLength
-from mmc_gym.envs.render import shapes as drawing
-from mmc_gym.envs.render import shapes as perturbed
+from mmc_gym.envs.render import shapes
 from mmc_gym.envs.render.shapes import SIZE, Point, View
 from mmc_gym.envs.spec import ReachSetup
 
@@ -27,7 +26,7 @@ _OVERSAMPLING = 2
 
 @dataclass(frozen=True)
 class Scene:
-    """What a picture shows, besides what is always the same in an environment.
+    """The part of a picture that changes from frame to frame.
 
     Attributes:
         segment_angles: N absolute angles, radians.
@@ -79,11 +78,11 @@ class Renderer:
         Returns:
             The picture (height, width, 3) in a new array, or None if it is shown in a window.
         """
-        nodes = drawing.node_positions(scene.segment_angles, self._lengths)
+        nodes = shapes.node_positions(scene.segment_angles, self._lengths)
         self._trace.append(nodes[-1])
         self._canvas.blit(self._scenery, (0, 0))
         self._paint_path(scene)
-        drawing.draw_trace(self._canvas, self._large_view, self._trace)
+        shapes.draw_trace(self._canvas, self._large_view, self._trace)
         self._paint_arm(scene, nodes)
         if scene.observation is not None:
             self._paint_sensed(scene.observation)
@@ -104,66 +103,66 @@ class Renderer:
             self._window.close()
 
     def _paint_scenery(self) -> None:
-        """What is the same in all frames."""
+        """Paint all that is the same in every frame."""
         surface, view, body = self._scenery, self._large_view, self._setup.body
-        surface.fill(drawing.BACKGROUND)
-        drawing.draw_reachable_set(surface, view, self._lengths)
+        surface.fill(shapes.BACKGROUND)
+        shapes.draw_reachable_set(surface, view, self._lengths)
         if body.force_field is not None:
             (_, right), (left, _) = body.force_field
-            perturbed.draw_curl_field(surface, view, right - left)
+            shapes.draw_curl_field(surface, view, right - left)
         for obstacle in body.obstacles:
-            perturbed.draw_obstacle(surface, view, obstacle)
-        drawing.draw_base(surface, view)
-        perturbed.draw_caption(surface, view, self._setup.caption)
+            shapes.draw_obstacle(surface, view, obstacle)
+        shapes.draw_base(surface, view)
+        shapes.draw_caption(surface, view, self._setup.caption)
 
     def _paint_path(self, scene: Scene) -> None:
-        """Where the target will be, as far as it is elsewhere."""
+        """Paint where the target will be, if it moves."""
         surface, view, setup = self._canvas, self._large_view, self._setup
         target, places = tuple(scene.target), [tuple(place) for place in scene.path]
         if len(set(places)) <= 1:
             return
         if setup.task.periodic:
-            drawing.draw_track(surface, view, places)
+            shapes.draw_track(surface, view, places)
             return
         last = len(places) - 1 - places[::-1].index(target)
-        drawing.draw_next_targets(surface, view, target, places[last + 1 :], setup.success_distance)
+        shapes.draw_next_targets(surface, view, target, places[last + 1 :], setup.success_distance)
 
     def _paint_arm(self, scene: Scene, nodes: Sequence[Point]) -> None:
         surface, view, body = self._canvas, self._large_view, self._setup.body
-        drawing.draw_arm(surface, view, scene.segment_angles, self._lengths)
+        shapes.draw_arm(surface, view, scene.segment_angles, self._lengths)
         if self._old_lengths != self._lengths:
-            perturbed.draw_old_lengths(
+            shapes.draw_old_lengths(
                 surface, view, scene.segment_angles, self._lengths, self._old_lengths
             )
         if body.hand_mass:
-            perturbed.draw_hand_mass(surface, view, nodes[-1], body.hand_mass)
+            shapes.draw_hand_mass(surface, view, nodes[-1], body.hand_mass)
         if scene.ghost is not None:
             told = self._setup.told.segment_lengths
-            drawing.draw_ghost(surface, view, scene.ghost, told)
+            shapes.draw_ghost(surface, view, scene.ghost, told)
         for joint in body.lockable_joints if scene.is_locked else ():
-            perturbed.draw_lock(surface, view, nodes[joint])
+            shapes.draw_lock(surface, view, nodes[joint])
 
     def _paint_target(self, scene: Scene, hand: Point) -> None:
         surface, view, setup = self._canvas, self._large_view, self._setup
         cursor = hand if setup.rotation is None else setup.rotation.cursor(*hand)
         if setup.rotation is not None:
-            perturbed.draw_cursor(surface, view, hand, cursor)
+            shapes.draw_cursor(surface, view, hand, cursor)
         is_reached = math.dist(cursor, scene.target) <= setup.success_distance
-        drawing.draw_target(surface, view, scene.target, setup.success_distance, is_reached)
+        shapes.draw_target(surface, view, scene.target, setup.success_distance, is_reached)
 
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
-        """The arm as an observation of `MMCReach-v0` tells it."""
+        """Paint the arm as an observation of `MMCReach-v0` tells it."""
         setup = self._setup
         seen = setup.layout.split(observation.astype(float))
         angles = np.cumsum(np.arctan2(seen.sines, seen.cosines)).tolist()
         target, offset = seen.target * setup.reach, seen.offset * 2 * setup.reach
-        nodes = drawing.node_positions(angles, setup.told.segment_lengths)
+        nodes = shapes.node_positions(angles, setup.told.segment_lengths)
         hand_and_target = [(float(x), float(y)) for x, y in (target - offset, target)]
-        perturbed.draw_sensed(self._canvas, self._large_view, nodes, *hand_and_target)
+        shapes.draw_sensed(self._canvas, self._large_view, nodes, *hand_and_target)
 
 
 def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
-    """Segment lengths before a perturbation changed them."""
+    """Return the segment lengths before perturbations changed them."""
     lengths = list(setup.body.segment_lengths)
     for change in setup.perturbations:
         if isinstance(change, SegmentLength):

@@ -3,8 +3,8 @@
 They paint on a surface through a `View`, which maps the world (x to the right, y up, the base in
 the middle) to pixels.  Nothing here depends on colour alone: the arm is the filled shape, the
 target the ring with a cross, reaching it adds a second ring, and the dots of the trace lie one
-frame apart; an internal model's arm is a thin line with hollow joints, and where the target will
-be are dots or rings without a cross.
+frame apart; an internal model's arm is a thin line with hollow joints; dots, or rings without a
+cross, show where the target will be.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def draw_ring(
 
 
 def blend(start: Color, end: Color, share: float) -> Color:
-    """The colour at a share of the way between two."""
+    """Return the colour at a share of the way between two."""
     red, green, blue = (round(a + (b - a) * share) for a, b in zip(start, end, strict=True))
     return red, green, blue
 
@@ -89,7 +89,7 @@ def draw_diamond(surface: pygame.Surface, middle: Point, half: float, color: Col
 
 
 def rod_outline(start: Point, end: Point, half_width: float) -> list[Point]:
-    """The outline of a rod with round ends, closed."""
+    """Return the outline of a rod with round ends, closed."""
     along = math.atan2(end[1] - start[1], end[0] - start[0])
     turns = [step / 12 * math.pi for step in range(13)]
     outline = [
@@ -133,23 +133,23 @@ class View:
         return self.size / (2 * _MARGIN * self.reach)
 
     def pixel(self, point: Sequence[float]) -> Point:
-        """Where in the picture a point (x, y) of the world is."""
+        """Return where in the picture a point (x, y) of the world is."""
         middle = self.size / 2
         return middle + point[0] * self.scale, middle - point[1] * self.scale
 
     def point(self, pixel: Sequence[float]) -> Point:
-        """Which point (x, y) of the world a pixel shows."""
+        """Return which point (x, y) of the world a pixel shows."""
         middle = self.size / 2
         return (pixel[0] - middle) / self.scale, (middle - pixel[1]) / self.scale
 
     def stroke(self, width: float) -> float:
-        """Pixels of a width given for a picture of `SIZE`: lines keep their share of it."""
+        """Return the pixels of a width that is given for a picture of `SIZE`."""
         return width * self.size / SIZE
 
 
 @dataclass(frozen=True)
 class ArmStyle:
-    """What an arm looks like; widths are for a picture of `SIZE` pixels.
+    """The look of an arm; widths are for a picture of `SIZE` pixels.
 
     Attributes:
         fill: colour of the rods.
@@ -167,7 +167,7 @@ class ArmStyle:
 def draw_reachable_set(
     surface: pygame.Surface, view: View, segment_lengths: Sequence[float]
 ) -> None:
-    """Paint what the hand can reach: a faint disc, or a ring if the segments are unequal."""
+    """Paint the reachable set: a faint disc, or a ring if the segments are unequal."""
     inner, outer = reachable_radii(segment_lengths)
     line = view.stroke(1.5)
     for radius, color in ((outer, REACHABLE), (inner, BACKGROUND)):
@@ -227,9 +227,9 @@ def draw_arm(
 def arm_widths(
     view: View, segment_lengths: Sequence[float], style: ArmStyle = ArmStyle()
 ) -> list[float]:
-    """How thick the arm is at its base, joints and hand (N + 1 pixels).
+    """Return the thickness of the arm at its base, joints and hand (N + 1 pixels).
 
-    It tapers with its length, so that its thickness at a joint is one for both rods.
+    It tapers with its length, so that both rods at a joint are equally thick there.
     """
     along = [0.0, *accumulate(segment_lengths)]
     taper = (style.hand_width - style.base_width) / along[-1]
@@ -312,7 +312,7 @@ def draw_trace(surface: pygame.Surface, view: View, points: Iterable[Sequence[fl
 def node_positions(
     segment_angles: Sequence[float], segment_lengths: Sequence[float]
 ) -> list[Point]:
-    """Base, joints and hand (N + 1 points) of an arm with the given absolute angles."""
+    """Return base, joints and hand (N + 1 points) of an arm with these absolute angles."""
     nodes = [(0.0, 0.0)]
     for angle, length in zip(segment_angles, segment_lengths, strict=True):
         x, y = nodes[-1]
@@ -448,7 +448,7 @@ def draw_sensed(
     hand: Point,
     target: Point,
 ) -> None:
-    """Paint what is sensed: a dashed skeleton, and hollow diamonds for hand and target as seen.
+    """Paint the sensed arm: a dashed skeleton, and hollow diamonds for hand and target as seen.
 
     Args:
         surface: what to paint on.
