@@ -56,7 +56,7 @@ class ControlError(CannotActError):
 
 
 class ActionMeaning(NamedTuple):
-    """What an action asks a joint's servo for.
+    """The meaning of an action for a joint's servo.
 
     Attributes:
         servo: the kind of servo that follows it.
@@ -112,7 +112,7 @@ class ObservationParts(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """Where each number of an observation stands, for an arm of N joints.
+    """The place of each number of an observation, for an arm of N joints.
 
     An observation of `MMCReach-v0` is (..., 3 N + 4)::
 
@@ -316,7 +316,7 @@ class Sensed:
 
 @dataclass(frozen=True)
 class ReachInterface:
-    """What an agent is told about a reaching environment.
+    """All that an agent is told about a reaching environment.
 
     Attributes:
         segment_lengths: N lengths.
@@ -364,7 +364,7 @@ class ReachInterface:
 
     @property
     def max_joint_delta(self) -> float:
-        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
+        """Angle by which an action of 1 puts a joint target ahead under `joint_delta`, radians."""
         return max_joint_delta(speed_limit=self.speed_limit, servo_gain=self.servo_gain)
 
     def sense(self, observation: Observation) -> Sensed:

@@ -1,4 +1,4 @@
-"""What all agents share: the signature of `predict`, and the way from observation to action.
+"""The base of all agents: the signature of `predict`, and the way from observation to action.
 
 An agent sees observations only.  `ReachInterface` says what it is told about the body: the segment
 lengths, and what actions mean.
@@ -24,7 +24,7 @@ Started = Sequence[bool] | NDArray[np.bool_] | None
 
 
 class Predictor(Protocol):
-    """Whatever acts: it has the `predict` of stable-baselines3, for a single observation."""
+    """Any object with the `predict` of stable-baselines3, for a single observation."""
 
     def predict(
         self,

@@ -167,7 +167,7 @@ def step(movement: Movement) -> Movement:
 
 
 class HandPlan(NamedTuple):
-    """Where the hand is to be, (..., 2) each; time in control steps, lengths in segment lengths."""
+    """A planned motion of the hand, (..., 2) each; time in control steps, segment lengths."""
 
     position: Floats
     velocity: Floats

@@ -40,7 +40,7 @@ FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 SUFFIXES = (".json", ".safetensors")
 CURVE_COLUMNS = ("steps", "seconds", "cpu_seconds", "success")
-"""What every row of a learning curve has; the first and the third never fall."""
+"""Entries of every row of a learning curve; the first and the third never fall."""
 
 Algorithm = Literal["ppo", "sac", "tqc"]
 Count = Annotated[int, Ge(0)]
@@ -68,7 +68,7 @@ def shipped_file(name: str, seed: int) -> Path:
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True))
 class PolicyCard:
-    """What a trained policy is and how it came about.
+    """The card of a trained policy: what it is, and how it came about.
 
     Attributes:
         name: of the hyperparameters, such as "ppo".

@@ -42,7 +42,7 @@ Kind = Literal["yours", "network", "inverse kinematics", "planner", "learned", "
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What an agent is told of its body, and what it senses of it, in words for a table.
+    """The kind of an agent, what it is told of its body and what it senses, in words for a table.
 
     Attributes:
         kind: the sort of agent; "yours" for one that does not ship with the package.
@@ -78,7 +78,7 @@ def learned_knowledge(view: View, base_agent: str = "", kind: Kind = "learned") 
 
 @dataclass(frozen=True)
 class AgentEntry:
-    """An agent of this package, and what is known of it.
+    """An agent of this package, with all that is known of it.
 
     Attributes:
         description: a line.

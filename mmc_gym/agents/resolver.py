@@ -39,7 +39,7 @@ AgentLike: TypeAlias = "str | Predictor | Factory"
 
 @dataclass(frozen=True, eq=False)
 class ResolvedAgent:
-    """What a name, a path, a function or an object stands for.
+    """The agent that a name, a path, a function or an object stands for.
 
     Files are read and modules imported when they are asked for; `check` asks for all.
 
@@ -120,11 +120,11 @@ class ResolvedAgent:
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of what it is made of; another one is another agent, whatever its name.
+        """A digest (SHA-256) of what it is made of; another one is another agent.
 
-        Of a policy these are its weights, and for one that corrects another agent the code of that;
-        of an agent of this package the code of all agents and of the network; of "module:function"
-        the module's file: what that imports, or reads, may change unnoticed.  Empty for other
+        Of a policy these are its weights, together with the code if it corrects another agent; of
+        an agent without a policy the code of all agents and of the network; of "module:function"
+        the module's file.  What that file imports or reads may change unnoticed.  Empty for other
         functions and objects.
         """
         if self.card is not None and not self.card.base_agent:

@@ -1,4 +1,4 @@
-"""What a learned policy sees of an observation: three views, in numpy and in torch alike.
+"""The views that learned policies have of an observation, in numpy and in torch alike.
 
 "world", with the offset from hand to target enlarged, for success is decided in its last few
 hundredths:
@@ -41,7 +41,7 @@ VIEWS: dict[View, str] = {
     "target, all seen as if the target lay straight ahead, whence its actions are turned back",
     "world": "all joint angles, joint speeds, target, and offset from hand to target",
 }
-"""The views in words."""
+"""What each view shows, in words for a table."""
 
 OFFSET_GAIN = 6.0
 

@@ -1,1 +1,1 @@
-"""The MMC agent that lets what it senses enter its network."""
+"""Agents in closed loop: what they sense goes on correcting their internal model."""

@@ -1,7 +1,7 @@
 """The MMC network in closed loop: on a body that it does not know exactly.
 
 `mmc` sets its network to the observed posture once, and never looks again.  Here what is observed
-of the body enters the network in every control step, by the loops of `body_observer`:
+of the body enters the network in every control step, by the loops of `observer`:
 
 - the sensed posture as one more computation in the mean, of weight w.  The damping is less by w, so
   that all weights still add up to N + 1, and an arm that moves as expected moves as with `mmc`;

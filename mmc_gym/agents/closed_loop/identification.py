@@ -1,4 +1,4 @@
-"""What an agent finds out about its body by watching it: delay, segment lengths, locked joints.
+"""Finding out about the body by watching it: delay, segment lengths, locked joints.
 
 Each is a named tuple of arrays that lead with the batch, and is replaced by a new one with every
 observation.
@@ -56,7 +56,7 @@ PRIOR = 0.3
 NOISE = 0.02
 """σ: standard deviation with which hand and posture agree, segment lengths."""
 TURN = 0.05
-"""How far a joint must have turned for an observation to count, radians."""
+"""Least turn of a joint for an observation to count, radians."""
 MEMORY = 0.7
 """Share of the mean square errors that an observation leaves as it is."""
 BETTER = 0.25
@@ -65,7 +65,7 @@ SHORTEST, LONGEST = 0.3, 2.0
 """And while all of them are within these factors of those told."""
 
 ASKED = 0.8
-"""How far a joint must have been asked to turn before it is taken as locked, radians."""
+"""Turn that must have been asked of a joint before it is taken as locked, radians."""
 ASKED_IF_TOLD = 0.2
 """The same for a joint that the agent was told to be one that locks."""
 STILL = 0.08
@@ -103,7 +103,7 @@ def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets
 
 
 class Delay(NamedTuple):
-    """What is remembered to tell the delay, and to bridge it.
+    """The memory that tells the delay, and bridges it.
 
     Attributes:
         commands: joint targets sent, the latest last, radians, (..., LONGEST_DELAY + 1, N).
@@ -174,7 +174,7 @@ class Delay(NamedTuple):
 
 
 class Lengths(NamedTuple):
-    """What is known of the segment lengths.
+    """Knowledge of the segment lengths.
 
     Attributes:
         mean: ℓ, segment lengths, (..., N).
@@ -203,7 +203,7 @@ class Lengths(NamedTuple):
         )
 
     def observed(self, joint_angles: Floats, hand: Floats, told: tuple[float, ...]) -> Lengths:
-        """Return what is known after an observation.
+        """Return the knowledge after an observation.
 
         Args:
             joint_angles: radians, (..., N).
@@ -250,7 +250,7 @@ def _product(matrix: Floats, vector: Floats) -> Floats:
 
 
 class Locks(NamedTuple):
-    """What is known of locked joints, (..., N).
+    """Knowledge of locked joints, (..., N).
 
     Attributes:
         anchor: where each joint was when it last had moved, radians.
@@ -277,7 +277,7 @@ class Locks(NamedTuple):
     def observed(
         self, joint_angles: Floats, expected: Floats, lockable: tuple[int, ...] = ()
     ) -> Locks:
-        """Return what is known after joints were seen at these angles.
+        """Return the knowledge after joints were seen at these angles.
 
         Args:
             joint_angles: radians, (..., N).

@@ -1,4 +1,4 @@
-"""What an agent in closed loop makes of its observations: where its body is now, and what it is.
+"""From observations to beliefs about the body, for agents in closed loop.
 
 Four loops, each of which can be left open:
 
@@ -22,7 +22,7 @@ body                               mmc       mmc-feedback  mmc-lengths  mmc-lock
 as told                            100 %     99.5 %        100 %        100 %     99.5 %
 last segment longer by half        0 %       99 %          100 %        0 %       98.5 %
 cursor turned by 30°               0 %       100 %         0.5 %        0 %       99.5 %
-cursor turned by 45°               0 %       95 %          0 %          0 %       95 %
+cursor turned by 45°               0 %       95.5 %        0 %          0 %       94.5 %
 second joint locked                7.5 %     57 %          7.5 %        99.5 %    99.5 %
 it locks on the way                12.5 %    48 %          12.5 %       67 %      67 %
 force field                        98.5 %    99.5 %        98.5 %       97 %      96.5 %
@@ -82,7 +82,7 @@ class Loops:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What an agent believes of its body; arrays lead with the batch.
+    """The beliefs of an agent about its body; arrays lead with the batch.
 
     Attributes:
         sensed: the posture as it should be now, and the target.
@@ -100,7 +100,7 @@ class Belief:
 
 
 class Motion(NamedTuple):
-    """Where the body was expected, and where the hand was not.
+    """The expected posture, and the offset of the hand.
 
     Attributes:
         expected: posture by the servo model, radians, (..., N).
@@ -112,7 +112,7 @@ class Motion(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What an observer remembers."""
+    """The memory of an observer."""
 
     motion: Motion
     delay: Delay
@@ -136,7 +136,7 @@ class BodyObserver:
         self.interface, self.loops, self.lockable = interface, loops, lockable
 
     def start(self, sensed: Sensed) -> Memory:
-        """Return what there is to remember of arms that are seen for the first time."""
+        """Return the memory of arms that are seen for the first time."""
         joint_angles = sensed.joint_angles
         return Memory(
             Motion(joint_angles, np.zeros_like(sensed.target)),
@@ -146,7 +146,7 @@ class BodyObserver:
         )
 
     def observe(self, memory: Memory, sensed: Sensed, hand: Floats) -> tuple[Belief, Memory]:
-        """Return what to believe after an observation of posture, target and hand (..., 2)."""
+        """Return belief and memory after an observation of posture, target and hand (..., 2)."""
         interface, loops, told = self.interface, self.loops, self.interface.segment_lengths
         (expected, offset), delay, lengths, locks = memory
         seen = sensed.joint_angles
@@ -177,7 +177,7 @@ class BodyObserver:
         return belief, Memory(Motion(expected, offset), delay, lengths, locks)
 
     def sent(self, memory: Memory, joint_targets: Floats) -> Memory:
-        """Return what there is to remember once the joints were sent to these targets (..., N)."""
+        """Return the memory once the joints were sent to these targets (..., N)."""
         expected = memory.motion.expected
         expected = expected + expected_turn(self.interface, expected, joint_targets)
         return memory._replace(
