@@ -255,7 +255,8 @@ def learning(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
     return PanelFigure(
         tuple(panels),
         "Success of the policy as it was then, without exploration; mean and 95 % interval over "
-        f"training seeds. Instances: {EVALUATION_EPISODES}, fixed. Training seeds: {counted}.",
+        "training seeds and episodes. "
+        f"Instances: {EVALUATION_EPISODES}, fixed. Training seeds: {counted}.",
     )
 
 

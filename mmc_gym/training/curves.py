@@ -438,7 +438,8 @@ def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame
         FigureCanvasAgg(figure)
         row = figure.subplots(1, 2, sharey=True)
         for axes, (curves, column, label) in zip(row, panels, strict=True):
-            _draw_levels(axes)
+            for level in LEVELS:
+                axes.axhline(level, color="0.4", linestyle=":", linewidth=0.6, zorder=0)
             for number, (agent, curve) in enumerate(curves.groupby("agent", sort=False)):
                 _draw_curve(axes, str(agent), curve, column, number)
             axes.set_xlabel(label)
@@ -465,11 +466,6 @@ def _scale_logarithmically(axes: Axes) -> None:
     subs = (1, 3) if high > 10**_WIDE * low else (1, 2, 5)
     axes.xaxis.set_major_locator(LogLocator(subs=subs))
     axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def _draw_levels(axes: Axes) -> None:
-    for level in LEVELS:
-        axes.axhline(level, color="0.4", linestyle=":", linewidth=0.6, zorder=0)
 
 
 def _draw_curve(axes: Axes, agent: str, curve: pd.DataFrame, column: str, number: int) -> None:

@@ -190,7 +190,7 @@ def _suggest_learning(settings: PPOSettings | SACSettings, trial: BaseTrial) -> 
     own = settings.learning_rate
     rate = around("learning_rate", 3e-4, 3e-3, own.start)
     rate = rate if rate == own.start else float(f"{rate:.2g}")
-    constants: Constants = {"learning_rate": f"lin_{rate:g}" if own.falls else rate}
+    constants: Constants = {"learning_rate": f"lin_{rate}" if own.falls else rate}
     if isinstance(settings, PPOSettings):
         bonus = settings.ent_coef  # without one there is no order of magnitude to look in
         return {
