@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -74,6 +74,15 @@ def train_and_kill(recipe: Recipe, folder: Path, when: Callable[[Any], None]) ->
 
 def weights(folder: Path, name: str = "ppo", seed: int = 3) -> bytes:
     return (folder / f"{name}-{seed}.safetensors").read_bytes()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_episodes() -> Iterator[None]:
+    """Evaluations take longer than such trainings."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("EVALUATION_EPISODES", "FINAL_EPISODES"):
+            patch.setattr(module, name, 20)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from mmc_gym.agents.policy import load_policy
 from mmc_gym.training.grid import PolicyName, TrainingCell, shipped_policies, train_all
 
 POLICIES = [PolicyName("ppo", 0), PolicyName("ppo", 1)]
-STEPS = 8_192  # two rollouts
+STEPS = 4_096  # one rollout
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -64,7 +64,7 @@ def test_a_checkpoint_of_another_training_is_discarded(trained, tmp_path):
     notes: list[str] = []
     train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1, on_note=notes.append)
     (note,) = notes
-    assert re.match(r"ppo-0 begins anew: .* with n_timesteps 1 \(here 8192", note)
+    assert re.match(r"ppo-0 begins anew: .* with n_timesteps 1 \(here 4096", note)
     assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained)["ppo-0.safetensors"]
 
 
