@@ -160,11 +160,12 @@ class Results:
     @property
     def main(self) -> tuple[str, ...]:
         """The few agents that figures show: the reader's own, the preferred, then the others."""
-        yours = [agent for agent in self.agents if self.kind(agent) == "yours"]
-        preferred = [found for name in _PREFERRED if (found := self.labelled(name)) is not None]
-        others = [agent for agent in self.agents if self.kind(agent) not in ("baseline", "ideal")]
+        played = [agent for agent in self.agents if self.seeds(agent) is not None]
+        yours = [agent for agent in played if self.kind(agent) == "yours"]
+        preferred = [found for name in _PREFERRED if (found := self.labelled(name)) in played]
+        others = [agent for agent in played if self.kind(agent) not in ("baseline", "ideal")]
         chosen = list(dict.fromkeys([*yours, *preferred, *others]))[:_SHOWN_AT_MOST]
-        return tuple(agent for agent in self.agents if agent in chosen)
+        return tuple(agent for agent in played if agent in chosen)
 
     def rivals(self, agent: str) -> tuple[str, ...]:
         """Return agents of other kinds, but not the random one, nor the hand without an arm."""
@@ -306,7 +307,7 @@ def read_results(store: Path) -> Results:
     present = set(episodes["environment"])
     identities = {
         agent: identify([policy.source for policy in manifest.agents.get(agent, ())])
-        for agent in map(str, dict.fromkeys(episodes["agent"]))
+        for agent in dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     }
     return Results(
         manifest=manifest,

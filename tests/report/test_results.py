@@ -17,7 +17,7 @@ from mmc_gym.measures import catalogue
 from mmc_gym.report import write_report
 from mmc_gym.report.results import Identity, identify, read_results
 from mmc_gym.report.scores import Estimates
-from mmc_gym.report.tables import cost_table, law_table, score_table, told_table
+from mmc_gym.report.tables import cost_table, law_table, ranking_table, score_table, told_table
 
 
 @pytest.fixture
@@ -159,6 +159,18 @@ def test_where_nothing_could_be_played_the_reasons_are_told(small, tmp_path):
     change_manifest(small, not_played=[failed.model_dump()])
     with pytest.raises(UserError, match="mmc in random: ValueError: no"):
         read_results(small)
+
+
+def test_an_agent_that_failed_everywhere_stands_beside_the_others(small, tmp_path):
+    next((small / "episodes").glob("ik-dls*")).unlink()
+    failed = NotPlayed.of(CellKey("ik-dls", None, "random"), "failed", "ValueError: no")
+    change_manifest(small, not_played=[failed.model_dump()])
+    results = read_results(small)
+    ranking = ranking_table(Estimates(results, 20))
+    assert [(row.name, row.cells[1].text) for row in ranking.rows][1] == ("ik-dls", "0.0")
+    assert results.main == ("mmc",)
+    text = write_report(small, tmp_path / "report.html", 20).read_text()
+    assert "ik-dls in random: ValueError: no" in text
 
 
 def test_the_base_is_an_environment_without_perturbation_if_there_is_one(make_store, tmp_path):
