@@ -6,6 +6,7 @@ the way ("locks"), about a third of the targets are out of reach from then on.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
@@ -25,6 +26,7 @@ from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
 from mmc_gym.interface import ReachInterface
+from mmc_gym.measures.rollout import evaluate
 
 AGENTS = (
     "mmc",
@@ -57,7 +59,7 @@ TUNING_SET = (
 WEIGHTS = (0.0, 0.125, 0.25, 0.5, 1.0)
 RATES = (0.15, 0.3, 0.6, 1.0)
 
-MakeAgent = Callable[[gym.Env[Any, Any]], Agent[Any]]
+MakeAgent = Callable[[ReachInterface], Agent[Any]]
 
 
 @dataclass(frozen=True)
@@ -98,33 +100,22 @@ class Outcome:
     time: float
 
 
+def settings(perturbation: str, arguments: Arguments) -> dict[str, Any]:
+    """Return the arguments of the environment."""
+    names = [] if perturbation == "none" else [perturbation]
+    return {"perturbations": names, "control": arguments.control}
+
+
 def measure(make: MakeAgent, perturbation: str, arguments: Arguments, seed: int) -> Outcome:
     """Let an agent play all episodes side by side."""
-    names = [] if perturbation == "none" else [perturbation]
-    options: dict[str, Any] = {"perturbations": names, "control": arguments.control}
-    env_id = environment_id(arguments.task)
-    agent = make(gym.make(env_id, **options))
-    envs = gym.make_vec(
-        env_id,
-        num_envs=arguments.episodes,
-        max_episode_steps=arguments.steps + 1,
-        **options,
+    scores = evaluate(
+        make,
+        environment_id(arguments.task),
+        {**settings(perturbation, arguments), "max_episode_steps": arguments.steps},
+        arguments.episodes,
+        seed,
     )
-    (observations, _), state = envs.reset(seed=seed), None
-    successes = np.empty((arguments.steps, arguments.episodes), dtype=bool)
-    for step in range(arguments.steps):
-        actions, state = agent.predict(observations, state, deterministic=True)
-        observations, _, _, _, infos = envs.step(actions)
-        successes[step] = infos["is_success"]
-    envs.close()
-    stays = np.logical_and.accumulate(successes[::-1])[::-1]
-    times = (stays.argmax(axis=0) + 1)[stays[-1]] * agent_step(agent)
-    return Outcome(100 * stays[-1].mean(), float(np.median(times)) if times.size else np.nan)
-
-
-def agent_step(agent: Any) -> float:
-    """Duration of a control step, s."""
-    return float(agent.interface.control_step)
+    return Outcome(100 * scores["success"], scores.get("time_to_target", math.nan))
 
 
 def comparison(arguments: Arguments) -> Table:
@@ -136,11 +127,9 @@ def comparison(arguments: Arguments) -> Table:
     for perturbation in track(arguments.perturbations, transient=True):
         cells = []
         for name in arguments.agents:
-
-            def make(env: gym.Env[Any, Any], name: str = name) -> Agent[Any]:
-                return mmc_gym.make_agent(name, env)
-
-            outcome = measure(make, perturbation, arguments, arguments.seed)
+            env = gym.make(environment_id(arguments.task), **settings(perturbation, arguments))
+            agent = mmc_gym.make_agent(name, env)
+            outcome = measure(lambda _, a=agent: a, perturbation, arguments, arguments.seed)
             time = "–" if np.isnan(outcome.time) else f"{outcome.time:.2f}"
             cells.append(f"{outcome.success:.1f} {time:>4}")
         table.add_row(perturbation, *cells)
@@ -164,7 +153,7 @@ def tuning(arguments: Arguments) -> Table:
         scores = np.array(
             [
                 measure(
-                    lambda env, k=kind, c=loops: makers[k](ReachInterface.of(env), c),
+                    lambda told, k=kind, c=loops: makers[k](told, c),
                     perturbation,
                     arguments,
                     TUNING_SEED,
