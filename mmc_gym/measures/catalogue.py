@@ -61,15 +61,7 @@ def _not_here(episode: object) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A number that tables show.
-
-    Attributes:
-        name: its column in the data.
-        label: its heading in tables.
-        unit: of its values; empty for a plain number.
-        best: whether high or low values are good.
-        decimals: at most so many are shown.
-    """
+    """A number that tables show; its name is its column in the data, see `measure`."""
 
     name: str
     label: str
@@ -129,14 +121,7 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure(Quantity):
-    """A measure of an episode.
-
-    Attributes:
-        statistic: of many episodes, in tables.
-        shown: whether tables show it; files hold all.
-        successes_only: whether it is reported only of episodes that ended at the target.
-        of: the function of an episode; it gives NaN where there is no value.
-    """
+    """A measure, and its function `of` an episode; NaN where there is no value."""
 
     statistic: Statistic = "median"
     shown: bool = False
@@ -146,12 +131,7 @@ class Measure(Quantity):
 
 @dataclass(frozen=True, kw_only=True)
 class SetMeasure(Quantity):
-    """A measure of all episodes of an agent in one environment together.
-
-    Attributes:
-        environment: of the benchmark, by its name.
-        of: the function of the episodes; it gives NaN where there is no value.
-    """
+    """A measure `of` all episodes of an agent in one environment together."""
 
     environment: str
     of: Callable[[Sequence[Episode]], float] = field(default=_not_here, compare=False)
