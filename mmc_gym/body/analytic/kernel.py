@@ -114,22 +114,20 @@ def make_world(parameters: ArmParameters, servo: Servo) -> NDArray[np.void]:
     return world
 
 
+inner = numba.njit(nogil=True, error_model="numpy")  # for functions that others here call
+
+
 def compiled(function: Any) -> Any:
     """Compile at the first call in any process, and keep the result for the next ones."""
     try:
         return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # there is nowhere to write the cache
-        return numba.njit(nogil=True, error_model="numpy")(function)
-
-
-def inner(function: Any) -> Any:
-    """Compile for those that call it."""
-    return numba.njit(nogil=True, error_model="numpy")(function)
+        return inner(function)
 
 
 @inner
-def sine_cosine(angle):
-    """Sine and cosine to an ulp or so, in arithmetic alone: the same in every lane.
+def _sine_cosine(angle):
+    """Return sine and cosine to an ulp or so, in arithmetic alone: the same in every lane.
 
     The polynomials and the three parts of π/2 are those of fdlibm (Sun Microsystems, 1993), good
     for angles up to 1e6.
@@ -160,7 +158,7 @@ def sine_cosine(angle):
 
 
 @inner
-def any_lane(counts, lanes):
+def _any_lane(counts, lanes):
     """Tell whether a count is above zero in any lane."""
     total = 0.0
     for k in range(lanes):
@@ -189,14 +187,14 @@ def place(state, output, rods, world, chosen, postures, speeds):
             a.lag_y[k] = 0.0
             a.held[k] = np.nan
             a.limit[k] = 0.0 if is_torque else world[0].substep * world[0].torque_limit
-            a.asked[k] = postures[row, i] if is_position else 0.0
-            if is_position:
+            least, most = rods[i].lowest_angle, rods[i].highest_angle
+            if not is_position:
+                a.asked[k] = 0.0
+            elif np.isfinite(least):
+                a.asked[k] = min(max(postures[row, i], least), most)
+            else:
                 a.asked[k] = angle - parent_angle
-                if np.isfinite(rods[i].lowest_angle):
-                    a.asked[k] = min(
-                        max(postures[row, i], rods[i].lowest_angle), rods[i].highest_angle
-                    )
-            sine, cosine = sine_cosine(angle)
+            sine, cosine = _sine_cosine(angle)
             x += rods[i].length * cosine
             y += rods[i].length * sine
             at = arm * segments + i
@@ -268,7 +266,7 @@ def _look(arms, work, lanes):
     for i in range(arms.shape[0]):
         a, w = arms[i], work[i]
         for k in range(lanes):
-            w.sine[k], w.cosine[k] = sine_cosine(a.angle[k])
+            w.sine[k], w.cosine[k] = _sine_cosine(a.angle[k])
 
 
 @inner
@@ -277,9 +275,8 @@ def _move(arms, work, sums, rods, world, lanes):
     h = world.substep
     rate = 1.0 / h
     segments = arms.shape[0]
-    for k in range(lanes):
-        sums.x[k] = 0.0
-        sums.y[k] = 0.0
+    sums.x[:lanes] = 0.0
+    sums.y[:lanes] = 0.0
     for i in range(segments):
         a, w = arms[i], work[i]
         length = rods[i].length
@@ -290,7 +287,7 @@ def _move(arms, work, sums, rods, world, lanes):
             sums.x[k] += carried * lag_x - length * sine * speed
             sums.y[k] += carried * lag_y + length * cosine * speed
             angle = a.angle[k] + h * speed
-            new_sine, new_cosine = sine_cosine(angle)
+            new_sine, new_cosine = _sine_cosine(angle)
             new_lag_x = (new_cosine - cosine) * rate + speed * sine
             new_lag_y = (new_sine - sine) * rate - speed * cosine
             w.free_x[k] = lag_x - new_lag_x - sine * speed
@@ -319,8 +316,7 @@ def _ask(arms, work, sums, rods, world, lanes):
     """Find what each joint wants, with which impulses, and how much faster its stop allows."""
     fastest, gain, stop, rate = world.speed_limit, world.gain, world.stop_gain, 1.0 / world.substep
     is_position = world.is_position > 0.0
-    for k in range(lanes):
-        sums.angle[k] = 0.0
+    sums.angle[:lanes] = 0.0
     for i in range(arms.shape[0]):
         a, w = arms[i], work[i]
         least, most = rods[i].lowest_angle, rods[i].highest_angle
@@ -395,14 +391,13 @@ def _need(arms, work, sums, rods, world, inward, lanes):
             w.excess[k] = 0.0
             beyond = (needed > w.highest[k]) | (needed < w.lowest[k])
             sums.changed[k] += 1.0 if beyond else 0.0
-    return any_lane(sums.changed, lanes)
+    return _any_lane(sums.changed, lanes)
 
 
 @inner
 def _turn(arms, work, sums, lanes):
     """Give the segments the velocities that the joints have found."""
-    for k in range(lanes):
-        sums.turn[k] = 0.0
+    sums.turn[:lanes] = 0.0
     for i in range(arms.shape[0]):
         a, w = arms[i], work[i]
         for k in range(lanes):
@@ -416,9 +411,8 @@ def _read(arms, work, sums, output, rods, block, lanes):
     """Write what the arms show: segment angles, joint angles, joint velocities, hands."""
     segments = arms.shape[0]
     size = output.shape[0] // (3 * segments + 2) * segments
-    for k in range(lanes):
-        sums.x[k] = 0.0
-        sums.y[k] = 0.0
+    sums.x[:lanes] = 0.0
+    sums.y[:lanes] = 0.0
     for i in range(segments):
         w = work[i]
         length = rods[i].length
@@ -444,10 +438,9 @@ def _weigh(work, sums, matrix, rods, inward, lanes):
     """Find the mass matrix M from inertia and first moment of the arm beyond the later joint."""
     segments = work.shape[0]
     beyond = 0.0
-    for k in range(lanes):
-        sums.x[k] = 0.0
-        sums.y[k] = 0.0
-        sums.turn[k] = 0.0
+    sums.x[:lanes] = 0.0
+    sums.y[:lanes] = 0.0
+    sums.turn[:lanes] = 0.0
     for j in inward:
         length, mass, centre = rods[j].length, rods[j].mass, rods[j].centre
         own = mass * centre * centre + rods[j].inertia + beyond * length * length
@@ -500,8 +493,7 @@ def _guess(arms, work, sums, world, lanes):
     keeps the number, stays free: alone it would not have come here.
     """
     is_torque = world.is_torque > 0.0
-    for k in range(lanes):
-        sums.x[k] = 0.0
+    sums.x[:lanes] = 0.0
     for i in range(work.shape[0]):
         w = work[i]
         for k in range(lanes):
@@ -600,9 +592,8 @@ def _revise(work, sums, matrix, one_by_one, lanes):
     """Change the guesses that the solution contradicts; tell whether there were any."""
     segments = work.shape[0]
     single = 1.0 if one_by_one else 0.0
-    for k in range(lanes):
-        sums.changed[k] = 0.0
-        sums.turn[k] = 0.0
+    sums.changed[:lanes] = 0.0
+    sums.turn[:lanes] = 0.0
     for i in range(segments):
         w = work[i]
         for k in range(lanes):
@@ -630,4 +621,4 @@ def _revise(work, sums, matrix, one_by_one, lanes):
             w.bound[k] = new
             sums.changed[k] = single if new != bound else changed
             sums.turn[k] += 1.0 if new != bound else 0.0
-    return any_lane(sums.turn, lanes)
+    return _any_lane(sums.turn, lanes)
