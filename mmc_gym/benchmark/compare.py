@@ -1,4 +1,4 @@
-"""`mmc-gym compare`: agents play the same episodes; a table, the data and a figure say how."""
+"""`mmc-gym compare`: agents play the same episodes, for a table, the data and a figure."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _REFRESH = 0.1  # seconds between two drawings of the progress bar
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What a comparison found.
+    """The result of a comparison.
 
     Attributes:
         env: id of the environment.
-        seed: that the episodes' seeds are derived from, see `rollout.episode_seeds`.
+        seed: of the starts, the targets and the resampling.
         reach: of the arm, segment lengths.
-        recorded: every agent's episodes, and those of `REFERENCE` if there are any; the i-th of
-            each has the same start and target.
+        recorded: the episodes of each agent, and of `REFERENCE` if there are any; the i-th of each
+            have the same start and target.
         training_steps: environment steps spent in training each agent; None if unknown.
         episodes: one row per agent and episode: agent, episode, seed, start, target, measures.
         summary: one row per agent and measure, see `statistics.summarize`; of the episodes that
@@ -58,7 +58,7 @@ class Comparison:
 
     @property
     def note(self) -> str:
-        """What must be known to read the numbers; stands below the table and in summary.json."""
+        """How to read the numbers: stands below the table and in summary.json."""
         one, shown = next(iter(self.recorded.values())), shown_measures()
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         all_told = ", ".join(measure.label for measure in shown if not measure.successes_only)
@@ -80,7 +80,7 @@ class Comparison:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the comparison was made with, ready for JSON."""
+        """All that the comparison was made with, ready for JSON."""
         one = next(iter(self.recorded.values()))
         return {
             "environment": self.env,
@@ -135,16 +135,15 @@ def compare(
 ) -> Comparison:
     """Let agents play the same episodes, print a table, and write data and figure.
 
-    Beside them stands `REFERENCE`, an ideal hand that meets the same targets, where there is one.
-
-    Agents, environment and `out` are checked, and the agents made, before the first episode.
+    An ideal hand that meets the same targets stands beside them, where there is one (`REFERENCE`).
+    All arguments are checked, and the agents made, before the first episode.
 
     Args:
         agents: names, `"module:function"`, factories or objects with `predict`, see
             `entries.single_entries`; a mapping gives them labels.
         env: id of a reaching environment.
         episodes: how many each agent plays.
-        seed: decides on starts and targets, see `rollout.episode_seeds`, and on the resampling.
+        seed: of the starts and targets, see `episode_seeds`, and of the resampling.
         out: folder for the files; None writes none.
         console: to print the table to; standard output if None.
 
@@ -163,13 +162,14 @@ def compare(
     if out is not None:
         check_folder(out, "out")
     envs = {entry.label: _make_env(env) for entry in entries}
+    world = next(iter(envs.values()))
     try:
         # All are made before the first one plays: a missing file should not cost the others' work.
         players = {entry.label: entry.agent.factory(envs[entry.label]) for entry in entries}
         recorded = _play(players, envs, seeds)
-        if REFERENCE not in recorded and has_reference(next(iter(envs.values()))):
+        if REFERENCE not in recorded and has_reference(world):
             recorded[REFERENCE] = minimum_jerk_episodes(next(iter(recorded.values())))
-        reach = float(next(iter(envs.values())).get_wrapper_attr("reach"))
+        reach = float(world.get_wrapper_attr("reach"))
     finally:
         for made in envs.values():
             made.close()
@@ -192,12 +192,13 @@ def _print_table(
     console: Console, summary: pd.DataFrame, training_steps: Mapping[str, int | None], note: str
 ) -> None:
     """Print a row for each shown measure and a column for each agent."""
-    headings = [f"{m.label}\n[{m.unit}]" if m.unit else m.label for m in shown_measures()]
-    best = ["" if measure.best == "neither" else measure.best for measure in shown_measures()]
+    shown = shown_measures()
+    headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
+    best = ["" if one.best == "neither" else one.best for one in shown]
     rows = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
     columns = {
         agent: [
-            *(cell(rows[agent, measure.name], measure.decimals) for measure in shown_measures()),
+            *(cell(rows[agent, one.name], one.decimals) for one in shown),
             "unknown" if steps is None else f"{steps:,}",
         ]
         for agent, steps in training_steps.items()

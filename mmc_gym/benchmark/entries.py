@@ -60,7 +60,7 @@ class Entry:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What tells it from another agent of the same name: see `ResolvedAgent`."""
+        """Digest that tells it from another agent of the same name, see `ResolvedAgent`."""
         return "" if self.is_reference else self.agent.fingerprint
 
     def __getstate__(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The ranking of agents over the environments of a benchmark.
+"""Ranking agents over the environments of a benchmark.
 
     rank          by success s = mean over environments of the fraction of episodes, of all training
                   seeds, that end at the target; agents with the same s by time to target, the mean
@@ -79,6 +79,7 @@ def rank_agents(
     exact = _mean_over_environments(scores, "success", "mean").round(_DIGITS)
     times = _mean_over_environments(scores, "time_to_target", "median").round(_DIGITS)
     present = set(scores["environment"])
+    lost = Counter(key.agent for key in missing if key.environment in present)
     rows = []
     for agent in success.scores.values:
         found = success.estimate(agent, "mean")
@@ -87,26 +88,30 @@ def rank_agents(
             pair = scores[scores["agent"].isin([agent, baseline])]
             bootstrap = Bootstrap.of(pair, "settled", resamples, seed)
             improvement = bootstrap.improvement(agent, baseline)
-        rows.append(
-            {
-                "agent": agent,
-                **_columns("success", replace(found, estimate=float(exact[agent]))),
-                **_columns("settled", settled.estimate(agent)),
-                **_columns("improvement", improvement),
-                "time_to_target": float(times[agent]),
-                "training_seeds": found.seeds[0],
-                "environments": found.environments,
-                "instances": found.instances,
-                "not_played": sum(
-                    key.agent == agent and key.environment in present for key in missing
-                ),
-            }
+        row = {
+            "agent": agent,
+            **_columns("success", replace(found, estimate=float(exact[agent]))),
+            **_columns("settled", settled.estimate(agent)),
+            **_columns("improvement", improvement),
+            "time_to_target": float(times[agent]),
+            "training_seeds": found.seeds[0],
+            "environments": found.environments,
+            "instances": found.instances,
+            "not_played": lost[agent],
+        }
+        rows.append(row)
+    ordered = (
+        pd.DataFrame(rows)
+        .sort_values(
+            ["success", "time_to_target"],
+            ascending=[False, True],
+            na_position="last",
+            kind="stable",
         )
-    frame = pd.DataFrame(rows)
-    ordered = frame.sort_values(
-        ["success", "time_to_target"], ascending=[False, True], na_position="last", kind="stable"
-    ).reset_index(drop=True)
-    ordered.insert(0, "rank", _ranks(ordered))
+        .reset_index(drop=True)
+    )
+    scored = list(zip(ordered["success"], ordered["time_to_target"].fillna(math.inf)))
+    ordered.insert(0, "rank", [1 + scored.index(one) for one in scored])  # 1, 2, 2, 4, …
     return ordered
 
 
@@ -146,14 +151,9 @@ def ranked_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) ->
     instances = {
         name: sorted(set(group["instance"])) for name, group in scores.groupby("environment")
     }
+    nothing = {"success": 0.0, "time_to_target": np.nan, "settled": 0.0}
     empty = [
-        {
-            **key._asdict(),
-            "instance": instance,
-            "success": 0.0,
-            "time_to_target": np.nan,
-            "settled": 0.0,
-        }
+        {**key._asdict(), "instance": instance, **nothing}
         for key in not_played
         for instance in instances.get(key.environment, ())
     ]
@@ -178,18 +178,6 @@ def _mean_over_environments(scores: pd.DataFrame, column: str, statistic: str) -
     by_environment = scores.groupby(["agent", "environment"])[column].agg(statistic)
     mean: pd.Series[float] = by_environment.groupby("agent").mean()
     return mean
-
-
-def _ranks(ordered: pd.DataFrame) -> list[int]:
-    """Return 1, 2, 2, 4, …: one more than the number of agents that are better."""
-    ranks: list[int] = []
-    last: tuple[float, float] | None = None
-    for place, (success, seconds) in enumerate(
-        zip(ordered["success"], ordered["time_to_target"].fillna(np.inf)), start=1
-    ):
-        ranks.append(ranks[-1] if (success, seconds) == last else place)
-        last = success, seconds
-    return ranks
 
 
 RANKING = "ranking.csv"

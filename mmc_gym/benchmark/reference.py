@@ -1,13 +1,11 @@
-"""The reference of all movements: a hand that follows minimum jerk, without an arm.
+"""A reference for all movements: a hand that follows minimum jerk, without an arm.
 
     x(t) = x₀ + (g − x₀) (10 τ³ − 15 τ⁴ + 6 τ⁵),     τ = t/T,     T = T₀ + d/v̄
 
 from the start x₀ to the target g at the distance d, and then rest.  T is that of the agents that
-plan (`mmc_gym.agents.planners`: 0.2 s and a further second for each 4 segment lengths), for the
-comparison with them to be about the shape.  Where the target moves the hand follows by the rest of
-a minimum-jerk movement from its present state, as they plan to.
-
-It goes through the same measures as the agents.  What it has no arm for is NaN.
+plan (`mmc_gym.agents.planners`: 0.2 s and a second for each 4 segment lengths), so that they differ
+from it in shape alone.  Where the target moves, the hand follows by the rest of a minimum-jerk
+movement from its present state, as they do.  Measures that need an arm are NaN.
 """
 
 from __future__ import annotations
@@ -22,11 +20,11 @@ from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, 
 from mmc_gym.measures.episode import Episode, Floats
 
 REFERENCE = "minimum jerk (ideal)"
-"""Its name in tables and data."""
+"""The hand's name in tables and data."""
 
 
 def has_reference(env: gym.Env[Any, Any]) -> bool:
-    """Whether all hands in `env` meet the same targets at the same times.
+    """Tell whether all hands in `env` meet the same targets at the same times.
 
     They do not where a target moves on when it is reached, as in via points.
     """
@@ -35,7 +33,7 @@ def has_reference(env: gym.Env[Any, Any]) -> bool:
 
 
 def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
-    """The ideal movements from the starts to the targets of recorded episodes.
+    """Return the ideal movements from the starts to the targets of recorded episodes.
 
     Args:
         episodes: of any agent; only the start, the targets and the number of steps matter.
@@ -62,7 +60,7 @@ def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
 
 
 def _follow(starts: Floats, targets: Floats, control_step: float) -> list[Floats]:
-    """Hand positions (episodes, 2) at all times, for targets (times, episodes, 2)."""
+    """Return hand positions (episodes, 2) at all times, for targets (times, episodes, 2)."""
     plan = HandPlan(starts, np.zeros_like(starts), np.zeros_like(starts))
     movement = begin(starts, targets[0], control_step)
     hands: list[Floats] = [starts]

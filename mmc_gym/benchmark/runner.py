@@ -232,7 +232,7 @@ def _play_reference(
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a benchmark is.
+    """The progress of a benchmark.
 
     Attributes:
         done: cells that are finished, those of earlier runs included.

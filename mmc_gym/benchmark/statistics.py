@@ -104,7 +104,7 @@ def weighted_median(values: Floats, weights: Floats) -> Floats:
 
 StatisticLike: TypeAlias = Statistic | WeightedStatistic
 STATISTICS: dict[Statistic, WeightedStatistic] = {"mean": weighted_mean, "median": weighted_median}
-"""What a table says about many episodes, by name."""
+"""Statistics of many episodes by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class Scores:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """How often everything was drawn in R resamples; row 0 draws all once: the data themselves.
+    """Counts of draws in R resamples; row 0 draws all once: the data themselves.
 
     Attributes:
         policies: by agent, (R + 1, policies).

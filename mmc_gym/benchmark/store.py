@@ -374,7 +374,7 @@ class NotPlayed(_Strict):
 
 
 class Manifest(_Strict):
-    """What a store was made with.
+    """All that a store was made with.
 
     Attributes:
         schema_version: of the store.
