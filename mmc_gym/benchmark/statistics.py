@@ -31,7 +31,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -130,17 +130,11 @@ class Scores:
         return self.values[agent]
 
 
-@dataclass(frozen=True, eq=False)
-class Draws:
-    """Counts of draws in R resamples; row 0 draws all once: the data themselves.
+class Draws(NamedTuple):
+    """Counts of draws in R resamples; row 0 draws all once: the data themselves."""
 
-    Attributes:
-        policies: by agent, (R + 1, policies).
-        instances: by environment, (R + 1, instances).
-    """
-
-    policies: Mapping[str, Floats]
-    instances: tuple[Floats, ...]
+    policies: Mapping[str, Floats]  # by agent, (R + 1, policies)
+    instances: tuple[Floats, ...]  # by environment, (R + 1, instances)
 
 
 def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
@@ -160,34 +154,33 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
         raise ValueError(f"frame must have rows with {[*COLUMNS, value]}, it lacks {missing}")
     seeds = frame["training_seed"].astype(object).where(frame["training_seed"].notna(), _UNTRAINED)
     table = frame.assign(training_seed=seeds)
-    if table.duplicated(list(COLUMNS)).any():
-        twice = table.loc[table.duplicated(list(COLUMNS)), list(COLUMNS)].iloc[0].to_dict()
-        raise ValueError(f"frame must have each episode once, got {twice} repeatedly")
-    environments = tuple(dict.fromkeys(table["environment"]))
+    twice = table.loc[table.duplicated(list(COLUMNS)), list(COLUMNS)]
+    if len(twice):
+        first = twice.iloc[0].to_dict()
+        raise ValueError(f"frame must have each episode once, got {first} repeatedly")
     instances = {
         environment: sorted(set(group["instance"]))
         for environment, group in table.groupby("environment", sort=False)
     }
+    sizes = tuple(map(len, instances.values()))
     values, count = {}, {}
     for agent, group in table.groupby("agent", sort=False):
         policies = list(dict.fromkeys(group["training_seed"]))
         episodes = group.set_index(["environment", "training_seed", "instance"])[value]
-        if len(episodes) != len(policies) * sum(map(len, instances.values())):
+        if len(episodes) != len(policies) * sum(sizes):
             raise ValueError(
                 f"frame must have all instances of all environments for each of the training seeds "
-                f"of {agent!r}, {len(policies)} × {sum(map(len, instances.values()))} episodes, "
-                f"got {len(episodes)}"
+                f"of {agent!r}, {len(policies)} × {sum(sizes)} episodes, got {len(episodes)}"
             )
         values[str(agent)] = tuple(
             episodes.loc[environment]
             .unstack()
-            .reindex(index=policies, columns=instances[environment])
+            .reindex(index=policies, columns=columns)
             .to_numpy(dtype=np.float64)
-            for environment in environments
+            for environment, columns in instances.items()
         )
         count[str(agent)] = 0 if policies == [_UNTRAINED] else len(policies)
-    sizes = tuple(len(instances[environment]) for environment in environments)
-    return Scores(tuple(map(str, environments)), sizes, values, count)
+    return Scores(tuple(map(str, instances)), sizes, values, count)
 
 
 def draw(scores: Scores, resamples: int, seed: int) -> Draws:
@@ -242,12 +235,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """Scores of agents and one set of draws: all that is asked of it is of the same resamples.
-
-    Attributes:
-        scores: of the agents.
-        draws: of their policies and instances.
-    """
+    """Scores of agents and one set of draws: all its answers are of the same resamples."""
 
     scores: Scores
     draws: Draws
@@ -268,15 +256,8 @@ class Bootstrap:
             ValueError: if the agents have not met the same instances.
 
         Example:
-            >>> frame = pd.DataFrame(
-            ...     {
-            ...         "agent": "network",
-            ...         "training_seed": None,
-            ...         "environment": "MMCReach-v0",
-            ...         "instance": range(4),
-            ...         "value": [0.0, 1.0, 2.0, 3.0],
-            ...     }
-            ... )
+            >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
+            >>> frame = pd.DataFrame({**of, "instance": range(4), "value": [0.0, 1.0, 2.0, 3.0]})
             >>> found = Bootstrap.of(frame).estimate("network")
             >>> found.estimate, found.seeds, found.instances
             (1.5, (0,), 4)
@@ -322,14 +303,13 @@ class Bootstrap:
             ValueError: if there is no such agent.
         """
         pairs = zip(self.scores.of(agent), self.scores.of(other), self.draws.instances)
-        sign = 1.0 if better == "high" else -1.0
         policies = self.draws.policies
         chances = []
-        for mine, theirs, instances in pairs:
-            lead = sign * (mine[:, None] - theirs[None])  # (policies, policies, instances)
-            compared = (~np.isnan(mine))[:, None] & (~np.isnan(theirs))[None]
-            # Not the sign of the difference: of two infinite scores there is none.
-            wins = np.where(mine[:, None] == theirs[None], 0.5, lead > 0) * compared
+        for one, two, instances in pairs:
+            mine, theirs = one[:, None], two[None]  # (policies, policies, instances) together
+            compared = ~np.isnan(mine) & ~np.isnan(theirs)
+            ahead = mine > theirs if better == "high" else mine < theirs
+            wins = np.where(mine == theirs, 0.5, ahead) * compared
             weights = policies[agent][:, :, None] * policies[other][:, None]
             sums = [
                 (np.tensordot(instances, table.astype(np.float64), (1, 2)) * weights).sum((1, 2))

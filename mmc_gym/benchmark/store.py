@@ -81,9 +81,8 @@ def _slug(name: str) -> str:
 def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return the columns of a table with a row for each episode.
 
-    They are seed (of the episode), start_x, start_y (of the hand), target_x, target_y (both when
-    the episode starts), duration (s), and one for each of `MEASURES`, NaN where an episode has no
-    such value.
+    They are seed, start_x, start_y (of the hand), target_x, target_y (at the start), duration (s),
+    and one for each of `MEASURES`, NaN where an episode has no such value.
     """
     measured = [measure_all(episode) for episode in episodes]
     starts = np.array([episode.hands[0] for episode in episodes]).reshape(-1, 2)
@@ -336,25 +335,14 @@ class _Strict(BaseModel):
 
 
 class Policy(_Strict):
-    """An agent as it was trained once, or an agent without training.
-
-    Attributes:
-        training_seed: None if it was not trained.
-        source: what it was made of, see `entries`.
-    """
+    """An agent as it was trained once, or without training: what it was made of, see `entries`."""
 
     training_seed: int | None
     source: str
 
 
 class NotPlayed(_Strict):
-    """A cell without episodes.
-
-    Attributes:
-        agent, training_seed, environment: of the cell.
-        status: "skipped" if the agent cannot act in the environment, "failed" if it raised.
-        reason: for people.
-    """
+    """A cell without episodes, and why: the agent cannot act there, or it failed."""
 
     agent: str
     training_seed: int | None
