@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import pickle
+import sys
 
 import cloudpickle
 import numpy as np
@@ -19,7 +21,15 @@ from mmc_gym.measures import (
     measure_all,
     set_measure,
 )
-from mmc_gym.measures.catalogue import own_measures, register_measures, shown_measures
+from mmc_gym.measures.catalogue import (
+    digest,
+    import_measures,
+    measures_of,
+    own_measures,
+    register_measures,
+    set_measures_of,
+    shown_measures,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -81,6 +91,40 @@ def test_measures_of_a_notebook_travel_as_they_are(make_episode):
     register_measures(pickle.loads(packed))
     episode = make_episode([[0, 0], [0.4, 0], [0.6, 0], [1, 0]], [1, 0])
     assert MEASURES["half_way_time"].of(episode) == function(episode)
+
+
+def test_a_store_tells_measures_whose_functions_are_not_here():
+    register_half_way_time()
+    set_measure(label="episodes", environment="random")(len_of_set)
+    own, of_sets = own_measures()
+    facts = json.loads(json.dumps({one.name: one.facts for one in own_measures()}))
+    del MEASURES[own.name], SET_MEASURES[of_sets.name]
+    found = measures_of({own.name: facts[own.name], "success": "fraction"})
+    assert (found[own.name], list(found)) == (own, [*MEASURES, own.name])
+    assert set_measures_of({of_sets.name: facts[of_sets.name]})[of_sets.name] == of_sets
+    with pytest.raises(RuntimeError, match="its function is not here"):
+        found[own.name].of(None)
+
+
+def len_of_set(episodes):
+    return float(len(episodes))
+
+
+def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    found = set()
+    for number, (unit, value) in enumerate([("s", 0.0), ("s", 1.0), ("rad", 1.0)]):
+        (tmp_path / f"measures_{number}.py").write_text(
+            "from mmc_gym.measures import measure\n"
+            f"@measure(label='x', unit={unit!r})\n"
+            f"def x{number}(episode):\n    return {value}\n"
+        )
+        import_measures([f"measures_{number}"])
+        found.add(digest(MEASURES[f"x{number}"]))
+    assert len(found) == 3
+    with pytest.raises(ValueError, match="measures 'nobody' cannot be imported"):
+        import_measures(["nobody"])
 
 
 def test_a_table_stays_readable():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from gymnasium.wrappers import TimeLimit
 from mmc_gym import make_agent
 from mmc_gym.envs.perturbations import ForceField, LockedJoint, VisuomotorRotation
 from mmc_gym.envs.vector import MMCReachVectorEnv
-from mmc_gym.measures import rollout
+from mmc_gym.measures import measure_all, rollout
 from mmc_gym.measures.reaching import time_to_target
 from mmc_gym.measures.rollout import check_environment, episode_seeds, evaluate, run_episodes
 
@@ -174,6 +176,37 @@ def test_the_goal_environment_plays():
 def test_another_environment_is_refused_by_what_it_lacks():
     with pytest.raises(ValueError, match=r"CartPole-v1.*info\['distance'\].*control_step.*reach"):
         check_environment(gym.make("CartPole-v1"))
+
+
+class Slider(gym.Env):
+    """A hand without an arm: each action is its velocity."""
+
+    action_space = gym.spaces.Box(-1, 1, (2,))
+    parameters, success_distance, reach = SimpleNamespace(control_step=0.1), 0.05, 1.0
+
+    def reset(self, *, seed=None, options=None):
+        self.hand = np.zeros(2)
+        return self.hand, self.info()
+
+    def step(self, action):
+        self.hand = self.hand + 0.1 * action
+        return self.hand, 0.0, False, False, self.info()
+
+    def info(self):
+        target = np.array([0.5, 0.0])
+        distance = np.linalg.norm(self.hand - target)
+        return {"end_effector": self.hand, "target": target, "distance": distance}
+
+
+def test_an_environment_of_your_own_needs_no_arm():
+    class Push:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.array([1.0, 0.0]), None
+
+    (episode,) = run_episodes(Push(), TimeLimit(Slider(), 5), [1])
+    found = measure_all(episode)
+    assert (found["success"], found["time_to_target"]) == (1, 0.5)
+    assert np.isnan(found["joint_work"]) and np.isnan(found["joint_path_efficiency"])
 
 
 def test_an_endless_episode_is_given_up(env, frozen, monkeypatch):
