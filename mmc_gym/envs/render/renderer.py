@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mmc_gym.envs.perturbations import SegmentLength
 from mmc_gym.envs.render import shapes
-from mmc_gym.envs.render.shapes import SIZE, Point, View
+from mmc_gym.envs.render.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
 
 TRACE_SECONDS = 1.0
@@ -65,10 +65,10 @@ class Renderer:
         self._lengths = setup.body.segment_lengths
         self._old_lengths = old_lengths(setup)
         self._trace: deque[Point] = deque(maxlen=max(2, round(TRACE_SECONDS * fps)))
-        self._large_view = View(self.view.reach, _OVERSAMPLING * SIZE)
-        self._canvas = pygame.Surface((self._large_view.size,) * 2, depth=32)
+        large = View(self.view.reach, _OVERSAMPLING * SIZE)
+        self._canvas = Canvas(pygame.Surface((large.size,) * 2, depth=32), large)
+        self._scenery = Canvas(self._canvas.surface.copy(), large)
         self._picture = pygame.Surface((SIZE, SIZE), depth=32)
-        self._scenery = self._canvas.copy()
         self._paint_scenery()
         self._window = Window((SIZE, SIZE), "mmc-gym", fps) if mode == "human" else None
 
@@ -80,14 +80,14 @@ class Renderer:
         """
         nodes = shapes.node_positions(scene.segment_angles, self._lengths)
         self._trace.append(nodes[-1])
-        self._canvas.blit(self._scenery, (0, 0))
+        self._canvas.surface.blit(self._scenery.surface, (0, 0))
         self._paint_path(scene)
-        shapes.draw_trace(self._canvas, self._large_view, self._trace)
+        self._canvas.draw_trace(self._trace)
         self._paint_arm(scene, nodes)
         if scene.observation is not None:
             self._paint_sensed(scene.observation)
         self._paint_target(scene, nodes[-1])
-        pygame.transform.smoothscale(self._canvas, (SIZE, SIZE), self._picture)
+        pygame.transform.smoothscale(self._canvas.surface, (SIZE, SIZE), self._picture)
         if self._window is not None:
             self._window.show(self._picture)
             return None
@@ -104,51 +104,49 @@ class Renderer:
 
     def _paint_scenery(self) -> None:
         """Paint all that is the same in every frame."""
-        surface, view, body = self._scenery, self._large_view, self._setup.body
-        surface.fill(shapes.BACKGROUND)
-        shapes.draw_reachable_set(surface, view, self._lengths)
+        canvas, body = self._scenery, self._setup.body
+        canvas.surface.fill(shapes.BACKGROUND)
+        canvas.draw_reachable_set(self._lengths)
         if body.force_field is not None:
             (_, right), (left, _) = body.force_field
-            shapes.draw_curl_field(surface, view, right - left)
+            canvas.draw_curl_field(right - left)
         for obstacle in body.obstacles:
-            shapes.draw_obstacle(surface, view, obstacle)
-        shapes.draw_base(surface, view)
-        shapes.draw_caption(surface, view, self._setup.caption)
+            canvas.draw_obstacle(obstacle)
+        canvas.draw_base()
+        canvas.draw_caption(self._setup.caption)
 
     def _paint_path(self, scene: Scene) -> None:
         """Paint where the target will be, if it moves."""
-        surface, view, setup = self._canvas, self._large_view, self._setup
+        canvas, setup = self._canvas, self._setup
         target, places = tuple(scene.target), [tuple(place) for place in scene.path]
         if len(set(places)) <= 1:
             return
         if setup.task.periodic:
-            shapes.draw_track(surface, view, places)
+            canvas.draw_track(places)
             return
         last = len(places) - 1 - places[::-1].index(target)
-        shapes.draw_next_targets(surface, view, target, places[last + 1 :], setup.success_distance)
+        canvas.draw_next_targets(target, places[last + 1 :], setup.success_distance)
 
     def _paint_arm(self, scene: Scene, nodes: Sequence[Point]) -> None:
-        surface, view, body = self._canvas, self._large_view, self._setup.body
-        shapes.draw_arm(surface, view, scene.segment_angles, self._lengths)
+        canvas, body = self._canvas, self._setup.body
+        canvas.draw_arm(scene.segment_angles, self._lengths)
         if self._old_lengths != self._lengths:
-            shapes.draw_old_lengths(
-                surface, view, scene.segment_angles, self._lengths, self._old_lengths
-            )
+            canvas.draw_old_lengths(scene.segment_angles, self._lengths, self._old_lengths)
         if body.hand_mass:
-            shapes.draw_hand_mass(surface, view, nodes[-1], body.hand_mass)
+            canvas.draw_hand_mass(nodes[-1], body.hand_mass)
         if scene.ghost is not None:
             told = self._setup.told.segment_lengths
-            shapes.draw_ghost(surface, view, scene.ghost, told)
+            canvas.draw_ghost(scene.ghost, told)
         for joint in body.lockable_joints if scene.is_locked else ():
-            shapes.draw_lock(surface, view, nodes[joint])
+            canvas.draw_lock(nodes[joint])
 
     def _paint_target(self, scene: Scene, hand: Point) -> None:
-        surface, view, setup = self._canvas, self._large_view, self._setup
+        canvas, setup = self._canvas, self._setup
         cursor = hand if setup.rotation is None else setup.rotation.cursor(*hand)
         if setup.rotation is not None:
-            shapes.draw_cursor(surface, view, hand, cursor)
+            canvas.draw_cursor(hand, cursor)
         is_reached = math.dist(cursor, scene.target) <= setup.success_distance
-        shapes.draw_target(surface, view, scene.target, setup.success_distance, is_reached)
+        canvas.draw_target(scene.target, setup.success_distance, is_reached)
 
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
         """Paint the arm as an observation of `MMCReach-v0` tells it."""
@@ -158,7 +156,7 @@ class Renderer:
         target, offset = seen.target * setup.reach, seen.offset * 2 * setup.reach
         nodes = shapes.node_positions(angles, setup.told.segment_lengths)
         hand_and_target = [(float(x), float(y)) for x, y in (target - offset, target)]
-        shapes.draw_sensed(self._canvas, self._large_view, nodes, *hand_and_target)
+        self._canvas.draw_sensed(nodes, *hand_and_target)
 
 
 def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
