@@ -44,7 +44,7 @@ class TrainingCell:
 
     @property
     def label(self) -> str:
-        """What the policy's files are called."""
+        """The name of the policy's files, without suffix."""
         return file_stem(*self.policy)
 
     def training(self, folder: Path) -> Training:

@@ -100,7 +100,7 @@ class Training:
 
     @property
     def label(self) -> str:
-        """What the policy's files are called."""
+        """The name of the policy's files, without suffix."""
         return file_stem(self.recipe.name, self.seed)
 
     @property

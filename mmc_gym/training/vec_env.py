@@ -113,22 +113,15 @@ class GymnasiumVecEnv(VecEnv):
         dones = terminated | truncated
         rows: list[Info] = [{} for _ in range(self.num_envs)]
         if self.info_keys:
-            chosen = {
-                name: infos[name]
-                for key in self.info_keys
-                for name in (key, f"_{key}")
-                if name in infos
-            }
+            names = {name for key in self.info_keys for name in (key, f"_{key}")}
+            chosen = {name: infos[name] for name in sorted(names & infos.keys())}
             rows = [_row(chosen, index) for index in range(self.num_envs)]
         for index in np.flatnonzero(dones).tolist():
-            rows[index].update(_row(infos["final_info"], index))
-            rows[index]["terminal_observation"] = infos["final_obs"][index]
+            begun = _row(infos, index)
+            rows[index] |= begun.pop("final_info")
+            rows[index]["terminal_observation"] = begun.pop("final_obs")
             rows[index]["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
-            self.reset_infos[index] = {
-                name: value
-                for name, value in _row(infos, index).items()
-                if name not in ("final_info", "final_obs")
-            }
+            self.reset_infos[index] = begun
         return observation, rewards.astype(np.float32), dones, rows
 
     @override
@@ -148,7 +141,8 @@ class GymnasiumVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return the attribute of each chosen environment: all share a native one's."""
-        return [self._values(attr_name)[index] for index in self._chosen(indices)]
+        values = self._values(attr_name)
+        return [values[index] for index in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set the attribute of the chosen environments.
