@@ -325,6 +325,7 @@ class ReachInterface:
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         control_step: duration of a control step, s.
         joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
+        lockable_joints: joints that lock, or may lock, as far as that is told.
     """
 
     segment_lengths: tuple[float, ...]
@@ -333,6 +334,7 @@ class ReachInterface:
     servo_gain: float
     control_step: float
     joint_limits: JointLimits | None = None
+    lockable_joints: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, env: Any) -> ReachInterface:
@@ -355,6 +357,7 @@ class ReachInterface:
             servo_gain=body.servo_gain,
             control_step=body.control_step,
             joint_limits=body.joint_limits,
+            lockable_joints=body.lockable_joints,
         )
 
     @cached_property

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -18,9 +18,8 @@ from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
     closed_loop_inverse_kinematics,
     closed_loop_mmc,
-    told_lockable,
 )
-from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
+from mmc_gym.agents.ik.agent import InverseKinematicsAgent
 from mmc_gym.agents.ik.closed_form import closed_form
 from mmc_gym.agents.ik.iterative import (
     cyclic_coordinate_descent,
@@ -34,7 +33,7 @@ from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc
 from mmc_gym.agents.planners import MinimumJerkAgent, PassiveMotionAgent
 from mmc_gym.agents.views import VIEWS, View
 from mmc_gym.interface import Control, ReachInterface
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, Normalizer
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import Floats
 
 Kind = Literal["yours", "network", "inverse kinematics", "planner", "learned", "baseline", "ideal"]
@@ -82,14 +81,14 @@ class AgentEntry:
 
     Attributes:
         description: a line.
-        make: makes it for an environment; of trained agents, the one of training seed 0.
+        build: makes it from what it is told; of trained agents, the one of training seed 0.
         knowledge: its kind, what it is told, and what it senses.
         control: the control mode that it acts by; None for any that has a servo.
         training_seeds: how many trainings of it ship with the package; 0: it is not trained.
     """
 
     description: str
-    make: Callable[[gym.Env[Any, Any]], Agent[Any]]
+    build: Callable[[ReachInterface], Agent[Any]]
     knowledge: Knowledge
     control: Control | None = None
     training_seeds: int = 0
@@ -99,23 +98,31 @@ class AgentEntry:
         """The sort of agent."""
         return self.knowledge.kind
 
-
-def _dynamic_mmc(env: gym.Env[Any, Any], normalizer: Normalizer) -> MMCAgent:
-    return dynamic_mmc(ReachInterface.of(env), normalizer)
-
-
-def _classical_mmc(env: gym.Env[Any, Any]) -> MMCAgent:
-    interface = ReachInterface.of(env)
-    return MMCAgent(interface, MMCNetwork(interface.segment_lengths))
+    def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
+        """Make it for an environment."""
+        return self.build(ReachInterface.of(env))
 
 
-def _tuned_mmc(env: gym.Env[Any, Any]) -> MMCAgent:
-    """The dynamic network with constants from `mmc-gym tune mmc`, 20 trials of 200,000 steps.
+_LOOP = "posture, seen hand and target in every step"
+
+
+def _mmc(
+    description: str, build: Callable[[ReachInterface], Agent[Any]], **knowledge: str
+) -> AgentEntry:
+    return AgentEntry(description, build, Knowledge("network", **knowledge))
+
+
+def _closed_loop(name: str, description: str, *, adds: str = "", **knowledge: str) -> AgentEntry:
+    build = partial(closed_loop_mmc, loops=LOOPS[name])
+    return _mmc(description, build, senses=f"{_LOOP}{adds}", **knowledge)
+
+
+def _tuned_mmc(interface: ReachInterface) -> MMCAgent:
+    """Return the network of `mmc` with constants from `mmc-gym tune mmc`: 20 trials, 200,000 steps.
 
     They bring 77.4 % of the time at the target, those of `mmc` 75.7 %.  d is just above
     (N + 1) / 2, where the network no longer converges.
     """
-    interface = ReachInterface.of(env)
     lengths = interface.segment_lengths
     network = MMCNetwork(
         lengths,
@@ -127,42 +134,26 @@ def _tuned_mmc(env: gym.Env[Any, Any]) -> MMCAgent:
     return MMCAgent(interface, network, iterations_per_step=5)
 
 
-def _timed_mmc(env: gym.Env[Any, Any]) -> TimedMMCAgent:
-    interface = ReachInterface.of(env)
-    return TimedMMCAgent(interface, MMCNetwork(interface.segment_lengths), iterations_per_step=2)
+def _ik(
+    description: str,
+    solver: Callable[..., Floats],
+    iterations_per_step: int = 3,
+    *,
+    heeds_limits: bool = False,
+) -> AgentEntry:
+    def build(interface: ReachInterface) -> InverseKinematicsAgent:
+        limited = partial(solver, joint_limits=interface.joint_limits) if heeds_limits else solver
+        return InverseKinematicsAgent(interface, limited, iterations_per_step, heeds_limits)
+
+    return AgentEntry(description, build, Knowledge("inverse kinematics"))
 
 
-def _inverse_kinematics(
-    solver: Solver, iterations_per_step: int
-) -> Callable[[gym.Env[Any, Any]], InverseKinematicsAgent]:
-    return lambda env: InverseKinematicsAgent(ReachInterface.of(env), solver, iterations_per_step)
-
-
-def _limited_inverse_kinematics(
-    solver: Callable[..., Floats], iterations_per_step: int
-) -> Callable[[gym.Env[Any, Any]], InverseKinematicsAgent]:
-    """As `_inverse_kinematics`, of a solver that can heed joint limits."""
-
-    def make(env: gym.Env[Any, Any]) -> InverseKinematicsAgent:
-        interface = ReachInterface.of(env)
-        limited = partial(solver, joint_limits=interface.joint_limits)
-        return InverseKinematicsAgent(interface, limited, iterations_per_step, heeds_limits=True)
-
-    return make
-
-
-def policy_agent(path: Path, env: gym.Env[Any, Any]) -> Agent[Any]:
-    """Make the agent of a policy's file for an environment."""
+def policy_agent(path: Path, interface: ReachInterface) -> Agent[Any]:
+    """Make the agent of a policy's file."""
     # Not at the top: pydantic, which checks the card, takes a while to load.
     from mmc_gym.agents.policy import PolicyAgent, load_policy
 
-    return PolicyAgent(*load_policy(path), ReachInterface.of(env))
-
-
-def _shipped(name: str, env: gym.Env[Any, Any]) -> Agent[Any]:
-    from mmc_gym.agents.policy import shipped_file
-
-    return policy_agent(shipped_file(name, 0), env)
+    return PolicyAgent(*load_policy(path), interface)
 
 
 def _trained(
@@ -174,51 +165,37 @@ def _trained(
     view: View = "arm",
     base_agent: str = "",
 ) -> AgentEntry:
+    def build(interface: ReachInterface) -> Agent[Any]:
+        from mmc_gym.agents.policy import shipped_file
+
+        return policy_agent(shipped_file(name, 0), interface)
+
     return AgentEntry(
         f"{description}, trained by `mmc-gym train {name}`",
-        partial(_shipped, name),
+        build,
         learned_knowledge(view, base_agent),
         control=control,
         training_seeds=training_seeds,
     )
 
 
-def _closed_loop(name: str) -> Callable[[gym.Env[Any, Any]], Agent[Any]]:
-    return lambda env: closed_loop_mmc(ReachInterface.of(env), LOOPS[name], told_lockable(env))
-
-
-_MMC = Knowledge("network")
-_IK = Knowledge("inverse kinematics")
-_PLANNER = Knowledge("planner")
-_LOOP = "posture, seen hand and target in every step"
-
-
 AGENTS: dict[str, AgentEntry] = {
-    "mmc": AgentEntry(
+    "mmc": _mmc(
         "dynamic MMC network, best setting",
-        lambda env: _dynamic_mmc(env, EuclideanNormalizer()),
-        _MMC,
+        lambda told: dynamic_mmc(told, EuclideanNormalizer()),
     ),
-    "mmc-classical": AgentEntry(
+    "mmc-classical": _mmc(
         "classical MMC network with the paper's constants, one iteration per control step",
-        _classical_mmc,
-        _MMC,
+        lambda told: MMCAgent(told, MMCNetwork(told.segment_lengths)),
     ),
-    "mmc-neural": AgentEntry(
+    "mmc-neural": _mmc(
         "as mmc, with the learned normalizer",
-        lambda env: _dynamic_mmc(env, LearnedNormalizer.shipped()),
-        _MMC,
+        lambda told: dynamic_mmc(told, LearnedNormalizer.shipped()),
     ),
-    "mmc-tuned": AgentEntry(
-        "as mmc, with constants tuned as those of the trained policies were",
-        _tuned_mmc,
-        _MMC,
+    "mmc-tuned": _mmc(
+        "as mmc, with constants tuned as those of the trained policies were", _tuned_mmc
     ),
-    "ik-dls": AgentEntry(
-        "inverse kinematics by damped least squares",
-        _inverse_kinematics(damped_least_squares, iterations_per_step=3),
-        _IK,
-    ),
+    "ik-dls": _ik("inverse kinematics by damped least squares", damped_least_squares),
     "ppo": _trained("ppo", "PPO of stable-baselines3", 10),
     "sac": _trained("sac", "SAC of stable-baselines3", 5),
     "tqc-her": _trained("tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", 5),
@@ -238,86 +215,66 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
-        lambda env: RandomAgent(len(ReachInterface.of(env).segment_lengths)),
+        lambda told: RandomAgent(len(told.segment_lengths)),
         Knowledge("baseline", "not told", "not told", "nothing"),
     ),
-    "ik-transpose": AgentEntry(
-        "inverse kinematics by the Jacobian transpose",
-        _inverse_kinematics(jacobian_transpose, iterations_per_step=5),
-        _IK,
+    "ik-transpose": _ik("inverse kinematics by the Jacobian transpose", jacobian_transpose, 5),
+    "ik-pinv": _ik("inverse kinematics by the truncated pseudo-inverse", pseudo_inverse),
+    "ik-nullspace": _ik(
+        "as ik-dls, with a comfortable posture in the null space", null_space, heeds_limits=True
     ),
-    "ik-pinv": AgentEntry(
-        "inverse kinematics by the truncated pseudo-inverse",
-        _inverse_kinematics(pseudo_inverse, iterations_per_step=3),
-        _IK,
-    ),
-    "ik-nullspace": AgentEntry(
-        "as ik-dls, with a comfortable posture in the null space",
-        _limited_inverse_kinematics(null_space, iterations_per_step=3),
-        _IK,
-    ),
-    "ik-ccd": AgentEntry(
+    "ik-ccd": _ik(
         "inverse kinematics by cyclic coordinate descent",
-        _limited_inverse_kinematics(cyclic_coordinate_descent, iterations_per_step=3),
-        _IK,
+        cyclic_coordinate_descent,
+        heeds_limits=True,
     ),
-    "ik-fabrik": AgentEntry(
-        "inverse kinematics by FABRIK, forward and backward reaching",
-        _inverse_kinematics(fabrik, iterations_per_step=3),
-        _IK,
-    ),
-    "ik-closed-form": AgentEntry(
+    "ik-fabrik": _ik("inverse kinematics by FABRIK, forward and backward reaching", fabrik),
+    "ik-closed-form": _ik(
         "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
-        _limited_inverse_kinematics(closed_form, iterations_per_step=1),
-        _IK,
+        closed_form,
+        1,
+        heeds_limits=True,
     ),
-    "mmc-bell": AgentEntry(
+    "mmc-bell": _mmc(
         "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",
-        _timed_mmc,
-        _MMC,
+        lambda told: TimedMMCAgent(told, MMCNetwork(told.segment_lengths), iterations_per_step=2),
     ),
     "minimum-jerk": AgentEntry(
         "minimum-jerk path of the hand, followed by damped least squares",
-        lambda env: MinimumJerkAgent(ReachInterface.of(env)),
-        _PLANNER,
+        MinimumJerkAgent,
+        Knowledge("planner"),
     ),
     "pmp": AgentEntry(
         "Passive Motion Paradigm with a terminal attractor",
-        lambda env: PassiveMotionAgent(ReachInterface.of(env)),
-        _PLANNER,
+        PassiveMotionAgent,
+        Knowledge("planner"),
     ),
-    "mmc-feedback": AgentEntry(
+    "mmc-feedback": _closed_loop(
+        "feedback",
         "as mmc, with the sensed posture in the mean, and the seen hand correcting the clamp",
-        _closed_loop("feedback"),
-        replace(_MMC, senses=_LOOP),
     ),
-    "mmc-delay": AgentEntry(
+    "mmc-delay": _closed_loop(
+        "delay",
         "as mmc-feedback, with the delay of the senses estimated and bridged",
-        _closed_loop("delay"),
-        replace(_MMC, senses=f"{_LOOP}; estimates their delay"),
+        adds="; estimates their delay",
     ),
-    "mmc-lengths": AgentEntry(
+    "mmc-lengths": _closed_loop(
+        "lengths",
         "as mmc, with segment lengths identified on line",
-        _closed_loop("lengths"),
-        replace(_MMC, lengths="told, then identified", senses=_LOOP),
+        lengths="told, then identified",
     ),
-    "mmc-lock": AgentEntry(
-        "as mmc, with locked joints detected and clamped",
-        _closed_loop("lock"),
-        replace(_MMC, senses=f"{_LOOP}; detects locked joints"),
+    "mmc-lock": _closed_loop(
+        "lock", "as mmc, with locked joints detected and clamped", adds="; detects locked joints"
     ),
-    "mmc-closed": AgentEntry(
+    "mmc-closed": _closed_loop(
+        "closed",
         "as mmc, with all loops closed: feedback, delay, lengths and locks",
-        _closed_loop("closed"),
-        replace(
-            _MMC, lengths="told, then identified", senses=f"{_LOOP}; estimates delay, detects locks"
-        ),
+        adds="; estimates delay, detects locks",
+        lengths="told, then identified",
     ),
     "ik-dls-feedback": AgentEntry(
         "as ik-dls, with the feedback of mmc-feedback",
-        lambda env: closed_loop_inverse_kinematics(
-            ReachInterface.of(env), damped_least_squares, LOOPS["feedback"]
-        ),
-        replace(_IK, senses=_LOOP),
+        lambda told: closed_loop_inverse_kinematics(told, damped_least_squares, LOOPS["feedback"]),
+        Knowledge("inverse kinematics", senses=_LOOP),
     ),
 }

@@ -10,7 +10,7 @@ import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,6 +29,7 @@ from mmc_gym.agents.registry import (
     learned_knowledge,
     policy_agent,
 )
+from mmc_gym.interface import ReachInterface
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -69,7 +70,8 @@ class ResolvedAgent:
         if self.given is not None:
             return self.given
         if self.policy is not None:
-            return partial(policy_agent, self.policy)
+            path = self.policy
+            return lambda env: policy_agent(path, ReachInterface.of(env))
         return AGENTS[self.name].make if self.name else _imported(self.source)
 
     @cached_property

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.agents.closed_loop.agent import LOOPS, closed_loop_mmc, told_lockable
+from mmc_gym.agents.closed_loop.agent import LOOPS, closed_loop_mmc
 from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks, expected_turn
 from mmc_gym.envs.perturbations import LockedJoint, VisuomotorRotation
 from mmc_gym.interface import ReachInterface
@@ -19,7 +19,7 @@ EPISODES = 50
 def last_memory(steps=60, episodes=EPISODES, **options):
     """What mmc-closed remembers after a while, of arms with the perturbations."""
     env = gym.make("MMCReach-v0", **options)
-    agent = closed_loop_mmc(ReachInterface.of(env), LOOPS["closed"], told_lockable(env))
+    agent = closed_loop_mmc(ReachInterface.of(env), LOOPS["closed"])
     envs = gym.make_vec("MMCReach-v0", num_envs=episodes, **options)
     (observations, _), state = envs.reset(seed=SEED), None
     for _ in range(steps):

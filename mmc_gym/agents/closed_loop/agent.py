@@ -25,7 +25,6 @@ from abc import abstractmethod
 from dataclasses import replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
@@ -35,7 +34,7 @@ from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.closed_loop.observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
 from mmc_gym.agents.mmc import out_of_line, run_within_limits
-from mmc_gym.interface import Observation, ReachInterface, Sensed, told_by
+from mmc_gym.interface import Observation, ReachInterface, Sensed
 from mmc_gym.network import MMCNetwork, MMCState
 from mmc_gym.network.chain import Floats, segments_from_joint_angles
 from mmc_gym.network.embodied import Embodiment
@@ -183,15 +182,12 @@ class ClosedLoopInverseKinematicsAgent(ClosedLoopAgent[Floats]):
         return self.open_loop.advance(model, aim)
 
 
-def closed_loop_mmc(
-    interface: ReachInterface, loops: Loops, lockable: tuple[int, ...] = ()
-) -> ClosedLoopMMCAgent:
+def closed_loop_mmc(interface: ReachInterface, loops: Loops) -> ClosedLoopMMCAgent:
     """Return the network of `mmc` with some loops closed.
 
     Args:
         interface: of the environment.
         loops: which are closed.
-        lockable: joints that the agent was told to be ones that lock.
 
     Raises:
         UserError: if the weight of the posture is N + 1 or more; as `CannotActError`, under torque
@@ -205,8 +201,7 @@ def closed_loop_mmc(
             f"got {loops.posture_weight!r}"
         )
     network = MMCNetwork(lengths, damping, dynamics="paper")
-    observer = BodyObserver(interface, loops, lockable)
-    return ClosedLoopMMCAgent(observer, network, iterations_per_step=3)
+    return ClosedLoopMMCAgent(BodyObserver(interface, loops), network, iterations_per_step=3)
 
 
 def closed_loop_inverse_kinematics(
@@ -221,9 +216,3 @@ def closed_loop_inverse_kinematics(
     if loops.identifies_lengths or loops.detects_locks:
         raise UserError(f"loops must be feedback and delay alone, got {loops}")
     return ClosedLoopInverseKinematicsAgent(BodyObserver(interface, loops), solver, 3)
-
-
-def told_lockable(env: gym.Env[Any, Any]) -> tuple[int, ...]:
-    """Return the joints of which agents are told that they lock, or may lock."""
-    body = told_by(env, "parameters")
-    return body.lockable_joints if body else ()

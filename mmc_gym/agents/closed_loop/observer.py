@@ -123,17 +123,9 @@ class Memory(NamedTuple):
 class BodyObserver:
     """Turns observations into beliefs; what it remembers is handed to it, and handed back."""
 
-    def __init__(
-        self, interface: ReachInterface, loops: Loops, lockable: tuple[int, ...] = ()
-    ) -> None:
-        """Make an observer.
-
-        Args:
-            interface: of the environment.
-            loops: which are closed.
-            lockable: joints that the agent was told to be ones that lock.
-        """
-        self.interface, self.loops, self.lockable = interface, loops, lockable
+    def __init__(self, interface: ReachInterface, loops: Loops) -> None:
+        """Make an observer that closes these loops."""
+        self.interface, self.loops = interface, loops
 
     def start(self, sensed: Sensed) -> Memory:
         """Return the memory of arms that are seen for the first time."""
@@ -157,7 +149,7 @@ class BodyObserver:
         now = delay.run_forward(interface, seen, steps)
         if loops.detects_locks:
             turn = expected_turn(interface, locks.last, delay.command_before(steps))
-            locks = locks.observed(seen, turn, self.lockable)
+            locks = locks.observed(seen, turn, interface.lockable_joints)
             now = np.where(locks.is_locked > 0, locks.place, now)
             expected = np.where(locks.is_locked > 0, locks.place, expected)
         known = None
