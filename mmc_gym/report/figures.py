@@ -322,7 +322,7 @@ def movements(results: Results, look: Mapping[str, Look]) -> PanelFigure | None:
         lowest = mine["training_seed"].min()  # missing without training
         if not np.isnan(lowest):
             mine = mine[mine["training_seed"] == lowest]
-            seeds.append(f"{agent} {lowest:.0f}")
+            seeds.append(f"seed {lowest:.0f} of {agent}")
         shown[agent] = _movements_of(mine, results.manifest.control_step)
         fastest = max(fastest, float(np.nanmax(speed_quartiles(shown[agent])[2])))
     if not shown:

@@ -250,7 +250,7 @@ def test_movements_are_of_one_training_seed_and_say_which(make_store, movers, tm
     results = read_results(tmp_path)
     shown = movements(results, looks(results.agents))
     assert {panel.title for panel in shown.panels} >= {"mmc", "ppo"}
-    assert "Training seeds: ppo 3." in shown.caption
+    assert "Training seeds: seed 3 of ppo." in shown.caption
 
 
 def test_names_at_the_ends_of_lines_do_not_overlap():
