@@ -18,10 +18,9 @@ from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import reasons
-from mmc_gym.envs.render import shapes as drawing
 from mmc_gym.report import figures, tables
 from mmc_gym.report.panels import looks
-from mmc_gym.report.replay import replay
+from mmc_gym.report.replay import replay, replayed
 from mmc_gym.report.results import Results, count, listed, read_results
 from mmc_gym.report.scores import (
     COMMON,
@@ -42,8 +41,6 @@ NETWORKS = ("mmc", "mmc-bell")
 
 EXAMPLES = 3
 """Environments that a sentence names, those of the largest differences."""
-
-_SIDE_BY_SIDE = 4  # agents that the replay begins with
 
 
 def write_report(
@@ -103,11 +100,7 @@ def context(estimates: Estimates) -> dict[str, Any]:
         "verdicts": [verdict(board, smooth or "", name) for name, board in likeness.items()],
         "heat": tables.heat_table(estimates),
         "told": tables.told_table(results),
-        "replay": {
-            **replay(results, _replayed(results), main),
-            "chosen": _one_of_each_kind(results, main),
-            "colours": _colours(),
-        },
+        "replay": replay(results, replayed(results), main),
         "signs": tables.SIGNS,
         "boards": [tables.board_table(results, board, agent) for agent, board in boards.items()],
         "no_boards": nothing_compared(results, focus),
@@ -253,28 +246,3 @@ def verdict(board: Sequence[Comparison], learned: str, network: str) -> str:
     parts = [f"{words} in {counts[one]}" for one, words in said.items() if counts[one]]
     who = f"{learned}, rewarded for smoothness, beside {network}"
     return f"{who}: {listed(parts)} of {count(len(board), 'measure')}"
-
-
-def _replayed(results: Results) -> list[str]:
-    """Return the base, another environment without perturbation, the strongest of each family."""
-    if results.paths.empty:
-        return []
-    recorded = set(results.paths["environment"])
-    plain = [
-        key for key, one in results.environments.items() if not one.family and key != results.base
-    ]
-    strongest = [keys[-1] for keys in results.families.values()]
-    found = dict.fromkeys([results.base, *plain[:1], *strongest, *plain[1:]])
-    return [key for key in found if key in recorded]
-
-
-def _one_of_each_kind(results: Results, agents: tuple[str, ...]) -> list[str]:
-    first = list({results.kind(agent): agent for agent in reversed(agents)}.values())
-    chosen = list(dict.fromkeys([*reversed(first), *agents]))[:_SIDE_BY_SIDE]
-    return [agent for agent in agents if agent in chosen]
-
-
-def _colours() -> dict[str, str]:
-    """Return the colours of the environments' pictures."""
-    names = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "BASE", "TRACE", "TARGET")
-    return {name.lower(): "#{:02x}{:02x}{:02x}".format(*getattr(drawing, name)) for name in names}

@@ -17,12 +17,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym.envs.render import shapes
 from mmc_gym.report.results import Results
 
 INSTANCES = 6
 ENVIRONMENTS = 5
 BUDGET = 1_500_000  # bytes
 
+_SIDE_BY_SIDE = 4  # agents, to begin with
+_COLOURS = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "TRACE", "TARGET")
 _FITS = 0.02  # by which an arm may miss its hand, segment lengths
 _SEEN_APART = 0.001  # segment lengths between a hand and a cursor
 _COARSE, _FINE = 1_000, 10_000  # parts of one
@@ -46,10 +49,36 @@ def replay(results: Results, environments: Sequence[str], agents: Sequence[str])
             "tolerance": results.manifest.tolerance,
             "agents": [a for a in agents if any(a in s["agents"] for s in chain(*scenes.values()))],
             "scenes": scenes,
+            "chosen": _one_of_each_kind(results, agents),
+            "colours": {name.lower(): _hex(getattr(shapes, name)) for name in _COLOURS},
         }
         if len(json.dumps(data, separators=(",", ":"))) <= BUDGET:
             break
     return data
+
+
+def replayed(results: Results) -> list[str]:
+    """Return the base, another environment without perturbation, the strongest of each family."""
+    if results.paths.empty:
+        return []
+    recorded = set(results.paths["environment"])
+    plain = [
+        key for key, one in results.environments.items() if not one.family and key != results.base
+    ]
+    strongest = [keys[-1] for keys in results.families.values()]
+    found = dict.fromkeys([results.base, *plain[:1], *strongest, *plain[1:]])
+    return [key for key in found if key in recorded]
+
+
+def _one_of_each_kind(results: Results, agents: Sequence[str]) -> list[str]:
+    """Return the agents that the replay begins with."""
+    first = list({results.kind(agent): agent for agent in reversed(agents)}.values())
+    chosen = list(dict.fromkeys([*reversed(first), *agents]))[:_SIDE_BY_SIDE]
+    return [agent for agent in agents if agent in chosen]
+
+
+def _hex(colour: Sequence[int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def _scenes(

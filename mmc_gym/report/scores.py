@@ -81,8 +81,8 @@ class EnvironmentScores:
             self._tables[str(agent)] = values.T.reshape(len(measures), policies, self._instances)
             self._seeds[str(agent)] = seeds
         self.agents = tuple(self._tables)
-        shapes = {agent: table[0] for agent, table in self._tables.items()}
-        self._draws = draw(self._scores(shapes), resamples, seed=0)
+        first = {agent: table[0] for agent, table in self._tables.items()}
+        self._draws = draw(self._scores(first), resamples, seed=0)
         self._known: dict[tuple[str, str, str], Floats] = {}
 
     def values(self, agent: str, measure: Measure) -> Floats:
