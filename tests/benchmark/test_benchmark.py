@@ -26,8 +26,8 @@ from mmc_gym import cli
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.agents.resolver import ResolvedAgent
-from mmc_gym.benchmark import entries, runner
-from mmc_gym.benchmark.entries import Entry, default_agents, find_entries
+from mmc_gym.benchmark import runner
+from mmc_gym.benchmark.entries import Entry
 from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents, read_ranking
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import benchmark
@@ -393,45 +393,17 @@ def test_a_policy_for_other_actions_has_its_own(tmp_path, monkeypatch):
     assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
 
 
-def read(*names):
-    return [(one.label, one.training_seed, one.source) for one in find_entries(names)]
-
-
-def test_a_policy_of_ones_own_takes_part_by_its_path(tmp_path):
-    name = next(iter(sorted(PRETRAINED.glob("ppo-[0-9].json")))).stem
-    folder = tmp_path / "lr=0.001"
-    folder.mkdir()
-    for suffix in (".json", ".safetensors"):
-        shutil.copy(PRETRAINED / f"{name}{suffix}", folder / f"mine{suffix}")
-    path, seed = f"{folder}/mine.json", int(name[-1])
-    assert read(path, f"x={path}", f"x@2={path}") == [
-        ("mine", seed, path),
-        ("x", seed, path),
-        ("x", 2, path),
-    ]
-    own, shipped = find_entries([path, name])
-    assert own.fingerprint == shipped.fingerprint
-    play([path, name], tmp_path / "out", ["random"])
+def test_a_copy_of_a_policy_plays_as_the_one_that_ships(tmp_path):
+    for suffix in ("json", "safetensors"):
+        shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path / f"mine.{suffix}")
+    play([f"{tmp_path}/mine.json", "ppo-0"], tmp_path / "out", ["random"])
     frame = read_episodes(tmp_path / "out")
     assert frame.groupby("agent")["final_distance"].sum().nunique() == 1
-    for missing in (f"{folder}/other.json", f"x={folder}/other.json"):
-        with pytest.raises(FileNotFoundError, match="other"):
-            find_entries([missing])
 
 
-def test_wrong_names_are_refused(tmp_path):
-    for agents, message in (
-        (["nobody"], "agent must be one of mmc"),
-        ([], "agents must name at least one"),
-        (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
-        (["=mmc"], "agents must have names"),
-        (["x@y=os:getcwd"], "agents must be named as LABEL or LABEL@SEED"),
-        (["x@99999999999=os:getcwd"], "training seeds must be at most 4294967295, got 'x@9"),
-        (["x@1=ppo"], "must name one training, such as ppo-0"),
-        (["no_such_module:make"], "cannot be imported"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            play(agents, tmp_path / "out")
+def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(UserError, match="agent must be one of mmc"):
+        play(["nobody"], tmp_path / "out")
     with pytest.raises(ValueError, match=r"scenario must be one of random, .* got .nowhere"):
         play(["mmc"], tmp_path / "out", ["nowhere"])
     with pytest.raises(ValueError, match="episodes must be at least 1"):
@@ -442,25 +414,6 @@ def test_wrong_names_are_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match="out must be a folder"):
         play(["mmc"], tmp_path / "file")
-
-
-def test_names_of_trained_agents_stand_for_their_training_seeds(monkeypatch):
-    monkeypatch.setattr(entries, "shipped_seeds", lambda name: [0, 2])
-    kind = next(name for name, entry in mmc_gym.agents.AGENTS.items() if entry.training_seeds)
-    assert read(kind, f"other={kind}", "x@5=os:getcwd", "mmc", f"y={kind}-1") == [
-        (kind, 0, f"{kind}-0"),
-        (kind, 2, f"{kind}-2"),
-        ("other", 0, f"{kind}-0"),
-        ("other", 2, f"{kind}-2"),
-        ("x", 5, "os:getcwd"),
-        ("mmc", None, "mmc"),
-        ("y", 1, f"{kind}-1"),
-    ]
-    monkeypatch.setattr(entries, "shipped_seeds", lambda name: [])
-    with pytest.raises(UserError, match="has not been trained"):
-        find_entries([kind])
-    assert kind not in default_agents()
-    assert "mmc" in default_agents()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -4,15 +4,12 @@ import io
 import json
 import sys
 
-import gymnasium as gym
-import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
 
 from mmc_gym._console import cell
 from mmc_gym.benchmark.compare import compare
-from mmc_gym.benchmark.entries import single_entries, training_steps
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.measures.catalogue import MEASURES
 
@@ -213,23 +210,3 @@ def test_an_agent_may_be_a_function_in_a_module_of_the_working_directory(tmp_pat
     monkeypatch.setattr("sys.path", list(sys.path))
     comparison = compare(["someones_agents:Still"], episodes=1, console=console())
     assert comparison.training_steps == {"someones_agents:Still": 12, REFERENCE: 0}
-
-
-def test_objects_and_factories_take_part_under_their_own_names(oracle, frozen):
-    def thaw(env):
-        return frozen
-
-    env = gym.make("MMCReach-v0")
-    made = {one.label: one.agent for one in single_entries([oracle, thaw, "random", "x=mmc"])}
-    assert list(made) == ["Oracle", "thaw", "random", "x"]
-    assert (made["Oracle"].factory(env), made["thaw"].factory(env)) == (oracle, frozen)
-
-
-def test_training_steps_are_ours_or_those_of_stable_baselines3_or_unknown(oracle):
-    class Ours:
-        training_steps = 3
-
-    class Theirs:
-        num_timesteps = np.int64(4)
-
-    assert [training_steps(agent) for agent in (Ours(), Theirs(), oracle)] == [3, 4, None]

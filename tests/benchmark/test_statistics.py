@@ -31,15 +31,9 @@ def interquartile_mean(values):
 def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_on_each_side():
     sample = np.random.default_rng(0).normal(size=400)
     assert interquartile_mean(sample) == pytest.approx(trim_mean(sample, 0.25))
-
-
-def test_outliers_do_not_move_the_interquartile_mean():
     assert interquartile_mean([0, 1, 2, 3, 4, 5, 6, 1e9]) == 3.5
     assert math.isnan(interquartile_mean([math.nan]))
     assert interquartile_mean([7.0]) == 7.0
-
-
-def test_the_interquartile_mean_is_within_the_values():
     values = np.array([0.0] * 40 + [0.1, 0.7])
     weights = np.random.default_rng(0).integers(0, 4, size=(500, 42)) / 3
     assert weighted_iqm(values, weights).min() >= 0
@@ -48,11 +42,7 @@ def test_the_interquartile_mean_is_within_the_values():
 @pytest.mark.parametrize("count", range(1, 14))
 @pytest.mark.parametrize(
     ("statistic", "plain"),
-    [
-        (weighted_mean, np.mean),
-        (weighted_median, np.median),
-        (weighted_iqm, interquartile_mean),
-    ],
+    [(weighted_mean, np.mean), (weighted_median, np.median), (weighted_iqm, interquartile_mean)],
 )
 def test_a_whole_weight_counts_as_so_many_equal_values(statistic, plain, count):
     random = np.random.default_rng(count)
@@ -70,13 +60,14 @@ def test_without_weight_there_is_no_statistic(statistic):
     assert np.isnan(statistic(np.array([]), np.zeros((3, 0)))).all()
 
 
-def test_the_interval_of_a_mean_is_the_normal_one_for_a_large_sample():
-    sample = np.random.default_rng(0).normal(3.0, 2.0, size=2_000)
+@pytest.mark.parametrize("size", [400, 2_000, 6_400])
+def test_the_interval_of_a_mean_is_the_normal_one_for_a_large_sample(size):
+    sample = np.random.default_rng(0).normal(3.0, 2.0, size=size)
     interval = bootstrap_interval(sample, "mean")
-    half = 1.96 * sample.std() / math.sqrt(sample.size)
+    half = 1.96 * sample.std() / math.sqrt(size)
     assert interval.estimate == pytest.approx(sample.mean())
-    assert interval.low == pytest.approx(sample.mean() - half, abs=0.05 * half)
-    assert interval.high == pytest.approx(sample.mean() + half, abs=0.05 * half)
+    ends = sample.mean() - half, sample.mean() + half
+    assert (interval.low, interval.high) == pytest.approx(ends, abs=0.07 * half)
 
 
 @pytest.mark.parametrize(
@@ -90,12 +81,6 @@ def test_about_95_percent_of_the_intervals_cover_the_truth(statistic, truth):
     ]
     covered = sum(interval.low <= truth <= interval.high for interval in intervals)
     assert 0.89 <= covered / 200 <= 0.985
-
-
-def test_the_interval_narrows_with_the_root_of_the_sample_size():
-    sample = np.random.default_rng(0).normal(size=6_400)
-    few, many = bootstrap_interval(sample[:400], "mean"), bootstrap_interval(sample, "mean")
-    assert (few.high - few.low) / (many.high - many.low) == pytest.approx(4, rel=0.15)
 
 
 @pytest.mark.parametrize("statistic", ["mean", "median"])
@@ -116,12 +101,6 @@ def test_without_values_there_is_no_estimate_and_from_one_no_interval():
     nothing, one = bootstrap_interval([np.nan] * 3, "mean"), bootstrap_interval([2.0], "median")
     assert math.isnan(nothing.estimate) and (nothing.count, nothing.missing) == (0, 3)
     assert one.estimate == 2.0 and math.isnan(one.low) and math.isnan(one.high)
-
-
-def test_the_same_seed_gives_the_same_interval_and_another_gives_another():
-    sample = np.random.default_rng(0).normal(size=50)
-    assert bootstrap_interval(sample, "mean", 3) == bootstrap_interval(sample, "mean", 3)
-    assert bootstrap_interval(sample, "mean", 3) != bootstrap_interval(sample, "mean", 4)
 
 
 def test_a_summary_has_a_row_for_each_agent_and_measure_in_the_order_given():
@@ -346,9 +325,11 @@ def test_the_instances_drawn_do_not_depend_on_the_agents():
     assert (alone.instances[0].sum(axis=1) == 30).all() and (alone.instances[0][0] == 1).all()
 
 
-def test_the_same_seed_gives_the_same_estimate():
-    frame = rows("a", np.random.default_rng(9).normal(size=(3, 20)))
-    first, same, other = (Bootstrap.of(frame, seed=seed).estimate("a") for seed in (1, 1, 2))
+def test_the_same_seed_gives_the_same_interval_and_another_gives_another():
+    values = np.random.default_rng(9).normal(size=(3, 20))
+    first, same, other = (Bootstrap.of(rows("a", values), seed=s).estimate("a") for s in (1, 1, 2))
+    assert first == same != other
+    first, same, other = (bootstrap_interval(values[0], "mean", seed) for seed in (1, 1, 2))
     assert first == same != other
 
 
