@@ -22,11 +22,6 @@ def test_every_architecture_has_published_errors():
         )
 
 
-def test_agreement_is_judged_by_the_spread_of_both():
-    assert normalization.agreement((1.0, 0.1), (1.29, 0.2)) == "within the spread of both"
-    assert "outside the spread of both: 1.5 ×" in normalization.agreement((1.0, 0.1), (1.45, 0.2))
-
-
 def test_the_vector_field_leads_to_the_unit_circle():
     inputs, outputs = normalization.vector_field(LearnedNormalizer.shipped("accurate"))
     assert inputs.shape == outputs.shape == (17 * 17, 2)

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
-from mmc_gym.paper.experiment import Settings, mean_and_deviation, over_runs
+from mmc_gym.network import EuclideanNormalizer, MMCNetwork
 from mmc_gym.paper.experiments import dynamic, kinematic
 from mmc_gym.paper.protocol import (
-    EUCLIDEAN,
     EXAMPLE_TARGET,
     INNER,
     PAIRS,
@@ -17,9 +15,7 @@ from mmc_gym.paper.protocol import (
     record_example,
     record_movements,
     record_runs,
-    shapes,
     summarize,
-    summarize_networks,
 )
 from mmc_gym.paper.published import CLASSICAL_PUBLISHED, DYNAMIC_EUCLIDEAN, KINEMATIC_COURSE
 
@@ -62,6 +58,7 @@ def test_the_mean_distance_is_the_published_one(mover):
     for iteration, published in DISTANCES[mover].items():
         assert distance[:, iteration - 1].mean() == pytest.approx(published, abs=1e-5)
     if dynamics == "kinematic":
+        assert (distance[:, -1] > 0.1).sum() <= 7
         spread = {"delayed": 0.03198, "synchronous": 0.02585}[schedule]
         assert distance[:, -1].std() == pytest.approx(spread, abs=1e-5)
 
@@ -84,15 +81,6 @@ def test_the_example_movement_ends_where_it_was_published_to():
     assert recording.distance[-1] == pytest.approx(0.00977, abs=1e-5)
     np.testing.assert_allclose(recording.start_segments, STARTING_SEGMENTS)
     np.testing.assert_array_equal(recording.target, EXAMPLE_TARGET)
-
-
-def test_the_accurate_normalizer_moves_the_arm_as_the_exact_one_does():
-    accurate = LearnedNormalizer.shipped("accurate")
-    both = record_runs(MMCNetwork(schedule="delayed"), [*EXACT, accurate], 100).distance[:, -1]
-    exact, learned = both.reshape(2, 420)
-    assert learned.mean() <= 1.02 * exact.mean()
-    assert (exact > 0.1).sum() == 7
-    assert (learned > 0.1).sum() <= 7
 
 
 def test_a_recording_measures_the_arm_that_moved():
@@ -142,23 +130,9 @@ def test_a_movement_is_summarized_by_the_published_definitions(
     assert summary["peak_iteration"] == 2
 
 
-def test_the_rows_without_learned_weights_are_the_published_ones():
-    done = []
-    settings = Settings(on_progress=lambda part, total: done.append((part, total)))
-    table = summarize_networks(settings, dynamic.NETWORKS, {EUCLIDEAN: EXACT}, 40)
-    assert done == [(part, 9) for part in range(10)]
-    assert (table["normalizer"] == EUCLIDEAN).all()
-    table = table.set_index(["dynamics", "decay", "schedule"]).sort_index()
-    for network, published in DYNAMIC_EUCLIDEAN.items():
-        for iteration, distance in published.items():
-            found = table.loc[network, f"distance_{iteration}"]
-            assert found.item() == pytest.approx(distance, abs=1e-5)
-
-
 def test_running_longer_brings_the_classical_network_nearer():
     course = kinematic.longer_course(EXACT)
-    for iteration, published in KINEMATIC_COURSE.items():
-        assert course[iteration - 1] == pytest.approx(published, abs=1e-5)
+    assert course[99] == pytest.approx(KINEMATIC_COURSE[100], abs=1e-5)
     assert course[-1] == pytest.approx(0.0028, abs=5e-5)
     assert (np.diff(course) < 0).all()
 
@@ -172,15 +146,3 @@ def test_without_decay_the_dynamic_network_catches_up_at_iteration_29():
     assert dynamic.catching_up(classical, decayed) is None
     found = dynamic.catching_up(classical, undecayed)
     assert found is not None and found <= 29
-
-
-def test_shapes_have_a_value_per_movement():
-    found = shapes(record_movements(MMCNetwork(), 40, 40))
-    assert {len(values) for values in found.values()} == {420}
-    assert (found["peak_to_mean"] >= 1).all()
-
-
-def test_runs_are_given_with_their_range():
-    assert over_runs([3, 5], ".0f") == "4 (3 to 5)"
-    assert over_runs([3], ".0f") == "3"
-    assert mean_and_deviation([3, 5], 1) == "4.0 ± 1.0"
