@@ -132,17 +132,25 @@ def draw_paths(
         axes.add_patch(Circle((x, y), tolerance, fill=False, linewidth=0.8))
         axes.plot(*hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
         axes.plot(*hands[-1], "o", color=colour, markersize=2.5)
-        axes.annotate(
-            str(number + 1),
-            (x, y),
-            (5, 4),
-            textcoords="offset points",
-            color=colour,
-            zorder=5,
-            path_effects=[withStroke(linewidth=2, foreground="white")] if halo else None,
-        )
+        write_number(axes, number + 1, (x, y), (5, 4), halo=halo, color=colour, zorder=5)
     border = 1.05 * reach
     axes.set(xlim=(-border, border), ylim=(-border, border), aspect="equal")
+
+
+def write_number(
+    axes: Axes,
+    number: int,
+    place: tuple[float, float],
+    offset: tuple[float, float],
+    *,
+    halo: bool = True,
+    **style: Any,
+) -> None:
+    """Write a number beside a place; `offset` is in points, and a halo sets it off."""
+    effects = [withStroke(linewidth=2, foreground="white")] if halo else None
+    axes.annotate(
+        str(number), place, offset, textcoords="offset points", path_effects=effects, **style
+    )
 
 
 def speed_quartiles(movements: Sequence[Movement]) -> Floats:

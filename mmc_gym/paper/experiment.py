@@ -34,7 +34,7 @@ def _ignore(done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class Settings:
-    """How experiments are run, and whom they tell.
+    """Settings of the experiments, and whom they tell about progress.
 
     Attributes:
         quick: run a small part of each experiment, to see that everything works.
@@ -137,7 +137,7 @@ class Experiment:
 
 
 def experiment(name: str, description: str) -> Callable[[Callable[[Settings], Result]], Experiment]:
-    """Make a function that returns a result an experiment, as a decorator."""
+    """Turn a function that returns a result into an experiment (a decorator)."""
     return lambda function: Experiment(name, description, function)
 
 
@@ -176,7 +176,7 @@ def over_runs(values: ArrayLike, digits: str = ".4f") -> str:
 
 
 def how_many(networks: int) -> str:
-    """Return the note on a value `over_runs` of so many networks; none for a single one."""
+    """Return the note on a value `over_runs` of several networks; "" for a single one."""
     return f"{networks} networks: mean (least to most)" if networks > 1 else ""
 
 

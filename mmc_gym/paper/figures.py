@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
 from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats, node_positions
@@ -48,16 +47,6 @@ def add_legend(figure: Figure, axes: Axes, title: str | None = None) -> None:
     columns = 1 if figure.get_figwidth() < 5 else 2 if len(labels) > 3 else 3
     figure.legend(
         handles, labels, title=title, frameon=False, ncols=columns, loc="outside upper center"
-    )
-
-
-def write_number(
-    axes: Axes, number: int, place: tuple[float, float], offset: tuple[float, float], **text: Any
-) -> None:
-    """Write a number beside a place; `offset` is in points."""
-    outline = [withStroke(linewidth=2, foreground="white")]
-    axes.annotate(
-        str(number), place, offset, textcoords="offset points", path_effects=outline, **text
     )
 
 

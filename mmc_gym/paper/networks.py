@@ -164,7 +164,7 @@ def _packed(trained: TrainedArchitecture, version: str) -> bytes:
 
 
 def _read(task: _Task, settings: Settings) -> TrainedArchitecture | None:
-    """Return what this version kept; None, with a note, of another version or damaged."""
+    """Return what is kept; None, with a note, if it is damaged or of another version."""
     path = settings.folder and task.path_in(settings.folder)
     if not path or not path.exists():
         return None

@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 from mmc_gym.measures import speed
 from mmc_gym.measures.reaching import largest_retreat
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.model import MMCNetwork, MMCState
+from mmc_gym.network.model import Dynamics, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from mmc_gym.paper.experiment import Settings
 from mmc_gym.paper.networks import trained_architectures
 
-WARM_ITERATIONS_KINEMATIC = 100
-WARM_ITERATIONS_DYNAMIC = 40
+WARM_ITERATIONS: dict[Dynamics, int] = {"kinematic": 100, "paper": 40, "reference": 40}
 
 _ANGLES = np.arange(7) * (np.pi / 6)
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
@@ -45,6 +44,24 @@ EXAMPLE_TARGET: NDArray[np.float64] = np.array([-1.8, 1.8])
 
 for _constant in (TARGETS, PAIRS, STARTING_SEGMENTS, EXAMPLE_TARGET):
     _constant.setflags(write=False)
+
+EUCLIDEAN, ACCURATE = "Euclidean", "accurate [16, 16]"
+"""Names of the normalizers that the paper's recipe has no part in."""
+
+OVERSHOOT = 0.01
+"""A movement overshoots if its distance rises by more than this above its smallest so far."""
+
+SECOND_PEAK = 0.05
+"""A second velocity peak is a rise, after the peak, by more than this share of it."""
+
+FAR = 0.1
+"""Movements that end at a larger distance are counted."""
+
+INNER = (PAIRS < 14).all(axis=1)
+"""Movements between targets at radius 1 and 2, which need no stretched arm, (420,)."""
+
+ITERATIONS = (10, 20, 40, 100)
+"""Iterations after which distances are given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +104,7 @@ class Recording:
 
 
 Move: TypeAlias = Callable[[MMCNetwork, MMCState, Floats, int], tuple[MMCState, Floats]]
-"""Moves a network from a state to targets in so many iterations: last state, segments of all."""
+"""Takes network, state, target and iterations; returns the last state and all segments."""
 
 
 def clamp_and_run(
@@ -110,7 +127,7 @@ def record_movements(
         iterations: recorded iterations.
         warm_iterations: iterations of the warm movement; by default the paper's 100 for
             kinematic and 40 for dynamic networks.
-        move: makes both movements.
+        move: moves the network, in both movements.
 
     Raises:
         ValueError: if the network has not three segments.
@@ -120,8 +137,7 @@ def record_movements(
     ((420, 40), 0.09712)
     """
     if warm_iterations is None:
-        kinematic = network.dynamics == "kinematic"
-        warm_iterations = WARM_ITERATIONS_KINEMATIC if kinematic else WARM_ITERATIONS_DYNAMIC
+        warm_iterations = WARM_ITERATIONS[network.dynamics]
     start, target = TARGETS[PAIRS[:, 0]], TARGETS[PAIRS[:, 1]]
     # A movement's state depends on its first target alone: warm 21 networks, not 420.
     state = network.state_from_segments(STARTING_SEGMENTS)
@@ -137,7 +153,7 @@ def record_runs(
     iterations: int,
     warm_iterations: int | None = None,
 ) -> Recording:
-    """Run the 420 movements with each normalizer in turn, one after the other, (420 runs, ...)."""
+    """Run the 420 movements with each normalizer, and join the recordings, (420 · runs, ...)."""
     recordings = [
         record_movements(replace(network, normalizer=normalizer), iterations, warm_iterations)
         for normalizer in normalizers
@@ -156,25 +172,6 @@ def record_example(network: MMCNetwork, iterations: int = 40) -> Recording:
         start=state.end_effector,
         target=EXAMPLE_TARGET,
     )
-
-
-EUCLIDEAN, ACCURATE = "Euclidean", "accurate [16, 16]"
-"""Names of the normalizers that the paper's recipe has no part in."""
-
-OVERSHOOT = 0.01
-"""A movement overshoots if its distance rises by more than this above its smallest so far."""
-
-SECOND_PEAK = 0.05
-"""A second velocity peak is a rise, after the peak, by more than this share of it."""
-
-FAR = 0.1
-"""Movements that end at a larger distance are counted."""
-
-INNER = (PAIRS < 14).all(axis=1)
-"""Movements between targets at radius 1 and 2, which need no stretched arm, (420,)."""
-
-ITERATIONS = (10, 20, 40, 100)
-"""Iterations after which distances are given."""
 
 
 def summarize(recording: Recording) -> dict[str, float]:
@@ -202,7 +199,7 @@ def summarize(recording: Recording) -> dict[str, float]:
 
 
 def shapes(recording: Recording) -> dict[str, Floats]:
-    """Return how bell-shaped each movement is, columns of (movements,): see `measures.speed`."""
+    """Measure the shape of each movement, columns of (movements,): see `measures.speed`."""
     distance, velocity = recording.distance, recording.velocity
     return {
         "correlation": each(speed.correlation_with_minimum_jerk, velocity),

@@ -77,7 +77,7 @@ KINEMATIC_COURSE: dict[int, float] = {10: 0.42478, 20: 0.22386, 40: 0.09712, 100
 
 @dataclass(frozen=True)
 class PublishedDynamics:
-    """What the published data give for one rule and decay (schedule "delayed")."""
+    """Published results of one rule and decay (schedule "delayed")."""
 
     distances: Mapping[int, float]
     deviation: float

@@ -30,7 +30,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mmc_gym._plotting import COLOURS, LINES
+from mmc_gym._plotting import COLOURS, LINES, write_number
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.paper.experiment import (
@@ -41,7 +41,7 @@ from mmc_gym.paper.experiment import (
     experiment,
     mean_and_deviation,
 )
-from mmc_gym.paper.figures import make_panels, styled, write_number
+from mmc_gym.paper.figures import make_panels, styled
 from mmc_gym.paper.networks import TrainedArchitecture, Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
