@@ -33,12 +33,15 @@ _STRONG = 1e4  # rad/s that a servo could give a segment alone in a physics step
 def solver_iterations(parameters: ArmParameters) -> int:
     """Return the number of sweeps of the solver in a physics step.
 
-    With too few, an arm buzzes around its joint targets instead of coming to rest, and its pivots
-    give way.  Three equal rods, with a ratio of inertias of 27, need pymunk's 10.  In random arms
-    of two to five segments, four times lighter and heavier, the need grew in proportion to that
-    ratio.  Servos out of all proportion to the segments need ten times as many.  A lock must bear
-    whatever the servos and the other segments do: in 2 s of abrupt commands it slips by 0.7 rad
-    with 10 sweeps, and by less than 0.005 with 60.
+    A sweep goes over the joints one after the other.  A servo or a pivot acts on the two segments
+    that it joins as if they were alone, and further sweeps pass this on to the rest of the arm: the
+    heavier what hangs on a segment, measured by that segment, the more it takes.  With too few, an
+    arm buzzes around its joint targets instead of coming to rest, and its pivots give way.  Three
+    equal rods, with a ratio of inertias of 27, need pymunk's 10.  In random arms of two to five
+    segments, four times lighter and heavier, the need grew in proportion to that ratio.  Servos out
+    of all proportion to the segments need ten times as many.  A lock must bear whatever the servos
+    and the other segments do: in 2 s of abrupt commands it slips by 0.7 rad with 10 sweeps, and by
+    less than 0.005 with 60.
 
     Raises:
         UserError: if they would be too many.  Of 30,000 random arms of one to ten segments, with
@@ -105,8 +108,8 @@ class Linkage:
         # write the Space's own static body.
         parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), 0.0
         joints: list[list[pymunk.Constraint]] = []
-        for joint, length in enumerate(self._lengths):
-            mass, centre, inertia = parameters.rods[joint]
+        for joint, (length, rod) in enumerate(zip(self._lengths, parameters.rods)):
+            mass, centre, inertia = rod
             segment = pymunk.Body(mass, inertia)
             space.add(segment)
             joints.append(self._make_joint(parameters, servo, joint, parent, segment))
