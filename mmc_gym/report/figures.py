@@ -97,7 +97,7 @@ def dots(
         tuple(panels),
         f"Environment: {results.base}. Marks: means of shares, medians of the others; bars: 95 % "
         "intervals. Agents are missing where fewer than half of their episodes have a value. "
-        f"{results.sample(results.agents, [results.base])}",
+        f"{results.sample_sizes(results.agents, [results.base])}",
     )
 
 
@@ -152,7 +152,7 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
         tuple(panels),
         "Further to the left and higher is better. Dotted: the distance that counts as success, "
         f"{results.manifest.tolerance:g}. Bands: 95 % intervals. {partly if left_out else ''}"
-        f"{results.sample(look, used)}",
+        f"{results.sample_sizes(look, used)}",
     )
 
 
@@ -211,7 +211,7 @@ def degradation(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure |
     return PanelFigure(
         tuple(panels),
         "Success against the strength of the perturbation; at 0, the same task without it. Bands: "
-        f"95 % intervals. {_untrained_for(results)}{results.sample(look, used)}",
+        f"95 % intervals. {_untrained_for(results)}{results.sample_sizes(look, used)}",
     )
 
 
@@ -305,7 +305,7 @@ def frontier(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
         (panel,),
         "Success after training against the environment steps of one training. Grey: the most "
         "success for at most so many steps. Agents at 0 are told their body. Bars: 95 % intervals. "
-        f"{results.sample(steps, [results.base])}",
+        f"{results.sample_sizes(steps, [results.base])}",
     )
 
 

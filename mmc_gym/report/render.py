@@ -84,10 +84,10 @@ def render(estimates: Estimates) -> str:
 def context(estimates: Estimates) -> dict[str, Any]:
     """Return what the template shows."""
     results = estimates.results
-    main, look = results.main, looks(results.main)
-    focus = [agent for name in FOCUS if (agent := results.labelled(name)) is not None]
+    main, look = results.main_agents, looks(results.main_agents)
+    focus = [agent for name in FOCUS if (agent := results.label_of(name)) is not None]
     boards = {agent: board for agent in focus if (board := estimates.scoreboard(agent))}
-    smooth, likeness = results.labelled(SMOOTH), _likeness(estimates)
+    smooth, likeness = results.label_of(SMOOTH), _likeness(estimates)
     human = [measure for measure in results.measures if measure.name in MARGINS]
     others = [measure for measure in results.measures if measure.name not in MARGINS]
     return {
@@ -227,8 +227,8 @@ def nothing_compared(results: Results, networks: Sequence[str]) -> str:
 
 def _likeness(estimates: Estimates) -> dict[str, list[Comparison]]:
     """Return the agent that learned to be smooth beside each network, where both have values."""
-    smooth = estimates.results.labelled(SMOOTH)
-    networks = [found for name in NETWORKS if (found := estimates.results.labelled(name))]
+    smooth = estimates.results.label_of(SMOOTH)
+    networks = [found for name in NETWORKS if (found := estimates.results.label_of(name))]
     if smooth is None:
         return {}
     return {name: board for name in networks if (board := estimates.likeness(smooth, name))}

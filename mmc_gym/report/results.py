@@ -152,17 +152,17 @@ class Results:
         """Return what sort of agent it is."""
         return self.identities[agent].knowledge.kind
 
-    def labelled(self, name: str) -> str | None:
+    def label_of(self, name: str) -> str | None:
         """Return what an agent of this package is called here; None if it did not take part."""
         labels = [label for label, one in self.identities.items() if one.name == name]
         return name if name in labels else next(iter(labels), None)
 
     @property
-    def main(self) -> tuple[str, ...]:
+    def main_agents(self) -> tuple[str, ...]:
         """The few agents that figures show: the reader's own, the preferred, then the others."""
         played = [agent for agent in self.agents if self.seeds(agent) is not None]
         yours = [agent for agent in played if self.kind(agent) == "yours"]
-        preferred = [found for name in _PREFERRED if (found := self.labelled(name)) in played]
+        preferred = [found for name in _PREFERRED if (found := self.label_of(name)) in played]
         others = [agent for agent in played if self.kind(agent) not in ("baseline", "ideal")]
         chosen = list(dict.fromkeys([*yours, *preferred, *others]))[:_SHOWN_AT_MOST]
         return tuple(agent for agent in played if agent in chosen)
@@ -234,7 +234,7 @@ class Results:
         """Return the number of starts and targets in an environment."""
         return self._instances.get(environment, 0)
 
-    def sample(self, agents: Iterable[str], environments: Iterable[str]) -> str:
+    def sample_sizes(self, agents: Iterable[str], environments: Iterable[str]) -> str:
         """Return over how many instances and training seeds the figures of agents are.
 
         Args:

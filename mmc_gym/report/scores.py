@@ -287,7 +287,7 @@ class Estimates:
     def ranking(self) -> pd.DataFrame:
         """The store's ranking, or else one made here; empty if `common` is."""
         results = self.results
-        baseline = results.labelled(BASELINE_AGENT)
+        baseline = results.label_of(BASELINE_AGENT)
         if not self.common:
             return pd.DataFrame()
         if baseline in (None, BASELINE_AGENT) and not results.ranking.empty:

@@ -148,7 +148,7 @@ def score_table(estimates: Estimates, environment: str) -> Table:
             Row(agent, tuple(column[agent] for column in columns), results.kind(agent))
             for agent in present
         ),
-        results.sample(present, [environment]),
+        results.sample_sizes(present, [environment]),
     )
 
 
@@ -203,7 +203,7 @@ def board_table(results: Results, board: Sequence[Comparison], agent: str) -> Ta
             for key in environments
         ),
         f"Above: {agent}; below: the rival with the best value. "
-        f"{results.sample([agent, *rivals], environments)}",
+        f"{results.sample_sizes([agent, *rivals], environments)}",
     )
 
 
@@ -226,7 +226,7 @@ def likeness_table(results: Results, agent: str, boards: Mapping[str, list[Compa
         (Heading("agents"), *_headings(measures)),
         tuple(rows),
         f"Above: {agent}; below: the other; then the difference and its 95 % interval. "
-        f"Environment: {results.base}. {results.sample([agent, *boards], [results.base])}",
+        f"Environment: {results.base}. {results.sample_sizes([agent, *boards], [results.base])}",
     )
 
 
@@ -247,7 +247,7 @@ def ranking_table(estimates: Estimates) -> Table | None:
     results, ranking, common = estimates.results, estimates.ranking, estimates.common
     if ranking.empty:
         return None
-    baseline = results.labelled(BASELINE_AGENT)
+    baseline = results.label_of(BASELINE_AGENT)
     shares = {
         "success": Heading("success", "%", BETTER["high"]),
         "settled": Heading("settled", "% of the episode", BETTER["high"]),
@@ -278,7 +278,7 @@ def ranking_table(estimates: Estimates) -> Table | None:
         "arrives. Settled: interquartile mean of the part of an episode after which the hand stays "
         f"at the target. {explained}In brackets: 95 % intervals. Cells that could not be played "
         "count as without success. "
-        f"{results.sample([str(row['agent']) for row in rows], common)}",
+        f"{results.sample_sizes([str(row['agent']) for row in rows], common)}",
     )
 
 
@@ -321,7 +321,7 @@ def heat_table(estimates: Estimates) -> Table:
         tuple(rows),
         "Success at the end of the episode, %: the darker the more; underlined: the most; ·: not "
         "attempted; 0 also where an agent could not act. "
-        f"{results.sample(agents, results.environments)}",
+        f"{results.sample_sizes(agents, results.environments)}",
     )
 
 
@@ -397,7 +397,7 @@ def law_table(results: Results) -> Table | None:
         "agent is told the width of a target. Speed-curvature exponent: how much slower the hand "
         "is where its path bends. Means over training seeds, and their range; R²: the part of the "
         "variance that the law explains; –: too few movements arrived. Environments: "
-        f"{', '.join(environments)}. {results.sample(agents, environments)}",
+        f"{', '.join(environments)}. {results.sample_sizes(agents, environments)}",
     )
 
 

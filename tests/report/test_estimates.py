@@ -240,8 +240,10 @@ def test_seeds_are_counted_where_the_figures_are(interrupted, tmp_path):
     estimates = Estimates(results, resamples=50)
     assert "Training seeds: ppo 1." in score_table(estimates, "centre-out").caption
     assert "Training seeds: ppo 2." in score_table(estimates, "random").caption
-    assert results.sample(["mmc"], ["random"]) == "Instances: 14. Not trained: all agents."
-    assert "Training seeds: ppo 1 to 2." in results.sample(results.agents, results.environments)
+    assert results.sample_sizes(["mmc"], ["random"]) == "Instances: 14. Not trained: all agents."
+    assert "Training seeds: ppo 1 to 2." in results.sample_sizes(
+        results.agents, results.environments
+    )
 
 
 def test_movements_are_of_one_training_seed_and_say_which(make_store, movers, tmp_path):

@@ -72,14 +72,14 @@ def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, move
     agents = {name: movers["ik-dls"]._replace(source=source) for name, source in sources.items()}
     make_store(tmp_path, agents, ("random",))
     results = read_results(tmp_path)
-    assert results.labelled("mmc") == "twin"
+    assert results.label_of("mmc") == "twin"
     assert {name: results.kind(name) for name in sources} == {
         "twin": "network",
         "old": "learned",
         "ppo-mine": "yours",
     }
     assert set(results.rivals("twin")) == {"old", "ppo-mine"}
-    assert set(sources) <= set(results.main)
+    assert set(sources) <= set(results.main_agents)
     rows = {row.name: row for row in told_table(results).rows}
     assert rows["twin"].note.startswith("mmc: dynamic MMC network")
     assert [cell.text for cell in rows["ppo-mine"].cells[1:]] == ["unknown"] * 4
@@ -168,7 +168,7 @@ def test_an_agent_that_failed_everywhere_stands_beside_the_others(small, tmp_pat
     results = read_results(small)
     ranking = ranking_table(Estimates(results, 20))
     assert [(row.name, row.cells[1].text) for row in ranking.rows][1] == ("ik-dls", "0.0")
-    assert results.main == ("mmc",)
+    assert results.main_agents == ("mmc",)
     text = write_report(small, tmp_path / "report.html", 20).read_text()
     assert "ik-dls in random: ValueError: no" in text
 
