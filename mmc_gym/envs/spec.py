@@ -177,8 +177,6 @@ class ReachSetup:
         """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
         return max_joint_delta(speed_limit=self.told.speed_limit, servo_gain=self.told.servo_gain)
 
-    # --- What is observed
-
     def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
         """Return the readings of n arms under the noises.
 
@@ -214,8 +212,6 @@ class ReachSetup:
         """
         clip = self.may_exceed_reach
         return self.layout.encode_one(joint_angles, speeds, hand=hand, target=target, clip=clip)
-
-    # --- How an episode starts
 
     def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
         """Return a trial of the task, with what the options decide.

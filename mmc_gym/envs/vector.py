@@ -33,71 +33,10 @@ from mmc_gym.interface import relative_speeds
 if TYPE_CHECKING:
     from mmc_gym.envs.render.renderer import Renderer, Scene
 
-
-def pick(observation: Any, arms: Any) -> Any:
-    """Return the rows of an observation, an array or a dict of them, that belong to `arms`."""
-    if isinstance(observation, dict):
-        return {key: values[arms] for key, values in observation.items()}
-    return observation[arms]
-
-
-def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
-    """Write rows into an observation, an array or a dict of them."""
-    if isinstance(observation, dict):
-        for key, values in observation.items():
-            values[arms] = rows[key]
-    else:
-        observation[arms] = rows
-
-
-def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
-    """Return Gymnasium's vector infos: arrays for all arms with the rows of those in the mask."""
-    infos: dict[str, Any] = {}
-    everywhere = mask.all()
-    for name, values in info.items():
-        if everywhere:
-            infos[name] = values
-        else:
-            infos[name] = np.zeros((len(mask), *values.shape[1:]), values.dtype)
-            infos[name][mask] = values
-        infos[f"_{name}"] = mask.copy()
-    return infos
-
-
-def check_mask(mask: Any, count: int) -> Bools:
-    """Return the mask of the arms to reset; None stands for all.
-
-    Raises:
-        UserError: if it is no numpy array of `count` bools, or all are False.
-    """
-    if mask is None:
-        return np.ones(count, dtype=bool)
-    fine = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)
-    accepted = f"a numpy array of {count} bools, not all False"
-    require(fine and bool(mask.any()), "options['reset_mask']", mask, accepted)
-    return np.array(mask)
-
-
-def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """Return a seed or None for each arm; from one number, it and those that follow it.
-
-    Raises:
-        UserError: if there are not `count` of them, or one is negative.
-    """
-    if seed is None:
-        return [None] * count
-    if isinstance(seed, (int, np.integer)):
-        seeds: list[int | None] = [int(seed) + arm for arm in range(count)]
-    else:
-        seeds = list(seed)
-    fine = len(seeds) == count and all(one is None or one >= 0 for one in seeds)
-    require(fine, "seed", seed, f"a number of at least 0, or {count} of them")
-    return seeds
-
-
 Info = dict[str, Any]
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
+_EVERY = slice(None)
 
 
 class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -290,8 +229,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.max_episode_steps == registered.max_episode_steps:  # nobody asked for another
             super()._check_length(registered)
 
-    # --- What happens to the arms
-
     def _seed(self, seeds: Sequence[int | None], mask: Bools) -> None:
         """Give the masked arms generators of their seeds, and all arms one if they have none."""
         if not self._randoms:
@@ -349,8 +286,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         ends = {"final_obs": final_observations, "final_info": final}
         return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
 
-    # --- What is seen of them
-
     def _outcome(self, arms: Indices | slice) -> tuple[Any, NDArray[np.float64], Info]:
         """Return observation, reward and info of the present state of these arms."""
         setup, body, targets = self.setup, self._body, self._targets[arms]
@@ -385,8 +320,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         for late in self._late:
             put(late, arms, observation)
 
-    # --- Checks
-
     def _require_running(self) -> None:
         if not self._is_started.all():
             raise ResetNeeded("call reset() before step()")
@@ -413,8 +346,66 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return values
 
 
-_EVERY = slice(None)
-
-
 class MMCReachGoalVectorEnv(GoalEnvironment, MMCReachVectorEnv):
     """`MMCReachGoalEnv` as a vector environment; see `MMCReachVectorEnv`."""
+
+
+def pick(observation: Any, arms: Any) -> Any:
+    """Return the rows of an observation, an array or a dict of them, that belong to `arms`."""
+    if isinstance(observation, dict):
+        return {key: values[arms] for key, values in observation.items()}
+    return observation[arms]
+
+
+def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
+    """Write rows into an observation, an array or a dict of them."""
+    if isinstance(observation, dict):
+        for key, values in observation.items():
+            values[arms] = rows[key]
+    else:
+        observation[arms] = rows
+
+
+def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
+    """Return Gymnasium's vector infos: arrays for all arms with the rows of those in the mask."""
+    infos: dict[str, Any] = {}
+    everywhere = mask.all()
+    for name, values in info.items():
+        if everywhere:
+            infos[name] = values
+        else:
+            infos[name] = np.zeros((len(mask), *values.shape[1:]), values.dtype)
+            infos[name][mask] = values
+        infos[f"_{name}"] = mask.copy()
+    return infos
+
+
+def check_mask(mask: Any, count: int) -> Bools:
+    """Return the mask of the arms to reset; None stands for all.
+
+    Raises:
+        UserError: if it is no numpy array of `count` bools, or all are False.
+    """
+    if mask is None:
+        return np.ones(count, dtype=bool)
+    fine = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)
+    accepted = f"a numpy array of {count} bools, not all False"
+    require(fine and bool(mask.any()), "options['reset_mask']", mask, accepted)
+    return np.array(mask)
+
+
+def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """Return a seed or None for each arm; from one number, it and those that follow it.
+
+    Raises:
+        UserError: if there are not `count` of them, or one is negative.
+    """
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, (int, np.integer)):
+        seeds: list[int | None] = [int(seed) + arm for arm in range(count)]
+    else:
+        seeds = list(seed)
+    fine = len(seeds) == count and all(one is None or one >= 0 for one in seeds)
+    require(fine, "seed", seed, f"a number of at least 0, or {count} of them")
+    return seeds

@@ -363,11 +363,10 @@ def test_who_knows_nothing_of_a_rotation_misses_by_it() -> None:
 @pytest.mark.parametrize(
     "task", ["random", "centre-out", "double-step-100", "pursuit", "via-points"]
 )
-@pytest.mark.parametrize("name", ["rotation-30", "rotation-45"])
-def test_a_hand_in_reach_brings_the_cursor_to_every_target(task: str, name: str) -> None:
-    env = MMCReachEnv(perturbations=name, task=task)
-    rotation = env.setup.rotation
-    assert rotation is not None
+@pytest.mark.parametrize("degrees", [30.0, 45.0])
+def test_a_hand_in_reach_brings_the_cursor_to_every_target(task: str, degrees: float) -> None:
+    rotation = VisuomotorRotation(degrees, centre=(0.0, 1.5))
+    env = MMCReachEnv(perturbations=rotation, task=task)
     random = np.random.default_rng(0)
     for _ in range(50):
         for target in env.setup.draw_trial(random, Options()).targets:

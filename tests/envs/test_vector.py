@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mmc_gym
+from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.tasks import TASKS
 from mmc_gym.envs.vector import MMCReachVectorEnv
 
@@ -22,6 +23,7 @@ same = partial(data_equivalence, exact=True)
 
 COUNT = 5
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
+AROUND_A_POINT = VisuomotorRotation(45.0, (0.0, 1.5))
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
     "joint_delta": {"control": "joint_delta"},
@@ -39,6 +41,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "force field": {"perturbations": "force-field"},
     "hand mass": {"perturbations": "hand-mass"},
     "rotation": {"perturbations": ("rotation-30",)},
+    "off centre": {"perturbations": AROUND_A_POINT},
     "longer": {"perturbations": ("longer-50",)},
     "longer, told": {"perturbations": ("longer-50-told",)},
     "locked": {"perturbations": ("locked",)},
@@ -48,11 +51,11 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "obstacles": {"perturbations": ("obstacles",)},
     "all at once": {
         "task": "double-step-200",
-        "perturbations": ("force-field", "rotation-45", "locks", "vision-noise", "delay-100"),
+        "perturbations": ("force-field", AROUND_A_POINT, "locks", "vision-noise", "delay-100"),
     },
     "analytic": {"engine": "analytic"},
 }
-GOAL_VARIANTS = ("default", "joint_delta", "sparse", "pursuit", "rotation", "longer", "locked")
+GOAL_VARIANTS = ("default", "joint_delta", "sparse", "pursuit", "off centre", "longer", "locked")
 
 
 def make_native(env_id: str, count: int = COUNT, **arguments: Any) -> VectorEnv:

@@ -114,8 +114,6 @@ class Canvas:
     surface: pygame.Surface
     view: View
 
-    # --- Shapes, at pixels
-
     def rod(
         self, color: Color, start: Point, end: Point, width: float, end_width: float | None = None
     ) -> None:
@@ -167,8 +165,6 @@ class Canvas:
         (x, y), half = middle, self.view.stroke(half)
         corners = [(x - half, y), (x, y - half), (x + half, y), (x, y + half)]
         pygame.draw.polygon(self.surface, color, corners)
-
-    # --- The arm and its world
 
     def draw_caption(self, words: str) -> None:
         """Write a line into the upper left corner."""
@@ -254,8 +250,6 @@ class Canvas:
             self.rod(color, start, end, self.view.stroke(0.8 + 1.4 * freshness))
             self.disc(color, end, self.view.stroke(1.5 + 1.8 * freshness))
 
-    # --- The target
-
     def draw_target(self, target: Sequence[float], success_distance: float, reached: bool) -> None:
         """Paint the target: a ring of the success radius on a cross; reached, a second ring."""
         stroke = self.view.stroke
@@ -293,8 +287,6 @@ class Canvas:
         for pixel in pixels[1:]:
             self.disc(REACHABLE, pixel, radius)
             self.ring(color, pixel, radius, line)
-
-    # --- Perturbations
 
     def draw_curl_field(self, curl: float) -> None:
         """Paint a curl field: arrows that turn the way in which movements are bent.
