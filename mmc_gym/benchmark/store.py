@@ -211,9 +211,9 @@ def _read(path: Path) -> pa.Table:
         table = pq.ParquetFile(path, page_checksum_verification=True).read()
         _kept(table.schema)
         return table
+    except (FileNotFoundError, PermissionError):
+        raise
     except (OSError, pa.ArrowException, ValueError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
         raise UserError(f"{path} is damaged, and is made anew by the benchmark: {error}") from error
 
 
