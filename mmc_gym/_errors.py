@@ -37,17 +37,20 @@ _OURS = {
 
 
 def explain(error: ValidationError) -> str:
-    """Return pydantic's complaints in one line: each entry, what it accepts, and its value."""
+    """Return pydantic's complaints in one line: each entry, what it accepts, and its value.
+
+    A complaint about all entries together has no value, which would be all of them.
+    """
     complaints = []
     for each in error.errors(include_url=False):
         entry, value = ".".join(map(str, each["loc"])), each["input"]
         if each["type"] == "missing":
             complaints.append(f"{entry} must be given")
-        elif each["type"] == "extra_forbidden":
+        elif each["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             complaints.append(f"{entry} is not known")
         else:
             accepted = each["msg"].removeprefix("Value error, ")
             for theirs, ours in _OURS.items():
                 accepted = accepted.replace(theirs, ours)
-            complaints.append(f"{entry} {accepted}, got {value!r}".strip())
+            complaints.append(f"{entry} {accepted}, got {value!r}" if entry else accepted)
     return "; ".join(complaints)

@@ -69,18 +69,9 @@ class ActionMeaning(NamedTuple):
     is_relative: bool = False
 
 
-def max_joint_delta(*, speed_limit: float, servo_gain: float) -> float:
-    """Return how far an action of 1 puts the joint target ahead under `joint_delta`, radians.
-
-    A target so far ahead asks the servo for its full speed.  The joint's mean speed is less, for it
-    has come nearer to the target when the control step ends.
-    """
-    return speed_limit / servo_gain
-
-
 def action_meaning(control: Control, body: ArmParameters) -> ActionMeaning:
     """Return what the actions of a control mode mean for an arm."""
-    ahead = max_joint_delta(speed_limit=body.speed_limit, servo_gain=body.servo_gain)
+    ahead = body.speed_limit / body.servo_gain
     meanings: dict[Control, ActionMeaning] = {
         "joint_position": ActionMeaning("position", math.pi),
         "joint_delta": ActionMeaning("position", ahead, is_relative=True),
@@ -367,8 +358,12 @@ class ReachInterface:
 
     @property
     def max_joint_delta(self) -> float:
-        """Angle by which an action of 1 puts a joint target ahead under `joint_delta`, radians."""
-        return max_joint_delta(speed_limit=self.speed_limit, servo_gain=self.servo_gain)
+        """Angle by which an action of 1 puts a joint target ahead under `joint_delta`, radians.
+
+        A target so far ahead asks the servo for its full speed.  The joint's mean speed is less,
+        for it has come nearer to the target when the control step ends.
+        """
+        return self.speed_limit / self.servo_gain
 
     def sense(self, observation: Observation) -> Sensed:
         """Return posture and target of observations.

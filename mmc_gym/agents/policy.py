@@ -26,7 +26,7 @@ from pydantic.dataclasses import dataclass
 from safetensors import SafetensorError
 from typing_extensions import Self, override
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.mmc import dynamic_mmc
@@ -186,11 +186,7 @@ def _read_card(text: bytes) -> PolicyCard:
     try:
         return TypeAdapter(PolicyCard).validate_json(text)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        name = ".".join(map(str, first["loc"]))
-        message = first["msg"].removeprefix("Value error, ")
-        got = f", got {first['input']!r:.100}" if name and first["type"] != "missing" else ""
-        raise ValueError(f"its card: {name}{': ' if name else ''}{message}{got}") from error
+        raise ValueError(f"its card: {explain(error)}") from error
 
 
 class PolicyAgent(Agent[Any]):

@@ -39,7 +39,6 @@ from mmc_gym.interface import (
     Control,
     ObservationLayout,
     action_meaning,
-    max_joint_delta,
     relative_speeds,
 )
 
@@ -175,7 +174,7 @@ class ReachSetup:
     @property
     def max_joint_delta(self) -> float:
         """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
-        return max_joint_delta(speed_limit=self.told.speed_limit, servo_gain=self.told.servo_gain)
+        return action_meaning("joint_delta", self.told).scale
 
     def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
         """Return the readings of n arms under the noises.

@@ -1,5 +1,7 @@
 """Agents in closed loop, on bodies that are not as they were told."""
 
+from functools import cache
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -35,16 +37,21 @@ def play(agent, env_id="MMCReach-v0", steps=100, episodes=EPISODES, **options):
     return np.array(successes), state
 
 
+@cache
+def outcome(name, env_id="MMCReach-v0", **options):
+    """The share of episodes that end at the target, and the median steps until it stays there."""
+    successes = play(make_agent(name, gym.make(env_id, **options)), env_id, **options)[0]
+    stays = np.logical_and.accumulate(successes[::-1])[::-1]
+    times = (stays.argmax(axis=0) + 1)[stays[-1]]
+    return len(times) / EPISODES, np.median(times) if len(times) else np.inf
+
+
 def success(name, env_id="MMCReach-v0", **options):
-    agent = make_agent(name, gym.make(env_id, **options))
-    return play(agent, env_id, **options)[0][-1].mean()
+    return outcome(name, env_id, **options)[0]
 
 
 def median_time(name, **options):
-    """Control steps after which the hand stays at the target, in half of the successes."""
-    successes = play(make_agent(name, gym.make("MMCReach-v0", **options)), **options)[0]
-    stays = np.logical_and.accumulate(successes[::-1])[::-1]
-    return np.median(stays.argmax(axis=0)[stays[-1]] + 1)
+    return outcome(name, **options)[1]
 
 
 @pytest.mark.parametrize("perturbations", [(), ("longer-20",), ("joint-noise", "delay-100")])
