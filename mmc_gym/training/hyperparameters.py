@@ -38,7 +38,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, explain
+from mmc_gym._errors import UserError, explain, require
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import POLICIES
 from mmc_gym.training.vec_env import Residual
@@ -462,11 +462,12 @@ class Recipe:
             raise UserError(f"hyperparameters of {self.name}: {explain(error)}") from error
 
 
+_SHIPPED = Path(str(files("mmc_gym.training") / "hyperparams"))
+
+
 def names() -> list[str]:
     """Return the names of the files that ship."""
-    folder = files("mmc_gym.training") / "hyperparams"
-    found = (entry.name for entry in folder.iterdir())
-    return sorted(name.removesuffix(".yml") for name in found if name.endswith(".yml"))
+    return sorted(path.stem for path in _SHIPPED.glob("*.yml"))
 
 
 def read_recipe(source: str, env_id: str | None = None, steps: int | None = None) -> Recipe:
@@ -482,25 +483,22 @@ def read_recipe(source: str, env_id: str | None = None, steps: int | None = None
         UserError: if there is no such name or environment, or the file is no mapping of
             environments to hyperparameters.
     """
-    if source.endswith((".yml", ".yaml")):
-        text = Path(source).read_text(encoding="utf-8")
-    elif source in names():
-        path = files("mmc_gym.training") / "hyperparams" / f"{source}.yml"
-        text = path.read_text(encoding="utf-8")
-    else:
-        known = ", ".join(names())
-        raise UserError(f"name must be one of {known}, or the path of a YAML file, got {source!r}")
+    path = Path(source)
+    if path.suffix not in (".yml", ".yaml"):
+        accepted = f"one of {', '.join(names())}, or the path of a YAML file"
+        require(source in names(), "name", source, accepted)
+        path = _SHIPPED / f"{source}.yml"
     try:
-        entries = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UserError(f"{source} must be YAML: {error}") from error
     if not isinstance(entries, dict) or not entries:
         raise UserError(f"{source} must map environments to hyperparameters, got {entries!r}")
     env_id = env_id or str(next(iter(entries)))
-    if env_id not in entries:
-        known = ", ".join(map(str, entries))
-        raise UserError(f"env must be one of {known} for {source}, got {env_id!r}")
-    if not isinstance(entries[env_id], dict):
-        raise UserError(f"{source} must have hyperparameters for {env_id}, got {entries[env_id]!r}")
-    recipe = Recipe(Path(source).stem, env_id, entries[env_id])
+    known = ", ".join(map(str, entries))
+    require(env_id in entries, "env", env_id, f"one of {known} for {source}")
+    entry = entries[env_id]
+    if not isinstance(entry, dict):
+        raise UserError(f"{source} must have hyperparameters for {env_id}, got {entry!r}")
+    recipe = Recipe(path.stem, env_id, entry)
     return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

@@ -78,17 +78,18 @@ def test_your_own_file_is_read_by_its_path(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("content", "message"),
     [
-        ("A: {", "must be YAML"),
-        ("", "must map environments to hyperparameters, got None"),
-        ("- A", "must map environments to hyperparameters"),
-        ("A: 1", "must have hyperparameters for A, got 1"),
+        (b"A: {", "must be YAML"),
+        (b"\xff\xff", "must be YAML"),
+        (b"", "must map environments to hyperparameters, got None"),
+        (b"- A", "must map environments to hyperparameters"),
+        (b"A: 1", "must have hyperparameters for A, got 1"),
     ],
 )
-def test_a_file_that_holds_something_else_is_an_error(tmp_path, text, message):
+def test_a_file_that_holds_something_else_is_an_error(tmp_path, content, message):
     path = tmp_path / "ppo.yaml"
-    path.write_text(text)
+    path.write_bytes(content)
     with pytest.raises(UserError, match=message):
         read_recipe(str(path))
     with pytest.raises(FileNotFoundError):
