@@ -37,7 +37,7 @@ STYLE: Any = {
 
 
 class Movement(NamedTuple):
-    """What is drawn of an episode.
+    """One movement, as figures draw it.
 
     Attributes:
         hands: positions of the hand or cursor, segment lengths, (steps + 1, 2).

@@ -17,6 +17,7 @@ from mmc_gym.agents.base import Predictor
 from mmc_gym.benchmark.entries import make_for, single_entries
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import shapes as drawing
+from mmc_gym.measures.rollout import make_environment
 
 HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
 _LINE = 26  # height of a line of text, pixels
@@ -35,14 +36,14 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
         seed: of the postures, or None for others each time.
 
     Raises:
-        ValueError: for an unknown agent, or an environment that is no `MMCReachEnv`.
+        UserError: for an unknown agent, or an environment that is no `MMCReachEnv`.
     """
     (entry,) = single_entries([agent])
     label, factory = entry.label, entry.agent.factory
 
     def make_world(control: str | None) -> gym.Env[Any, Any]:
         arguments: dict[str, Any] = {} if control is None else {"control": control}
-        return gym.make(env, render_mode="rgb_array", max_episode_steps=-1, **arguments)
+        return make_environment(env, render_mode="rgb_array", max_episode_steps=-1, **arguments)
 
     world, _ = make_for(factory, make_world)
     try:

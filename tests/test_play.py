@@ -7,6 +7,7 @@ import numpy as np
 import pygame
 import pytest
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.envs.render.shapes import SIZE, View
@@ -213,8 +214,9 @@ def test_what_cannot_be_played_is_refused():
     with pytest.raises(ValueError, match=r"agent must be one of mmc, .* got 'nobody'"):
         play("nobody")
     assert not pygame.display.get_init()
-    with pytest.raises(ValueError, match="env must be a reaching environment"):
-        play("mmc", "Pendulum-v1")
+    for env_id in ("Pendulum-v1", "MMCReachNowhere-v0"):
+        with pytest.raises(UserError, match="env must be a reaching environment"):
+            play("mmc", env_id)
 
 
 def test_the_names_of_all_agents_fit_into_the_window(env):

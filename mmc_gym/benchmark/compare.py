@@ -16,7 +16,6 @@ import pandas as pd
 from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns, progress_bar
-from mmc_gym._errors import UserError
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
@@ -26,7 +25,7 @@ from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
 from mmc_gym.benchmark.store import episode_columns
 from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures, run_episodes
 from mmc_gym.measures.catalogue import shown_measures
-from mmc_gym.measures.rollout import check_environment
+from mmc_gym.measures.rollout import check_environment, make_environment
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
 _REFRESH = 0.1  # seconds between two drawings of the progress bar
@@ -217,12 +216,7 @@ def _tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
 
 
 def _make_env(env_id: str) -> gym.Env[Any, Any]:
-    try:
-        env: gym.Env[Any, Any] = gym.make(env_id)
-    except (gym.error.Error, ImportError) as error:
-        raise UserError(
-            f"env must be a reaching environment such as 'MMCReach-v0', got {env_id!r}: {error}"
-        ) from error
+    env = make_environment(env_id)
     check_environment(env)
     return env
 

@@ -17,7 +17,7 @@ MOVING = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What an agent did in one episode of n steps, with an arm of N joints.
+    """One recorded episode of n steps, of an arm with N joints.
 
     A hand without an arm has N = 0.  What an environment does not tell is NaN.
 
