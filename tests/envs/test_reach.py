@@ -1,6 +1,5 @@
 """Facts about MMCReach-v0 and MMCReachGoal-v0."""
 
-import copy
 import math
 from collections.abc import Callable
 from functools import partial
@@ -70,16 +69,6 @@ def test_a_reset_environment_has_the_future_of_a_new_one(
         new = MMCReachEnv(control=control, **body)
         assert same(used.reset(seed=50 + episode), new.reset(seed=50 + episode))
         assert same(future(used, seed=9), future(new, seed=9))
-
-
-def test_a_copied_environment_is_a_new_one_with_the_same_arguments() -> None:
-    env = MMCReachEnv(control="joint_torque", segment_lengths=(2.0, 1.0), reward_type="sparse")
-    env.reset(seed=3)
-    future(env)
-    twin = copy.deepcopy(env)
-    assert (twin.control, twin.reward_type, twin.reach) == ("joint_torque", "sparse", 3.0)
-    assert same(env.reset(seed=4), twin.reset(seed=4))
-    assert same(future(env), future(twin))
 
 
 def test_options_set_posture_and_target() -> None:

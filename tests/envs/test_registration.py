@@ -22,6 +22,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import mmc_gym  # noqa: F401  (registers the environments)
 from mmc_gym._errors import UserError
+from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
 from mmc_gym.envs.perturbations import (
     ForceField,
     Gravity,
@@ -145,8 +146,11 @@ def test_a_scenario_makes_its_environments_and_counts_its_trials() -> None:
     assert scenario("distances").instances(3) == [{"trial": trial} for trial in range(32)]
 
 
-def test_every_task_is_a_scenario() -> None:
+def test_every_task_is_a_scenario_and_all_of_the_benchmark_have_names_of_the_grammar() -> None:
     assert set(TASK_SCENARIOS) == {*TASKS, "distances"}
+    assert all(scenario(name) == one for name, one in SCENARIOS.items())
+    assert find_scenarios([]) == SCENARIOS
+    assert list(find_scenarios(["locked", "delay-150", "locked-2"])) == ["locked-2", "delay-150"]
 
 
 @pytest.mark.parametrize("name", TASKS)
