@@ -72,7 +72,6 @@ class ReachSetup:
         workspace: what the hand can reach.
         rotation: the visuomotor rotation, or None.
         noises: of the senses.
-        noise_draws: how many normal numbers each of them takes.
         delay: of the senses, control steps.
         are_senses_disturbed: whether there is any noise or delay.
         lock_step: after how many control steps the lockable joints lock; None: never.
@@ -108,7 +107,6 @@ class ReachSetup:
         """
         require_one_of("control", control, CONTROLS)
         require_one_of("reward_type", reward_type, get_args(RewardType))
-        require_one_of("engine", engine, get_args(Engine))
         for name, value in (
             ("control_weight", control_weight),
             ("smoothness_weight", smoothness_weight),
@@ -144,8 +142,6 @@ class ReachSetup:
         self.body = reduce(lambda arm, change: change.change_body(arm), changes, parameters)
         self.told = reduce(lambda arm, change: change.change_body(arm), told, parameters)
         self.noises = [change for change in changes if isinstance(change, Noise)]
-        count = len(parameters.segment_lengths)
-        self.noise_draws = [noise.draws(count) for noise in self.noises]
         delays = [change.seconds for change in changes if isinstance(change, SensoryDelay)]
         self.delay = round(sum(delays) / step)
         self.are_senses_disturbed = bool(self.noises or self.delay)
@@ -183,7 +179,8 @@ class ReachSetup:
             readings: of the arms, (n, …).
             randoms: the generator of each of the n arms.
         """
-        for noise, draws in zip(self.noises, self.noise_draws, strict=True):
+        for noise in self.noises:
+            draws = noise.draws(self.joint_count)
             normals = np.stack([random.standard_normal(draws) for random in randoms])
             readings = noise.disturb(readings, normals)
         return readings
