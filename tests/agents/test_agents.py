@@ -168,8 +168,9 @@ LIMITS = ((-3.0, 3.0), (-2.0, 2.0), (-2.0, 2.0))
 )
 def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_control(name, at_least):
     """Nobody searches for ways round: what is not reached is behind one."""
+    episodes = 100 if name == "ik-closed-form" else 200  # it takes long
     rates = [
-        success_rate(name, 200, control=control, joint_limits=LIMITS)
+        success_rate(name, episodes, control=control, joint_limits=LIMITS)
         for control in ("joint_delta", "joint_position")
     ]
     assert min(rates) >= at_least
