@@ -336,7 +336,7 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         print("mmc-gym: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
-    except (ValueError, OSError, CellError) as error:
+    except (UserError, OSError, CellError) as error:
         if os.environ.get(TRACEBACK):
             raise
         message, status = str(error), 2

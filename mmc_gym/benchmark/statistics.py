@@ -23,6 +23,10 @@ are easier or harder.  Episodes of one policy are never drawn as if each came fr
                   policy is treated alike: its interval cannot tell what another training gives.
 
 A plain sample is the smallest case: one policy in one environment (`bootstrap_interval`).
+
+Source: Agarwal, Schwarzer, Castro, Courville & Bellemare (2021), Deep reinforcement learning at the
+edge of the statistical precipice, NeurIPS 34, https://arxiv.org/abs/2108.13264.  Unlike there,
+instances are resampled too, and agents are paired by them.
 """
 
 from __future__ import annotations
