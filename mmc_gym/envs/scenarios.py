@@ -18,10 +18,11 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, require
 from mmc_gym.envs.perturbations import (
@@ -38,9 +39,6 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.tasks import TASKS, Task, outward_task
-
-if TYPE_CHECKING:
-    from mmc_gym.envs.vector import MMCReachVectorEnv
 
 BASELINE = "random"
 """The scenario without perturbation: strength 0 of every family."""
@@ -143,11 +141,9 @@ class Scenario:
         """Make the single environment, with another control mode if one is given."""
         return gym.make(self.env_id, **self._with(control))
 
-    def make_vec(self, num_envs: int, control: str | None = None) -> MMCReachVectorEnv:
+    def make_vec(self, num_envs: int, control: str | None = None) -> VectorEnv[Any, Any, Any]:
         """Make the native vector environment, with another control mode if one is given."""
-        env: Any = gym.make_vec(self.env_id, num_envs=num_envs, **self._with(control))
-        made: MMCReachVectorEnv = env.unwrapped
-        return made
+        return gym.make_vec(self.env_id, num_envs=num_envs, **self._with(control)).unwrapped
 
     def _with(self, control: str | None) -> dict[str, Any]:
         return self.arguments if control is None else {**self.arguments, "control": control}
