@@ -93,7 +93,8 @@ def run_grid(
             this machine, and refuses work if it has others.
         on_result: is called here with (index, result) as soon as a cell is finished.
         on_failure: is called here with (index, error) for a cell whose worker dies each time, and
-            the grid goes on without it.  By default that ends the grid as any error does.
+            the grid goes on without it; so even a single cell gets a process of its own, unless
+            `jobs` is 1.  By default a worker's death ends the grid as any error does.
 
     Returns:
         The results in the order of the cells; None for those that `on_failure` took.
@@ -115,7 +116,8 @@ def run_grid(
     running: dict[Any, int] = {}
     alone: int | None = None  # the cell that is computed by itself, since its worker died before
     error: CellError | None = None
-    with _workers(jobs, cluster, len(cells)) as workers:
+    has_own_process = on_failure is not None and jobs != 1
+    with _workers(jobs, cluster, len(cells), has_own_process) as workers:
         while pending or suspects or running:
             while pending and not suspects and alone is None and len(running) < workers.room():
                 index = pending.popleft()
@@ -225,7 +227,9 @@ class _Workers(ABC):
 
 
 @contextmanager
-def _workers(jobs: int | None, cluster: str | None, cells: int) -> Iterator[_Workers]:
+def _workers(
+    jobs: int | None, cluster: str | None, cells: int, has_own_process: bool
+) -> Iterator[_Workers]:
     at_once = min(jobs or loky.cpu_count(), cells)
     if cluster is not None and cells:
         with _ray_connection(cluster, at_once) as ray:
@@ -234,7 +238,7 @@ def _workers(jobs: int | None, cluster: str | None, cells: int) -> Iterator[_Wor
                 yield workers
             finally:
                 workers.cancel()
-    elif at_once > 1:
+    elif at_once > 1 or (cells and has_own_process):
         processes = _Processes(at_once)
         try:
             yield processes

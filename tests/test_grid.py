@@ -218,6 +218,13 @@ def test_a_cell_that_kills_its_worker_twice_is_named():
     assert isinstance(died[1].__cause__, _grid.WorkerDied)
 
 
+def test_a_single_cell_that_may_die_does_not_take_this_process_along():
+    died = {}
+    assert run_grid(die, ["killer"], on_failure=died.__setitem__) == [None]
+    assert isinstance(died[0].__cause__, _grid.WorkerDied)
+    assert run_grid(die, [], on_failure=died.__setitem__) == []
+
+
 def test_workers_end_when_their_parent_is_killed():
     code = (
         "import os, time; from mmc_gym._grid import run_grid\n"

@@ -18,7 +18,6 @@ import io
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -26,17 +25,13 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from filelock import FileLock
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.measures import MEASURES, Episode, measure_all
 from mmc_gym.measures.catalogue import set_measures_in
-
-try:
-    import fcntl
-except ImportError:  # on Windows, where two benchmarks should not share a store
-    fcntl = None  # type: ignore[assignment]
 
 SCHEMA_VERSION = 2
 MANIFEST = "manifest.json"
@@ -451,16 +446,8 @@ def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest])
 
     Other benchmarks that go on in the same store wait meanwhile.
     """
-    with _locked(folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / ".lock"):  # released by death, too
         manifest = update(read_manifest(folder) if (folder / MANIFEST).exists() else None)
         write_manifest(folder, manifest)
         return manifest
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("w") as file:
-        if fcntl is not None:
-            fcntl.flock(file, fcntl.LOCK_EX)  # released when the file is closed, also by death
-        yield
