@@ -18,7 +18,7 @@ import mmc_gym
 from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
 from mmc_gym.envs.tasks import TASKS
 
-COLUMNS = 7
+COLUMNS = 6
 STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}
 OTHERS = 11  # steps until the picture is taken
 START = {"joint_angles": [0.2, 0.4, 0.4]}
