@@ -8,7 +8,7 @@ servos follow the joint angles of its segments.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from typing_extensions import override
@@ -17,11 +17,23 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents.base import JointTargetAgent, State, where
 from mmc_gym.agents.ik.agent import STRAIGHT, leave_line, nearest_reachable
 from mmc_gym.agents.planners import Movement, begin, follow, step
-from mmc_gym.interface import ReachInterface, Sensed
+from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.network import Clamps, MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run
 from mmc_gym.network.time_base import share, timed_step
+
+
+def network_of_arm(interface: ReachInterface, **settings: Any) -> MMCNetwork:
+    """Return an MMC network of an environment's arm, with settings of `MMCNetwork`.
+
+    Raises:
+        CannotActError: for an arm of a single segment, which has no triangles.
+    """
+    lengths = interface.segment_lengths
+    if len(lengths) < 2:
+        raise CannotActError(f"env must have two segments or more for MMC, got {len(lengths)}")
+    return MMCNetwork(lengths, **settings)
 
 
 class NetworkAgent(JointTargetAgent[State]):
@@ -137,8 +149,8 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer) -> MMCAgent:
     paper's constants.  With three iterations per control step all but about one in a thousand
     random targets are reached within the 2 s of an episode.
     """
-    lengths = interface.segment_lengths
-    network = MMCNetwork(lengths, len(lengths) + 1, normalizer, dynamics="paper")
+    damping = len(interface.segment_lengths) + 1
+    network = network_of_arm(interface, damping=damping, normalizer=normalizer, dynamics="paper")
     return MMCAgent(interface, network, iterations_per_step=3)
 
 

@@ -29,11 +29,11 @@ from mmc_gym.agents.ik.iterative import (
     null_space,
     pseudo_inverse,
 )
-from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc
+from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm
 from mmc_gym.agents.planners import MinimumJerkAgent, PassiveMotionAgent
 from mmc_gym.agents.views import VIEWS, View
 from mmc_gym.interface import Control, ReachInterface
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
 from mmc_gym.network.chain import Floats
 
 Kind = Literal["yours", "network", "inverse kinematics", "planner", "learned", "baseline", "ideal"]
@@ -123,10 +123,9 @@ def _tuned_mmc(interface: ReachInterface) -> MMCAgent:
     They bring 77.4 % of the time at the target, those of `mmc` 75.7 %.  d is just above
     (N + 1) / 2, where the network no longer converges.
     """
-    lengths = interface.segment_lengths
-    network = MMCNetwork(
-        lengths,
-        0.547 * (len(lengths) + 1),
+    network = network_of_arm(
+        interface,
+        damping=0.547 * (len(interface.segment_lengths) + 1),
         dynamics="paper",
         velocity_damping=4.44,
         velocity_decay=0.963,
@@ -186,7 +185,7 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "mmc-classical": _mmc(
         "classical MMC network with the paper's constants, one iteration per control step",
-        lambda told: MMCAgent(told, MMCNetwork(told.segment_lengths)),
+        lambda told: MMCAgent(told, network_of_arm(told)),
     ),
     "mmc-neural": _mmc(
         "as mmc, with the learned normalizer",
@@ -237,7 +236,7 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "mmc-bell": _mmc(
         "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",
-        lambda told: TimedMMCAgent(told, MMCNetwork(told.segment_lengths), iterations_per_step=2),
+        lambda told: TimedMMCAgent(told, network_of_arm(told), iterations_per_step=2),
     ),
     "minimum-jerk": AgentEntry(
         "minimum-jerk path of the hand, followed by damped least squares",

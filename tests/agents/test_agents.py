@@ -251,6 +251,13 @@ def test_torque_control_is_refused_for_want_of_a_servo(name):
         make_agent(name, env)
 
 
+@pytest.mark.parametrize("name", [name for name in AGENTS if name.startswith("mmc")])
+def test_an_arm_without_triangles_is_refused_by_the_network(name):
+    env = gym.make("MMCReach-v0", segment_lengths=(1.0,))
+    with pytest.raises(CannotActError, match="env must have two segments or more for MMC, got 1"):
+        make_agent(name, env)
+
+
 @pytest.mark.parametrize(
     ("name", "env_id", "at_least"),
     [

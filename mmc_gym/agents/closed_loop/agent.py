@@ -33,7 +33,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.closed_loop.observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
-from mmc_gym.agents.mmc import out_of_line, run_within_limits
+from mmc_gym.agents.mmc import network_of_arm, out_of_line, run_within_limits
 from mmc_gym.interface import Observation, ReachInterface, Sensed
 from mmc_gym.network import MMCNetwork, MMCState
 from mmc_gym.network.chain import Floats, segments_from_joint_angles
@@ -193,14 +193,13 @@ def closed_loop_mmc(interface: ReachInterface, loops: Loops) -> ClosedLoopMMCAge
         UserError: if the weight of the posture is N + 1 or more; as `CannotActError`, under torque
             control.
     """
-    lengths = interface.segment_lengths
-    damping = len(lengths) + 1 - loops.posture_weight
+    most = len(interface.segment_lengths) + 1
+    damping = most - loops.posture_weight
     if damping <= 0:
         raise UserError(
-            f"posture_weight must be less than N + 1 = {len(lengths) + 1}, "
-            f"got {loops.posture_weight!r}"
+            f"posture_weight must be less than N + 1 = {most}, got {loops.posture_weight!r}"
         )
-    network = MMCNetwork(lengths, damping, dynamics="paper")
+    network = network_of_arm(interface, damping=damping, dynamics="paper")
     return ClosedLoopMMCAgent(BodyObserver(interface, loops), network, iterations_per_step=3)
 
 
