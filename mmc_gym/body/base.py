@@ -1,4 +1,4 @@
-"""What an arm is and does, whatever engine simulates it: one arm, or many equal ones at once."""
+"""The interfaces of arms, whatever engine simulates them: one arm, or many equal ones at once."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from math import nan
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,7 +59,6 @@ class SingleArm(ABC):
         self._servo: Servo = servo
         self.servo_impulses = self.servo_work = [nan] * len(self.parameters.segment_lengths)
 
-    @abstractmethod
     def reset(
         self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
     ) -> None:
@@ -75,6 +74,15 @@ class SingleArm(ABC):
         Raises:
             ValueError: for another number of angles or velocities than N.
         """
+        count = len(self.parameters.segment_lengths)
+        velocities = [0.0] * count if joint_velocities is None else joint_velocities
+        for name, values in ("joint_angles", joint_angles), ("joint_velocities", velocities):
+            if len(values) != count:
+                raise wrong_count(name, values, count)
+        self._place(joint_angles, velocities)
+
+    @abstractmethod
+    def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None: ...
 
     @abstractmethod
     def command(self, values: Sequence[float]) -> None:
@@ -110,17 +118,11 @@ class ArmBatch(ABC):
 
     Every step and reset overwrites the arrays: copy what should last.
 
-    Attributes:
-        parameters: the arms' physical parameters.
-        segment_angles: absolute angles of the segments, rad, not wrapped, (count, N).
-        joint_angles: relative angles of the joints, rad, not wrapped, (count, N).
-        joint_velocities: their velocities, rad/s, (count, N).
-        end_effectors: positions of the hands, (count, 2).
-        records_effort: tells whether steps record the effort of the servos; False unless set.
-        servo_impulses: ∫ |τ| dt of each servo in the last recorded step, (count, N).  NaN before
-            it, and if the engine does not tell.
-        servo_work: ∫ |τ q̇| dt likewise, (count, N).
+    The attributes are those of `SingleArm` with a leading axis: `end_effectors` are of shape
+    (count, 2), angles, velocities and efforts of shape (count, N).
     """
+
+    parameters: ArmParameters
 
     segment_angles: Floats
     joint_angles: Floats
@@ -157,7 +159,8 @@ class ArmBatch(ABC):
         self._shape = self._count, len(self.parameters.segment_lengths)
         self.servo_impulses: Floats = np.full(self._shape, nan)
         self.servo_work: Floats = np.full(self._shape, nan)
-        self._workers = Workers(self._threads)
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_owner = 0  # the process that its threads belong to
 
     def reset(
         self,
@@ -209,7 +212,15 @@ class ArmBatch(ABC):
 
     def close(self) -> None:
         """End the threads; the next step would start new ones."""
-        self._workers.close()
+        if self._pool is not None and self._pool_owner == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
+
+    def _executor(self) -> ThreadPoolExecutor:
+        """Return the threads of this process; a forked one has inherited none."""
+        if self._pool is None or self._pool_owner != os.getpid():
+            self._pool, self._pool_owner = ThreadPoolExecutor(self._threads, "arms"), os.getpid()
+        return self._pool
 
     @abstractmethod
     def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None: ...
@@ -238,29 +249,3 @@ def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:
     if table.shape != shape:
         raise ValueError(f"{name} must be of shape {shape}, got {table.shape}")
     return table
-
-
-class Workers:
-    """Helper threads that start when they are first asked for, and anew in a forked process."""
-
-    def __init__(self, threads: int) -> None:
-        """Prepare for `threads` threads, the caller's among them."""
-        self._threads = threads
-        self._pool: ThreadPoolExecutor | None = None
-        self._process = 0
-
-    def executor(self) -> ThreadPoolExecutor:
-        """Return the threads of this process; a forked one has inherited none."""
-        if self._pool is None or self._process != os.getpid():
-            self._pool = ThreadPoolExecutor(self._threads - 1, "arms")
-            self._process = os.getpid()
-        return self._pool
-
-    def close(self) -> None:
-        """End the threads."""
-        if self._pool is not None and self._process == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}  # threads belong to a process

@@ -11,6 +11,8 @@ from typing import Literal, get_args
 from mmc_gym._errors import require
 from mmc_gym.body.base import ArmBatch, SingleArm
 from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.pymunk.arm import Arm
+from mmc_gym.body.pymunk.batch import Arms
 
 Engine = Literal["pymunk", "analytic"]
 
@@ -22,34 +24,22 @@ def make_arm(engine: Engine, parameters: ArmParameters, servo: Servo) -> SingleA
         UserError: for an unknown engine, or what it cannot simulate.
         ImportError: if the engine needs numba and it is not installed.
     """
-    _check(engine)
-    if engine == "analytic":
-        from mmc_gym.body.analytic.arms import AnalyticArm
-
-        return AnalyticArm(parameters, servo)
-    from mmc_gym.body.pymunk.arm import Arm
-
-    return Arm(parameters, servo)
+    single, _ = _classes(engine)
+    return single(parameters, servo)
 
 
 def make_arms(
     engine: Engine, parameters: ArmParameters, count: int, servo: Servo, threads: int = 1
 ) -> ArmBatch:
-    """Build `count` arms of the engine called `engine`, stepped by `threads` threads.
-
-    Raises:
-        UserError: for an unknown engine, or what it cannot simulate.
-        ImportError: if the engine needs numba and it is not installed.
-    """
-    _check(engine)
-    if engine == "analytic":
-        from mmc_gym.body.analytic.arms import AnalyticArms
-
-        return AnalyticArms(parameters, count, servo, threads)
-    from mmc_gym.body.pymunk.batch import Arms
-
-    return Arms(parameters, count, servo, threads)
+    """Build `count` arms, stepped by `threads` threads; it raises what `make_arm` raises."""
+    _, batch = _classes(engine)
+    return batch(parameters, count, servo, threads)
 
 
-def _check(engine: Engine) -> None:
+def _classes(engine: Engine) -> tuple[type[SingleArm], type[ArmBatch]]:
     require(engine in get_args(Engine), "engine", engine, f"one of {get_args(Engine)}")
+    if engine == "analytic":
+        from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArms  # needs numba
+
+        return AnalyticArm, AnalyticArms
+    return Arm, Arms

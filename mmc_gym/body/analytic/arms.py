@@ -77,12 +77,11 @@ class AnalyticArms(ArmBatch):
         self.end_effectors = output[3 * size :].reshape(self._count, 2)
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("segment_angles", "joint_angles", "joint_velocities", "end_effectors")
-        return {name: value for name, value in vars(self).items() if name not in views}
+        return {**vars(self), "_pool": None}  # threads belong to a process
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._show(self._output)
+        self._show(self._output)  # copies of views are arrays of their own
 
     @override
     def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
@@ -94,15 +93,11 @@ class AnalyticArms(ArmBatch):
 
     @override
     def step(self) -> None:
-        blocks = len(self._state)
-        shares = min(self._threads, self._count // _WORTH_A_THREAD)
-        if shares <= 1:
-            self._step_blocks(0, blocks)
-            return
-        pool = self._workers.executor()
-        edges = [blocks * share // shares for share in range(shares + 1)]
+        shares = max(1, min(self._threads, self._count // _WORTH_A_THREAD))
+        edges = [len(self._state) * share // shares for share in range(shares + 1)]
         others = [
-            pool.submit(self._step_blocks, first, last) for first, last in pairwise(edges[1:])
+            self._executor().submit(self._step_blocks, first, last)
+            for first, last in pairwise(edges[1:])
         ]
         self._step_blocks(0, edges[1])
         for other in others:
@@ -137,14 +132,8 @@ class AnalyticArm(SingleArm):
         self._read()
 
     @override
-    def reset(
-        self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
-    ) -> None:
-        for name, values in ("joint_angles", joint_angles), ("joint_velocities", joint_velocities):
-            if values is not None and len(values) != self._segments:
-                raise wrong_count(name, values, self._segments)
-        speeds = None if joint_velocities is None else [joint_velocities]
-        self._arms.reset([joint_angles], None, speeds)
+    def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
+        self._arms.reset([joint_angles], None, [joint_velocities])
         self._read()
 
     @override

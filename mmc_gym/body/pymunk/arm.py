@@ -20,7 +20,7 @@ pymunk's own, bit by bit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import copysign, cos, remainder, sin, tau
 from typing import Any
 
@@ -76,22 +76,15 @@ class Arm(SingleArm):
         ]
 
     @override
-    def reset(
-        self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
-    ) -> None:
-        at_rest = [0.0] * len(self._handles)
-        velocities = at_rest if joint_velocities is None else joint_velocities
-        for name, values in ("joint_angles", joint_angles), ("joint_velocities", velocities):
-            if len(values) != len(at_rest):
-                raise wrong_count(name, values, len(at_rest))
+    def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
         if self.parameters.obstacles:  # contacts are remembered, and cannot be forgotten
             self._build()
         else:
             forget_impulses(self._space, [self._linkage], self.parameters.substep)
-        self._linkage.place(joint_angles, velocities)
+        self._linkage.place(joint_angles, joint_velocities)
         self._read()
-        self.command(joint_angles if self._servo == "position" else at_rest)
-        self._start = tuple(joint_angles), tuple(velocities)
+        self.command(joint_angles if self._servo == "position" else [0.0] * len(joint_angles))
+        self._start = tuple(joint_angles), tuple(joint_velocities)
         self._history = deque()
         self._new_command = None
         self._steps_to_lock = None
@@ -205,7 +198,7 @@ class Arm(SingleArm):
     def pivot_gap(self) -> float:
         return self._linkage.pivot_gap()
 
-    def __reduce__(self) -> tuple[Callable[..., Arm], tuple[Any, ...], dict[str, Any]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         if self._history is _FORGOTTEN:
             raise RuntimeError(
                 f"an arm cannot be copied or pickled more than {_LONGEST_HISTORY} steps after its "
@@ -214,27 +207,18 @@ class Arm(SingleArm):
             )
         told = self._start, list(self._history), self._new_command, self._steps_to_lock
         effort = ("records_effort", "servo_impulses", "servo_work")
-        state = {name: getattr(self, name) for name in effort}
-        return _replay, (type(self), self.parameters, self._servo, *told), state
+        state = told, {name: getattr(self, name) for name in effort}
+        return type(self), (self.parameters, self._servo), state
 
-
-def _replay(
-    kind: type[Arm],
-    parameters: ArmParameters,
-    servo: Servo,
-    start: tuple[tuple[float, ...], tuple[float, ...]],
-    history: list[tuple[float, ...] | None],
-    new_command: tuple[float, ...] | None,
-    steps_to_lock: int | None,
-) -> Arm:
-    """Build an arm and tell it all this again."""
-    arm = kind(parameters, servo)
-    arm.reset(*start)
-    for steps, command in enumerate([*history, new_command]):
-        if command is not None:
-            arm.command(command)
-        if steps == steps_to_lock:
-            arm.lock()
-        if steps < len(history):
-            arm.step()
-    return arm
+    def __setstate__(self, state: tuple[Any, dict[str, Any]]) -> None:
+        """Tell the arm again all that its original has been told since its reset."""
+        (start, history, new_command, steps_to_lock), effort = state
+        self.reset(*start)
+        for steps, command in enumerate([*history, new_command]):
+            if command is not None:
+                self.command(command)
+            if steps == steps_to_lock:
+                self.lock()
+            if steps < len(history):
+                self.step()
+        vars(self).update(effort)

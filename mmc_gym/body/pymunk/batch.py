@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from queue import SimpleQueue
 from typing import Any, NoReturn
 
 import numpy as np
@@ -58,29 +57,24 @@ class SharedSpace:
         if self._servo == "torque":
             _for_each(chipmunk.cpConstraintSetMaxForce, servos, torques)
 
-    def step(self) -> None:
-        """Simulate one control step."""
-        for _ in range(self._parameters.substeps):
-            self._simulate()
-
-    def step_recording(self, impulses: Floats, work: Floats) -> None:
-        """Simulate one control step, and write the servos' effort to two arrays (count, N)."""
-        impulses[:] = work[:] = 0.0
-        before = self._joint_velocities()
-        for _ in range(self._parameters.substeps):
-            self._simulate()
-            after = self._joint_velocities()
-            sizes = list(map(chipmunk.cpConstraintGetImpulse, self._servo_handles))
-            given = np.array(sizes).reshape(self.count, -1)
-            impulses += given
-            work += given * np.abs(before + after) / 2
-            before = after
-
-    def _simulate(self) -> None:
-        """Simulate one physics step."""
-        if self._parameters.force_field is not None:
-            self._push_hands()
-        chipmunk.cpSpaceStep(self._space._space, self._parameters.substep)
+    def step(self, effort: tuple[Floats, Floats] | None) -> None:
+        """Simulate one control step; write the servos' impulses and work (count, N) to `effort`."""
+        space, p = self._space._space, self._parameters
+        before = self._joint_velocities() if effort else np.empty(0)
+        for array in effort or ():
+            array[:] = 0.0
+        for _ in range(p.substeps):
+            if p.force_field is not None:
+                self._push_hands()
+            chipmunk.cpSpaceStep(space, p.substep)
+            if effort:
+                after = self._joint_velocities()
+                sizes = list(map(chipmunk.cpConstraintGetImpulse, self._servo_handles))
+                given = np.array(sizes).reshape(self.count, -1)
+                impulses, work = effort
+                impulses += given
+                work += given * np.abs(before + after) / 2
+                before = after
 
     def _joint_velocities(self) -> Floats:
         absolute = self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0]
@@ -223,42 +217,28 @@ class Arms(ArmBatch):
 
     @override
     def step(self) -> None:
-        ready: SimpleQueue[SharedSpace | None] = SimpleQueue()
-        helpers = min(self._threads, len(self._spaces)) - 1
-        others = [self._workers.executor().submit(self._simulate, ready) for _ in range(helpers)]
+        shared = min(self._threads, len(self._spaces)) > 1
+        running = []
         # Setting servos takes too little time for two threads to share: this one sets those of a
         # Space while others simulate the Spaces before it.
-        try:
-            for space in self._spaces:
-                if self._commanded:
-                    space.drive(self._settings[space.arms], self._torques[space.arms])
-                ready.put(space)
-                if not helpers:
-                    self._simulate_next(ready)
-            self._commanded = False
-        finally:
-            for _ in range(helpers + 1):
-                ready.put(None)
-        self._simulate(ready)
-        for other in others:
-            other.result()
+        for space in self._spaces:
+            if self._commanded:
+                space.drive(self._settings[space.arms], self._torques[space.arms])
+            if shared:
+                running.append(self._executor().submit(self._simulate, space))
+            else:
+                self._simulate(space)
+        self._commanded = False
+        for each in running:
+            each.result()
         self._derive(slice(None))
 
-    def _simulate(self, ready: SimpleQueue[SharedSpace | None]) -> None:
-        while self._simulate_next(ready):
-            pass
-
-    def _simulate_next(self, ready: SimpleQueue[SharedSpace | None]) -> bool:
-        """Simulate the next Space that is ready, unless there are no more."""
-        space = ready.get()
-        if space is None:
-            return False
+    def _simulate(self, space: SharedSpace) -> None:
+        arms, effort = space.arms, None
         if self.records_effort:
-            space.step_recording(self.servo_impulses[space.arms], self.servo_work[space.arms])
-        else:
-            space.step()
-        space.read(self.segment_angles[space.arms], self._segment_velocities[space.arms])
-        return True
+            effort = self.servo_impulses[arms], self.servo_work[arms]
+        space.step(effort)
+        space.read(self.segment_angles[arms], self._segment_velocities[arms])
 
     def _derive(self, arms: slice | Indices) -> None:
         """Update what follows from the segments' angles and velocities."""

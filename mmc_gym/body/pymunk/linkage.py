@@ -13,8 +13,9 @@ Frequent calls go to Chipmunk directly, through the library that pymunk's own pr
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import cos, sin
+from typing import Any
 
 import pymunk
 from pymunk._chipmunk_cffi import lib as chipmunk
@@ -92,8 +93,10 @@ class Linkage:
         segments: the bodies of the N segments; their origin is their centre of gravity.
         servos: the N constraints that drive the joints.
         locks: the lockable joints and the constraints that make them rigid.
-        hand: the last body, and the hand's distance from its centre of gravity.
         locked: tells whether the lockable joints are held.
+        hand: handle of the last body, and the hand's distance from its centre of gravity.
+        joint_handles: all constraints in the order in which Chipmunk solves them.
+        force_limits: the largest force of each, as built: a lock is open.
     """
 
     def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
@@ -102,13 +105,12 @@ class Linkage:
         self.servos: list[pymunk.Constraint] = []
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
         self.locked = False
-        self._lengths = parameters.segment_lengths
-        self._centres: list[float] = []
+        self._handles: list[tuple[Any, float, float]] = []  # body, length, centre of gravity
         # Every arm has its own base, a body that is not in the Space: bulk calls would read and
         # write the Space's own static body.
         parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), 0.0
         joints: list[list[pymunk.Constraint]] = []
-        for joint, (length, rod) in enumerate(zip(self._lengths, parameters.rods)):
+        for joint, (length, rod) in enumerate(zip(parameters.segment_lengths, parameters.rods)):
             mass, centre, inertia = rod
             segment = pymunk.Body(mass, inertia)
             space.add(segment)
@@ -117,7 +119,7 @@ class Linkage:
             pivot.error_bias = 0.0
             joints[-1].append(pivot)
             self.segments.append(segment)
-            self._centres.append(centre)
+            self._handles.append((segment._body, length, centre))
             parent, anchor = segment, length - centre
         self.joints = [constraint for joint in reversed(joints) for constraint in joint]
         for constraint in self.joints:
@@ -125,12 +127,8 @@ class Linkage:
         if parameters.obstacles:
             self._add_shapes(space, parameters)
         self.hand = self.segments[-1]._body, anchor
-        self._handles = [
-            (segment._body, length, centre)
-            for segment, length, centre in zip(self.segments, self._lengths, self._centres)
-        ]
         self.joint_handles = [constraint._constraint for constraint in self.joints]
-        self._limits = [constraint.max_force for constraint in self.joints]
+        self.force_limits = [constraint.max_force for constraint in self.joints]
 
     def _make_joint(
         self,
@@ -162,7 +160,7 @@ class Linkage:
         return constraints
 
     def _add_shapes(self, space: pymunk.Space, parameters: ArmParameters) -> None:
-        for segment, length, centre in zip(self.segments, self._lengths, self._centres):
+        for segment, (_, length, centre) in zip(self.segments, self._handles):
             ends = (-centre, 0.0), (length - centre, 0.0)
             shape = pymunk.Segment(segment, *ends, parameters.segment_radius)
             shape.filter = _NO_COLLISIONS_AMONG_SEGMENTS
@@ -200,17 +198,6 @@ class Linkage:
             chipmunk.cpGearJointSetPhase(lock._constraint, joint_angles[joint])
             chipmunk.cpConstraintSetMaxForce(lock._constraint, math.inf)
 
-    def slacken(self) -> None:
-        """Forbid all joints any force."""
-        for joint in self.joint_handles:
-            chipmunk.cpConstraintSetMaxForce(joint, 0.0)
-
-    def tighten(self) -> None:
-        """Allow all joints the force that they were built with; locks are open."""
-        for joint, limit in zip(self.joint_handles, self._limits):
-            chipmunk.cpConstraintSetMaxForce(joint, limit)
-        self.locked = False
-
     def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
         """Take the joints out of one Space and into another, and keep the order of all joints.
 
@@ -233,7 +220,7 @@ class Linkage:
     def pivot_gap(self) -> float:
         """Return the largest distance between ends that a pivot should hold together, lengths."""
         gap, end = 0.0, pymunk.Vec2d(0.0, 0.0)
-        for segment, length, centre in zip(self.segments, self._lengths, self._centres):
+        for segment, (_, length, centre) in zip(self.segments, self._handles):
             gap = max(gap, segment.local_to_world((-centre, 0.0)).get_distance(end))
             end = segment.local_to_world((length - centre, 0.0))
         return gap
@@ -251,16 +238,18 @@ def make_space(parameters: ArmParameters) -> pymunk.Space:
     return space
 
 
-def forget_impulses(space: pymunk.Space, linkages: Iterable[Linkage], substep: float) -> None:
+def forget_impulses(space: pymunk.Space, linkages: Sequence[Linkage], substep: float) -> None:
     """Clear the impulses that Chipmunk's joints keep from one physics step to the next.
 
     They are no part of a body's pose or velocity, and a reset arm would not move as a new one does.
     A step of `space` in which no joint may exert a force clears them.  `space` must hold the joints
-    of these linkages and no others.
+    of these linkages and no others.  Locks are open afterwards.
     """
-    linkages = tuple(linkages)
     for linkage in linkages:
-        linkage.slacken()
+        for joint in linkage.joint_handles:
+            chipmunk.cpConstraintSetMaxForce(joint, 0.0)
     chipmunk.cpSpaceStep(space._space, substep)
     for linkage in linkages:
-        linkage.tighten()
+        for joint, limit in zip(linkage.joint_handles, linkage.force_limits):
+            chipmunk.cpConstraintSetMaxForce(joint, limit)
+        linkage.locked = False
