@@ -62,12 +62,9 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
 
 
 def paths_and_profiles(
-    movements: Mapping[str, Sequence[Movement]],
-    reach: float,
-    tolerance: float,
-    control_step: float,
+    movements: Mapping[str, Sequence[Movement]], reach: float, tolerance: float, control_step: float
 ) -> Figure:
-    """Draw hand paths above and the speed profile over all movements below.
+    """Draw hand paths above and the speed profile over all movements below, a column per agent.
 
     Args:
         movements: of each agent, by the name to stand above its column.
@@ -93,36 +90,24 @@ def paths_and_profiles(
         axes[1, 0].set_ylabel("hand speed\n[segment lengths/s]")
         axes[1, 0].set_ylim(bottom=0)
         axes[1, 0].legend(frameon=False, loc="upper right")
-        caption = _caption(len(next(iter(movements.values()))))
+        count = len(next(iter(movements.values())))
+        caption = (
+            f"Above: hand paths in episodes 1 to {min(count, EXAMPLES)}, from the open circle to "
+            "the dot; the cross is the target, the ring around it the distance that counts as "
+            f"success; dotted: reach. Below: hand speed, median and quartiles over {count} "
+            "episodes (starts and targets, the same for all agents; not training seeds: one "
+            "training run each)."
+        )
         figure.supxlabel(textwrap.fill(caption, round(18 * width)), fontsize=7, linespacing=1.4)
     return figure
 
 
-def _caption(count: int) -> str:
-    return (
-        f"Above: hand paths in episodes 1 to {min(count, EXAMPLES)}, from the open circle to the "
-        "dot; the cross is the target, the ring around it the distance that counts as success; "
-        f"dotted: reach. Below: hand speed, median and quartiles over {count} episodes (starts "
-        "and targets, the same for all agents; not training seeds: one training run each)."
-    )
-
-
 def draw_paths(
-    axes: Axes,
-    movements: Sequence[Movement],
-    reach: float,
-    tolerance: float,
-    *,
-    halo: bool = False,
+    axes: Axes, movements: Sequence[Movement], reach: float, tolerance: float, *, halo: bool = False
 ) -> None:
     """Draw the hand paths of the first `EXAMPLES` movements, with their targets and the reach.
 
-    Args:
-        axes: where to.
-        movements: of one agent.
-        reach: radius of the disc that the hand can reach, segment lengths.
-        tolerance: distance from the target that counts as success, segment lengths.
-        halo: whether the numbers of the targets stand out from what is behind them.
+    Arguments as of `paths_and_profiles`; a `halo` sets off the numbers of the targets.
     """
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
     for number, (hands, (x, y), _) in enumerate(movements[:EXAMPLES]):

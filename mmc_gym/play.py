@@ -36,7 +36,7 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
         seed: of the postures, or None for others each time.
 
     Raises:
-        UserError: for an unknown agent, or an environment that is no `MMCReachEnv`.
+        UserError: for an unknown agent or another environment.
     """
     (entry,) = single_entries([agent])
     label, factory = entry.label, entry.agent.factory
@@ -47,10 +47,9 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
 
     world, _ = make_for(factory, make_world)
     try:
-        factories = {name: entry.make for name, entry in AGENTS.items()}
-        makers = {
-            name: partial(make, world) for name, make in {**factories, label: factory}.items()
-        }
+        makers: dict[str, Callable[[], Predictor]]
+        makers = {name: partial(entry.make, world) for name, entry in AGENTS.items()}
+        makers[label] = partial(factory, world)
         Game(world, makers, label, seed).run()
     finally:
         world.close()
@@ -92,12 +91,10 @@ class Game:
             seed: of the postures.
 
         Raises:
-            UserError: for an unknown agent or another environment.
+            UserError: for another environment.
         """
         if not isinstance(env.unwrapped, MMCReachEnv):
             raise UserError(f"env must be a reaching environment like MMCReach-v0, got {env}")
-        if agent not in makers:
-            raise UserError(f"agent must be one of {tuple(makers)}, got {agent!r}")
         self._env, self._reach = env, env.unwrapped
         self._view = drawing.View(self._reach.setup.farthest)
         self._makers, self._agents = dict(makers), {agent: makers[agent]()}
@@ -114,13 +111,11 @@ class Game:
 
     def frame(self) -> None:
         """Heed keys and mouse, simulate one control step unless paused, and draw the state."""
-        changed = False
-        for event in pygame.event.get():
-            changed |= self._heed(event)
+        changed = [self._heed(event) for event in pygame.event.get()]
         if not self.paused:
             self._step()
         # A picture adds to the hand's trace, so that none is drawn while nothing changes.
-        if changed or not self.paused:
+        if any(changed) or not self.paused:
             self._show()
 
     def choose(self, agent: str) -> None:
@@ -206,13 +201,8 @@ class Game:
     def _measures(self) -> str:
         distance = math.dist(self._hand, self.target)
         reached = "reached" if distance <= self._reach.success_distance else ""
-        words = (
-            self.agent,
-            f"distance {distance:.2f}",
-            f"hand speed {self._hand_speed:.1f}/s",
-            "paused" if self.paused else reached,
-        )
-        return "    ".join(words)
+        numbers = f"distance {distance:.2f}    hand speed {self._hand_speed:.1f}/s"
+        return f"{self.agent}    {numbers}    {'paused' if self.paused else reached}"
 
     def _lay_out_agents(self) -> list[Label]:
         """Return the labels of all agents, in as many lines as they need."""

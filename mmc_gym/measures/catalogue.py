@@ -13,9 +13,9 @@ the report show it if it is `shown`.  Register your own the same way:
 On the command line name the module: `mmc-gym compare --measures my_measures`.
 
 Of a movement that did not arrive, path, shape and cost tell nothing: a hand that never moves has
-the shortest path, the least work and no overshoot.  So, as is the custom for movements of people,
-measures with `successes_only` are reported of the episodes that ended at the target, with the
-fraction of these beside them.  Data hold them for all episodes.
+the shortest path, the least work and no overshoot.  So measures with `successes_only` are reported
+of the episodes that ended at the target, as is the custom for movements of people.  Data hold them
+for all episodes.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ Direction: TypeAlias = Literal["high", "low", "neither"]
 OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
 OfEpisodes = TypeVar("OfEpisodes", bound=Callable[[Sequence[Episode]], float])
 
+# How a plain number was computed: in place of a unit, and beside the label in a text.
 METHODS = ("correlation", "SPARC", "log dimensionless jerk")
-"""How a plain number was computed: stands in place of a unit, and beside the label in a text."""
 
+# Other columns of the data, which no measure may be called.
 _COLUMNS = (
     *("agent", "training_seed", "training_steps", "environment", "episode", "instance", "seed"),
     *("start_x", "start_y", "target_x", "target_y", "duration", "measure"),
 )
-"""Other columns of the data, which no measure may be called."""
 
 
 def _not_here(episode: object) -> float:
@@ -94,11 +94,7 @@ class Quantity:
         return (100, 1) if self.unit == "fraction" else (1, self.decimals)
 
     def number(self, value: float, more: int = 0) -> str:
-        """Write a value without its unit, always with as many decimals, so that columns align.
-
-        Args:
-            value: in the measure's unit; a fraction is written in percent.
-            more: decimals than usual.
+        """Write a value without its unit, a fraction in percent, with `more` decimals than usual.
 
         Example:
             >>> from mmc_gym.measures import MEASURES
@@ -109,7 +105,7 @@ class Quantity:
         return number(scale * value, decimals + more)
 
     def quantity(self, value: float, more: int = 0) -> str:
-        """Write a value with its unit, if it has one; arguments as of `number`."""
+        """Write a value as `number` does, with its unit if it has one."""
         text = self.number(value, more)
         has_unit = self.unit and self.unit not in METHODS
         return f"{text} {self.shown_unit}" if has_unit and text != "–" else text
@@ -165,17 +161,14 @@ def measure(
         shown: whether tables show it; files hold all.
         successes_only: whether it is reported only of episodes that ended at the target.
 
-    Returns:
-        A decorator that returns the function as it is.
-
     Raises:
         UserError: if another measure or another column of the data has this name, or a value is
             none of those.
     """
+    facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
+    facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
 
     def register(function: OfEpisode) -> OfEpisode:
-        facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
-        facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
         _add(Measure(name=function.__name__, of=function, **facts))
         return function
 
@@ -192,22 +185,12 @@ def set_measure(
 ) -> Callable[[OfEpisodes], OfEpisodes]:
     """Register a function `Sequence[Episode] -> float` as a measure of sets under its own name.
 
-    Args:
-        environment: of the benchmark; the function is given the episodes of an agent there.
-        label: heading in tables.
-        unit: of the values; "fraction" is shown in percent, "" is a plain number.
-        best: whether "high" or "low" values are good, or "neither".
-        decimals: at most so many are shown.
-
-    Returns:
-        A decorator that returns the function as it is.
-
-    Raises:
-        UserError: if another measure or another column of the data has this name.
+    It is given all episodes of an agent in an `environment` of the benchmark.  Other arguments and
+    errors as of `measure`.
     """
+    facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
 
     def register(function: OfEpisodes) -> OfEpisodes:
-        facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
         _add(SetMeasure(name=function.__name__, environment=environment, of=function, **facts))
         return function
 
@@ -241,21 +224,13 @@ def own_measures() -> tuple[Measure | SetMeasure, ...]:
 
 
 def register_measures(measures: Iterable[Measure | SetMeasure]) -> None:
-    """Register `own_measures` of another process in this one.
-
-    Functions of importable modules are pickled by name, and registered as their module is imported
-    here; those of a script or notebook come as they are (`cloudpickle`).
-    """
+    """Register `own_measures` of another process in this one."""
     for one in measures:
         _add(one)
 
 
 def import_measures(modules: Iterable[str]) -> None:
-    """Import modules, by name, that register measures.
-
-    Raises:
-        UserError: if there is none such, or it registers a name that is taken.
-    """
+    """Import modules that register measures; raise a `UserError` if there is none of a name."""
     look_here()
     for name in modules:
         try:
@@ -268,23 +243,19 @@ def digest(known: Measure | SetMeasure) -> str:
     """Return the SHA-256 of a measure's facts and its function's source, as far as it is known."""
     try:
         source = inspect.getsource(known.of)
-    except (OSError, TypeError):  # typed into an interpreter, or a callable object
+    except (OSError, TypeError):  # typed into an interpreter, or compiled
         source = _origin(known)
     return hashlib.sha256(json.dumps([known.facts, source]).encode()).hexdigest()
 
 
 def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
-    """Return the measures of a store by their names, also those that are not registered here.
-
-    Args:
-        facts: of the store's measures, by their names; see `Quantity.facts`.
-    """
+    """Return all measures by their names, with those that only a store knows by their `facts`."""
     others = {name: Measure(**told) for name, told in facts.items() if name not in MEASURES}
     return {**MEASURES, **others}
 
 
 def set_measures_of(facts: Mapping[str, Any]) -> dict[str, SetMeasure]:
-    """Return the measures of sets of a store by their names, see `measures_of`."""
+    """Return all measures of sets by their names, as `measures_of` does."""
     others = {name: SetMeasure(**told) for name, told in facts.items() if name not in SET_MEASURES}
     return {**SET_MEASURES, **others}
 
@@ -307,14 +278,11 @@ def measure_all(episode: Episode) -> dict[str, float]:
 def leave_out_failures(
     episodes: pd.DataFrame, measures: Iterable[Measure] | None = None
 ) -> pd.DataFrame:
-    """Return episodes as tables and comparisons see them: no value where it tells nothing.
+    """Return episodes with NaN for measures of `successes_only` wherever success is not 1.
 
     Args:
         episodes: a row each, with a column for each measure, "success" among them.
         measures: whose columns are looked at; `MEASURES` by default.
-
-    Returns:
-        The same with NaN for measures of `successes_only` wherever success is not 1.
     """
     known = MEASURES.values() if measures is None else measures
     names = [one.name for one in known if one.successes_only and one.name in episodes]

@@ -21,18 +21,13 @@ def joint_effort(episode: Episode) -> float:
 
 
 @measure(
-    label="joint work",
-    unit="mass len²/s²",
-    best="low",
-    decimals=1,
-    shown=True,
-    successes_only=True,
+    label="joint work", unit="mass len²/s²", best="low", decimals=1, shown=True, successes_only=True
 )
 def joint_work(episode: Episode) -> float:
     """Return ∫ Σ_i |τ_i q̇_i| dt over the servos of all joints i, mass · length² / s².
 
-    Braking counts as much as driving, as in muscles and in motors that do not feed back.  NaN
-    without joints, or where an engine does not tell.
+    Braking counts as much as driving, as in muscles and in motors that do not feed back.  NaN as
+    for `joint_effort`.
 
     Source:
         Absolute work as the cost of a reach: Alexander (1997), Biol. Cybern. 76, 97–105.

@@ -11,15 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 
-MOVING = 0.05
-"""From this share of its peak speed on the hand counts as moving."""
+MOVING = 0.05  # of the peak speed, from which on the hand counts as moving
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One recorded episode of n steps, of an arm with N joints.
+    """One recorded episode of n steps, of an arm with N joints; N = 0 for a hand without an arm.
 
-    A hand without an arm has N = 0.  What an environment does not tell is NaN.
+    What an environment does not tell is NaN.
 
     Attributes:
         seed: that the environment was reset with.
@@ -27,8 +26,7 @@ class Episode:
         distances: from hand (or cursor) to target, segment lengths, (n + 1,).
         targets: positions of the target, segment lengths, (n + 1, 2).
         joint_angles: relative, not wrapped, radians, (n + 1, N).
-        servo_impulses: ∫ |τ| dt of each step and joint, mass · length² / s, (n, N), see
-            `mmc_gym.body.Arm`.
+        servo_impulses: ∫ |τ| dt of each step and joint, mass · length² / s, (n, N).
         servo_work: ∫ |τ q̇| dt of each step and joint, mass · length² / s², (n, N).
         rewards: of each step, (n,).
         action_times: that `predict` took in each step, seconds, (n,).
@@ -61,8 +59,7 @@ class Episode:
     @property
     def target(self) -> Floats:
         """Position of the target at the start, segment lengths, (2,)."""
-        first: Floats = self.targets[0]
-        return first
+        return np.asarray(self.targets[0])
 
     @property
     def target_stands(self) -> bool:
@@ -87,22 +84,18 @@ class Episode:
 
     @property
     def movement_points(self) -> slice:
-        """Indices of the m + 1 positions before and after the steps of the `movement`."""
+        """Indices of the positions before and after the steps of the `movement`, m + 1."""
         return slice(self.movement.start, self.movement.stop + 1)
 
 
 def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
     """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T.
 
-    The mean over a step as the crow flies, and so the speed at the middle of the step, up to
-    terms in T².
+    The mean over a step as the crow flies, and so the speed in its middle, up to terms in T².
 
     Args:
-        hands: positions, segment lengths, (steps + 1, 2).
+        hands: positions p, segment lengths, (steps + 1, 2).
         control_step: T, seconds.
-
-    Returns:
-        Segment lengths/s, (steps,).
     """
     displacements = np.diff(np.asarray(hands, dtype=np.float64), axis=0)
     speeds: Floats = np.linalg.norm(displacements, axis=-1) / control_step

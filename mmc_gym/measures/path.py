@@ -36,10 +36,8 @@ def linearity_index(points: ArrayLike) -> float:
     """Return the largest distance of a path from the line between its ends, over its length.
 
     max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0, u the unit vector from the first
-    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.
-
-    Args:
-        points: of the hand, or of the joints, (points, dimensions).
+    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.  Points
+    as of `straightness`.
 
     Source:
         Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
@@ -56,18 +54,18 @@ def linearity_index(points: ArrayLike) -> float:
         return math.nan
     along = line / length
     away = path - path[0]
-    across: Floats = away - (away @ along)[:, None] * along
+    across = away - (away @ along)[:, None] * along
     return float(np.linalg.norm(across, axis=-1).max()) / length
 
 
-@measure(label="path / direct line", best="low", decimals=2, shown=True, successes_only=True)
+@measure(label="path / direct line", best="low", shown=True, successes_only=True)
 def path_ratio(episode: Episode) -> float:
     """Return the length of the hand's path over the line from start to target; 1 is straight.
 
     Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, corrections and tremor at the
     target included.  Below 1 only if the hand stops short.  Under a visuomotor rotation both are
     the cursor's: the target is not where the hand is to go.  NaN where the target moves, and where
-    the line is shorter than ε: there is no movement to make, and the ratio would blow up.
+    the line is shorter than ε: the ratio would blow up.
     """
     line = float(np.linalg.norm(episode.target - episode.seen_hands[0]))
     if line < episode.tolerance or not episode.target_stands:
@@ -101,7 +99,7 @@ def joint_path_efficiency(episode: Episode) -> float:
     return straightness(episode.joint_angles[episode.movement_points])
 
 
-@measure(label="straighter in hand than in joint space", decimals=2, successes_only=True)
+@measure(label="straighter in hand than in joint space", successes_only=True)
 def hand_over_joint_straightness(episode: Episode) -> float:
     """Return how much straighter the movement is in hand space (1) than in joint space (−1).
 

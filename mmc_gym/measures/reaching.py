@@ -14,11 +14,8 @@ from numpy.typing import ArrayLike
 from mmc_gym.measures.catalogue import measure
 from mmc_gym.measures.episode import Episode
 
-DWELL = 0.2
-"""Seconds that the hand must have stayed for a success with dwell."""
-
-REST = 0.5
-"""Seconds at the end of an episode in which the hand's jitter is measured."""
+DWELL = 0.2  # s that the hand must have stayed for a success with dwell
+REST = 0.5  # s at the end of an episode in which the hand's jitter is measured
 
 
 def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool:
@@ -42,14 +39,9 @@ def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool
 def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) -> float:
     """Return the seconds until the hand is within `tolerance` to stay until the episode ends.
 
-    T · min{k : d_j ≤ ε for every j ≥ k}: 0 for a hand that is there from the start, NaN if the
-    episode ends outside.  Not the first entry: a hand that rushes through the target would be the
-    quickest.
-
-    Args:
-        distances: from hand to target, segment lengths, (steps + 1,).
-        tolerance: ε, segment lengths.
-        control_step: T, seconds.
+    T · min{k : d_j ≤ ε for every j ≥ k}, T the `control_step`: 0 for a hand that is there from the
+    start, NaN if the episode ends outside.  Not the first entry: a hand that rushes through the
+    target would be the quickest.  Other arguments as of `stays_within`.
 
     Example:
         >>> arrival_time([1.0, 0.0, 0.5, 0.04, 0.01], 0.05, 0.02)  # enters, leaves, settles
@@ -115,12 +107,8 @@ def success_5_percent(episode: Episode) -> float:
 
 
 def _success_with_dwell(episode: Episode, part_of_reach: float) -> float:
-    tolerance, steps = part_of_reach * episode.reach, _steps(DWELL, episode)
-    return float(stays_within(episode.distances, tolerance, steps))
-
-
-def _steps(seconds: float, episode: Episode) -> int:
-    return round(seconds / episode.control_step)
+    steps = round(DWELL / episode.control_step)
+    return float(stays_within(episode.distances, part_of_reach * episode.reach, steps))
 
 
 @measure(label="final distance", unit="lengths", best="low", decimals=3, shown=True)
@@ -129,7 +117,7 @@ def final_distance(episode: Episode) -> float:
     return float(episode.distances[-1])
 
 
-@measure(label="time to target", unit="s", best="low", decimals=2, shown=True, successes_only=True)
+@measure(label="time to target", unit="s", best="low", shown=True, successes_only=True)
 def time_to_target(episode: Episode) -> float:
     """Return the seconds until the hand is at the target to stay, see `arrival_time`.
 
@@ -138,7 +126,7 @@ def time_to_target(episode: Episode) -> float:
     return arrival_time(episode.distances, episode.tolerance, episode.control_step)
 
 
-@measure(label="settling at the target", unit="s", best="low", decimals=2, successes_only=True)
+@measure(label="settling at the target", unit="s", best="low", successes_only=True)
 def settling_time(episode: Episode) -> float:
     """Return the seconds from the first time that the hand is within ε until it stays there.
 
@@ -169,7 +157,7 @@ def jitter(episode: Episode) -> float:
     target that moves counts.  The radius, for a hand that circles.  In segment lengths; NaN unless
     the hand is at the target throughout.
     """
-    steps = _steps(REST, episode)
+    steps = round(REST / episode.control_step)
     if not stays_within(episode.distances, episode.tolerance, steps):
         return math.nan
     errors = (episode.seen_hands - episode.targets)[-steps - 1 :]

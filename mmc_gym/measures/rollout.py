@@ -9,7 +9,8 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from operator import attrgetter
 from typing import Any, TypeAlias
 
 import gymnasium as gym
@@ -26,23 +27,20 @@ from mmc_gym.measures.reaching import final_distance, success, time_to_target
 
 MAX_STEPS = 100_000
 
+# Attributes of an `Episode`, and the entries of info that they are; some have no cursor.
 _SEEN = {"hands": "end_effector", "distances": "distance", "targets": "target", "cursors": "cursor"}
-"""Attributes of an `Episode`, and the entries of info that they are; some have no cursor."""
-
 _REQUIRED = ("distance", "end_effector", "target")
 _EFFORT = ("servo_impulses", "servo_work")
 
 Env: TypeAlias = "gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]"
 Options: TypeAlias = Mapping[str, Any]
-_Start: TypeAlias = tuple[Any, Mapping[str, Any]]
 
 
 def episode_seeds(seed: int, episodes: int) -> list[int]:
     """Return one seed per episode: the first words of `numpy.random.SeedSequence(seed)`.
 
-    They depend on nothing else, so all agents get the same ones, and more episodes add to the
-    former.  (With seed, seed + 1, …, evaluations under neighbouring seeds would share nearly all
-    their episodes.)
+    More episodes add to the former.  (With seed, seed + 1, …, neighbouring seeds would share nearly
+    all their episodes.)
 
     Raises:
         UserError: if `episodes` is less than 1 or `seed` is negative.
@@ -68,15 +66,12 @@ def make_environment(env_id: str, **arguments: Any) -> gym.Env[Any, Any]:
 def check_environment(env: gym.Env[Any, Any]) -> None:
     """Raise a `UserError` unless `env`, wrapped or not, tells what the measures need."""
     _, info = env.reset(seed=0)
-    unwrapped = env.unwrapped
     missing = [f"info[{key!r}]" for key in _REQUIRED if key not in info]
-    if not hasattr(getattr(unwrapped, "parameters", None), "control_step"):
-        missing.append("env.unwrapped.parameters.control_step")
-    missing += [
-        f"env.unwrapped.{name}"
-        for name in ("success_distance", "reach")
-        if not hasattr(unwrapped, name)
-    ]
+    for name in ("parameters.control_step", "success_distance", "reach"):
+        try:
+            attrgetter(name)(env.unwrapped)
+        except AttributeError:
+            missing.append(f"env.unwrapped.{name}")
     if missing:
         name = env.spec.id if env.spec else str(env)
         raise UserError(
@@ -100,8 +95,7 @@ def run_episodes(
     depends on its own seed only.  PyTorch, if loaded, computes on one thread.
 
     Args:
-        agent: whose actions are taken.  In a vector environment it gets batches of observations,
-            and keeps what it remembers in the state that it returns.
+        agent: whose actions are taken; it keeps what it remembers in the state that it returns.
         env: a reaching environment that ends its episodes, single and wrapped or not; or a native
             vector environment with an arm for each seed.
         seeds: one per episode, see `episode_seeds`.
@@ -110,8 +104,8 @@ def run_episodes(
         records_effort: whether the arm records the effort of its servos, NaN if not.
 
     Returns:
-        The episodes, in the order of the seeds.  Those of a vector environment are the same as of a
-        single one, but for action times, which are NaN, and for agents that sample actions.
+        The episodes, in the order of the seeds.  A vector environment gives the same as a single
+        one, but for action times, which are NaN, and for agents that sample actions.
 
     Raises:
         UserError: if the environment does not tell what the measures need, or there are not as many
@@ -201,16 +195,16 @@ def _play(
     ]
 
 
-def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> _Start:
-    ((seed, option),) = zip(seeds, options, strict=True)
+def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> tuple[Any, Any]:
+    (seed,), (option,) = seeds, options
     # Not `seed` itself: the space would draw the very numbers that the environment draws for its
     # starting state, and the first random action would be the posture the arm is in.
     env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
-    observation, info = env.reset(seed=seed, options=dict(option))
-    return observation, info
+    start: tuple[Any, Any] = env.reset(seed=seed, options=dict(option))
+    return start
 
 
-def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> _Start:
+def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> tuple[Any, Any]:
     """Reset each arm with its own seed and options; those with the same options together."""
     alike: dict[str, list[int]] = {}
     for number, option in enumerate(options):
@@ -232,11 +226,10 @@ def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) 
 @contextmanager
 def _effort(arm: Any, records: bool) -> Iterator[None]:
     """Let an arm, or many, record the effort of their servos; what is no arm stays as it is."""
-    before = getattr(arm, "records_effort", None)
-    if before is None:
+    if not hasattr(arm, "records_effort"):
         yield
         return
-    arm.records_effort = records
+    before, arm.records_effort = arm.records_effort, records
     try:
         yield
     finally:
@@ -258,43 +251,25 @@ def _check_vector(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MM
     return native
 
 
-EVALUATION_SEED = 1_000_000  # far from the seeds that a comparison starts from
-
-
 def evaluate(
     make: Callable[[ReachInterface], Agent[Any]],
     env_id: str,
     arguments: Mapping[str, Any],
     episodes: int,
-    seed: int = EVALUATION_SEED,
+    seed: int = 1_000_000,  # far from the seeds that a comparison starts from
 ) -> dict[str, float]:
-    """Return how an agent does over fixed episodes, which are played at once.
-
-    Args:
-        make: makes the agent.
-        env_id: environment that it acts in.
-        arguments: of the environment.
-        episodes: how many.
-        seed: of the first episode; the others have the next ones.
+    """Return how an agent does over episodes of the seeds from `seed` on, played at once.
 
     Returns:
-        success: part of the episodes that end at the target.
-        final_distance: mean, segment lengths.
-        episode_return: mean.
-        time_at_target: part of the time that is spent at the target.
-        time_to_target: median over the successes, until the hand is there to stay, seconds; there
-            is none without a success.
+        Means of success, final_distance (segment lengths) and episode_return; time_at_target, a
+        share of the time; and time_to_target (seconds), the median over the successes if any.
 
     Raises:
         UserError: if the environment has no time limit.
     """
-    env = gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)
-    try:
-        agent = make(ReachInterface.of(env))
-        seeds = range(seed, seed + episodes)
+    with closing(gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)) as env:
+        agent, seeds = make(ReachInterface.of(env)), range(seed, seed + episodes)
         played = run_episodes(agent, env, seeds, records_effort=False)
-    finally:
-        env.close()
     # Summed step by step, as a training always did: the last bit of a mean depends on the order.
     returns = np.cumsum([one.rewards for one in played], axis=-1)[:, -1]
     at_target = np.array([one.distances[1:] <= one.tolerance for one in played])
@@ -305,7 +280,7 @@ def evaluate(
         "time_at_target": float(at_target.sum(axis=-1, dtype=np.float64).mean())
         / at_target.shape[-1],
     }
-    times = [time_to_target(one) for one in played]
     if scores["success"] > 0.0:
+        times = [time_to_target(one) for one in played]
         scores["time_to_target"] = round(float(np.nanmedian(times)), 3)
     return scores

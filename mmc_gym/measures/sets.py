@@ -15,23 +15,14 @@ from mmc_gym.measures.catalogue import set_measure
 from mmc_gym.measures.episode import Episode, Floats
 from mmc_gym.measures.reaching import arrival_time, success
 
-SLOWEST = 0.05
-"""Share of the highest speed below which the curvature of a path is not defined well enough."""
+FITTS_WIDTHS = (0.02, 0.05, 0.1, 0.2)  # diameters of the target, segment lengths
 
-STILLEST = 0.01
-"""Speed below which a hand is at rest, whatever its highest speed is, segment lengths / s."""
-
-STRAIGHTEST = 0.1
-"""Curvature below which a path is straight, and has no power law, 1 / segment length."""
-
-FEWEST = 10
-"""Samples that a power law is fitted to at least."""
-
-FITTS_WIDTHS = (0.02, 0.05, 0.1, 0.2)
-"""Diameters of the target, segment lengths."""
-
-WARM_UP = 1.0
-"""Seconds in which a hand finds a moving target, and which the power law leaves out."""
+# The power law is fitted to samples of a path whose curvature can be told.
+WARM_UP = 1.0  # s in which a hand finds a moving target, left out
+SLOWEST = 0.05  # of the highest speed: slower samples are left out
+STILLEST = 0.01  # segment lengths / s: slower is at rest, whatever the highest speed is
+STRAIGHTEST = 0.1  # 1 / segment length: below, a path is straight
+FEWEST = 10  # samples
 
 
 class Line(NamedTuple):
@@ -128,15 +119,11 @@ def fitts_line(episodes: Sequence[Episode]) -> Line:
     groups = defaultdict(list)
     for episode in episodes:
         groups[round(float(episode.distances[0]), 3)].append(episode)
-    conditions = [
-        (
-            distance,
-            width,
-            float(np.mean([arrival_time(e.distances, width / 2, e.control_step) for e in group])),
-        )
-        for distance, group in groups.items()
-        for width in FITTS_WIDTHS
-    ]
+    conditions = []
+    for distance, group in groups.items():
+        for width in FITTS_WIDTHS:
+            times = [arrival_time(one.distances, width / 2, one.control_step) for one in group]
+            conditions.append((distance, width, float(np.mean(times))))
     return fitts_law(*np.transpose(conditions)) if conditions else NO_LINE
 
 
@@ -146,13 +133,13 @@ def fitts_slope(episodes: Sequence[Episode]) -> float:
     return fitts_line(episodes).slope
 
 
-@set_measure(environment="distances", label="Fitts' intercept", unit="s", decimals=2)
+@set_measure(environment="distances", label="Fitts' intercept", unit="s")
 def fitts_intercept(episodes: Sequence[Episode]) -> float:
     """Return a of the `fitts_line`."""
     return fitts_line(episodes).intercept
 
 
-@set_measure(environment="distances", label="Fitts' law explains", unit="fraction", decimals=2)
+@set_measure(environment="distances", label="Fitts' law explains", unit="fraction")
 def fitts_r_squared(episodes: Sequence[Episode]) -> float:
     """Return R² of the `fitts_line`."""
     return fitts_line(episodes).r_squared
@@ -204,7 +191,7 @@ def speed_curvature_exponent(episodes: Sequence[Episode]) -> float:
     return -power_line(episodes).slope
 
 
-@set_measure(environment="pursuit", label="power law explains", unit="fraction", decimals=2)
+@set_measure(environment="pursuit", label="power law explains", unit="fraction")
 def speed_curvature_r_squared(episodes: Sequence[Episode]) -> float:
     """Return R² of the `power_line`."""
     return power_line(episodes).r_squared

@@ -1,8 +1,7 @@
 """Measures of the speed profile of the hand: its shape and its smoothness.
 
 A profile (steps,) holds the hand's speed in each control step.  Shape and smoothness are those of
-the `moving_part`, from the first to the last step at 5 % of the peak speed or more.  That cuts a
-minimum-jerk movement of duration 1 at `MINIMUM_JERK_SPAN`, which changes its numbers:
+its `moving_part`.  That cuts minimum jerk at `MINIMUM_JERK_SPAN`, which changes its numbers:
 
                                 whole               its moving part
     peak / mean                 15/8 = 1.875        1.658
@@ -21,18 +20,17 @@ from mmc_gym.measures.catalogue import measure
 from mmc_gym.measures.episode import MOVING, Episode, Floats
 from mmc_gym.network.time_base import minimum_jerk
 
-PEAK_PROMINENCE = 0.05
-"""A smaller rise is no peak: the paper's figures count re-rises above 5 % of the peak velocity."""
+PEAK_PROMINENCE = 0.05  # of the highest speed, as in the paper's figures: less is no peak
 
 MINIMUM_JERK_SPAN = (
     (1 - math.sqrt(1 - math.sqrt(MOVING))) / 2,
     (1 + math.sqrt(1 - math.sqrt(MOVING))) / 2,
 )
-"""Phases between which a minimum-jerk movement has that share: 16 τ² (1 − τ)² ≥ `MOVING`."""
+"""Phases between which minimum jerk is faster than `MOVING` of its peak: 16 τ² (1 − τ)² ≥ 0.05."""
 
 SPARC_CUTOFF = 10.0  # Hz
 SPARC_THRESHOLD = 0.05
-SPARC_PADDING = 4
+SPARC_PADDING = 4  # 2⁴ times the next power of two
 
 
 def highest_speed(speeds: ArrayLike) -> float:
@@ -40,7 +38,7 @@ def highest_speed(speeds: ArrayLike) -> float:
     return float(np.max(np.asarray(speeds), initial=0.0))
 
 
-@measure(label="peak speed", unit="lengths/s", decimals=2, shown=True, successes_only=True)
+@measure(label="peak speed", unit="lengths/s", shown=True, successes_only=True)
 def peak_speed(episode: Episode) -> float:
     """Return the largest speed of the hand, segment lengths/s."""
     return highest_speed(episode.speeds)
@@ -56,7 +54,7 @@ def peakedness(speeds: ArrayLike) -> float:
     return highest / float(np.mean(np.asarray(speeds))) if highest > 0.0 else math.nan
 
 
-@measure(label="peak / mean speed", decimals=2, successes_only=True)
+@measure(label="peak / mean speed", successes_only=True)
 def peak_to_mean(episode: Episode) -> float:
     """Return the `peakedness` of the movement."""
     return peakedness(episode.movement_speeds)
@@ -78,9 +76,7 @@ def phase_of_peak(speeds: ArrayLike) -> float:
     return (int(profile.argmax()) + 0.5) / profile.size
 
 
-@measure(
-    label="time to peak speed", unit="of duration", decimals=2, shown=True, successes_only=True
-)
+@measure(label="time to peak speed", unit="of duration", shown=True, successes_only=True)
 def time_to_peak(episode: Episode) -> float:
     """Return the `phase_of_peak` of the movement."""
     return phase_of_peak(episode.movement_speeds)
@@ -89,10 +85,9 @@ def time_to_peak(episode: Episode) -> float:
 def count_peaks(speeds: ArrayLike) -> float:
     """Return the number of peaks in a profile that stand out by 5 % of the highest.
 
-    Standing out is prominence: how far the speed falls on both sides before it gets higher.  So
-    a second peak is a re-rise by 5 % of the peak speed, as in the published figures.  The profile
-    is taken to come from rest and go to rest, so a movement that is fastest in its first step has
-    a peak there.  A single smooth submovement has 1, a hand at rest 0.
+    Standing out is prominence: how far the speed falls on both sides before it gets higher.
+    Before and after the profile is rest, so a hand that is fastest in its first step has a peak
+    there.  A single smooth submovement has 1, a hand at rest 0.
 
     Source:
         Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
@@ -119,9 +114,8 @@ def velocity_peaks(episode: Episode) -> float:
 def second_rise(speeds: ArrayLike) -> float:
     """Return how far the speed rises again after its peak, as a share of the peak.
 
-    max_{k>j≥p} (s_k − s_j) / s_p, p the step of the peak s_p; 0 for a hand at rest.  Above 0.05 the
-    published figures speak of a second velocity peak.  `count_peaks` looks at both sides of the
-    peak, this at the return only.
+    max_{k>j≥p} (s_k − s_j) / s_p, p the step of the peak s_p; 0 for a hand at rest.  Unlike
+    `count_peaks` it does not look at what is before the peak.
 
     Example:
         >>> second_rise([0.2, 0.1, 1.0, 0.3, 0.5]), second_rise([0.2, 0.1, 1.0, 0.5, 0.3])
@@ -140,13 +134,12 @@ def correlation_with_minimum_jerk(
 ) -> float:
     """Return Pearson's correlation of a profile with minimum jerk of the same duration.
 
-    With the distances ξ(τ_k) − ξ(τ_{k−1}) that a minimum-jerk movement covers in each of n steps
-    between two phases.  1 for minimum jerk of any size, −1 at the least; NaN at constant speed.
+    With the distances ξ(τ_k) − ξ(τ_{k−1}) that minimum jerk covers in each of n steps between two
+    phases.  1 for minimum jerk of any size, −1 at the least; NaN at constant speed.
 
     Args:
         speeds: the profile, (steps,).
-        span: part of a minimum-jerk movement to compare with; for a `moving_part`
-            `MINIMUM_JERK_SPAN`.
+        span: phases to compare with; of a `moving_part` `MINIMUM_JERK_SPAN`.
 
     Source:
         Flash and Hogan (1985), J. Neurosci. 5(7), 1688–1703,
@@ -177,11 +170,8 @@ def difference_from_minimum_jerk(
     """Return the root mean square difference from minimum jerk, as a share of the mean speed.
 
     √(mean (s_k/s̄ − m_k/m̄)²), m minimum jerk of the same duration and distance, s̄ and m̄ the means.
-    0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.
-
-    Args:
-        speeds: the profile, (steps,).
-        span: as in `correlation_with_minimum_jerk`.
+    0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.  Arguments as of
+    `correlation_with_minimum_jerk`.
     """
     profile = np.asarray(speeds, dtype=np.float64)
     if profile.size < 3 or highest_speed(profile) == 0.0:
@@ -206,10 +196,9 @@ def spectral_arc_length(speeds: ArrayLike, control_step: float) -> float:
     """Return minus the length of the profile's spectrum, about −1.4 if smooth.
 
     −∫₀^{f_c} √((1/f_c)² + (dM̂/df)²) df, where M̂ is the magnitude of the profile's Fourier
-    transform over its largest, and f_c the highest frequency, up to 10 Hz, with M̂ ≥ 0.05.  The
-    transform is padded with zeros to 2⁴ times the next power of two.  Submovements, pauses and
-    tremor make it more negative, neither size nor duration of a movement does.  It hardly tells
-    an exponential decay from a bell: read it with `time_to_peak` and `peak_to_mean`.
+    transform (padded with zeros) over its largest, and f_c the highest frequency, up to 10 Hz,
+    with M̂ ≥ 0.05.  Submovements, pauses and tremor make it more negative, size and duration do
+    not.  It hardly tells an exponential decay from a bell: see `time_to_peak`, `peak_to_mean`.
 
     Args:
         speeds: the profile, (steps,), without the rest before and after it.
@@ -237,7 +226,7 @@ def spectral_arc_length(speeds: ArrayLike, control_step: float) -> float:
     return -float(np.hypot(1 / (selected.size - 1), np.diff(selected)).sum())
 
 
-@measure(label="smoothness", unit="SPARC", best="high", decimals=2, shown=True, successes_only=True)
+@measure(label="smoothness", unit="SPARC", best="high", shown=True, successes_only=True)
 def sparc(episode: Episode) -> float:
     """Return the `spectral_arc_length` of the movement."""
     return spectral_arc_length(episode.movement_speeds, episode.control_step)
@@ -247,13 +236,9 @@ def smoothness_by_jerk(speeds: ArrayLike) -> float:
     """Return minus the logarithm of a profile's jerk, freed of size and duration; high is smooth.
 
     −ln(D³/s_p² ∫₀^D (d²s/dt²)² dt), s_p the peak and D the duration; −ln 204.8 for minimum jerk.
-    The second derivative is that of differences over T, and stands for the whole of D: at 50 Hz
-    it sees nothing above 25 Hz, and what a controller does from one step to the next counts in
-    full.  For a bell of 35 samples it is 0.2 too high.  NaN for fewer than three steps, at rest,
-    and without any jerk.
-
-    Args:
-        speeds: the profile, (steps,), without the rest before and after it.
+    Differences over T stand for derivatives: what a controller does from one step to the next
+    counts in full, and a bell of 35 samples gets 0.2 too much.  NaN for fewer than three steps, at
+    rest, and without any jerk.
 
     Source:
         Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), see `spectral_arc_length`.
@@ -267,13 +252,7 @@ def smoothness_by_jerk(speeds: ArrayLike) -> float:
     return -math.log(jerk) if jerk > 0.0 else math.nan
 
 
-@measure(
-    label="smoothness",
-    unit="log dimensionless jerk",
-    best="high",
-    decimals=2,
-    successes_only=True,
-)
+@measure(label="smoothness", unit="log dimensionless jerk", best="high", successes_only=True)
 def log_dimensionless_jerk(episode: Episode) -> float:
     """Return the `smoothness_by_jerk` of the movement."""
     return smoothness_by_jerk(episode.movement_speeds)
