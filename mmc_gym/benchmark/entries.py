@@ -55,7 +55,7 @@ class Entry:
 
     @cached_property
     def agent(self) -> ResolvedAgent:
-        """The agent itself; a worker process finds it anew."""
+        """The agent itself; a worker process finds it anew, but knows its fingerprint."""
         return resolve(self.source)
 
     @cached_property
@@ -64,7 +64,7 @@ class Entry:
         return "" if self.is_reference else self.agent.fingerprint
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("label", "training_seed", "source")}
+        return {name: value for name, value in vars(self).items() if name != "agent"}
 
 
 def find_entries(names: Iterable[str]) -> list[Entry]:
@@ -163,12 +163,10 @@ def _read(text: str) -> _Named:
     if is_policy_path(text):  # its folders may have an = in their names
         label, has_label, source = text.partition("=")
         if Path(text).exists() or "/" in label or "\\" in label:
-            return _Named("", None, text)
+            has_label = ""
     if not has_label:
         return _Named("", None, text)
-    name, at, number = label.rpartition("@")
-    if not at:
-        name = label
+    name, at, number = label.rpartition("@") if "@" in label else (label, "", "")
     if not name:
         raise UserError(f"agents must have names, got {text!r}")
     if not at:

@@ -210,12 +210,11 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
         console.print(text_for(console, f"nothing to rank: {REFERENCE} is a hand without an arm"))
         return pd.DataFrame()
     made_of = cells_digest(folder)
-    not_played = [(one.key, one.reason) for one in manifest.not_played]
     episodes = read_episodes(folder)
     try:
-        ranking = rank_agents(episodes, [key for key, _ in not_played])
+        ranking = rank_agents(episodes, [one.key for one in manifest.not_played])
     except UserError as error:
-        raise UserError("; ".join([str(error), *reasons(not_played)])) from error
+        raise UserError("; ".join([str(error), *reasons(manifest.not_played)])) from error
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
     write_atomically(folder / _MADE_OF, json.dumps({"cells": made_of}))
     print_rows(console, [_cells(row) for row in ranking.to_dict("records")], left="agent")

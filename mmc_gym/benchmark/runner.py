@@ -29,6 +29,9 @@ from mmc_gym.agents.base import RandomAgent
 from mmc_gym.benchmark.entries import Entry, find_entries, make_for
 from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.store import (
+    EPISODES,
+    PATHS,
+    SETS,
     CellKey,
     Manifest,
     NotPlayed,
@@ -37,7 +40,6 @@ from mmc_gym.benchmark.store import (
     episodes_file,
     kept_cells,
     paths_file,
-    remove_cell,
     sets_file,
     update_manifest,
     write_cell,
@@ -79,7 +81,6 @@ class Cell:
         scenario: where it plays.
         episodes: how many, where the scenario does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
-        fingerprint: of the agent; it takes long to find.
         keeps_paths: whether its first paths are kept.
         measures: your own, which a worker does not know.
     """
@@ -88,7 +89,6 @@ class Cell:
     scenario: Scenario
     episodes: int
     seed: int
-    fingerprint: str = ""
     keeps_paths: bool = True
     measures: tuple[Measure | SetMeasure, ...] = ()
 
@@ -103,7 +103,7 @@ class Cell:
         return {
             "recording": RECORDING,
             "source": str(self.entry.source),
-            "fingerprint": self.fingerprint,
+            "fingerprint": self.entry.fingerprint,
             "environment": self.scenario.settings,
             "episodes": self.episodes,
             "seed": self.seed,
@@ -118,18 +118,14 @@ class Outcome:
     Attributes:
         status: "skipped" if the agent cannot act in the scenario, "failed" if it raised.
         reason: why it was skipped or failed.
-        episodes: content of its file of episodes; empty unless played.
-        paths: content of its file of paths; None if it keeps none.
-        sets: content of its file of set measures; None if the scenario has none.
+        files: its files, see `write_cell`; none unless played.
         facts: kept with it: wall_seconds, cpu_seconds, control (the meaning of actions), together
             (whether its episodes were played at once), has_paths, has_sets, software.
     """
 
     status: Literal["played", "skipped", "failed"]
     reason: str = ""
-    episodes: bytes = b""
-    paths: bytes | None = None
-    sets: bytes | None = None
+    files: Mapping[str, bytes] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -150,21 +146,22 @@ def run_cell(cell: Cell) -> Outcome:
         return Outcome("skipped", str(error))
     except (Exception, SystemExit) as error:
         return Outcome("failed", f"{type(error).__name__}: {error}")
-    paths = None
+    files = {}
     if cell.keeps_paths:
-        paths = paths_file(cell.key, recorded.episodes[:DRAWN], recorded.joint_count)
-    sets = sets_file(cell.key, recorded.episodes)
+        files[PATHS] = paths_file(cell.key, recorded.episodes[:DRAWN], recorded.joint_count)
+    if (sets := sets_file(cell.key, recorded.episodes)) is not None:
+        files[SETS] = sets
     facts = {
         "wall_seconds": round(time.perf_counter() - begin, 3),
         "cpu_seconds": round(time.process_time() - processor_begin, 3),
         "control": recorded.control,
         "together": recorded.together,
-        "has_paths": paths is not None,
-        "has_sets": sets is not None,
+        "has_paths": PATHS in files,
+        "has_sets": SETS in files,
         "software": software(),
     }
-    content = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
-    return Outcome("played", "", content, paths, sets, facts)
+    files[EPISODES] = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
+    return Outcome("played", "", files, facts)
 
 
 @cache
@@ -292,11 +289,9 @@ def benchmark(
     def keep(index: int, outcome: Outcome) -> None:
         nonlocal done
         key = missing[index].key
-        if (status := outcome.status) == "played":
-            write_cell(out, key, outcome.episodes, outcome.paths, outcome.sets)
-        else:
-            remove_cell(out, key)  # it may have been played before the agent changed
-            not_played[key] = NotPlayed.of(key, status, outcome.reason)
+        write_cell(out, key, outcome.files)  # or remove it, if it was played by a former agent
+        if outcome.status != "played":
+            not_played[key] = NotPlayed.of(key, outcome.status, outcome.reason)
         done += 1
         on_progress(Progress(done, len(cells), key, outcome))
 
@@ -336,7 +331,6 @@ def _cells(
             scenario=scenario,
             episodes=episodes,
             seed=seed,
-            fingerprint=one.fingerprint,
             keeps_paths=one.training_seed == first[one.label],
             measures=own_measures(),
         )
@@ -406,7 +400,7 @@ def _found(out: Path) -> dict[str, Any]:
     """
     versions, fingerprints = defaultdict(set), defaultdict(set)
     seconds: dict[str, dict[str, float]] = {"wall_seconds": {}, "cpu_seconds": {}}
-    for stem, settings, facts in kept_cells(out):
+    for stem, (settings, facts) in kept_cells(out).items():
         for name, one in facts["software"].items():
             versions[name].add(one)
         fingerprints[settings["source"]].add(settings["fingerprint"])

@@ -54,10 +54,11 @@ _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
 _BATCH = 250  # resamples at once: bounds the memory
 
 Better: TypeAlias = Literal["high", "low"]
-WeightedStatistic: TypeAlias = Callable[[Floats, Floats], Floats]
-"""Of sorted values (k,) and their weights in R resamples, (R, k): (R,)."""
+PooledStatistic: TypeAlias = Statistic | Literal["iqm"]
+"""Mean, median or interquartile mean of all episodes of an agent."""
 
 
+# Each takes sorted values (k,) and their weights in R resamples, (R, k), and returns (R,).
 def weighted_mean(values: Floats, weights: Floats) -> Floats:
     """Return Σ w x / Σ w."""
     with np.errstate(invalid="ignore"):
@@ -79,15 +80,14 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
     """
     if values.size == 0:
         return np.full(len(weights), np.nan)
-    low, high = 0.25, 0.75
     total = np.cumsum(weights, axis=-1)
     whole = total[:, -1:].copy()
-    inside = np.clip(total, low * whole, high * whole, out=total)
+    inside = np.clip(total, 0.25 * whole, 0.75 * whole, out=total)
     # Σ x_k (c_k − c_{k−1}) by parts, without another array of this size.
     steps = np.diff(values, append=0.0)
-    summed = -(inside @ steps) - values[0] * low * whole[:, 0]
+    summed = -(inside @ steps) - values[0] * 0.25 * whole[:, 0]
     with np.errstate(invalid="ignore"):
-        mean = summed / ((high - low) * whole[:, 0])
+        mean = summed / (0.5 * whole[:, 0])
     clipped: Floats = np.clip(mean, values[0], values[-1])  # rounding leads a hair beyond
     return clipped
 
@@ -106,23 +106,23 @@ def weighted_median(values: Floats, weights: Floats) -> Floats:
     return np.where(half[:, 0] > 0, middle, np.nan)
 
 
-StatisticLike: TypeAlias = Statistic | WeightedStatistic
-STATISTICS: dict[Statistic, WeightedStatistic] = {"mean": weighted_mean, "median": weighted_median}
-"""Statistics of many episodes by name."""
+_WEIGHTED: dict[PooledStatistic, Callable[[Floats, Floats], Floats]] = {
+    "mean": weighted_mean,
+    "median": weighted_median,
+    "iqm": weighted_iqm,
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of agents, (policies, instances) for each environment; NaN where there is none.
+    """Scores of agents in E environments; NaN where an episode has none.
 
     Attributes:
-        environments: their names, E of them.
-        instances: the number of instances in each.
+        instances: number of instances in each environment, E.
         values: by agent, E arrays (policies, instances), the instances in the order of their names.
         seeds: by agent, its number of training seeds; 0 for one policy without training.
     """
 
-    environments: tuple[str, ...]
     instances: tuple[int, ...]
     values: Mapping[str, tuple[Floats, ...]]
     seeds: Mapping[str, int]
@@ -184,7 +184,7 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
             for environment, columns in instances.items()
         )
         count[str(agent)] = 0 if policies == [_UNTRAINED] else len(policies)
-    return Scores(tuple(map(str, instances)), sizes, values, count)
+    return Scores(sizes, values, count)
 
 
 def draw(scores: Scores, resamples: int, seed: int) -> Draws:
@@ -219,9 +219,7 @@ class Estimate:
     """A statistic over training seeds and instances, with its 95 % interval.
 
     Attributes:
-        estimate: of the data themselves.
-        low: lower end of the interval.
-        high: upper end.
+        estimate: of the data themselves, in the interval from `low` to `high`.
         seeds: number of training seeds of the agent, or of each of two; 0 without training.
         instances: number of instances, the same for all agents.
         environments: in how many environments they are.
@@ -248,16 +246,7 @@ class Bootstrap:
     def of(
         cls, frame: pd.DataFrame, value: str = "value", resamples: int = RESAMPLES, seed: int = 0
     ) -> Bootstrap:
-        """Arrange a tidy frame, and draw.
-
-        Args:
-            frame: a row per episode, see `arrange`.
-            value: the column of the scores; episodes where it is NaN are left out.
-            resamples: how many.
-            seed: of the resampling.
-
-        Raises:
-            ValueError: if the agents have not met the same instances.
+        """Arrange a tidy frame, and draw; arguments and errors as in `arrange` and `draw`.
 
         Example:
             >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
@@ -269,25 +258,22 @@ class Bootstrap:
         scores = arrange(frame, value)
         return cls(scores, draw(scores, resamples, seed))
 
-    def estimate(self, agent: str, statistic: StatisticLike = weighted_iqm) -> Estimate:
+    def estimate(self, agent: str, statistic: PooledStatistic = "iqm") -> Estimate:
         """Estimate a statistic of an agent over its training seeds and all instances.
-
-        Args:
-            agent: its name.
-            statistic: "mean", "median", or a `WeightedStatistic` such as `weighted_iqm`.
 
         Raises:
             ValueError: if there is no such agent.
         """
         return self.summarize(self.distribution(agent, statistic), agent)
 
-    def difference(
-        self, agent: str, other: str, statistic: StatisticLike = weighted_mean
-    ) -> Estimate:
+    def difference(self, agent: str, other: str, statistic: PooledStatistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances.
 
         Both are resampled with the same instances, and each with its own training seeds.  For the
-        mean it is the mean of the differences at each instance.  Arguments as in `estimate`.
+        mean it is the mean of the differences at each instance.
+
+        Raises:
+            ValueError: if there is no such agent.
         """
         one, less = (self.distribution(name, statistic) for name in (agent, other))
         return self.summarize(one - less, agent, other)
@@ -296,12 +282,8 @@ class Bootstrap:
         """Estimate the probability that a policy of `agent` does better than one of `other`.
 
         Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of the
-        one and of the other, both at the same instance.  ½ for an agent and its copy.
-
-        Args:
-            agent: its name.
-            other: the other's name; where either score is NaN, the pair is left out.
-            better: whether "high" or "low" scores are better.
+        one and of the other, both at the same instance; a pair is left out where either score is
+        NaN.  ½ for an agent and its copy.
 
         Raises:
             ValueError: if there is no such agent.
@@ -337,24 +319,23 @@ class Bootstrap:
             A row per agent and τ: agent, threshold, and the fields of `Estimate`, seeds a number.
         """
         levels = np.asarray(thresholds, dtype=np.float64)
-        rows = []
+        column, rows = levels[:, None], []
         for agent, values in self.scores.values.items():
             shares = np.zeros((len(self.draws.instances[0]), levels.size))
             for table, instances in zip(values, self.draws.instances):
                 for policy, weight in zip(table, self.draws.policies[agent].T):
-                    column = levels[:, None]
                     beyond = policy > column if better == "high" else policy < column
                     above = instances @ beyond.T.astype(np.float64)
                     shares += weight[:, None] * above / (policy.size * len(table) * len(values))
-            for level, column in zip(levels.tolist(), shares.T):
-                found = vars(self.summarize(column, agent))
-                row = {"agent": agent, "threshold": level, **found, "seeds": found["seeds"][0]}
-                rows.append(row)
+            for level, share in zip(levels.tolist(), shares.T):
+                found = vars(self.summarize(share, agent))
+                rows.append(
+                    {"agent": agent, "threshold": level, **found, "seeds": found["seeds"][0]}
+                )
         return pd.DataFrame(rows)
 
-    def distribution(self, agent: str, statistic: StatisticLike) -> Floats:
+    def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
         """Return an agent's statistic in the data themselves and in all resamples, (R + 1,)."""
-        of = STATISTICS[statistic] if isinstance(statistic, str) else statistic
         tables, policies = self.scores.of(agent), self.draws.policies[agent]
         values = np.concatenate([table.ravel() for table in tables])
         order = np.argsort(values, kind="stable")
@@ -370,7 +351,7 @@ class Bootstrap:
             rows = slice(first, first + _BATCH)
             weights = np.take(equal[rows], instance, axis=1)
             weights *= np.take(policies[rows], policy, axis=1)
-            found.append(of(values[order], weights))
+            found.append(_WEIGHTED[statistic](values[order], weights))
         return np.concatenate(found)
 
     def summarize(self, distribution: Floats, *agents: str) -> Estimate:
@@ -382,7 +363,7 @@ class Bootstrap:
             high=high,
             seeds=tuple(self.scores.seeds[agent] for agent in agents),
             instances=sum(self.scores.instances),
-            environments=len(self.scores.environments),
+            environments=len(self.scores.instances),
             missing=sum(
                 int(np.isnan(table).sum())
                 for agent in dict.fromkeys(agents)
@@ -422,7 +403,7 @@ def bootstrap_interval(
     Args:
         values: one per episode; NaNs are left out and counted.
         statistic: "mean" or "median".
-        seed: of the resampling; the same seed gives the same interval.
+        seed: of the resampling.
         resamples: how many.
 
     Source:
@@ -432,15 +413,14 @@ def bootstrap_interval(
         >>> bootstrap_interval([2.0, 2.0, float("nan")], "mean")
         Interval(estimate=2.0, low=2.0, high=2.0, count=2, missing=1)
     """
-    sample = np.asarray(values, dtype=np.float64)
-    present = sample[~np.isnan(sample)]
-    count, missing = len(present), len(sample) - len(present)
+    present, missing = _present(values)
+    count = len(present)
     if count == 0:
         return Interval(math.nan, math.nan, math.nan, count, missing)
     estimate = float(np.mean(present) if statistic == "mean" else np.median(present))
     low, high = math.nan, math.nan
     if count > 1:
-        scores = Scores(("",), (count,), {"": (present[None],)}, {"": 0})
+        scores = Scores((count,), {"": (present[None],)}, {"": 0})
         found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
         low, high = _ends(found[1:])
     # A mean may be a rounding error beyond the values.
@@ -473,9 +453,8 @@ def success_interval(
         >>> found.estimate, found.low < 0.997, found.high
         (0.998, True, 1.0)
     """
-    sample = np.asarray(successes, dtype=np.float64)
-    present = sample[~np.isnan(sample)]
-    count, missing = len(present), len(sample) - len(present)
+    present, missing = _present(successes)
+    count = len(present)
     if count < 2:
         estimate = present.item() if count else math.nan
         return Interval(estimate, math.nan, math.nan, count, missing)
@@ -483,6 +462,13 @@ def success_interval(
     succeeded = np.random.default_rng((seed, _EPISODES)).binomial(seeds * episodes, present)
     low, high = _ends(succeeded.sum(axis=-1) / (count * episodes))
     return Interval(float(np.mean(present)), low, high, count, missing)
+
+
+def _present(values: ArrayLike) -> tuple[Floats, int]:
+    """Return the values that are not NaN, and how many are."""
+    sample = np.asarray(values, dtype=np.float64)
+    missing = np.isnan(sample)
+    return sample[~missing], int(missing.sum())
 
 
 def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
@@ -496,25 +482,23 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
     Returns:
         Columns agent, measure, unit, statistic, and the fields of `Interval`.
     """
-    rows = []
-    for agent, group in episodes.groupby("agent", sort=False):
-        for measure in measures:
-            values = group[measure.name].to_numpy(np.float64)
-            rows.append(
-                {
-                    "agent": agent,
-                    "measure": measure.name,
-                    "unit": measure.unit,
-                    "statistic": measure.statistic,
-                    **vars(bootstrap_interval(values, measure.statistic, seed)),
-                }
-            )
+    rows = [
+        {
+            "agent": agent,
+            "measure": measure.name,
+            "unit": measure.unit,
+            "statistic": measure.statistic,
+            **vars(bootstrap_interval(group[measure.name], measure.statistic, seed)),
+        }
+        for agent, group in episodes.groupby("agent", sort=False)
+        for measure in measures
+    ]
     return pd.DataFrame(rows)
 
 
 def _ends(resampled: Floats) -> tuple[float, float]:
     """Return the ends of the 95 % percentile interval; resamples with NaN are left out."""
-    present: Floats = resampled[~np.isnan(resampled)]
+    present, _ = _present(resampled)
     if not present.size:
         return math.nan, math.nan
     tail = (1 - CONFIDENCE) / 2

@@ -17,7 +17,8 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -43,7 +44,7 @@ _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
 
 
 class CellKey(NamedTuple):
-    """The name of a cell; the training seed is None if the agent was not trained."""
+    """Name of a cell; the training seed is None if the agent was not trained."""
 
     agent: str
     training_seed: int | None
@@ -171,7 +172,9 @@ def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
     }
 
 
-class _Kept(NamedTuple):
+class Kept(NamedTuple):
+    """What a cell was made with, and what else is kept about it, see `episodes_file`."""
+
     settings: dict[str, Any]
     facts: dict[str, Any]
 
@@ -212,53 +215,51 @@ def _read(path: Path) -> pa.Table:
         raise UserError(f"{path} is damaged, and is made anew by the benchmark: {error}") from error
 
 
-def _kept(schema: pa.Schema) -> _Kept:
+def _kept(schema: pa.Schema) -> Kept:
     metadata = schema.metadata or {}
     content = metadata.get(_CONTENT, b"").decode()
     if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
         raise ValueError("columns and metadata are not those that the benchmark has written")
-    return _Kept(**json.loads(content))
+    return Kept(**json.loads(content))
 
 
-def write_cell(
-    folder: Path, key: CellKey, episodes: bytes, paths: bytes | None, sets: bytes | None = None
-) -> None:
-    """Write a cell's files; that of its episodes, which says that it is there, is the last."""
-    for kind, content in ((PATHS, paths), (SETS, sets)):
-        if content is not None:
-            write_atomically(folder / kind / key.file_name, content)
-    write_atomically(folder / EPISODES / key.file_name, episodes)
+def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
+    """Write a cell's files, and remove what was there and is not written: all, without any.
 
-
-def remove_cell(folder: Path, key: CellKey) -> None:
-    """Remove a cell's files, if there are any."""
-    for kind in (EPISODES, PATHS, SETS):
-        (folder / kind / key.file_name).unlink(missing_ok=True)
+    Args:
+        folder: of the store.
+        key: of the cell.
+        files: content of its files of `EPISODES`, `PATHS` and `SETS`.
+    """
+    for kind in (PATHS, SETS, EPISODES):  # the last says that the cell is there
+        path = folder / kind / key.file_name
+        if kind in files:
+            write_atomically(path, files[kind])
+        else:
+            path.unlink(missing_ok=True)
 
 
 def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the facts kept about a cell; None if it is missing, damaged, or of other settings."""
     try:
-        table = _read(folder / EPISODES / key.file_name)
-        kept = _kept(table.schema)
-        fine = kept.settings == json.loads(json.dumps(settings))
-        fine &= MEASURES.keys() <= set(table.column_names)
+        schema = _read(folder / EPISODES / key.file_name).schema
+        kept = _kept(schema)
         for kind in (PATHS, SETS):
             if kept.facts.get(f"has_{kind}"):
                 _read(folder / kind / key.file_name)
     except (FileNotFoundError, UserError):
         return None
-    return kept.facts if fine else None
+    is_same = kept.settings == json.loads(json.dumps(settings))
+    return kept.facts if is_same and MEASURES.keys() <= set(schema.names) else None
 
 
-def kept_cells(folder: Path) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Yield the stem, the settings and the facts of each cell; damaged ones are passed over."""
+def kept_cells(folder: Path) -> dict[str, Kept]:
+    """Return what is kept about all cells, by the stem of their files, but of damaged ones."""
+    found = {}
     for path in _files(folder, EPISODES):
-        try:
-            kept = _kept(pq.read_schema(path))
-        except (OSError, pa.ArrowException, ValueError):
-            continue
-        yield path.stem, kept.settings, kept.facts
+        with suppress(OSError, pa.ArrowException, ValueError):
+            found[path.stem] = _kept(pq.read_schema(path))
+    return found
 
 
 def read_episodes(folder: Path | str) -> pd.DataFrame:
@@ -269,8 +270,7 @@ def read_episodes(folder: Path | str) -> pd.DataFrame:
     """
     frame = _read_all(Path(folder), EPISODES)
     if frame.empty:
-        not_played = [(one.key, one.reason) for one in read_manifest(folder).not_played]
-        why = "".join(f"; {line}" for line in reasons(not_played))
+        why = "".join(f"; {line}" for line in reasons(read_manifest(folder).not_played))
         raise UserError(f"folder must hold a benchmark's episodes, got {str(folder)!r}{why}")
     return frame
 
@@ -284,8 +284,9 @@ def read_paths(folder: Path | str) -> pd.DataFrame:
         UserError: if a file is damaged.
     """
     frame = _read_all(Path(folder), PATHS)
-    for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y") if len(frame) else ()):
-        frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
+    if len(frame):
+        for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
+            frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
     return frame
 
 
@@ -330,7 +331,7 @@ class _Strict(BaseModel):
 
 
 class Policy(_Strict):
-    """An agent as it was trained once, or without training: what it was made of, see `entries`."""
+    """A training of an agent, or the agent if it was not trained, and its source, see `Entry`."""
 
     training_seed: int | None
     source: str
@@ -347,7 +348,7 @@ class NotPlayed(_Strict):
 
     @classmethod
     def of(cls, key: CellKey, status: Literal["skipped", "failed"], reason: str) -> NotPlayed:
-        """Return what there is to say of a cell."""
+        """Return what is to be said of a cell."""
         return cls(**key._asdict(), status=status, reason=reason)
 
     @property
@@ -360,21 +361,19 @@ class Manifest(_Strict):
     """All that a store was made with.
 
     Attributes:
-        schema_version: of the store.
         episodes: in each environment whose trials are not numbered.
         seed: of the starts and targets.
         control_step: seconds.
         segment_lengths: of the arm that agents are told of.
         tolerance: distance that counts as reached, segment lengths.
         control: what actions mean, unless a policy has its own.
-        measures: facts of the measures of episodes, by name.
-        set_measures: of those of sets of episodes.
+        measures: facts of the measures of episodes by name, see `Quantity.facts`.
+        set_measures: facts of those of sets of episodes.
         environments: settings by name.
-        agents: their policies.
-        not_played: cells without episodes.
-        wall_seconds: that each cell took, by the stem of its files.
-        cpu_seconds: the same of the processor's time.
-        elapsed_seconds: of all runs, one after the other.
+        agents: policies by name.
+        wall_seconds: time that each cell took, by the stem of its files.
+        cpu_seconds: the processor's time for it.
+        elapsed_seconds: sum over all runs.
         reused: cells that the last run found already there.
         versions: of libraries, several of one separated by commas.
         changed: sources of agents whose cells are not all of the same weights or code.
@@ -400,11 +399,11 @@ class Manifest(_Strict):
     changed: list[str] = []
 
 
-def reasons(not_played: Iterable[tuple[CellKey, str]]) -> list[str]:
+def reasons(not_played: Iterable[NotPlayed]) -> list[str]:
     """Return a line for each agent and reason, with the environments that were not played."""
     groups: dict[tuple[str, str], dict[str, None]] = {}
-    for cell, reason in not_played:
-        groups.setdefault((cell.agent, reason), {})[cell.environment] = None
+    for cell in not_played:
+        groups.setdefault((cell.agent, cell.reason), {})[cell.environment] = None
     return [
         f"{agent} in {', '.join(environments)}: {reason}"
         for (agent, reason), environments in groups.items()
@@ -421,24 +420,18 @@ def read_manifest(folder: Path | str) -> Manifest:
     try:
         content = json.loads(path.read_bytes())
         version = content["schema_version"]
-        if version != SCHEMA_VERSION:
-            raise UserError(f"{path} must be of version {SCHEMA_VERSION}, got {version}")
-        return Manifest(**content)
     except FileNotFoundError as error:
         raise UserError(f"folder must hold a benchmark's store, got {str(folder)!r}") from error
-    except UserError:
-        raise
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path} is damaged: {error}") from error
+    if version != SCHEMA_VERSION:
+        raise UserError(f"{path} must be of version {SCHEMA_VERSION}, got {version}")
+    try:
+        return Manifest(**content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
         raise UserError(f"{path} is damaged: {where}: {first['msg']}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged: {error}") from error
-
-
-def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write the manifest of a store."""
-    write_atomically(folder / MANIFEST, manifest.model_dump_json(indent=1) + "\n")
 
 
 def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest]) -> Manifest:
@@ -446,8 +439,9 @@ def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest])
 
     Other benchmarks that go on in the same store wait meanwhile.
     """
+    path = folder / MANIFEST
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".lock"):  # released by death, too
-        manifest = update(read_manifest(folder) if (folder / MANIFEST).exists() else None)
-        write_manifest(folder, manifest)
+        manifest = update(read_manifest(folder) if path.exists() else None)
+        write_atomically(path, manifest.model_dump_json(indent=1) + "\n")
         return manifest

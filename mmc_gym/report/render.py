@@ -116,7 +116,7 @@ def context(estimates: Estimates) -> dict[str, Any]:
         "profiles": figures.profiles(estimates, look),
         "degradation": figures.degradation(estimates, look),
         "tables": {key: tables.score_table(estimates, key) for key in results.environments},
-        "not_played": reasons((one.key, one.reason) for one in results.manifest.not_played),
+        "not_played": reasons(results.manifest.not_played),
         "main": main,
         "resamples": estimates.resamples,
         "profile_resamples": figures.PROFILE_RESAMPLES,

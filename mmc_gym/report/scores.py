@@ -125,7 +125,7 @@ class EnvironmentScores:
     def _scores(self, tables: Mapping[str, Floats]) -> Scores:
         """Return the scores of a measure, from (policies, instances) by agent."""
         values = {agent: (table,) for agent, table in tables.items()}
-        return Scores(("",), (self._instances,), values, self._seeds)
+        return Scores((self._instances,), values, self._seeds)
 
 
 @dataclass(frozen=True)

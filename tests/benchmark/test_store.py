@@ -11,6 +11,8 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.store import (
+    EPISODES,
+    PATHS,
     CellKey,
     Manifest,
     cell_facts,
@@ -22,7 +24,6 @@ from mmc_gym.benchmark.store import (
     read_sets,
     update_manifest,
     write_cell,
-    write_manifest,
 )
 from mmc_gym.measures.catalogue import MEASURES
 
@@ -42,10 +43,16 @@ def episodes(make_episode):
     return make_episode(line, line[-1], joint_angles=joints, seed=7), away
 
 
+def write(folder, key, episodes, facts):
+    files = {EPISODES: episodes_file(key, episodes, SETTINGS, facts)}
+    if facts.get("has_paths"):
+        files[PATHS] = paths_file(key, episodes[:1], 3)
+    write_cell(folder, key, files)
+
+
 @pytest.fixture
 def store(episodes, tmp_path):
-    content = episodes_file(KEY, episodes, SETTINGS, FACTS)
-    write_cell(tmp_path, KEY, content, paths_file(KEY, episodes[:1], 3))
+    write(tmp_path, KEY, episodes, FACTS)
     return tmp_path
 
 
@@ -87,8 +94,7 @@ def test_paths_are_read_back(store, episodes):
 def test_a_cursor_is_read_back_beside_hands_without_one(store, make_episode):
     hands = np.linspace([0.0, 1.0], [2.0, 1.0], 5)
     turned = make_episode(hands, [2.0, 2.0], cursors=hands + 1.0)
-    key = KEY._replace(environment="rotation-30")
-    write_cell(store, key, episodes_file(key, [turned], {}, {}), paths_file(key, [turned], 3))
+    write(store, KEY._replace(environment="rotation-30"), [turned], FACTS)
     frame = read_paths(store).set_index("environment")
     away = frame[["cursor_x", "cursor_y"]].to_numpy() - frame[["hand_x", "hand_y"]].to_numpy()
     np.testing.assert_array_equal(away, np.repeat([0.0, 1.0], [41, 5])[:, None] * [1.0, 1.0])
@@ -96,9 +102,16 @@ def test_a_cursor_is_read_back_beside_hands_without_one(store, make_episode):
 
 def test_a_hand_without_an_arm_has_no_joint_angles(tmp_path, make_episode):
     hand = make_episode(np.zeros((5, 2)), [1.0, 0.0], joint_angles=np.zeros((5, 0)))
-    write_cell(tmp_path, KEY, episodes_file(KEY, [hand], {}, {}), paths_file(KEY, [hand], 3))
+    write(tmp_path, KEY, [hand], FACTS)
     frame = read_paths(tmp_path)
     assert frame[["joint_angle_1", "joint_angle_2", "joint_angle_3"]].isna().all(axis=None)
+
+
+def test_a_cell_that_is_written_again_or_removed_leaves_nothing_of_before(store, episodes):
+    write(store, KEY, episodes, {"has_paths": False})
+    assert read_paths(store).empty and len(read_episodes(store)) == 2
+    write_cell(store, KEY, {})
+    assert not list(store.glob("*/*.parquet"))
 
 
 def test_a_cell_is_known_by_its_settings(store):
@@ -131,19 +144,19 @@ def test_a_file_that_the_benchmark_has_not_made_is_no_cell(store):
 
 
 def test_file_names_are_different_and_safe():
-    names = (
+    names = [
         "a:b",
         "a-b",
         "A-b",
         "a--b",
         "a/b",
+        "a.b",
         ".a",
         "../a",
         "",
         "é",
         "minimum jerk (ideal)",
-        "a.b",
-    )
+    ]
     files = {CellKey(name, seed, "random").file_name for name in names for seed in (None, 0)}
     assert len({name.lower() for name in files}) == 2 * len(names)
     assert all("/" not in name and not name.startswith(".") for name in files)
@@ -170,7 +183,7 @@ def test_stores_that_are_none_are_refused(tmp_path):
     ],
 )
 def test_a_damaged_manifest_is_told(tmp_path, change, message):
-    write_manifest(tmp_path, MANIFEST)
+    update_manifest(tmp_path, lambda before: MANIFEST)
     assert read_manifest(tmp_path) == MANIFEST
     content = MANIFEST.model_dump() | (json.loads(f"{{{change}}}") if ":" in change else {})
     (tmp_path / "manifest.json").write_text(json.dumps(content) if ":" in change else change)
@@ -196,7 +209,7 @@ def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch
         others = {name: one for name, one in MEASURES.items() if name != "success"}
         earlier.setattr("mmc_gym.benchmark.store.MEASURES", others)
         old = KEY._replace(agent="old")
-        write_cell(store, old, episodes_file(old, episodes, SETTINGS, {}), None)
+        write(store, old, episodes, {})
     assert cell_facts(store, old, SETTINGS) is None
     read = read_episodes(store).groupby("agent")["success"].count()
     assert read.to_dict() == {"old": 0, "ppo": 2}

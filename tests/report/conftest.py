@@ -16,14 +16,16 @@ import pytest
 from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
 from mmc_gym.benchmark.store import (
+    EPISODES,
+    PATHS,
     CellKey,
     Manifest,
     NotPlayed,
     Policy,
     episodes_file,
     paths_file,
+    update_manifest,
     write_cell,
-    write_manifest,
 )
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
@@ -143,12 +145,14 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
         wall_seconds={"a cell": 60.0},
         versions={"mmc-gym": "0.1.0"},
     )
-    write_manifest(folder, manifest)
+    update_manifest(folder, lambda before: manifest)
 
 
 def write(folder, key, episodes, keeps_paths=True):
-    paths = paths_file(key, episodes[:12], 3) if keeps_paths else None
-    write_cell(folder, key, episodes_file(key, episodes, {}, {}), paths)
+    files = {EPISODES: episodes_file(key, episodes, {}, {})}
+    if keeps_paths:
+        files[PATHS] = paths_file(key, episodes[:12], 3)
+    write_cell(folder, key, files)
 
 
 def own_policy(folder, **changes):
