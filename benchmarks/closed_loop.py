@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -21,7 +22,7 @@ from rich.table import Table
 
 import mmc_gym  # registers the environments
 from mmc_gym.agents.base import Agent
-from mmc_gym.agents.closed_loop.agent import closed_loop_inverse_kinematics, closed_loop_mmc
+from mmc_gym.agents.closed_loop.agent import ClosedLoopInverseKinematicsAgent, closed_loop_mmc
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
@@ -140,9 +141,7 @@ def tuning(arguments: Arguments) -> Table:
     """Weights and rates of the feedback, by mean success and by what is lost where most is."""
     makers: dict[str, Callable[[ReachInterface, Loops], Agent[Any]]] = {
         "mmc": closed_loop_mmc,
-        "ik-dls": lambda told, loops: closed_loop_inverse_kinematics(
-            told, damped_least_squares, loops
-        ),
+        "ik-dls": partial(ClosedLoopInverseKinematicsAgent, solver=damped_least_squares),
     }
     table = Table(title=f"feedback, {len(TUNING_SET)} conditions")
     for heading in ("agent", "weight", "rate", "mean success %", "largest loss", "where"):

@@ -1,7 +1,6 @@
 """The base of all agents: the signature of `predict`, and the way from observation to action.
 
-An agent sees observations only.  `ReachInterface` says what it is told about the body: the segment
-lengths, and what actions mean.
+An agent sees observations only; `ReachInterface` is what it is told besides.
 """
 
 from __future__ import annotations
@@ -86,10 +85,6 @@ class InternalModelAgent(Agent[State]):
     def start(self, sensed: Sensed) -> State:
         """Return the state of internal models in the sensed postures."""
 
-    @abstractmethod
-    def batch_shape(self, state: State) -> tuple[int, ...]:
-        """Return the batch axes of a state."""
-
     def resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
         """Return the state to go on from: made anew where an episode starts.
 
@@ -98,7 +93,7 @@ class InternalModelAgent(Agent[State]):
         """
         if state is None:
             return self.start(sensed)
-        batch, of_state = sensed.joint_angles.shape[:-1], self.batch_shape(state)
+        batch, of_state = sensed.joint_angles.shape[:-1], batch_shape(state)
         if of_state != batch:
             raise UserError(
                 f"state must be that of as many arms as are observed, batch {batch}, got {of_state}"
@@ -106,15 +101,13 @@ class InternalModelAgent(Agent[State]):
         if episode_start is None or not np.any(episode_start):
             return state
         given = np.asarray(episode_start, dtype=bool)
+        if not batch and given.size == 1:
+            given = given.reshape(())
         try:
-            started = np.broadcast_to(
-                given if batch or given.size != 1 else given.reshape(()), batch
-            )
+            started = np.broadcast_to(given, batch)
         except ValueError as error:
-            raise UserError(
-                f"episode_start must be of shape {batch}, as the observations are, "
-                f"got {given.shape}"
-            ) from error
+            accepted = f"of shape {batch}, as the observations are"
+            raise UserError(f"episode_start must be {accepted}, got {given.shape}") from error
         return where(started, self.start(sensed), state)
 
 
@@ -139,14 +132,19 @@ class JointTargetAgent(InternalModelAgent[State]):
         return self.interface.act(joint_targets, sensed), state
 
 
-def where(condition: NDArray[np.bool_], yes: State, no: State) -> State:
-    """Return a state, from `yes` where a condition on the batch holds, else from `no`.
+# A state is an array with the batch in front, a network's state, or a named tuple of such.
 
-    Args:
-        condition: of the batch axes.
-        yes: an array with the batch in front, a network's state, or a named tuple of such.
-        no: of the same kind.
-    """
+
+def batch_shape(state: Any) -> tuple[int, ...]:
+    """Return the batch axes of a state; of a named tuple, those of its first field."""
+    while isinstance(state, tuple):
+        state = state[0]
+    shape: tuple[int, ...] = state.batch_shape if isinstance(state, MMCState) else state.shape[:-1]
+    return shape
+
+
+def where(condition: NDArray[np.bool_], yes: State, no: State) -> State:
+    """Return a state, from `yes` where a condition on the batch axes holds, else from `no`."""
     return _where(condition, yes, no)  # type: ignore[no-any-return]
 
 

@@ -195,10 +195,6 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
         )
 
     @override
-    def batch_shape(self, state: MinimumJerkState) -> tuple[int, ...]:
-        return state.joint_angles.shape[:-1]
-
-    @override
     def advance(self, state: MinimumJerkState, sensed: Sensed) -> tuple[Floats, MinimumJerkState]:
         plan, lengths = state.plan, self.interface.segment_lengths
         movement = follow(state.movement, plan.position, sensed.target, self.interface.control_step)
@@ -264,10 +260,6 @@ class PassiveMotionAgent(JointTargetAgent[PassiveMotionState]):
         hand = hand_position(sensed.joint_angles, self.interface.segment_lengths)
         movement = begin(hand, sensed.target, self.interface.control_step)
         return PassiveMotionState(movement, sensed.joint_angles)
-
-    @override
-    def batch_shape(self, state: PassiveMotionState) -> tuple[int, ...]:
-        return state.joint_angles.shape[:-1]
 
     @override
     def advance(

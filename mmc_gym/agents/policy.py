@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.resources import files
 from itertools import pairwise
@@ -28,12 +28,11 @@ from typing_extensions import Self, override
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent
+from mmc_gym.agents.base import Agent, Started
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
 from mmc_gym.interface import CannotActError, Control, ControlError, Observation, ReachInterface
-from mmc_gym.network import EuclideanNormalizer
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
@@ -72,16 +71,11 @@ class PolicyCard:
 
     Attributes:
         name: of the hyperparameters, such as "ppo".
-        algorithm: what it was trained by.
         env_id: the environment that it was trained in.
-        control: the meaning of its actions.
-        segment_count: joints of its arm.
         view: what it sees, see `views`.
-        activation: of the network, see `PolicyNetwork`.
-        distribution: of its actions, see `PolicyNetwork`.
+        activation: of the network, see `PolicyNetwork`; `distribution` likewise.
         base_agent: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none.
         hyperparameters: as in the YAML file.
-        seed: of the training.
         training_steps: environment steps.
         training_seconds: wall time.
         training_cpu_seconds: time of all cores, of this process alone.
@@ -131,20 +125,13 @@ class PolicyCard:
         return file_stem(self.name, self.seed)
 
 
-def policy_files(network: PolicyNetwork, card: PolicyCard) -> dict[str, bytes]:
-    """Return the contents of a policy's two files by their names."""
-    weights = safetensors.numpy.save(dict(network.tensors))
-    description = {**asdict(card), "sha256": hashlib.sha256(weights).hexdigest()}
-    return {
-        f"{card.file_stem}.safetensors": weights,
-        f"{card.file_stem}.json": (json.dumps(description, indent=1) + "\n").encode(),
-    }
-
-
 def save_policy(network: PolicyNetwork, card: PolicyCard, folder: Path) -> None:
     """Write the policy's two files, named after it and its seed, into `folder`."""
-    for name, content in policy_files(network, card).items():
-        write_atomically(folder / name, content)
+    weights = safetensors.numpy.save(network.tensors)
+    description = {**asdict(card), "sha256": hashlib.sha256(weights).hexdigest()}
+    text = json.dumps(description, indent=1) + "\n"
+    write_atomically(folder / f"{card.file_stem}.safetensors", weights)
+    write_atomically(folder / f"{card.file_stem}.json", text.encode())
 
 
 def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
@@ -166,7 +153,7 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
     text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
     try:
-        card = _read_card(text)
+        card = TypeAdapter(PolicyCard).validate_json(text)
         if hashlib.sha256(weights).hexdigest() != card.sha256:
             raise ValueError("its weights are not those of its card")
         tensors = safetensors.numpy.load(weights)
@@ -178,15 +165,9 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
                 f"its card says {card.segment_count} joints, its weights {network.action_size}"
             )
     except (ValueError, SafetensorError) as error:
-        raise UserError(f"{path.with_suffix('')} does not hold a policy: {error}") from error
+        reason = f"its card: {explain(error)}" if isinstance(error, ValidationError) else error
+        raise UserError(f"{path.with_suffix('')} does not hold a policy: {reason}") from error
     return network, card
-
-
-def _read_card(text: bytes) -> PolicyCard:
-    try:
-        return TypeAdapter(PolicyCard).validate_json(text)
-    except ValidationError as error:
-        raise ValueError(f"its card: {explain(error)}") from error
 
 
 class PolicyAgent(Agent[Any]):
@@ -236,7 +217,7 @@ class PolicyAgent(Agent[Any]):
         self._interface = interface
         self._convert = not same
         self._random = np.random.default_rng(seed)
-        self._layout, self._shape = layout, (layout.size,)
+        self._shape = (layout.size,)
         self._base = None
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
@@ -246,18 +227,19 @@ class PolicyAgent(Agent[Any]):
         self,
         observation: Observation,
         state: Any = None,
-        episode_start: Sequence[bool] | NDArray[np.bool_] | None = None,
+        episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], Any]:
         if not isinstance(observation, np.ndarray) or observation.shape[-1:] != self._shape:
             observation = self._interface.checked(observation)
-        seen = features(np, self.card.view, observation, self._layout)
+        layout = self._interface.layout
+        seen = features(np, self.card.view, observation, layout)
         seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random
         if self._base is None:
             action = self._network.act(seen, random)
             if self.card.view == "target":
-                action = turned_actions(np, action, observation, self._layout)
+                action = turned_actions(np, action, observation, layout)
                 action = action.astype(np.float32, copy=False)  # goals are float64
         else:
             proposal, state = self._base.predict(observation, state, episode_start)
@@ -266,15 +248,15 @@ class PolicyAgent(Agent[Any]):
         if self._convert:
             sensed = self._interface.sense(observation)
             ahead = self._interface.max_joint_delta * action
-            joint_targets = self._interface.within_limits_from(
-                sensed.joint_angles, sensed.joint_angles + ahead
+            now = sensed.joint_angles
+            action = self._interface.act(
+                self._interface.within_limits_from(now, now + ahead), sensed
             )
-            action = self._interface.act(joint_targets, sensed)
         return action, state
 
 
 BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {
-    "mmc": lambda interface: dynamic_mmc(interface, EuclideanNormalizer()),
+    "mmc": dynamic_mmc,
 }
 
 

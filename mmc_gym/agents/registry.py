@@ -16,7 +16,7 @@ import gymnasium as gym
 from mmc_gym.agents.base import Agent, RandomAgent
 from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
-    closed_loop_inverse_kinematics,
+    ClosedLoopInverseKinematicsAgent,
     closed_loop_mmc,
 )
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent
@@ -29,11 +29,11 @@ from mmc_gym.agents.ik.iterative import (
     null_space,
     pseudo_inverse,
 )
-from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm
+from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm, tuned_mmc
 from mmc_gym.agents.planners import MinimumJerkAgent, PassiveMotionAgent
 from mmc_gym.agents.views import VIEWS, View
 from mmc_gym.interface import Control, ReachInterface
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
+from mmc_gym.network import LearnedNormalizer
 from mmc_gym.network.chain import Floats
 
 Kind = Literal["yours", "network", "inverse kinematics", "planner", "learned", "baseline", "ideal"]
@@ -44,7 +44,7 @@ class Knowledge:
     """The kind of an agent, what it is told of its body and what it senses, in words for a table.
 
     Attributes:
-        kind: the sort of agent; "yours" for one that does not ship with the package.
+        kind: "yours" for one that does not ship with the package.
         lengths: whether it is told the segment lengths.
         actions: whether it is told what its actions do (the servo and its limits).
         senses: what it looks at, and when.
@@ -60,13 +60,7 @@ UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
 
 
 def learned_knowledge(view: View, base_agent: str = "", kind: Kind = "learned") -> Knowledge:
-    """Return what a trained policy is told and senses.
-
-    Args:
-        view: what it sees.
-        base_agent: the agent that it corrects; empty for none.
-        kind: "yours" for a policy that does not ship.
-    """
+    """Return what a trained policy is told and senses; empty `base_agent`: it corrects no other."""
     senses = f"{VIEWS[view]}, in every step"
     if not base_agent:
         unaware = "not told: had to learn"
@@ -93,17 +87,9 @@ class AgentEntry:
     control: Control | None = None
     training_seeds: int = 0
 
-    @property
-    def kind(self) -> Kind:
-        """The sort of agent."""
-        return self.knowledge.kind
-
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
         """Make it for an environment."""
         return self.build(ReachInterface.of(env))
-
-
-_LOOP = "posture, seen hand and target in every step"
 
 
 def _mmc(
@@ -112,39 +98,26 @@ def _mmc(
     return AgentEntry(description, build, Knowledge("network", **knowledge))
 
 
-def _closed_loop(name: str, description: str, *, adds: str = "", **knowledge: str) -> AgentEntry:
-    build = partial(closed_loop_mmc, loops=LOOPS[name])
+_LOOP = "posture, seen hand and target in every step"
+
+
+def _closed_loop(loops: str, description: str, *, adds: str = "", **knowledge: str) -> AgentEntry:
+    build = partial(closed_loop_mmc, loops=LOOPS[loops])
     return _mmc(description, build, senses=f"{_LOOP}{adds}", **knowledge)
-
-
-def _tuned_mmc(interface: ReachInterface) -> MMCAgent:
-    """Return the network of `mmc` with constants from `mmc-gym tune mmc`: 20 trials, 200,000 steps.
-
-    They bring 77.4 % of the time at the target, those of `mmc` 75.7 %.  d is just above
-    (N + 1) / 2, where the network no longer converges.
-    """
-    network = network_of_arm(
-        interface,
-        damping=0.547 * (len(interface.segment_lengths) + 1),
-        dynamics="paper",
-        velocity_damping=4.44,
-        velocity_decay=0.963,
-    )
-    return MMCAgent(interface, network, iterations_per_step=5)
 
 
 def _ik(
     description: str,
     solver: Callable[..., Floats],
-    iterations_per_step: int = 3,
     *,
+    iterations_per_step: int = 3,
     heeds_limits: bool = False,
 ) -> AgentEntry:
-    def build(interface: ReachInterface) -> InverseKinematicsAgent:
-        limited = partial(solver, joint_limits=interface.joint_limits) if heeds_limits else solver
-        return InverseKinematicsAgent(interface, limited, iterations_per_step, heeds_limits)
-
-    return AgentEntry(description, build, Knowledge("inverse kinematics"))
+    return AgentEntry(
+        description,
+        lambda told: InverseKinematicsAgent(told, solver, iterations_per_step, heeds_limits),
+        Knowledge("inverse kinematics"),
+    )
 
 
 def policy_agent(path: Path, interface: ReachInterface) -> Agent[Any]:
@@ -158,8 +131,8 @@ def policy_agent(path: Path, interface: ReachInterface) -> Agent[Any]:
 def _trained(
     name: str,
     description: str,
-    training_seeds: int,
     *,
+    training_seeds: int,
     control: Control = "joint_delta",
     view: View = "arm",
     base_agent: str = "",
@@ -179,10 +152,7 @@ def _trained(
 
 
 AGENTS: dict[str, AgentEntry] = {
-    "mmc": _mmc(
-        "dynamic MMC network, best setting",
-        lambda told: dynamic_mmc(told, EuclideanNormalizer()),
-    ),
+    "mmc": _mmc("dynamic MMC network, best setting", dynamic_mmc),
     "mmc-classical": _mmc(
         "classical MMC network with the paper's constants, one iteration per control step",
         lambda told: MMCAgent(told, network_of_arm(told)),
@@ -192,32 +162,41 @@ AGENTS: dict[str, AgentEntry] = {
         lambda told: dynamic_mmc(told, LearnedNormalizer.shipped()),
     ),
     "mmc-tuned": _mmc(
-        "as mmc, with constants tuned as those of the trained policies were", _tuned_mmc
+        "as mmc, with constants tuned as those of the trained policies were", tuned_mmc
     ),
     "ik-dls": _ik("inverse kinematics by damped least squares", damped_least_squares),
-    "ppo": _trained("ppo", "PPO of stable-baselines3", 10),
-    "sac": _trained("sac", "SAC of stable-baselines3", 5),
-    "tqc-her": _trained("tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", 5),
-    "ppo-residual": _trained(
-        "ppo-residual", "PPO on top of mmc: it corrects its actions", 5, base_agent="mmc"
+    "ppo": _trained("ppo", "PPO of stable-baselines3", training_seeds=10),
+    "sac": _trained("sac", "SAC of stable-baselines3", training_seeds=5),
+    "tqc-her": _trained(
+        "tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", training_seeds=5
     ),
-    "ppo-smooth": _trained("ppo-smooth", "PPO that is also rewarded for smoothness", 3),
+    "ppo-residual": _trained(
+        "ppo-residual",
+        "PPO on top of mmc: it corrects its actions",
+        training_seeds=5,
+        base_agent="mmc",
+    ),
+    "ppo-smooth": _trained(
+        "ppo-smooth", "PPO that is also rewarded for smoothness", training_seeds=3
+    ),
     "ppo-position": _trained(
         "ppo-position",
         "PPO whose actions are joint angles",
-        3,
+        training_seeds=3,
         control="joint_position",
         view="target",
     ),
     "ppo-torque": _trained(
-        "ppo-torque", "PPO whose actions are torques", 3, control="joint_torque"
+        "ppo-torque", "PPO whose actions are torques", training_seeds=3, control="joint_torque"
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
         lambda told: RandomAgent(len(told.segment_lengths)),
         Knowledge("baseline", "not told", "not told", "nothing"),
     ),
-    "ik-transpose": _ik("inverse kinematics by the Jacobian transpose", jacobian_transpose, 5),
+    "ik-transpose": _ik(
+        "inverse kinematics by the Jacobian transpose", jacobian_transpose, iterations_per_step=5
+    ),
     "ik-pinv": _ik("inverse kinematics by the truncated pseudo-inverse", pseudo_inverse),
     "ik-nullspace": _ik(
         "as ik-dls, with a comfortable posture in the null space", null_space, heeds_limits=True
@@ -231,7 +210,7 @@ AGENTS: dict[str, AgentEntry] = {
     "ik-closed-form": _ik(
         "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
         closed_form,
-        1,
+        iterations_per_step=1,
         heeds_limits=True,
     ),
     "mmc-bell": _mmc(
@@ -273,7 +252,11 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "ik-dls-feedback": AgentEntry(
         "as ik-dls, with the feedback of mmc-feedback",
-        lambda told: closed_loop_inverse_kinematics(told, damped_least_squares, LOOPS["feedback"]),
+        partial(
+            ClosedLoopInverseKinematicsAgent,
+            loops=LOOPS["feedback"],
+            solver=damped_least_squares,
+        ),
         Knowledge("inverse kinematics", senses=_LOOP),
     ),
 }

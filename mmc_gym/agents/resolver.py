@@ -99,20 +99,11 @@ class ResolvedAgent:
         return AGENTS.get(self.name)
 
     @property
-    def description(self) -> str:
-        """A line; empty if it does not ship with the package."""
-        return self.entry.description if self.entry else ""
-
-    @property
-    def kind(self) -> Kind:
-        """The sort of agent."""
-        return self.entry.kind if self.entry else "yours"
-
-    @property
     def knowledge(self) -> Knowledge:
         """Its kind, what it is told, and what it senses; of a policy, as its card has it."""
         if self.card is not None:
-            return learned_knowledge(self.card.view, self.card.base_agent, self.kind)
+            kind: Kind = "learned" if self.name else "yours"
+            return learned_knowledge(self.card.view, self.card.base_agent, kind)
         return self.entry.knowledge if self.entry else UNKNOWN
 
     @property

@@ -21,7 +21,7 @@ from mmc_gym._errors import UserError, require
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCAgent
-from mmc_gym.agents.closed_loop.observer import BodyObserver, Loops
+from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.benchmark.suite import find_scenarios
@@ -133,7 +133,7 @@ def make_network_agent(constants: Constants, interface: ReachInterface) -> Agent
     if "hand_rate" not in constants:
         return MMCAgent(interface, network, iterations)
     loops = Loops(constants["posture_weight"], constants["hand_rate"])
-    return ClosedLoopMMCAgent(BodyObserver(interface, loops), network, iterations)
+    return ClosedLoopMMCAgent(interface, loops, network, iterations)
 
 
 def judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mmc_gym import make_agent
 from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
-    closed_loop_inverse_kinematics,
+    ClosedLoopInverseKinematicsAgent,
     closed_loop_mmc,
 )
 from mmc_gym.agents.closed_loop.observer import Loops
@@ -73,7 +73,7 @@ def test_with_all_loops_open_it_is_mmc_bit_for_bit(perturbations, control):
 
 def test_inverse_kinematics_with_all_loops_open_is_ik_dls():
     env = gym.make("MMCReach-v0")
-    opened = closed_loop_inverse_kinematics(ReachInterface.of(env), damped_least_squares, Loops())
+    opened = ClosedLoopInverseKinematicsAgent(ReachInterface.of(env), Loops(), damped_least_squares)
     solver, (observation, _) = make_agent("ik-dls", env), env.reset(seed=0)
     state = same = None
     for _ in range(30):
@@ -197,9 +197,9 @@ def test_what_is_accepted():
     interface = ReachInterface.of(gym.make("MMCReach-v0"))
     with pytest.raises(ValueError, match="posture_weight must be finite and not negative"):
         Loops(posture_weight=-1.0)
-    with pytest.raises(ValueError, match="hand_rate must lie between 0 and 1, got 2"):
+    with pytest.raises(ValueError, match="hand_rate must be between 0 and 1, got 2"):
         Loops(hand_rate=2.0)
     with pytest.raises(ValueError, match=r"posture_weight must be less than N \+ 1 = 4, got 4"):
         closed_loop_mmc(interface, Loops(posture_weight=4.0))
     with pytest.raises(ValueError, match="loops must be feedback and delay alone"):
-        closed_loop_inverse_kinematics(interface, damped_least_squares, LOOPS["lock"])
+        ClosedLoopInverseKinematicsAgent(interface, LOOPS["lock"], damped_least_squares)

@@ -12,6 +12,7 @@ from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, resolve, resolver, shipped_seeds
 from mmc_gym.agents.policy import PRETRAINED, load_policy
+from mmc_gym.agents.registry import UNKNOWN
 from mmc_gym.interface import CannotActError
 
 OWN = """
@@ -46,8 +47,7 @@ def test_every_name_is_resolved_with_all_that_is_known_of_it(name):
     assert found.source == (f"{name}-0" if entry.training_seeds else name)
     assert found.training_seed == (0 if entry.training_seeds else None)
     assert found.knowledge == entry.knowledge  # of policies, as the card has it
-    assert found.description == entry.description
-    assert found.kind == entry.kind != "yours"
+    assert entry.knowledge.kind != "yours"
     assert entry.control == (found.card.control if found.card else None)
     assert shipped_seeds(name) == list(range(entry.training_seeds))
     assert len(found.fingerprint) == 64
@@ -67,7 +67,8 @@ def test_a_policy_is_resolved_by_its_path_whatever_that_is(folder, suffix):
     found = resolve(f"lr=0.001/mine.{suffix}")
     found.check()
     assert (found.label, found.source) == ("mine", f"lr=0.001/mine.{suffix}")
-    assert (found.name, found.kind, found.training_seed, found.entry) == ("", "yours", 3, None)
+    assert (found.name, found.training_seed, found.entry) == ("", 3, None)
+    assert found.knowledge.kind == "yours"
     assert found.knowledge.senses == AGENTS["ppo"].knowledge.senses
     assert found.fingerprint == resolve("ppo-3").fingerprint
     assert found.acts_on_batches
@@ -77,7 +78,7 @@ def test_a_policy_is_resolved_by_its_path_whatever_that_is(folder, suffix):
 def test_an_own_class_is_resolved_by_module_and_name(folder):
     found = resolve("my_agents:Still")
     assert (found.label, found.source, found.training_seed) == (*["my_agents:Still"] * 2, None)
-    assert (found.kind, found.knowledge.lengths, found.card) == ("yours", "unknown", None)
+    assert (found.knowledge, found.card) == (UNKNOWN, None)
     env = gym.make("MMCReach-v0")
     assert found.factory(env).size == make_agent("my_agents:Still", env).size == 3
     assert not found.acts_on_batches

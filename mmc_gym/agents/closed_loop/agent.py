@@ -23,13 +23,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import replace
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.closed_loop.observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
@@ -64,8 +64,6 @@ LOOPS: dict[str, Loops] = {
 Without feedback there is nothing that a delay could harm, so `delay` has feedback too.
 """
 
-Model = TypeVar("Model")
-
 
 class ClosedLoopState(NamedTuple):
     """State of an agent in closed loop: its internal model, and what it remembers of its body."""
@@ -74,33 +72,29 @@ class ClosedLoopState(NamedTuple):
     memory: Memory
 
 
-class ClosedLoopAgent(InternalModelAgent[ClosedLoopState], Generic[Model]):
+class ClosedLoopAgent(InternalModelAgent[ClosedLoopState]):
     """An agent whose internal model of the arm is corrected by what it observes."""
 
-    def __init__(self, observer: BodyObserver) -> None:
-        """Make an agent that observes its body by an observer.
+    def __init__(self, interface: ReachInterface, loops: Loops) -> None:
+        """Make an agent with these loops closed.
 
         Raises:
             CannotActError: under torque control, which has no servo to hand joint targets to.
         """
-        super().__init__(observer.interface)
-        self.observer = observer
+        super().__init__(interface)
+        self.observer = BodyObserver(interface, loops)
 
     @abstractmethod
-    def start_model(self, joint_angles: Floats) -> Model:
+    def start_model(self, joint_angles: Floats) -> Any:
         """Return internal models in these postures (..., N)."""
 
     @abstractmethod
-    def advance(self, model: Model, belief: Belief) -> tuple[Floats, Model]:
+    def advance(self, model: Any, belief: Belief) -> tuple[Floats, Any]:
         """Return joint targets (..., N) in radians, and the models after one control step."""
 
     @override
     def start(self, sensed: Sensed) -> ClosedLoopState:
         return ClosedLoopState(self.start_model(sensed.joint_angles), self.observer.start(sensed))
-
-    @override
-    def batch_shape(self, state: ClosedLoopState) -> tuple[int, ...]:
-        return state.memory.motion.expected.shape[:-1]
 
     @override
     def predict(
@@ -119,20 +113,30 @@ class ClosedLoopAgent(InternalModelAgent[ClosedLoopState], Generic[Model]):
         return self.interface.act(joint_targets, belief.sensed), ClosedLoopState(model, memory)
 
 
-class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
+class ClosedLoopMMCAgent(ClosedLoopAgent):
     """The dynamic MMC network in closed loop."""
 
     def __init__(
-        self, observer: BodyObserver, network: MMCNetwork, iterations_per_step: int = 1
+        self,
+        interface: ReachInterface,
+        loops: Loops,
+        network: MMCNetwork,
+        iterations_per_step: int = 1,
     ) -> None:
         """Make the agent.
 
         Args:
-            observer: of the body.
+            interface: of the environment.
+            loops: which are closed.
             network: the internal model, synchronous; of the environment's segment lengths.
             iterations_per_step: iterations of the network in a control step.
+
+        Raises:
+            UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
+                control.
         """
-        super().__init__(observer)
+        require(iterations_per_step >= 1, "iterations_per_step", iterations_per_step, "at least 1")
+        super().__init__(interface, loops)
         self.network, self.iterations_per_step = network, iterations_per_step
 
     @override
@@ -155,19 +159,24 @@ class ClosedLoopMMCAgent(ClosedLoopAgent[MMCState]):
         return model.joint_angles, model
 
 
-class ClosedLoopInverseKinematicsAgent(ClosedLoopAgent[Floats]):
+class ClosedLoopInverseKinematicsAgent(ClosedLoopAgent):
     """Inverse kinematics in closed loop: posture and hand are fed back, nothing is identified.
 
     Of a deviation, an iteration takes w/(N + 1) over into the internal posture, the share that it
     has in the mean of the network.
     """
 
-    def __init__(
-        self, observer: BodyObserver, solver: Solver, iterations_per_step: int = 1
-    ) -> None:
-        """Make the agent; solver and iterations are those of `InverseKinematicsAgent`."""
-        super().__init__(observer)
-        self.open_loop = InverseKinematicsAgent(observer.interface, solver, iterations_per_step)
+    def __init__(self, interface: ReachInterface, loops: Loops, solver: Solver) -> None:
+        """Make the agent, of three iterations of the solver per control step.
+
+        Raises:
+            UserError: for loops that only the network can close; as `CannotActError`, under torque
+                control.
+        """
+        if loops.identifies_lengths or loops.detects_locks:
+            raise UserError(f"loops must be feedback and delay alone, got {loops}")
+        super().__init__(interface, loops)
+        self.open_loop = InverseKinematicsAgent(interface, solver, iterations_per_step=3)
 
     @override
     def start_model(self, joint_angles: Floats) -> Floats:
@@ -185,33 +194,11 @@ class ClosedLoopInverseKinematicsAgent(ClosedLoopAgent[Floats]):
 def closed_loop_mmc(interface: ReachInterface, loops: Loops) -> ClosedLoopMMCAgent:
     """Return the network of `mmc` with some loops closed.
 
-    Args:
-        interface: of the environment.
-        loops: which are closed.
-
     Raises:
         UserError: if the weight of the posture is N + 1 or more; as `CannotActError`, under torque
-            control.
+            control, or for an arm of a single segment.
     """
-    most = len(interface.segment_lengths) + 1
-    damping = most - loops.posture_weight
-    if damping <= 0:
-        raise UserError(
-            f"posture_weight must be less than N + 1 = {most}, got {loops.posture_weight!r}"
-        )
-    network = network_of_arm(interface, damping=damping, dynamics="paper")
-    return ClosedLoopMMCAgent(BodyObserver(interface, loops), network, iterations_per_step=3)
-
-
-def closed_loop_inverse_kinematics(
-    interface: ReachInterface, solver: Solver, loops: Loops
-) -> ClosedLoopInverseKinematicsAgent:
-    """Return inverse kinematics of three iterations per control step, with feedback.
-
-    Raises:
-        UserError: for loops that only the network can close; as `CannotActError`, under torque
-            control.
-    """
-    if loops.identifies_lengths or loops.detects_locks:
-        raise UserError(f"loops must be feedback and delay alone, got {loops}")
-    return ClosedLoopInverseKinematicsAgent(BodyObserver(interface, loops), solver, 3)
+    weight, most = loops.posture_weight, len(interface.segment_lengths) + 1
+    require(weight < most, "posture_weight", weight, f"less than N + 1 = {most}")
+    network = network_of_arm(interface, damping=most - weight, dynamics="paper")
+    return ClosedLoopMMCAgent(interface, loops, network, iterations_per_step=3)

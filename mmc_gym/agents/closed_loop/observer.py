@@ -43,10 +43,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import require
 from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks, expected_turn
+from mmc_gym.agents.ik.agent import hand_position
 from mmc_gym.interface import ReachInterface, Sensed
-from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
+from mmc_gym.network.chain import Floats, wrap_angle
 
 
 @dataclass(frozen=True)
@@ -72,12 +73,9 @@ class Loops:
     detects_locks: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.posture_weight < np.inf:
-            raise UserError(
-                f"posture_weight must be finite and not negative, got {self.posture_weight!r}"
-            )
-        if not 0 <= self.hand_rate <= 1:
-            raise UserError(f"hand_rate must lie between 0 and 1, got {self.hand_rate!r}")
+        weight, rate = self.posture_weight, self.hand_rate
+        require(0 <= weight < np.inf, "posture_weight", weight, "finite and not negative")
+        require(0 <= rate <= 1, "hand_rate", rate, "between 0 and 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,22 +97,19 @@ class Belief:
     locked: NDArray[np.bool_] | None
 
 
-class Motion(NamedTuple):
-    """The expected posture, and the offset of the hand.
+class Memory(NamedTuple):
+    """The memory of an observer.
 
     Attributes:
         expected: posture by the servo model, radians, (..., N).
         offset: averaged difference between hand felt and hand seen, segment lengths, (..., 2).
+        delay: of the senses, and the commands that bridge it.
+        lengths: of the segments.
+        locks: of the joints.
     """
 
     expected: Floats
     offset: Floats
-
-
-class Memory(NamedTuple):
-    """The memory of an observer."""
-
-    motion: Motion
     delay: Delay
     lengths: Lengths
     locks: Locks
@@ -131,7 +126,8 @@ class BodyObserver:
         """Return the memory of arms that are seen for the first time."""
         joint_angles = sensed.joint_angles
         return Memory(
-            Motion(joint_angles, np.zeros_like(sensed.target)),
+            joint_angles,
+            np.zeros_like(sensed.target),
             Delay.unknown(joint_angles),
             Lengths.told(self.interface.segment_lengths, joint_angles.shape[:-1]),
             Locks.none(joint_angles),
@@ -140,7 +136,7 @@ class BodyObserver:
     def observe(self, memory: Memory, sensed: Sensed, hand: Floats) -> tuple[Belief, Memory]:
         """Return belief and memory after an observation of posture, target and hand (..., 2)."""
         interface, loops, told = self.interface, self.loops, self.interface.segment_lengths
-        (expected, offset), delay, lengths, locks = memory
+        expected, offset, delay, lengths, locks = memory
         seen = sensed.joint_angles
         steps = np.zeros(seen.shape[:-1], dtype=np.intp)
         if loops.bridges_delay:
@@ -157,7 +153,7 @@ class BodyObserver:
             lengths = lengths.observed(seen, hand, told)
             known = lengths.best(told)
         if loops.hand_rate:
-            felt = segments_from_joint_angles(seen, told if known is None else known).sum(axis=-2)
+            felt = hand_position(seen, told if known is None else known)
             offset = offset + loops.hand_rate * (felt - hand - offset)
         belief = Belief(
             Sensed(now, sensed.target),
@@ -166,13 +162,10 @@ class BodyObserver:
             known,
             locks.is_locked > 0 if loops.detects_locks else None,
         )
-        return belief, Memory(Motion(expected, offset), delay, lengths, locks)
+        return belief, Memory(expected, offset, delay, lengths, locks)
 
     def sent(self, memory: Memory, joint_targets: Floats) -> Memory:
         """Return the memory once the joints were sent to these targets (..., N)."""
-        expected = memory.motion.expected
-        expected = expected + expected_turn(self.interface, expected, joint_targets)
-        return memory._replace(
-            motion=memory.motion._replace(expected=expected),
-            delay=memory.delay.sent(joint_targets),
-        )
+        turn = expected_turn(self.interface, memory.expected, joint_targets)
+        delay = memory.delay.sent(joint_targets)
+        return memory._replace(expected=memory.expected + turn, delay=delay)

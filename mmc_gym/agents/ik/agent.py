@@ -15,12 +15,13 @@ prostheses, IEEE Trans. Man-Machine Systems 10, 47–53.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 from typing_extensions import override
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import require
 from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.interface import JointLimits, ReachInterface, Sensed
 from mmc_gym.network.chain import (
@@ -46,7 +47,7 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
     def __init__(
         self,
         interface: ReachInterface,
-        solver: Solver,
+        solver: Callable[..., Floats],
         iterations_per_step: int = 1,
         heeds_limits: bool = False,
     ) -> None:
@@ -54,30 +55,26 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
 
         Args:
             interface: of the environment.
-            solver: one iteration of the method.
+            solver: one iteration of the method, a `Solver`.
             iterations_per_step: iterations in a control step.
-            heeds_limits: whether the solver knows joint limits; otherwise its iterations end there.
+            heeds_limits: whether the solver takes `joint_limits`; if not, its iterations end there.
 
         Raises:
             UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
                 control, or if the solver is none for this number of segments.
         """
-        if iterations_per_step < 1:
-            raise UserError(f"iterations_per_step must be at least 1, got {iterations_per_step}")
+        require(iterations_per_step >= 1, "iterations_per_step", iterations_per_step, "at least 1")
         super().__init__(interface)
-        self.solver = solver
-        self._limits = None if heeds_limits else interface.joint_limits
+        limits = interface.joint_limits
+        self.solver = partial(solver, joint_limits=limits) if heeds_limits else solver
+        self._limits = None if heeds_limits else limits
         self.iterations_per_step = iterations_per_step
         lengths = interface.segment_lengths
-        solver(np.zeros(len(lengths)), np.array([sum(lengths), 0.0]), lengths)  # refuses here
+        self.solver(np.zeros(len(lengths)), np.array([sum(lengths), 0.0]), lengths)  # refuses here
 
     @override
     def start(self, sensed: Sensed) -> Floats:
         return sensed.joint_angles
-
-    @override
-    def batch_shape(self, state: Floats) -> tuple[int, ...]:
-        return state.shape[:-1]
 
     @override
     def advance(self, state: Floats, sensed: Sensed) -> tuple[Floats, Floats]:
@@ -128,7 +125,7 @@ def jacobian(
     return hand, -arm[..., 1], arm[..., 0]
 
 
-def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths) -> Floats:
+def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths | Floats) -> Floats:
     """Return where the hand is, segment lengths, (..., 2), for joint angles (..., N)."""
     hand: Floats = segments_from_joint_angles(joint_angles, segment_lengths).sum(axis=-2)
     return hand
