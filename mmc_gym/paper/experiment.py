@@ -1,8 +1,4 @@
-"""What an experiment is: a name, a description, and a function that gives a result.
-
-A result has rows for the table that sets published beside measured, figures, and the data behind
-them.
-"""
+"""Settings and result of an experiment: rows of published beside measured, figures, data."""
 
 from __future__ import annotations
 
@@ -28,23 +24,18 @@ Data: TypeAlias = "pd.DataFrame | Mapping[str, NDArray[np.generic]]"
 Part = TypeVar("Part")
 
 
-def _ignore(done: int, total: int) -> None:
-    pass
-
-
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the experiments, and whom they tell about progress.
+    """Settings of the experiments, and functions that take their reports.
 
     Attributes:
         quick: run a small part of each experiment, to see that everything works.
         seed: seed of everything random, not negative.
-        folder: where long work keeps its finished parts, to go on with after it was
-            interrupted; None keeps nothing.
+        folder: keeps the finished parts of long work, to go on from; None keeps nothing.
         jobs: number of processes for long work.
         version: version of the package; parts that another version kept are made anew.
-        on_progress: is called with (parts done, their total number).
-        on_note: is called with a line that the user should read.
+        on_progress: takes the number of parts done, and of all.
+        on_note: takes a line that the user should read.
 
     Raises:
         UserError: if the seed or the number of processes is out of range.
@@ -55,7 +46,7 @@ class Settings:
     folder: Path | None = None
     jobs: int = 1
     version: str = version("mmc-gym")
-    on_progress: Callable[[int, int], None] = _ignore
+    on_progress: Callable[[int, int], None] = lambda done, total: None
     on_note: Callable[[str], None] = warnings.warn
 
     def __post_init__(self) -> None:
@@ -78,10 +69,10 @@ class Row:
 
     Attributes:
         quantity: name of what was measured.
-        paper: value that the paper's text gives.
+        paper: value in the paper's text.
         data: value from the data published with the paper.
         ours: value measured here.
-        unit: of all three, empty for a plain number.
+        unit: of all three; empty for a plain number.
         note: anything a reader must know to compare them.
     """
 
@@ -108,37 +99,13 @@ class Result:
         rows: lines of the table, in order.
         figures: figures by file stem; each is written as PNG and as SVG.
         data: data by file stem; a frame is written as CSV, a mapping of arrays as npz.
-        points: findings on the points of `published.POINTS`, by number.
+        points: findings by number of a point of `published.POINTS`.
     """
 
     rows: Sequence[Row] = ()
     figures: Mapping[str, Captioned] = field(default_factory=dict)
     data: Mapping[str, Data] = field(default_factory=dict)
     points: Mapping[int, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """An experiment of the paper.
-
-    Attributes:
-        name: name on the command line, and of its folder.
-        description: one line.
-        function: makes the result; it writes nothing but its parts under `settings.folder`.
-    """
-
-    name: str
-    description: str
-    function: Callable[[Settings], Result]
-
-    def __call__(self, settings: Settings) -> Result:
-        """Run the experiment."""
-        return self.function(settings)
-
-
-def experiment(name: str, description: str) -> Callable[[Callable[[Settings], Result]], Experiment]:
-    """Turn a function that returns a result into an experiment (a decorator)."""
-    return lambda function: Experiment(name, description, function)
 
 
 def format_value(value: Value) -> str:
@@ -169,10 +136,8 @@ def over_runs(values: ArrayLike, digits: str = ".4f") -> str:
     ('0.0625', '0.0600 (0.0400 to 0.0900)')
     """
     values = np.asarray(values, dtype=np.float64)
-    mean = f"{values.mean():{digits}}"
-    if values.size == 1:
-        return mean
-    return f"{mean} ({values.min():{digits}} to {values.max():{digits}})"
+    extremes = f" ({values.min():{digits}} to {values.max():{digits}})" if values.size > 1 else ""
+    return f"{values.mean():{digits}}{extremes}"
 
 
 def how_many(networks: int) -> str:

@@ -1,8 +1,4 @@
-"""Figures of movements, and what the figures of all experiments share.
-
-A function that draws is decorated with `styled`; its panels come from `make_panels`, the look of
-a curve from `look`, and the legend of all panels from `add_legend`.
-"""
+"""Figures of movements, and the panels, curves and legends of the figures of all experiments."""
 
 from __future__ import annotations
 
@@ -16,7 +12,7 @@ from matplotlib.figure import Figure
 
 from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats, node_positions
-from mmc_gym.paper.protocol import Recording
+from mmc_gym.paper.protocol import EUCLIDEAN, Recording
 
 DISTANCE = "distance [of start to target]"
 VELOCITY = "velocity [of start to target / iteration]"
@@ -76,6 +72,37 @@ def _draw_course(axes: Axes, name: str, course: Floats, number: int) -> None:
         axes.plot(iterations, edge, linewidth=0.5, **look(number))
     axes.plot(iterations, mean, linewidth=1.5, label=name, **look(number))
     axes.set_xlim(0, iterations[-1])
+
+
+@styled
+def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figure:
+    """Draw mean final distances of each run, and mean ± deviation over the movements of all.
+
+    Args:
+        runs: final distances by architecture, (runs, movements).
+        reference: final distances with the Euclidean normalization, (movements,).
+    """
+    places = np.arange(len(runs))
+    means = np.array([of_runs.mean() for of_runs in runs.values()])
+    deviations = np.array([of_runs.std() for of_runs in runs.values()])
+    low, high = np.maximum(means - deviations, 0), means + deviations
+    figure, (axes,) = make_panels(1, max(0.5 * len(runs) + 1.2, 4.2), 3.1)
+    label = "± standard deviation over movements"
+    axes.fill_between(places, low, high, color=COLOURS[0], alpha=0.15, linewidth=0, label=label)
+    axes.plot(places, means, color=COLOURS[0], marker="o", markersize=4, label="mean")
+    for place, of_runs in zip(places, runs.values(), strict=True):
+        label = "" if place else "mean of one trained network"
+        at = np.full(len(of_runs), place)
+        axes.plot(at, of_runs.mean(axis=1), "_", color="black", markersize=7, label=label)
+    axes.axhline(float(reference.mean()), color=COLOURS[1], linestyle="--", label=EUCLIDEAN)
+    axes.set_xticks(places, list(runs), rotation=45, ha="right", rotation_mode="anchor")
+    axes.set(
+        xlabel="hidden units of the normalization network",
+        ylabel="distance after 100 iterations\n[of start to target]",
+        ylim=(0, 1.3 * float(high.max())),  # the legend stands above
+    )
+    axes.legend(frameon=False, ncols=2, loc="upper center")
+    return figure
 
 
 @styled

@@ -1,11 +1,9 @@
 """The paper's normalization networks: twelve architectures, five runs each, trained and kept.
 
-The runs of an architecture are trained together, as one batch of tensors, and architectures in
-as many processes as asked for.  Every finished architecture is a file of its own, named by its
-recipe and seed, so that interrupted work goes on where it was.
-
-Together, the runs of all twelve take 76 seconds of one core; one network at a time, the sixty
-take 349 (`python benchmarks/normalization_training.py`).
+The runs of an architecture are trained as one batch of tensors, architectures in as many processes
+as asked for.  Every finished one is a file, named by recipe and seed, so that interrupted work goes
+on where it was.  All twelve take 76 seconds of one core; the sixty networks one by one take 349
+(`python benchmarks/normalization_training.py`).
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,17 +38,14 @@ QUICK_ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (16,), (8, 8), (16, 16))
 QUICK_RUNS = 2
 QUICK_RECIPE = replace(PAPER, epochs=20)
 
-_MEASURES = ("training_mse", "validation_mse", "grid_mse", "angle_error")
 _NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest asks for
 _FEW_EPOCHS = 500  # take no longer than to start a process, and torch in it
 
 
-@dataclass(frozen=True, eq=False)
-class TrainedArchitecture:
+class TrainedArchitecture(NamedTuple):
     """All runs of one architecture.
 
     Attributes:
-        hidden_units: sizes of the hidden layers.
         normalizers: one per run.
         training_mse: on the training samples, (runs, epochs).
         validation_mse: on the validation samples, (runs, epochs).
@@ -58,7 +53,6 @@ class TrainedArchitecture:
         angle_error: mean absolute angle error at lengths 0.9 to 1.1, degrees, (runs,).
     """
 
-    hidden_units: Units
     normalizers: tuple[LearnedNormalizer, ...]
     training_mse: Floats
     validation_mse: Floats
@@ -79,8 +73,7 @@ def trained_architectures(
     """Return networks trained by the paper's recipe, from the settings' folder if they are there.
 
     Args:
-        settings: a quick run trains fewer architectures and runs, for fewer epochs; progress is
-            reported in epochs.
+        settings: a quick run trains fewer runs for fewer epochs; progress is told in epochs.
         architectures: hidden layer sizes; by default the paper's twelve, or a quick run's five.
         weight_decay: weight decay of the training; the paper's twelve have none.
 
@@ -137,16 +130,11 @@ class _Task:
 def _train(task: _Task, tick: Callable[[], None] = lambda: None) -> TrainedArchitecture:
     """Train one architecture, and measure it."""
     trained = train_normalizers(
-        task.hidden_units,
-        task.recipe,
-        task.runs,
-        task.seed,
-        progress=lambda done, total: tick(),
+        task.hidden_units, task.recipe, task.runs, task.seed, progress=lambda done, total: tick()
     )
     normalizers = tuple(run.normalizer for run in trained)
     angles = [angle_errors(normalizer, _NEAR_ONE, directions=720) for normalizer in normalizers]
     return TrainedArchitecture(
-        hidden_units=task.hidden_units,
         normalizers=normalizers,
         training_mse=np.stack([run.training_mse for run in trained]),
         validation_mse=np.stack([run.validation_mse for run in trained]),
@@ -156,10 +144,11 @@ def _train(task: _Task, tick: Callable[[], None] = lambda: None) -> TrainedArchi
 
 
 def _packed(trained: TrainedArchitecture, version: str) -> bytes:
-    arrays: dict[str, NDArray[Any]] = {name: getattr(trained, name) for name in _MEASURES}
-    for layer in range(len(trained.hidden_units) + 1):
-        arrays[f"weights_{layer}"] = np.stack([n.weights[layer] for n in trained.normalizers])
-        arrays[f"biases_{layer}"] = np.stack([n.biases[layer] for n in trained.normalizers])
+    arrays = trained._asdict()
+    normalizers = arrays.pop("normalizers")
+    for layer in range(len(normalizers[0].weights)):
+        arrays[f"weights_{layer}"] = np.stack([n.weights[layer] for n in normalizers])
+        arrays[f"biases_{layer}"] = np.stack([n.biases[layer] for n in normalizers])
     return pack_arrays(arrays | {"version": np.array(version)})
 
 
@@ -191,5 +180,5 @@ def _unpacked(task: _Task, arrays: dict[str, NDArray[Any]]) -> TrainedArchitectu
         )
         for run in range(task.runs)
     )
-    measures = {name: arrays[name] for name in _MEASURES}
-    return TrainedArchitecture(task.hidden_units, normalizers, **measures)
+    measures = {name: arrays[name] for name in TrainedArchitecture._fields[1:]}
+    return TrainedArchitecture(normalizers, **measures)

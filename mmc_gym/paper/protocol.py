@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from mmc_gym.measures import speed
 from mmc_gym.measures.reaching import largest_retreat
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.model import Dynamics, MMCNetwork, MMCState
+from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from mmc_gym.paper.experiment import Settings
 from mmc_gym.paper.networks import trained_architectures
-
-WARM_ITERATIONS: dict[Dynamics, int] = {"kinematic": 100, "paper": 40, "reference": 40}
 
 _ANGLES = np.arange(7) * (np.pi / 6)
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
@@ -124,24 +122,22 @@ def record_movements(
 
     Args:
         network: a network of three segments; the paper's have length 1.
-        iterations: recorded iterations.
-        warm_iterations: iterations of the warm movement; by default the paper's 100 for
-            kinematic and 40 for dynamic networks.
+        iterations: recorded iterations; the paper's are 100 for kinematic and 40 for dynamic
+            networks.
+        warm_iterations: iterations of the warm movement; by default as many.
         move: moves the network, in both movements.
 
     Raises:
         ValueError: if the network has not three segments.
 
-    >>> recording = record_movements(MMCNetwork(schedule="delayed"), iterations=40)
+    >>> recording = record_movements(MMCNetwork(schedule="delayed"))
     >>> recording.distance.shape, float(recording.distance.mean(axis=0)[-1].round(5))
-    ((420, 40), 0.09712)
+    ((420, 100), 0.02264)
     """
-    if warm_iterations is None:
-        warm_iterations = WARM_ITERATIONS[network.dynamics]
     start, target = TARGETS[PAIRS[:, 0]], TARGETS[PAIRS[:, 1]]
     # A movement's state depends on its first target alone: warm 21 networks, not 420.
     state = network.state_from_segments(STARTING_SEGMENTS)
-    warm, _ = move(network, state, TARGETS, warm_iterations)
+    warm, _ = move(network, state, TARGETS, warm_iterations or iterations)
     state = MMCState(np.ascontiguousarray(warm.values[..., PAIRS[:, 0]]), warm.segment_count)
     _, segments = move(network, state, target, iterations)
     return Recording(state.segments, np.moveaxis(segments, 0, -3), start, target)
@@ -231,24 +227,16 @@ def summarize_networks(
     normalizers: Mapping[str, Sequence[Normalizer]],
     iterations: int,
 ) -> pd.DataFrame:
-    """Run the 420 movements with every normalizer in every network, and summarize each.
-
-    Args:
-        settings: is told the progress.
-        networks: descriptions whose normalizer is replaced.
-        normalizers: all runs of each kind, by its name.
-        iterations: recorded iterations, and as many of the warm movement.
+    """Run the 420 movements with every run of every normalizer in every network.
 
     Returns:
-        A row per network, normalizer and run: dynamics, decay (not a number for kinematic
-        networks), schedule, normalizer, run, and the columns of `summarize`.
+        A row per network, normalizer and run: dynamics, decay (NaN for kinematic networks),
+        schedule, normalizer, run, and the columns of `summarize`.
     """
     runs = [(name, *run) for name, found in normalizers.items() for run in enumerate(found)]
     rows = []
     for network, (name, number, normalizer) in settings.tracked(list(product(networks, runs))):
-        recording = record_movements(
-            replace(network, normalizer=normalizer), iterations, iterations
-        )
+        recording = record_movements(replace(network, normalizer=normalizer), iterations)
         rows.append(
             {
                 "dynamics": network.dynamics,

@@ -6,21 +6,19 @@ Distances and velocities are normalized; the schedule is "delayed" unless one is
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from mmc_gym.network.model import Dynamics, Schedule
 
 MeanAndDeviation: TypeAlias = "tuple[float, float]"
 
 
-@dataclass(frozen=True)
-class PublishedErrors:
+class PublishedErrors(NamedTuple):
     """Published errors of an architecture; means and standard deviations are of five runs.
 
     Attributes:
-        validation: mean and deviation of the validation MSE after 400 epochs.
-        training: the same of the training MSE.
+        validation: validation MSE after 400 epochs.
+        training: training MSE after 400 epochs.
         angle_error: mean absolute angle error at lengths 0.9 to 1.1 of one network, degrees.
         text: validation MSE in the paper's text.
     """
@@ -48,61 +46,66 @@ NORMALIZATION_PUBLISHED: dict[str, PublishedErrors] = {
     "[32, 32]": PublishedErrors((0.00030, 0.00009), (0.00059, 0.00005), 0.56),
 }
 
-KINEMATIC_DISTANCES: dict[str, str] = {
-    "[2]": "0.2715 ± 0.2685",
-    "[4]": "0.4098 ± 0.3014",
-    "[8]": "0.3634 ± 0.2791",
-    "[16]": "0.0940 ± 0.1159",
-    "[32]": "0.1070 ± 0.0889",
-    "[64]": "0.0953 ± 0.1083",
-    "[128]": "0.1165 ± 0.1197",
-    "[2, 2]": "0.6151 ± 0.4262",
-    "[4, 4]": "0.2663 ± 0.3137",
-    "[8, 8]": "0.0696 ± 0.0735",
-    "[16, 16]": "0.0458 ± 0.0658",
-    "[32, 32]": "0.0806 ± 0.0901",
-    "Euclidean": "0.0226 ± 0.0320",
+KINEMATIC_PUBLISHED: dict[str, tuple[str, int]] = {
+    "[2]": ("0.2715 ± 0.2685", 279),
+    "[4]": ("0.4098 ± 0.3014", 395),
+    "[8]": ("0.3634 ± 0.2791", 392),
+    "[16]": ("0.0940 ± 0.1159", 135),
+    "[32]": ("0.1070 ± 0.0889", 157),
+    "[64]": ("0.0953 ± 0.1083", 122),
+    "[128]": ("0.1165 ± 0.1197", 172),
+    "[2, 2]": ("0.6151 ± 0.4262", 393),
+    "[4, 4]": ("0.2663 ± 0.3137", 302),
+    "[8, 8]": ("0.0696 ± 0.0735", 79),
+    "[16, 16]": ("0.0458 ± 0.0658", 30),
+    "[32, 32]": ("0.0806 ± 0.0901", 89),
+    "Euclidean": ("0.0226 ± 0.0320", 7),
 }
-"""Distance after 100 iterations in the published data: one trained network of each kind."""
-
-KINEMATIC_FAR: dict[str, int] = {
-    **{"[2]": 279, "[4]": 395, "[8]": 392, "[16]": 135, "[32]": 157, "[64]": 122, "[128]": 172},
-    **{"[2, 2]": 393, "[4, 4]": 302, "[8, 8]": 79, "[16, 16]": 30, "[32, 32]": 89, "Euclidean": 7},
-}
-"""Of those movements, the number that end above 0.1."""
+"""Distance after 100 iterations, one trained network of each kind; movements that end above 0.1."""
 
 KINEMATIC_COURSE: dict[int, float] = {10: 0.42478, 20: 0.22386, 40: 0.09712, 100: 0.02264}
 """Mean distance with the Euclidean normalization, by iteration."""
 
 
-@dataclass(frozen=True)
-class PublishedDynamics:
-    """Published results of one rule and decay (schedule "delayed")."""
+class PublishedDynamics(NamedTuple):
+    """Published results of one rule and decay (schedule "delayed").
+
+    Attributes:
+        distances: mean distance by iteration.
+        deviation: standard deviation of the distance after 40 iterations.
+        peak: height and iteration of the peak of the mean velocity.
+        overshoots: number of the 420 movements that overshoot.
+        second_peaks: number of those with a second velocity peak.
+        example: distance after 40 iterations of the example movement.
+        example_in_text: the same in the paper's text.
+    """
 
     distances: Mapping[int, float]
     deviation: float
     peak: str
     overshoots: int
     second_peaks: int
+    example: str
+    example_in_text: str | None = None
 
 
+CLASSICAL_PUBLISHED = PublishedDynamics(
+    {10: 0.405, 20: 0.213, 40: 0.0930}, 0.0856, "0.1082 at 2", 0, 16, "0.00977"
+)
 DYNAMIC_PUBLISHED: dict[tuple[Dynamics, float], PublishedDynamics] = {
     ("reference", 0.92): PublishedDynamics(
-        {10: 0.611, 20: 0.280, 40: 0.1412}, 0.1180, "0.0599 at 9", 34, 137
+        {10: 0.611, 20: 0.280, 40: 0.1412}, 0.1180, "0.0599 at 9", 34, 137, "0.0251", "0.025"
     ),
     ("reference", 1.0): PublishedDynamics(
-        {10: 0.523, 20: 0.224, 40: 0.0899}, 0.0830, "0.0820 at 9", 155, 247
+        {10: 0.523, 20: 0.224, 40: 0.0899}, 0.0830, "0.0820 at 9", 155, 247, "0.0300", "0.030"
     ),
     ("paper", 0.92): PublishedDynamics(
-        {10: 0.544, 20: 0.247, 40: 0.1253}, 0.1113, "0.0686 at 8", 37, 111
+        {10: 0.544, 20: 0.247, 40: 0.1253}, 0.1113, "0.0686 at 8", 37, 111, "0.0270"
     ),
     ("paper", 1.0): PublishedDynamics(
-        {10: 0.483, 20: 0.214, 40: 0.0921}, 0.0880, "0.0846 at 8", 122, 215
+        {10: 0.483, 20: 0.214, 40: 0.0921}, 0.0880, "0.0846 at 8", 122, 215, "0.0115"
     ),
 }
-CLASSICAL_PUBLISHED = PublishedDynamics(
-    {10: 0.405, 20: 0.213, 40: 0.0930}, 0.0856, "0.1082 at 2", 0, 16
-)
 DYNAMIC_EUCLIDEAN: dict[tuple[Dynamics, float, Schedule], dict[int, float]] = {
     ("reference", 0.92, "delayed"): {10: 0.59338, 20: 0.26474, 40: 0.12478},
     ("reference", 1.0, "delayed"): {10: 0.51373, 20: 0.22146, 40: 0.07740},
@@ -114,15 +117,8 @@ DYNAMIC_EUCLIDEAN: dict[tuple[Dynamics, float, Schedule], dict[int, float]] = {
 """Mean distances with the Euclidean normalization: no learned weights, so they must agree."""
 
 
-@dataclass(frozen=True)
-class Point:
-    """A statement of the paper and what its data give.
-
-    Attributes:
-        subject: what it is about.
-        paper: what the text says, and where.
-        data: what the published data give.
-    """
+class Point(NamedTuple):
+    """A subject, what the paper says of it and where, and what the published data give."""
 
     subject: str
     paper: str

@@ -17,7 +17,7 @@ import base64
 import json
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -31,14 +31,12 @@ from rich.text import Text
 from mmc_gym._console import encodable, make_console, print_shares, progress_bar
 from mmc_gym._errors import UserError
 from mmc_gym._files import check_folder, write_atomically
-from mmc_gym.paper.experiment import Experiment, Row, Settings, format_value, write_result
+from mmc_gym.paper.experiment import Result, Row, Settings, format_value, write_result
 from mmc_gym.paper.experiments import (
     accurate,
     bell_shaped,
-    dynamic,
-    example,
     forward_and_mixed,
-    kinematic,
+    movements,
     normalization,
     population,
 )
@@ -55,20 +53,40 @@ LEGEND = (
 )
 QUICK = "This is a quick run: a small part of each experiment, to see that everything works."
 
+
+class Experiment(NamedTuple):
+    """A description in one line, and a function that writes nothing but under `settings.folder`."""
+
+    description: str
+    run: Callable[[Settings], Result]
+
+
 EXPERIMENTS: Mapping[str, Experiment] = {
-    module.run.name: module.run
-    for module in (
-        normalization,
-        population,
-        accurate,
-        kinematic,
-        dynamic,
-        example,
-        bell_shaped,
-        forward_and_mixed,
-    )
+    "normalization": Experiment(
+        "errors of twelve normalization networks, five runs each", normalization.run
+    ),
+    "population": Experiment(
+        "hidden units of the normalization networks as a population code", population.run
+    ),
+    "accurate": Experiment(
+        "bettered: a normalization network that hardly turns a vector", accurate.run
+    ),
+    "kinematic": Experiment(
+        "420 movements of the kinematic network with every normalizer", movements.kinematic
+    ),
+    "dynamic": Experiment(
+        "420 movements of the dynamic network: rules, decays, schedules, normalizers",
+        movements.dynamic,
+    ),
+    "example": Experiment("the example movement, kinematic and dynamic", movements.example),
+    "bell-shaped": Experiment(
+        "bettered: a time base makes each movement bell-shaped", bell_shaped.run
+    ),
+    "forward-and-mixed": Experiment(
+        "forward and mixed tasks with the network of the inverse tasks", forward_and_mixed.run
+    ),
 }
-"""Experiments by name."""
+"""Experiments by name on the command line, which is that of their folder too."""
 
 # Columns of the tables, and their shares of a terminal's width.
 _COLUMNS = {"quantity": 12, "paper": 8, "its data": 8, "ours": 8, "note": 10}
@@ -143,9 +161,16 @@ def reproduce(
             jobs=(os.cpu_count() or 1) if jobs is None else jobs,
             on_note=lambda line: bar.console.print(Text(line), soft_wrap=True),
         )
-        for name, experiment in EXPERIMENTS.items():  # in this order, each once
-            wanted = not names or name in names
-            section = _section(experiment, folder / name, settings, bar, anew=wanted)
+        for name in EXPERIMENTS:  # in this order, each once
+            anew = not names or name in names
+            if not anew:
+                try:
+                    section = read_section(folder / name, settings)
+                except StaleResult as reason:
+                    settings.on_note(f"{reason} and is made anew")
+                    anew = True
+            if anew:
+                section = run_experiment(name, folder / name, settings, bar)
             if section:
                 sections[name] = section
     write_atomically(folder / "table.md", to_markdown(sections, quick))
@@ -154,31 +179,18 @@ def reproduce(
     return sections
 
 
-def _section(
-    experiment: Experiment, folder: Path, settings: Settings, bar: Progress, *, anew: bool
-) -> Section | None:
-    if not anew:
-        try:
-            return read_section(folder, settings)
-        except StaleResult as reason:
-            settings.on_note(f"{reason} and is made anew")
-    return run_experiment(experiment, folder, settings, bar)
-
-
-def run_experiment(
-    experiment: Experiment, folder: Path, settings: Settings, bar: Progress
-) -> Section:
+def run_experiment(name: str, folder: Path, settings: Settings, bar: Progress) -> Section:
     """Run one experiment, with a progress bar, and write its result into `folder`."""
     path = folder / "result.json"
     # Written again last: where it is, everything else is, and is of the same run.
     path.unlink(missing_ok=True)
     start = time.perf_counter()
-    task = bar.add_task(experiment.name, total=None)
+    task = bar.add_task(name, total=None)
 
     def report(done: int, total: int) -> None:
         bar.update(task, completed=done, total=total)
 
-    result = experiment(replace(settings, on_progress=report))
+    result = EXPERIMENTS[name].run(replace(settings, on_progress=report))
     bar.remove_task(task)
     write_result(result, folder)
     section = Section(
@@ -189,7 +201,7 @@ def run_experiment(
     )
     text = json.dumps(asdict(section), indent=1, ensure_ascii=False, default=float)
     write_atomically(path, text + "\n")
-    settings.on_note(f"{experiment.name}: {time.perf_counter() - start:.1f} s, in {folder}")
+    settings.on_note(f"{name}: {time.perf_counter() - start:.1f} s, in {folder}")
     return section
 
 

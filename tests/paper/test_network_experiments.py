@@ -63,7 +63,7 @@ def test_silent_units_are_counted_and_left_out():
     activations = np.cos(DIRECTIONS[:, None] - np.array([3.0, 1.0, 5.0])) * [1.0, 1e-6, 0.5]
     found = tuning(activations)
     np.testing.assert_allclose(found.preferred, [3, 5])
-    assert (found.silent, found.size, found.active.max()) == (1, 3, 2)
+    assert (len(found.width), found.size, found.active.max()) == (2, 3, 2)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import EuclideanNormalizer, MMCNetwork
-from mmc_gym.paper.experiments import dynamic, kinematic
+from mmc_gym.paper.experiments import movements
 from mmc_gym.paper.protocol import (
     EXAMPLE_TARGET,
     INNER,
@@ -64,7 +64,7 @@ def test_the_mean_distance_is_the_published_one(mover):
 
 
 def test_the_classical_network_has_the_published_peaks():
-    found = summarize(record_movements(MMCNetwork(schedule="delayed"), 40, 40))
+    found = summarize(record_movements(MMCNetwork(schedule="delayed"), 40))
     published = CLASSICAL_PUBLISHED
     assert found["overshoots"] == published.overshoots
     assert found["second_peaks"] == published.second_peaks
@@ -131,7 +131,7 @@ def test_a_movement_is_summarized_by_the_published_definitions(
 
 
 def test_running_longer_brings_the_classical_network_nearer():
-    course = kinematic.longer_course(EXACT)
+    course = movements.longer_course(EXACT)
     assert course[99] == pytest.approx(KINEMATIC_COURSE[100], abs=1e-5)
     assert course[-1] == pytest.approx(0.0028, abs=5e-5)
     assert (np.diff(course) < 0).all()
@@ -140,9 +140,9 @@ def test_running_longer_brings_the_classical_network_nearer():
 def test_without_decay_the_dynamic_network_catches_up_at_iteration_29():
     # Published for the learned normalizer; the exact one catches up earlier.
     classical, undecayed, decayed = (
-        record_runs(network, EXACT, 40, 40).distance.mean(axis=0)
-        for network in (dynamic.CLASSICAL, dynamic.UNDECAYED, dynamic.DYNAMIC)
+        record_runs(network, EXACT, 40).distance.mean(axis=0)
+        for network in (movements.CLASSICAL, movements.UNDECAYED, movements.DYNAMIC)
     )
-    assert dynamic.catching_up(classical, decayed) is None
-    found = dynamic.catching_up(classical, undecayed)
+    assert movements.catching_up(classical, decayed) is None
+    found = movements.catching_up(classical, undecayed)
     assert found is not None and found <= 29

@@ -13,16 +13,9 @@ from rich.console import Console
 
 from mmc_gym.cli import main
 from mmc_gym.paper import networks, run
-from mmc_gym.paper.experiment import (
-    Captioned,
-    Experiment,
-    Result,
-    Row,
-    Settings,
-    write_result,
-)
+from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, write_result
 from mmc_gym.paper.published import POINTS
-from mmc_gym.paper.run import EXPERIMENTS, print_report, reproduce
+from mmc_gym.paper.run import EXPERIMENTS, Experiment, print_report, reproduce
 
 
 def make_figure():
@@ -47,8 +40,8 @@ def run_second(settings):
 @pytest.fixture
 def two_experiments(monkeypatch):
     experiments = {
-        "first": Experiment("first", "one figure", run_first),
-        "second": Experiment("second", "no figure", run_second),
+        "first": Experiment("one figure", run_first),
+        "second": Experiment("no figure", run_second),
     }
     monkeypatch.setattr(run, "EXPERIMENTS", experiments)
     return experiments
@@ -109,7 +102,7 @@ def test_an_interrupted_experiment_is_not_in_the_table(two_experiments, tmp_path
     def interrupt(settings):
         raise KeyboardInterrupt
 
-    two_experiments["first"] = Experiment("first", "one figure", interrupt)
+    two_experiments["first"] = Experiment("one figure", interrupt)
     with pytest.raises(KeyboardInterrupt):
         reproduce(["first"], tmp_path)
     assert list(reproduce(["second"], tmp_path)) == ["second"]
@@ -204,9 +197,8 @@ def test_a_result_is_written_as_pictures_and_data_the_same_each_time(tmp_path):
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "one" / "table.csv"), frame)
 
 
-def test_every_experiment_is_listed_by_its_name_and_described_in_a_line():
-    for name, experiment in EXPERIMENTS.items():
-        assert experiment.name == name
+def test_every_experiment_is_described_in_a_line():
+    for experiment in EXPERIMENTS.values():
         assert len(experiment.description.splitlines()) == 1
 
 

@@ -18,20 +18,12 @@ from itertools import product
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import LearnedNormalizer
 from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
-from mmc_gym.paper.experiment import (
-    Captioned,
-    Result,
-    Row,
-    Settings,
-    experiment,
-    mean_and_deviation,
-)
+from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
 from mmc_gym.paper.figures import DISTANCE, VELOCITY, draw_courses, draw_profiles, draw_shares
 from mmc_gym.paper.protocol import (
     ACCURATE,
@@ -50,18 +42,11 @@ TIME_BASE = "time base (Euclidean)"
 CLASSICAL = "kinematic (Euclidean)"
 DYNAMIC = "dynamic (paper's recipe [16, 16]), decay 0.92"
 
+record_timed_movements = partial(record_movements, move=timed_trajectory)
+"""Runs the 420 movements, warm ones too, on a time base as long as the recording."""
+
 _SHOWN = (DYNAMIC, CLASSICAL, TIME_BASE, MINIMUM_JERK)
-_EXAMPLES = ((7, 10), (0, 8), (14, 18))  # pairs of targets: middle, inward out, stretched
-
-
-def record_timed_movements(network: MMCNetwork, iterations: int) -> Recording:
-    """Run the 420 movements on a time base, each as long as its recording; the warm one as well."""
-    return record_movements(network, iterations, iterations, move=timed_trajectory)
-
-
-def record_plain_movements(network: MMCNetwork, iterations: int) -> Recording:
-    """Run the 420 movements as the paper does, the warm one as long as the recording."""
-    return record_movements(network, iterations, iterations)
+_EXAMPLES = ([7, 10], [0, 8], [14, 18])  # pairs of targets: middle, inward out, stretched
 
 
 def minimum_jerk_movements(iterations: int) -> Recording:
@@ -79,7 +64,7 @@ def minimum_jerk_movements(iterations: int) -> Recording:
 def movers() -> dict[str, Callable[[int], Recording]]:
     """Return functions that make the 420 movements in a number of iterations, by name."""
     accurate, paper = LearnedNormalizer.shipped("accurate"), LearnedNormalizer.shipped("paper")
-    timed, plain = record_timed_movements, record_plain_movements
+    timed, plain = record_timed_movements, record_movements
     delayed = partial(MMCNetwork, schedule="delayed")
     dynamic = partial(delayed, dynamics="reference")
     return {
@@ -96,7 +81,6 @@ def movers() -> dict[str, Callable[[int], Recording]]:
     }
 
 
-@experiment("bell-shaped", "bettered: a time base makes each movement bell-shaped")
 def run(settings: Settings) -> Result:
     """Measure how bell-shaped the movements of all networks are."""
     makers = movers()
@@ -108,7 +92,12 @@ def run(settings: Settings) -> Result:
     shown = {name: recordings[name, ITERATIONS[0]] for name in _SHOWN}
     distances = {name: recording.distance for name, recording in shown.items()}
     velocities = {name: recording.velocity for name, recording in shown.items()}
-    examples = [PAIRS.tolist().index(list(pair)) for pair in _EXAMPLES]
+    examples = {
+        _label(movement): {name: profiles[movement] for name, profiles in velocities.items()}
+        for movement in (PAIRS.tolist().index(pair) for pair in _EXAMPLES)
+    }
+    labels = [_label(movement) for movement in range(len(PAIRS))]
+    correlations = {name: found[name, ITERATIONS[0]]["correlation"] for name in _SHOWN[:-1]}
     return Result(
         rows=[row for name in makers for row in _rows(name, found)],
         figures={
@@ -118,48 +107,35 @@ def run(settings: Settings) -> Result:
                 "paper's networks, the kinematic network on a time base, and minimum jerk.",
             ),
             "bell_shape_examples": Captioned(
-                draw_profiles(
-                    {
-                        _label(movement): {name: v[movement] for name, v in velocities.items()}
-                        for movement in examples
-                    }
-                ),
+                draw_profiles(examples),
                 "Velocity in three movements (radius and angle of start and target).",
             ),
             "bell_shape_correlation": Captioned(
-                draw_shares(
-                    {name: found[name, ITERATIONS[0]]["correlation"] for name in _SHOWN[:-1]},
-                    "correlation of velocity with minimum jerk",
-                ),
+                draw_shares(correlations, "correlation of velocity with minimum jerk"),
                 "Share of the 420 movements whose velocity profile has at most this correlation "
                 "with minimum jerk (40 iterations).",
             ),
         },
-        data={"bell_shape": _frame(found)},
+        data={
+            "bell_shape": pd.concat(
+                [
+                    pd.DataFrame(
+                        {"name": name, "iterations": iterations, "movement": labels, **columns}
+                    )
+                    for (name, iterations), columns in found.items()
+                ]
+            )
+        },
     )
 
 
-def _label(movement: int) -> str:
+def _label(movement: int | np.intp) -> str:
     """Return start and target of a movement by radius and angle, such as "1, 60° → 2, 120°"."""
     first, second = (f"{target // 7 + 1}, {target % 7 * 30}°" for target in PAIRS[movement])
     return f"{first} → {second}"
 
 
-_Found = Mapping[tuple[str, int], Mapping[str, Floats]]
-
-
-def _frame(found: _Found) -> pd.DataFrame:
-    """Return a row per mover, number of iterations, and movement."""
-    labels = [_label(movement) for movement in range(len(PAIRS))]
-    return pd.concat(
-        [
-            pd.DataFrame({"name": name, "iterations": iterations, "movement": labels, **columns})
-            for (name, iterations), columns in found.items()
-        ]
-    )
-
-
-def _rows(name: str, found: _Found) -> list[Row]:
+def _rows(name: str, found: Mapping[tuple[str, int], Mapping[str, Floats]]) -> list[Row]:
     """Return a row per measure, with 40 and 100 iterations side by side."""
     both = [found[name, iterations] for iterations in ITERATIONS]
     classical = [found[CLASSICAL, iterations]["final"] for iterations in ITERATIONS]
@@ -169,23 +145,17 @@ def _rows(name: str, found: _Found) -> list[Row]:
         ours = "; ".join(f"{iterations}: {value}" for iterations, value in sides)
         return Row(f"{name}: {quantity}", ours=ours, unit=unit, note=note)
 
+    def spread(quantity: str, column: str, digits: str, aim: str, unit: str = "") -> Row:
+        texts = []
+        for one in both:
+            low, median, high = np.nanpercentile(one[column], (5, 50, 95))
+            texts.append(f"{median:{digits}} ({low:{digits}} to {high:{digits}})")
+        return row(f"{quantity}, median (5 % to 95 %)", texts, unit, f"aim: {aim}")
+
     rows = [
-        row(
-            "correlation of velocity with minimum jerk, median (5 % to 95 %)",
-            [_spread(one["correlation"], ".3f") for one in both],
-            note="aim: 0.95 or more",
-        ),
-        row(
-            "peak over mean velocity, median (5 % to 95 %)",
-            [_spread(one["peak_to_mean"], ".2f") for one in both],
-            note="aim: 1.8 to 2.0",
-        ),
-        row(
-            "time to peak, median (5 % to 95 %)",
-            [_spread(one["time_to_peak"], ".2f") for one in both],
-            unit="of duration",
-            note="aim: 0.45 to 0.55",
-        ),
+        spread("correlation of velocity with minimum jerk", "correlation", ".3f", "0.95 or more"),
+        spread("peak over mean velocity", "peak_to_mean", ".2f", "1.8 to 2.0"),
+        spread("time to peak", "time_to_peak", ".2f", "0.45 to 0.55", "of duration"),
         row(
             "movements with a single velocity peak",
             [f"{100 * (one['velocity_peaks'] == 1).mean():.1f}" for one in both],
@@ -217,17 +187,8 @@ def _rows(name: str, found: _Found) -> list[Row]:
         rows.append(
             row(
                 "which have more velocity peaks (radius and angle)",
-                ["; ".join(_labels(one["velocity_peaks"] > 1)) for one in both],
+                ["; ".join(map(_label, np.flatnonzero(one["velocity_peaks"] > 1))) for one in both],
                 note="the arm folds or turns over, at the largest gain, and then rushes",
             )
         )
     return rows
-
-
-def _labels(chosen: NDArray[np.bool_]) -> list[str]:
-    return [_label(int(movement)) for movement in np.flatnonzero(chosen)]
-
-
-def _spread(values: Floats, digits: str) -> str:
-    low, median, high = np.nanpercentile(values, (5, 50, 95))
-    return f"{median:{digits}} ({low:{digits}} to {high:{digits}})"

@@ -33,7 +33,7 @@ from mmc_gym._plotting import COLOURS
 from mmc_gym.network.chain import Floats, Pair, chain_vectors, vector_pairs
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, experiment
+from mmc_gym.paper.experiment import Captioned, Result, Row, Settings
 from mmc_gym.paper.figures import add_legend, look, make_panels, styled
 from mmc_gym.paper.protocol import ACCURATE, EUCLIDEAN
 
@@ -99,7 +99,6 @@ _Found: TypeAlias = Mapping[tuple[str, str, str], Floats]
 """Errors by network, normalizer and task, (iterations, arms)."""
 
 
-@experiment("forward-and-mixed", "forward and mixed tasks with the network of the inverse tasks")
 def run(settings: Settings) -> Result:
     """Give every task to every network with every normalizer."""
     arms = ARMS // 10 if settings.quick else ARMS

@@ -29,14 +29,7 @@ from mmc_gym._plotting import COLOURS, LINES
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.fitting import PAPER
 from mmc_gym.network.normalizers import LearnedNormalizer
-from mmc_gym.paper.experiment import (
-    Captioned,
-    Result,
-    Row,
-    Settings,
-    experiment,
-    mean_and_deviation,
-)
+from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
 from mmc_gym.paper.figures import make_panels, styled
 from mmc_gym.paper.networks import QUICK_RECIPE, TrainedArchitecture, trained_architectures
 from mmc_gym.paper.published import NORMALIZATION_PUBLISHED, MeanAndDeviation
@@ -44,7 +37,6 @@ from mmc_gym.paper.published import NORMALIZATION_PUBLISHED, MeanAndDeviation
 _FIELDS = ("[8]", "[16]")
 
 
-@experiment("normalization", "errors of twelve normalization networks, five runs each")
 def run(settings: Settings) -> Result:
     """Train the networks, or read them, and compare their errors with the published ones."""
     trained = trained_architectures(settings)
@@ -167,14 +159,13 @@ def draw_errors(trained: Mapping[str, TrainedArchitecture]) -> Figure:
     finals = [found.validation_mse[:, -1] for found in trained.values()]
     ours = np.array([(final.mean(), final.std()) for final in finals])
     published = np.array([NORMALIZATION_PUBLISHED[name].validation for name in trained])
-    layers = np.array([len(found.hidden_units) for found in trained.values()])
+    deep = np.array(["," in name for name in trained])
     places = np.arange(len(trained))
     for place, final in enumerate(finals):
         axes.plot(np.full(len(final), place + 0.12), final, ".", color="0.65", markersize=4)
     filled: Any = {"color": COLOURS[0], "linestyle": "-", "marker": "o"}
     hollow: Any = {"color": COLOURS[1], "linestyle": "--", "marker": "s", "markerfacecolor": "w"}
-    for count in np.unique(layers):
-        group = layers == count
+    for group in (~deep, deep):
         _draw_series(axes, places[group] + 0.12, ours[group], **filled)
         _draw_series(axes, places[group] - 0.12, published[group], **hollow)
     axes.legend(axes.containers[:2], ["ours", "published"], frameon=False)

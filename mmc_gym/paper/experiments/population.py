@@ -21,8 +21,7 @@ are tuned to nothing, and are counted and left out.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -33,16 +32,9 @@ from numpy.typing import NDArray
 from mmc_gym._plotting import COLOURS, LINES, write_number
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
-from mmc_gym.paper.experiment import (
-    Captioned,
-    Result,
-    Row,
-    Settings,
-    experiment,
-    mean_and_deviation,
-)
+from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
 from mmc_gym.paper.figures import make_panels, styled
-from mmc_gym.paper.networks import TrainedArchitecture, Units, trained_architectures
+from mmc_gym.paper.networks import Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
 WEIGHT_DECAY = 0.0005
@@ -58,8 +50,7 @@ DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
 """Directions φ that the units are shown, radians, (720,)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Tuning:
+class Tuning(NamedTuple):
     """Tuning of the units of a layer that are not silent, by preferred direction.
 
     Attributes:
@@ -69,7 +60,7 @@ class Tuning:
         inside: True where h(φ) > (max h + min h)/2, (directions, units).
         active: number of units within their tuning width, by direction, (directions,).
         largest_gap: largest angle between neighbouring preferred directions, degrees.
-        silent: number of units that are left out, because they are silent.
+        size: number of units in the layer, silent ones too.
     """
 
     activations: Floats
@@ -78,12 +69,7 @@ class Tuning:
     inside: NDArray[np.bool_]
     active: NDArray[np.int_]
     largest_gap: float
-    silent: int
-
-    @property
-    def size(self) -> int:
-        """Number of units in the layer."""
-        return len(self.width) + self.silent
+    size: int
 
 
 def tuning(activations: Floats) -> Tuning:
@@ -112,7 +98,7 @@ def tuning(activations: Floats) -> Tuning:
         inside=inside,
         active=inside.sum(axis=1),
         largest_gap=float(np.degrees(gaps.max())),
-        silent=units - len(preferred),
+        size=units,
     )
 
 
@@ -122,7 +108,6 @@ def layer_tunings(normalizer: LearnedNormalizer) -> list[Tuning]:
     return [tuning(outputs) for outputs in normalizer.activations(vectors)[:-1]]
 
 
-@experiment("population", "hidden units of the normalization networks as a population code")
 def run(settings: Settings) -> Result:
     """Measure and draw the hidden units of the networks with 4, 8, and [8, 8] hidden units."""
     trained = trained_architectures(settings, ARCHITECTURES)
@@ -131,14 +116,21 @@ def run(settings: Settings) -> Result:
     for name, architecture in trained.items():
         runs = [layer_tunings(normalizer) for normalizer in architecture.normalizers]
         for number, of_runs in enumerate(zip(*runs, strict=True), start=1):
-            suffix = f", layer {number}" if len(architecture.hidden_units) > 1 else ""
+            suffix = f", layer {number}" if len(runs[0]) > 1 else ""
             layers[name + suffix] = of_runs
     shown = {name: first for name, (first, *_) in layers.items()}
     in_depth = ("[8]", f"{_PLAIN}, layer 2", f"{_DECAYED}, layer 2")
     return Result(
         rows=[
             *(row for name, of_runs in layers.items() for row in _rows(name, of_runs)),
-            *(_error_row(name, trained[name]) for name in (_PLAIN, _DECAYED)),
+            *(
+                Row(
+                    f"{name}: MSE over all directions and lengths in ]0, 2]",
+                    ours=mean_and_deviation(trained[name].grid_mse, 5),
+                    note=f"{len(trained[name].grid_mse)} runs; without the penalty",
+                )
+                for name in (_PLAIN, _DECAYED)
+            ),
         ],
         figures={
             "hidden_units": Captioned(
@@ -170,29 +162,18 @@ def run(settings: Settings) -> Result:
 
 
 def _frame(layers: Mapping[str, Sequence[Tuning]]) -> pd.DataFrame:
-    """Return a row per layer, run and unit."""
     return pd.concat(
-        [
-            pd.DataFrame(
-                {
-                    "units": name,
-                    "run": run,
-                    "unit": np.arange(len(found.width)) + 1,
-                    "preferred_direction_deg": np.degrees(found.preferred),
-                    "tuning_width_deg": found.width,
-                }
-            )
-            for name, of_runs in layers.items()
-            for run, found in enumerate(of_runs)
-        ]
-    )
-
-
-def _error_row(name: str, trained: TrainedArchitecture) -> Row:
-    return Row(
-        f"{name}: MSE over all directions and lengths in ]0, 2]",
-        ours=mean_and_deviation(trained.grid_mse, 5),
-        note=f"{len(trained.grid_mse)} runs; without the penalty",
+        pd.DataFrame(
+            {
+                "units": name,
+                "run": run,
+                "unit": np.arange(len(found.width)) + 1,
+                "preferred_direction_deg": np.degrees(found.preferred),
+                "tuning_width_deg": found.width,
+            }
+        )
+        for name, of_runs in layers.items()
+        for run, found in enumerate(of_runs)
     )
 
 
@@ -200,7 +181,8 @@ def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
     widths = np.concatenate([found.width for found in runs])
     gaps = np.array([found.largest_gap for found in runs])
     active = np.concatenate([found.active for found in runs])
-    silent, units = sum(found.silent for found in runs), sum(found.size for found in runs)
+    units = sum(found.size for found in runs)
+    silent = units - widths.size
     silence = f"; {silent} of {units} units are silent and left out" if silent else ""
     return [
         Row(
