@@ -356,7 +356,7 @@ class Bootstrap:
 
     def summarize(self, distribution: Floats, *agents: str) -> Estimate:
         """Return the `Estimate` of a distribution of one agent, or of a difference of two."""
-        low, high = _ends(distribution[1:])
+        low, high = percentile_interval(distribution[1:])
         return Estimate(
             estimate=float(distribution[0]),
             low=low,
@@ -422,7 +422,7 @@ def bootstrap_interval(
     if count > 1:
         scores = Scores((count,), {"": (present[None],)}, {"": 0})
         found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
-        low, high = _ends(found[1:])
+        low, high = percentile_interval(found[1:])
     # A mean may be a rounding error beyond the values.
     least, most = present.min(), present.max()
     estimate, low, high = (float(np.clip(end, least, most)) for end in (estimate, low, high))
@@ -460,7 +460,7 @@ def success_interval(
         return Interval(estimate, math.nan, math.nan, count, missing)
     seeds = _counts((seed, _POLICIES, 0), count, resamples)[1:].astype(np.int64)
     succeeded = np.random.default_rng((seed, _EPISODES)).binomial(seeds * episodes, present)
-    low, high = _ends(succeeded.sum(axis=-1) / (count * episodes))
+    low, high = percentile_interval(succeeded.sum(axis=-1) / (count * episodes))
     return Interval(float(np.mean(present)), low, high, count, missing)
 
 
@@ -496,7 +496,7 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
     return pd.DataFrame(rows)
 
 
-def _ends(resampled: Floats) -> tuple[float, float]:
+def percentile_interval(resampled: Floats) -> tuple[float, float]:
     """Return the ends of the 95 % percentile interval; resamples with NaN are left out."""
     present, _ = _present(resampled)
     if not present.size:

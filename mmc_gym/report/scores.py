@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from mmc_gym.benchmark.ranking import BASELINE_AGENT, rank_agents, ranked_scores
-from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, Bootstrap, Estimate, Scores, draw
+from mmc_gym.benchmark.statistics import RESAMPLES, Scores, draw, percentile_interval
 from mmc_gym.measures import MEASURES, Measure
 from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results
@@ -46,86 +48,135 @@ Outcome = Literal["better", "worse", "unclear", "equal"]
 _MOST_DECIMALS = 3  # more than usual
 
 
+class Value(NamedTuple):
+    """A statistic of an agent, or the difference of two, with its 95 % interval."""
+
+    estimate: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, distribution: Floats) -> Value:
+        """Return the value in the data, and the interval of that in all resamples."""
+        return cls(float(distribution[0]), *percentile_interval(distribution[1:]))
+
+
 class EnvironmentScores:
     """The scores of all agents in an environment.
 
     Attributes:
-        agents: their names.
+        values: of all measures by agent, (measures, policies, instances); NaN where there is none.
+        distributions: their statistics in the data, then in all resamples, (measures, R + 1).
     """
 
-    def __init__(self, episodes: pd.DataFrame, measures: Sequence[str], resamples: int) -> None:
+    def __init__(self, episodes: pd.DataFrame, measures: Sequence[Measure], resamples: int) -> None:
         """Arrange scores and draw resamples.
 
         Args:
             episodes: of the environment; columns agent, training_seed, instance, and measures.
-            measures: names of the columns.
+            measures: of the episodes.
             resamples: of the bootstrap.
 
         Raises:
             ValueError: if an agent has not met all instances.
         """
-        self._instances = episodes["instance"].nunique()
-        self._columns = {name: number for number, name in enumerate(measures)}
-        self._tables: dict[str, Floats] = {}  # (measures, policies, instances)
-        self._seeds: dict[str, int] = {}
+        instances = int(episodes["instance"].nunique())
+        columns = [measure.name for measure in measures]
+        self.values: dict[str, Floats] = {}
+        seeds = {}
         for agent, rows in episodes.groupby("agent", sort=False):
             ordered = rows.sort_values(["training_seed", "instance"], kind="stable")
-            seeds = int(rows["training_seed"].nunique())
-            policies = max(1, seeds)
-            if len(rows) != policies * self._instances:
+            seeds[str(agent)] = int(rows["training_seed"].nunique())
+            policies = max(1, seeds[str(agent)])
+            if len(rows) != policies * instances:
                 raise ValueError(
                     f"episodes of {agent!r} in {rows['environment'].iloc[0]!r} must be of all "
-                    f"{self._instances} instances for each of {policies} policies, got {len(rows)}"
+                    f"{instances} instances for each of {policies} policies, got {len(rows)}"
                 )
-            values = ordered[list(measures)].to_numpy(np.float64)
-            self._tables[str(agent)] = values.T.reshape(len(measures), policies, self._instances)
-            self._seeds[str(agent)] = seeds
-        self.agents = tuple(self._tables)
-        first = {agent: table[0] for agent, table in self._tables.items()}
-        self._draws = draw(self._scores(first), resamples, seed=0)
-        self._known: dict[tuple[str, str, str], Floats] = {}
-
-    def values(self, agent: str, measure: Measure) -> Floats:
-        """Return scores (policies, instances); NaN where there is none."""
-        found: Floats = self._tables[agent][self._columns[measure.name]]
-        return found
+            values = ordered[columns].to_numpy(np.float64)
+            self.values[str(agent)] = values.T.reshape(len(columns), policies, instances)
+        first = {agent: (values[0],) for agent, values in self.values.items()}
+        self._draws = draw(Scores((instances,), first, seeds), resamples, seed=0)
+        self._numbers = {measure.name: number for number, measure in enumerate(measures)}
+        self.distributions = {
+            agent: self._resampled(agent, values, measures) for agent, values in self.values.items()
+        }
 
     def distribution(self, agent: str, measure: Measure) -> Floats:
         """Return a measure's statistic in the data, then in all resamples, (R + 1,)."""
-        key = (agent, measure.name, measure.statistic)
-        if key not in self._known:
-            bootstrap = self._bootstrap({agent: self.values(agent, measure)})
-            self._known[key] = bootstrap.distribution(agent, measure.statistic)
-        return self._known[key]
+        found: Floats = self.distributions[agent][self._numbers[measure.name]]
+        return found
 
-    def estimate(self, agent: str, measure: Measure) -> Estimate:
-        """Return a measure's statistic with its interval."""
-        bootstrap = self._bootstrap({agent: self.values(agent, measure)})
-        return bootstrap.summarize(self.distribution(agent, measure), agent)
+    def present(self, measure: Measure) -> dict[str, float]:
+        """Return the part of its episodes in which each agent has a value, by name.
 
-    def difference(self, agent: str, other: str, measure: Measure) -> Estimate | None:
+        Only instances count where any agent has one: few episodes record the time per action.
+        """
+        number = self._numbers[measure.name]
+        known = {agent: ~np.isnan(values[number]) for agent, values in self.values.items()}
+        anyone = np.any([rows.any(axis=0) for rows in known.values()], axis=0)
+        return {
+            agent: float(rows[:, anyone].mean()) if anyone.any() else 0.0
+            for agent, rows in known.items()
+        }
+
+    def difference(self, agent: str, other: str, measure: Measure) -> Value | None:
         """Return one agent less the other where both have a value; None on too few instances."""
-        tables = {name: self.values(name, measure) for name in (agent, other)}
-        common = np.all([(~np.isnan(table)).any(axis=0) for table in tables.values()], axis=0)
+        number = self._numbers[measure.name]
+        values = {name: self.values[name][number] for name in (agent, other)}
+        common = np.all([(~np.isnan(rows)).any(axis=0) for rows in values.values()], axis=0)
         if common.sum() < COMMON:
             return None
-        bootstrap = self._bootstrap(
-            {name: np.where(common, table, np.nan) for name, table in tables.items()}
-        )
         if common.all():
-            one, less = (self.distribution(name, measure) for name in (agent, other))
+            one, less = (self.distribution(name, measure) for name in values)
         else:
-            one, less = (bootstrap.distribution(name, measure.statistic) for name in (agent, other))
-        found = bootstrap.summarize(one - less, agent, other)
-        return replace(found, instances=int(common.sum()))
+            one, less = (
+                self._resampled(name, np.where(common, rows, np.nan)[None], [measure])[0]
+                for name, rows in values.items()
+            )
+        return Value.of(one - less)
 
-    def _bootstrap(self, tables: Mapping[str, Floats]) -> Bootstrap:
-        return Bootstrap(self._scores(tables), self._draws)
+    def _resampled(self, agent: str, values: Floats, measures: Sequence[Measure]) -> Floats:
+        """Return the distributions of measures, from all their values."""
+        policies, instances = self._draws.policies[agent], self._draws.instances[0]
+        times = (policies.T[:, None] * instances.T).reshape(-1, len(policies))
+        drawn = times.astype(np.min_scalar_type(len(times)))  # small numbers are quick
+        return np.stack(
+            [
+                _means(rows, policies, instances)
+                if measure.statistic == "mean"
+                else _medians(rows.ravel(), drawn)
+                for measure, rows in zip(measures, values, strict=True)
+            ]
+        )
 
-    def _scores(self, tables: Mapping[str, Floats]) -> Scores:
-        """Return the scores of a measure, from (policies, instances) by agent."""
-        values = {agent: (table,) for agent, table in tables.items()}
-        return Scores((self._instances,), values, self._seeds)
+
+def _means(values: Floats, policies: Floats, instances: Floats) -> Floats:
+    """Return the mean in each resample; arrays as in `Draws`."""
+    known = ~np.isnan(values)
+    sums, counts = (
+        ((instances @ table.T) * policies).sum(axis=1)
+        for table in (np.where(known, values, 0.0), known.astype(np.float64))
+    )
+    with np.errstate(invalid="ignore"):
+        means: Floats = sums / counts
+    return means
+
+
+def _medians(values: Floats, drawn: NDArray[Any]) -> Floats:
+    """Return the median in each resample of values (k,) that it draws so often, (k, R + 1)."""
+    order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]
+    if order.size == 0:
+        return np.full(drawn.shape[1], np.nan)
+    total = drawn[order]
+    for before, row in pairwise(total):  # several times as quick as `cumsum`
+        row += before
+    whole, half = total[-1], total[-1] // 2
+    low = (total < whole - half).sum(axis=0, dtype=total.dtype)
+    high = (total <= half).sum(axis=0, dtype=total.dtype)
+    ordered = np.append(values[order], np.nan)  # the last where nothing was drawn
+    middle: Floats = (ordered[low] + ordered[high]) / 2
+    return middle
 
 
 @dataclass(frozen=True)
@@ -136,8 +187,8 @@ class Comparison:
         environment: its key.
         measure: the measure.
         rival: name of the other.
-        mine: estimate of the agent.
-        theirs: estimate of the other.
+        mine: value of the agent.
+        theirs: value of the other.
         difference: the former less the latter, paired by instance.
         outcome: for the agent.
     """
@@ -145,9 +196,9 @@ class Comparison:
     environment: str
     measure: Measure
     rival: str
-    mine: Estimate
-    theirs: Estimate
-    difference: Estimate
+    mine: Value
+    theirs: Value
+    difference: Value
     outcome: Outcome
 
     @property
@@ -174,48 +225,34 @@ class Estimates:
     results: Results
     resamples: int = RESAMPLES
     _scores: dict[str, EnvironmentScores] = field(default_factory=dict)
-    _known: dict[tuple[str, str], dict[str, Estimate]] = field(default_factory=dict)
+    _known: dict[tuple[str, str], dict[str, Value]] = field(default_factory=dict)
 
     def scores(self, environment: str) -> EnvironmentScores:
         """Return all scores of an environment."""
         if environment not in self._scores:
             rows = self.results.episodes["environment"] == environment
-            names = [measure.name for measure in self.results.measures]
             self._scores[environment] = EnvironmentScores(
-                self.results.episodes[rows], names, self.resamples
+                self.results.episodes[rows], self.results.measures, self.resamples
             )
         return self._scores[environment]
 
-    def of(self, environment: str, measure: Measure) -> dict[str, Estimate]:
-        """Return the estimate of every agent that was there, by name."""
+    def of(self, environment: str, measure: Measure) -> dict[str, Value]:
+        """Return the value of every agent that was there, by name."""
         key = (environment, measure.name)
         if key not in self._known:
             scores = self.scores(environment)
             self._known[key] = {
-                agent: scores.estimate(agent, measure)
+                agent: Value.of(scores.distribution(agent, measure))
                 for agent in self.results.agents
-                if agent in scores.agents
+                if agent in scores.values
             }
         return self._known[key]
 
-    def present(self, environment: str, measure: Measure) -> dict[str, float]:
-        """Return the part of its episodes in which each agent has a value, by name.
-
-        Only instances count where any agent has one: few episodes record the time per action.
-        """
-        scores = self.scores(environment)
-        known = {agent: ~np.isnan(scores.values(agent, measure)) for agent in scores.agents}
-        anyone = np.any([rows.any(axis=0) for rows in known.values()], axis=0)
-        return {
-            agent: float(rows[:, anyone].mean()) if anyone.any() else 0.0
-            for agent, rows in known.items()
-        }
-
     def taking_part(
         self, environment: str, measure: Measure, agents: Iterable[str]
-    ) -> dict[str, Estimate]:
-        """Return the estimates of those among `agents` that have a value often enough."""
-        present = self.present(environment, measure)
+    ) -> dict[str, Value]:
+        """Return the values of those among `agents` that have a value often enough."""
+        present = self.scores(environment).present(measure)
         found = self.of(environment, measure)
         return {
             agent: found[agent]
@@ -308,18 +345,14 @@ class Estimates:
         found = []
         for key in self.common:
             scores = self.scores(key)
-            if agent in scores.agents:
+            if agent in scores.values:
                 times = scores.distribution(agent, TIME)
                 if not math.isnan(times[0]):
                     found.append(np.where(np.isnan(times), times[0], times)[1:])
-        if not found:
-            return math.nan, math.nan
-        tail = (1 - CONFIDENCE) / 2
-        low, high = np.quantile(np.mean(found, axis=0), (tail, 1 - tail)).tolist()
-        return low, high
+        return percentile_interval(np.mean(found, axis=0)) if found else (math.nan, math.nan)
 
 
-def judge(difference: Estimate, measure: Measure, margin: float | None = None) -> Outcome:
+def judge(difference: Value, measure: Measure, margin: float | None = None) -> Outcome:
     """Return what the interval of a difference says.
 
     Args:

@@ -154,7 +154,7 @@ def score_table(estimates: Estimates, environment: str) -> Table:
 
 def _column(estimates: Estimates, environment: str, measure: Measure) -> dict[str, Cell]:
     figures = estimates.of(environment, measure)
-    present = estimates.present(environment, measure)
+    present = estimates.scores(environment).present(measure)
     values = {agent: measure.number(found.estimate) for agent, found in figures.items()}
     racing = [
         agent

@@ -11,7 +11,7 @@ import pytest
 
 from mmc_gym.benchmark.ranking import rank_agents
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.benchmark.statistics import Bootstrap, Estimate
+from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.measures import MEASURES, SET_MEASURES
 from mmc_gym.measures.episode import moving_part
@@ -24,7 +24,15 @@ from mmc_gym.report import render, write_report
 from mmc_gym.report.figures import movements, profiles
 from mmc_gym.report.panels import looks, spread
 from mmc_gym.report.results import read_results
-from mmc_gym.report.scores import MARGINS, SUCCESS, Comparison, Estimates, judge
+from mmc_gym.report.scores import (
+    MARGINS,
+    SUCCESS,
+    Comparison,
+    EnvironmentScores,
+    Estimates,
+    Value,
+    judge,
+)
 from mmc_gym.report.tables import LAWS, heat_table, law_table, ranking_table, score_table
 
 
@@ -44,7 +52,7 @@ def interrupted(make_store, tmp_path_factory):
 
 
 def between(low, high):
-    return Estimate((low + high) / 2, low, high, (0, 0), 30, 1)
+    return Value((low + high) / 2, low, high)
 
 
 @pytest.mark.parametrize(
@@ -96,13 +104,30 @@ def test_differences_are_those_of_the_paired_bootstrap(estimates):
     episodes = estimates.results.episodes
     rows = episodes[episodes["environment"].eq("random") & episodes["agent"].isin(["mmc", "ppo"])]
     mean = replace(MEASURES["episode_return"], statistic="mean")
-    found = estimates.scores("random").difference("mmc", "ppo", mean)
+    found = EnvironmentScores(rows, [mean], 200).difference("mmc", "ppo", mean)
     expected = Bootstrap.of(rows, mean.name, resamples=200).difference("mmc", "ppo")
     assert found.estimate == pytest.approx(expected.estimate)
-    assert found.seeds == expected.seeds == (0, 2)
     width = expected.high - expected.low  # other draws of training seeds
     assert found.low == pytest.approx(expected.low, abs=0.3 * width)
     assert found.high == pytest.approx(expected.high, abs=0.3 * width)
+
+
+@pytest.mark.parametrize("statistic", ["mean", "median"])
+@pytest.mark.parametrize(("agent", "instances"), [("mmc", 14), ("ppo", 14), ("ppo", 150)])
+def test_intervals_are_those_of_the_benchmark(statistic, agent, instances):
+    random = np.random.default_rng(0)
+    seeds = [0.0, 1.0] if agent == "ppo" else [math.nan]
+    rows = pd.MultiIndex.from_product(
+        [seeds, range(instances)], names=["training_seed", "instance"]
+    )
+    frame = rows.to_frame(index=False).assign(agent=agent, environment="random")
+    frame["sparc"] = np.where(
+        random.random(len(frame)) < 0.3, np.nan, random.normal(size=len(frame))
+    )
+    measure = replace(MEASURES["sparc"], statistic=statistic)
+    found = EnvironmentScores(frame, [measure], 200).distribution(agent, measure)
+    expected = Bootstrap.of(frame, "sparc", 200).distribution(agent, statistic)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_an_agent_that_hardly_ever_arrives_wins_no_race(estimates):
@@ -119,7 +144,7 @@ def test_wins_and_losses_are_told_in_the_same_form(estimates):
 
 def test_lines_name_the_largest_differences_first():
     def entry(key, mine):
-        values = [Estimate(value, value, value, (0,), 9, 1) for value in (mine, 1.0, mine - 1.0)]
+        values = [Value(value, value, value) for value in (mine, 1.0, mine - 1.0)]
         return Comparison(key, SUCCESS, "ppo", *values, "worse")
 
     board = [entry(f"e{number}", number / 10) for number in range(5, 0, -1)]
