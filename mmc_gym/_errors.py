@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -27,6 +28,12 @@ def require(fine: bool, name: str, value: object, accepted: str) -> None:
     """
     if not fine:
         raise UserError(f"{name} must be {accepted}, got {value!r}")
+
+
+def require_not_negative(**values: float) -> None:
+    """Raise a `UserError` that names the first of the arguments that is negative or not finite."""
+    for name, value in values.items():
+        require(0 <= value < math.inf, name, value, "finite and not negative")
 
 
 _OURS = {

@@ -4,7 +4,7 @@ Each is a frozen dataclass of physical parameters.  They can be combined.  Some 
 (`change_body`); a visuomotor rotation moves the cursor that stands for the hand; noise and delay
 change what is observed, not what is rewarded.  Lengths are in segment lengths.
 
-Their names, with any strength, are in `mmc_gym.envs.scenarios`.
+`mmc_gym.envs.scenarios` gives them names, with any strength.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require
+from mmc_gym._errors import require, require_not_negative
 
 if TYPE_CHECKING:  # names are registered without loading the physics
     from mmc_gym.body import ArmParameters
@@ -27,13 +27,9 @@ Coordinate = TypeVar("Coordinate", float, Floats)
 
 
 class Perturbation:
-    """Something that goes wrong; this base class changes nothing.
+    """Something that goes wrong; this base class changes nothing."""
 
-    Attributes:
-        told: whether agents are told of the changed body.
-    """
-
-    told: bool = False
+    told: bool = False  # whether agents know the changed body
 
     def change_body(self, body: ArmParameters) -> ArmParameters:
         """Return the arm under this perturbation."""
@@ -136,7 +132,7 @@ class LockedJoint(Perturbation):
     told: bool = False
 
     def __post_init__(self) -> None:
-        _require_at_least_zero(time=self.time)
+        require_not_negative(time=self.time)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -168,19 +164,12 @@ class Obstacles(Perturbation):
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of the senses before they are encoded; all arrays lead with the batch.
+    """Readings of the senses of arms before they are encoded; the hand may be a cursor's."""
 
-    Attributes:
-        joint_angles: radians, (..., N).
-        joint_velocities: rad/s, (..., N).
-        hand: where the hand, or the cursor that stands for it, is seen, (..., 2).
-        target: where the target is seen, (..., 2).
-    """
-
-    joint_angles: Floats
-    joint_velocities: Floats
-    hand: Floats
-    target: Floats
+    joint_angles: Floats  # (..., N), radians
+    joint_velocities: Floats  # (..., N), rad/s
+    hand: Floats  # (..., 2), segment lengths
+    target: Floats  # (..., 2)
 
 
 class Noise(Perturbation):
@@ -247,7 +236,7 @@ class JointNoise(Noise):
     _RATE: ClassVar[float] = 10.0  # 1/s
 
     def __post_init__(self) -> None:
-        _require_at_least_zero(std=self.std, speed_std=self.speed_std)
+        require_not_negative(std=self.std, speed_std=self.speed_std)
 
     @override
     def draws(self, joint_count: int) -> int:
@@ -278,7 +267,7 @@ class VisionNoise(Noise):
     distance_std: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_at_least_zero(std=self.std, distance_std=self.distance_std)
+        require_not_negative(std=self.std, distance_std=self.distance_std)
 
     @override
     def draws(self, joint_count: int) -> int:
@@ -310,12 +299,7 @@ class SensoryDelay(Perturbation):
     seconds: float = 0.1
 
     def __post_init__(self) -> None:
-        _require_at_least_zero(seconds=self.seconds)
-
-
-def _require_at_least_zero(**values: float) -> None:
-    for name, value in values.items():
-        require(0 <= value < math.inf, name, value, "finite and not negative")
+        require_not_negative(seconds=self.seconds)
 
 
 def _index(name: str, index: int, count: int) -> int:

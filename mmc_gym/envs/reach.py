@@ -18,7 +18,7 @@ from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, finite, require_one_o
 from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.render.renderer import Renderer, Scene
+    from mmc_gym.envs.render.renderer import Renderer
 
 Info = dict[str, Any]
 
@@ -113,7 +113,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = self.make_setup(**arguments)
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "render_fps": round(1 / setup.told.control_step)}
+        self.metadata = {**type(self).metadata, "render_fps": setup.frame_rate}
         self.action_space = setup.action_space
         self._action_shape = setup.action_space.shape
         self.observation_space = setup.observation_space
@@ -205,24 +205,19 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: gym.make(..., render_mode='rgb_array')")
             return None
+        from mmc_gym.envs.render.renderer import Renderer, Scene
+
         if self._renderer is None:
-            from mmc_gym.envs.render.renderer import Renderer
-
-            self._renderer = Renderer(self.setup, self.render_mode, self.metadata["render_fps"])
-        return self._renderer.draw(self._scene())
-
-    def _scene(self) -> Scene:
-        from mmc_gym.envs.render.renderer import Scene
-
-        setup = self.setup
-        return Scene(
+            self._renderer = Renderer(self.setup, self.render_mode)
+        scene = Scene(
             self._arm.segment_angles,
             self._target,
             path=self._targets,
             ghost=self._ghost,
-            is_locked=setup.lock_step is not None and self._steps >= setup.lock_step,
-            observation=self._late[0] if self._late and setup.are_senses_disturbed else None,
+            steps=self._steps,
+            observation=self._late[0] if self._late else None,
         )
+        return self._renderer.draw(scene)
 
     def close(self) -> None:
         """Close the window, if there is one."""

@@ -14,8 +14,9 @@ from those without in the perturbation alone: starts and targets are drawn from 
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from difflib import get_close_matches
 from typing import Any
@@ -55,7 +56,7 @@ class Family:
         default: strength of a name without one.
         make: makes the perturbation of a strength.
         strengths: those of the benchmark.
-        told: those of the benchmark of which agents are told; None if they cannot be told.
+        told: strengths of the benchmark that agents are told; None if they cannot be told.
         ids: names that have an id, the family's by default; if agents can be told, so have
             those with `-told`.
     """
@@ -108,12 +109,8 @@ class Scenario:
 
     Attributes:
         name: the one name, with its strength.
-        description: one line.
-        task: where the target is.
-        perturbations: what goes wrong.
         family: of the perturbation; empty for a task.
         strength: of the perturbation, to be compared within its family.
-        unit: of the strength.
         told: whether agents are told of the perturbation, where they can be.
     """
 
@@ -164,7 +161,7 @@ class Scenario:
         """All that defines the scenario, ready for JSON; equal for equal scenarios."""
         return {
             "id": self.env_id,
-            "kwargs": _plain(self.arguments),
+            "kwargs": json.loads(json.dumps(self.arguments, default=_with_name)),
             "description": self.description,
             "family": self.family + "-told" * self.told,
             "strength": self.strength,
@@ -251,15 +248,17 @@ def _perturbed(argument: str, name: object) -> Scenario:
         other = f"one of {', '.join(tasks)}" if tasks else "a Perturbation"
         raise UserError(
             f"{argument} must be {other}, or one of {', '.join(FAMILIES)}, with a strength if you "
-            f"like (delay-150), got {name!r}{_did_you_mean(str(name), tasks)}"
+            f"like (delay-150), got {name!r}{_did_you_mean(name, tasks)}"
         )
     family = FAMILIES[match["family"]]
     strength = family.default if match["strength"] is None else float(match["strength"])
     return family.scenario(strength, told=match["told"] is not None)
 
 
-def _did_you_mean(name: str, tasks: Iterable[str]) -> str:
+def _did_you_mean(name: object, tasks: Iterable[str]) -> str:
     """Return a question for the task, or the perturbation, that a wrong name is close to."""
+    if not isinstance(name, str):
+        return ""
     words = [word for word in re.findall("[a-z]+", name.lower()) if word != "told"]
     near = get_close_matches("-".join(words), FAMILIES, n=1)
     if near:
@@ -269,16 +268,9 @@ def _did_you_mean(name: str, tasks: Iterable[str]) -> str:
     return f"; did you mean {'-'.join(near)!r}?" if near else ""
 
 
-def _plain(value: Any) -> Any:
-    """Return a value as JSON would bring it back."""
-    if isinstance(value, Perturbation | Task):
-        fields: dict[str, Any] = asdict(value)  # type: ignore[call-overload]
-        return {"name": type(value).__name__, **_plain(fields)}
-    if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(one) for one in value]
-    return value
+def _with_name(value: Any) -> dict[str, Any]:
+    """Return the fields of a task or a perturbation, and the name of its class."""
+    return {"name": type(value).__name__, **asdict(value)}
 
 
 def _joint(strength: float, time: float = 0.0) -> LockedJoint:

@@ -20,7 +20,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require
+from mmc_gym._errors import UserError, require, require_not_negative
 from mmc_gym.body import ArmParameters
 from mmc_gym.body.engines import Engine
 from mmc_gym.envs.perturbations import (
@@ -46,13 +46,7 @@ RewardType = Literal["dense", "sparse"]
 
 
 class Options(NamedTuple):
-    """The options of a reset, checked; None where nothing was asked for.
-
-    Attributes:
-        joint_angles: posture to start from, N radians.
-        target: (x, y), segment lengths.
-        trial: number of the task's trial.
-    """
+    """The options of a reset, checked; None where nothing was asked for."""
 
     joint_angles: list[float] | None = None
     target: Point | None = None
@@ -65,20 +59,14 @@ class ReachSetup:
     Attributes:
         told: physical parameters of the arm, as agents are told them.
         body: those of the arm that is simulated; perturbations make the difference.
-        task: where trials come from.
         task_name: the name that the task was given by, if any.
-        perturbations: what goes wrong.
         caption: task and perturbations, for a picture; empty if they are the plain ones.
-        workspace: what the hand can reach.
         rotation: the visuomotor rotation, or None.
-        noises: of the senses.
         delay: of the senses, control steps.
-        are_senses_disturbed: whether there is any noise or delay.
         lock_step: after how many control steps the lockable joints lock; None: never.
         path_length: places on the path of the target.
-        action: what the actions mean.
-        action_space: of one arm.
-        observation_space: of one arm.
+        frame_rate: pictures a second, one each control step.
+        action_space, observation_space: of one arm.
         layout: of the observations; its `reach` is the sum of the told lengths.
         farthest: distance from the base within which the hand, or its cursor, always is.
         may_exceed_reach: whether that is beyond `reach`, so that observations must be clipped.
@@ -107,12 +95,11 @@ class ReachSetup:
         """
         require_one_of("control", control, CONTROLS)
         require_one_of("reward_type", reward_type, get_args(RewardType))
-        for name, value in (
-            ("control_weight", control_weight),
-            ("smoothness_weight", smoothness_weight),
-            ("success_distance", success_distance),
-        ):
-            require(0 <= value < math.inf, name, value, "finite and not negative")
+        require_not_negative(
+            control_weight=control_weight,
+            smoothness_weight=smoothness_weight,
+            success_distance=success_distance,
+        )
         self.control: Control = control
         self.reward_type: RewardType = reward_type
         self.control_weight = float(control_weight)
@@ -133,6 +120,7 @@ class ReachSetup:
         self.layout = ObservationLayout(self.joint_count, self.reach)
         self.observation_space = self.layout.space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
+        self.frame_rate = round(1 / self.told.control_step)
         self.path_length = self.task.path_length(self.told.control_step)
         self.task.check(self.workspace)
 
@@ -167,18 +155,8 @@ class ReachSetup:
         reach = self.workspace.outer
         return replace(rotations[0], centre=(x * reach, y * reach))
 
-    @property
-    def max_joint_delta(self) -> float:
-        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
-        return action_meaning("joint_delta", self.told).scale
-
     def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
-        """Return the readings of n arms under the noises.
-
-        Args:
-            readings: of the arms, (n, …).
-            randoms: the generator of each of the n arms.
-        """
+        """Return the readings of n arms, (n, …), under noises from the generator of each."""
         for noise in self.noises:
             draws = noise.draws(self.joint_count)
             normals = np.stack([random.standard_normal(draws) for random in randoms])
@@ -200,11 +178,7 @@ class ReachSetup:
     ) -> Any:
         """Return the observation of one arm with undisturbed senses: as `observe`, but quicker.
 
-        Args:
-            joint_angles: N radians.
-            speeds: of the joints, N fractions of their limit.
-            hand: where the hand is seen.
-            target: where the target is.
+        The `speeds` of the joints are fractions of their limit.
         """
         clip = self.may_exceed_reach
         return self.layout.encode_one(joint_angles, speeds, hand=hand, target=target, clip=clip)
@@ -318,15 +292,10 @@ class ReachEnvironment:
 
     parameters = property(attrgetter("setup.told"), doc="The arm as agents are told it.")
     control = property(attrgetter("setup.control"), doc="The control mode.")
-    reward_type = property(attrgetter("setup.reward_type"), doc='"dense" or "sparse".')
-    control_weight = property(attrgetter("setup.control_weight"), doc="Of the control cost.")
     success_distance = property(
         attrgetter("setup.success_distance"), doc="How near a target is reached, segment lengths."
     )
     reach = property(attrgetter("setup.reach"), doc="Sum of the told segment lengths.")
-    max_joint_delta = property(
-        attrgetter("setup.max_joint_delta"), doc=ReachSetup.max_joint_delta.__doc__
-    )
 
     @property
     def spec(self) -> EnvSpec | None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require
+from mmc_gym._errors import UserError, require, require_not_negative
 from mmc_gym.envs.workspace import Point, Workspace
 
 
@@ -33,8 +33,6 @@ class Request(NamedTuple):
     """Everything that a trial is drawn from.
 
     Attributes:
-        workspace: of the arm.
-        random: source of all randomness.
         trial: number of the trial, where they are numbered; None draws one.
         joint_angles: posture to start from; None draws one.
     """
@@ -79,7 +77,7 @@ class Task(ABC):
         return None
 
     def check(self, workspace: Workspace) -> None:  # noqa: B027  (most tasks suit all arms)
-        """Raise a `ValueError` if the arm cannot do the task, before it is asked to."""
+        """Raise a `UserError` if the arm cannot do the task."""
 
     @abstractmethod
     def path_length(self, control_step: float) -> int:
@@ -120,7 +118,7 @@ class DoubleStep(RandomTarget):
     delay: float = 0.1
 
     def __post_init__(self) -> None:
-        require(0 <= self.delay < math.inf, "delay", self.delay, "finite and not negative")
+        require_not_negative(delay=self.delay)
 
     @override
     def path_length(self, control_step: float) -> int:
@@ -209,7 +207,7 @@ class PointToPoint(Task):
             if not workspace.is_clear(posture) or not workspace.contains(target, posture):
                 out_of_reach.append(trial)
         if out_of_reach:
-            raise ValueError(
+            raise UserError(
                 f"task must be one that the perturbed arm can do: of its {len(self.pairs)} trials "
                 f"{len(out_of_reach)} start or end where it cannot be, the first is number "
                 f"{out_of_reach[0]}"
@@ -231,8 +229,7 @@ class Pursuit(Task):
 
     Attributes:
         period: time after which the path repeats, s.
-        multiples_x: frequencies of the sines in x, per period.
-        multiples_y: the same in y.
+        multiples_x, multiples_y: frequencies of the sines in x and in y, per period.
         amplitude: sum of the amplitudes in x, and in y, as a fraction of the reach.
     """
 
@@ -252,7 +249,7 @@ class Pursuit(Task):
 
     @override
     def path_length(self, control_step: float) -> int:
-        return round(self.period / control_step)
+        return max(1, round(self.period / control_step))
 
     @override
     def draw(self, request: Request) -> Trial:

@@ -31,7 +31,7 @@ from mmc_gym.envs.spec import Options, ReachEnvironment, require_one_of
 from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.render.renderer import Renderer, Scene
+    from mmc_gym.envs.render.renderer import Renderer
 
 Info = dict[str, Any]
 Indices = NDArray[np.intp]
@@ -90,7 +90,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.render_mode = render_mode
         self.metadata = {
             **type(self).metadata,
-            "render_fps": round(1 / setup.told.control_step),
+            "render_fps": setup.frame_rate,
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_action_space = setup.action_space
@@ -183,26 +183,21 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.render_mode is None:
             gym.logger.warn("render() needs render_mode='rgb_array'")
             return None
+        from mmc_gym.envs.render.renderer import Renderer, Scene
+
         if not self._renderers:
-            from mmc_gym.envs.render.renderer import Renderer
-
-            fps = self.metadata["render_fps"]
-            self._renderers = [Renderer(self.setup, "rgb_array", fps) for _ in self._all]
-        return tuple(
-            renderer.draw(self._scene(arm)) for arm, renderer in enumerate(self._renderers)
-        )
-
-    def _scene(self, arm: int) -> Scene:
-        from mmc_gym.envs.render.renderer import Scene
-
-        setup = self.setup
-        return Scene(
-            self._body.segment_angles[arm].tolist(),
-            self._targets[arm].tolist(),
-            path=self._paths[arm, : self._last_places[arm] + 1].tolist(),
-            is_locked=setup.lock_step is not None and bool(self._steps[arm] >= setup.lock_step),
-            observation=pick(self._late[0], arm) if setup.are_senses_disturbed else None,
-        )
+            self._renderers = [Renderer(self.setup, "rgb_array") for _ in self._all]
+        scenes = [
+            Scene(
+                self._body.segment_angles[arm].tolist(),
+                self._targets[arm].tolist(),
+                path=self._paths[arm, : self._last_places[arm] + 1].tolist(),
+                steps=int(self._steps[arm]),
+                observation=pick(self._late[0], arm),
+            )
+            for arm in self._all
+        ]
+        return tuple(map(Renderer.draw, self._renderers, scenes))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""

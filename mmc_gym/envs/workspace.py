@@ -13,11 +13,7 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs.perturbations import VisuomotorRotation
-from mmc_gym.network.chain import (
-    node_positions,
-    reachable_radii,
-    segments_from_joint_angles,
-)
+from mmc_gym.network.chain import node_positions, reachable_radii, segments_from_joint_angles
 
 if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
@@ -41,15 +37,14 @@ class Workspace:
         inner: smallest distance from the base of a reachable point, with all joints free.
         outer: largest distance, likewise.
         locked: indices of joints that are locked all the time.
-        rotation: of the cursor that stands for the hand, or None.
+        rotation: of the cursor that stands for the hand; None, until it is set.  With a rotation,
+            the workspace is what the cursor can reach.
     """
 
+    rotation: VisuomotorRotation | None = None
+
     def __init__(
-        self,
-        body: ArmParameters,
-        told: ArmParameters | None = None,
-        locked: Sequence[int] = (),
-        rotation: VisuomotorRotation | None = None,
+        self, body: ArmParameters, told: ArmParameters | None = None, locked: Sequence[int] = ()
     ) -> None:
         """Make the workspace of `body`.
 
@@ -58,12 +53,9 @@ class Workspace:
             told: the arm that agents take it for, if it is another: the workspace is then what
                 both can reach.
             locked: indices of joints that are locked all the time.
-            rotation: of the cursor that stands for the hand, if there is one: the workspace is
-                then what the cursor can reach.
         """
         self.body = body
         self.locked = tuple(locked)
-        self.rotation = rotation
         rings = [reachable_radii(arm.segment_lengths) for arm in (body, told or body)]
         self.inner = max(inner for inner, _ in rings)
         self.outer = min(outer for _, outer in rings)
@@ -192,7 +184,7 @@ class Workspace:
         slack = REACH_TOLERANCE * self.outer
         return self.inner - slack <= math.hypot(*point) <= self.outer + slack
 
-    def _is_free(self, point: Sequence[float]) -> bool:
+    def _is_free(self, point: Point) -> bool:
         """Tell whether the tip of the hand at `point` touches no obstacle."""
         radius = self.body.segment_radius
         return all(math.dist(point, (x, y)) > disc + radius for x, y, disc in self.body.obstacles)

@@ -13,7 +13,7 @@ from scipy import stats
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
-from mmc_gym.interface import Control
+from mmc_gym.interface import Control, ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)
@@ -240,10 +240,10 @@ def test_a_held_action_turns_the_joint_at_the_documented_speed(
 
 
 def test_joint_delta_puts_the_joint_target_ahead_of_the_joint() -> None:
-    env = MMCReachEnv(control="joint_delta")
-    assert env.max_joint_delta == pytest.approx(math.tau / 12)
-    slow = MMCReachEnv(control="joint_delta", speed_limit=3.0, servo_gain=6.0)
-    assert slow.max_joint_delta == pytest.approx(0.5)
+    for arguments, delta in (({}, math.tau / 12), ({"speed_limit": 3.0, "servo_gain": 6.0}, 0.5)):
+        env = MMCReachEnv(control="joint_delta", **arguments)
+        assert env.setup.action.scale == pytest.approx(delta)
+        assert ReachInterface.of(env).max_joint_delta == pytest.approx(delta)
 
 
 def test_joint_torque_gives_the_documented_torque() -> None:
@@ -381,7 +381,7 @@ def test_misspelt_arguments_are_refused() -> None:
 
 
 def test_the_goal_environment_has_no_costs_and_goals_that_tell_the_reward() -> None:
-    assert MMCReachGoalEnv(control_weight=0.0).control_weight == 0.0
+    assert MMCReachGoalEnv(control_weight=0.0).setup.control_weight == 0.0
     for weight in ("control_weight", "smoothness_weight"):
         with pytest.raises(UserError, match=f"{weight} must be 0"):
             MMCReachGoalEnv(**{weight: 0.1})

@@ -109,18 +109,12 @@ def test_a_family_without_strength_is_its_class_without_arguments() -> None:
         ("delay--40", "seconds must be"),
         ("shorter-100", "factor must be"),
         ("delay-", "did you mean 'delay'"),
-        (None, "got None"),
+        (None, "got None$"),
     ],
 )
 def test_a_wrong_name_is_refused_with_a_hint(name: Any, hint: str) -> None:
     with pytest.raises(UserError, match=hint):
         scenario(name)
-
-
-def test_agents_are_told_of_gravity_as_when_it_is_a_parameter() -> None:
-    env, twin = MMCReachEnv(perturbations="gravity-60"), MMCReachEnv(gravity=(0.0, -60.0))
-    assert env.parameters == twin.parameters
-    assert env.setup.body == twin.setup.body
 
 
 @pytest.mark.parametrize(
@@ -172,9 +166,8 @@ def test_the_id_of_a_perturbation_makes_it_in_the_task_random(name: str) -> None
 
 
 def test_names_become_ids_in_camel_case() -> None:
-    assert environment_id("longer-10-told") == "MMCReachLonger10Told-v0"
-    assert environment_id("paper") == "MMCReachPaper-v0"
-    assert environment_id("random") == "MMCReach-v0"
+    ids = map(environment_id, ("longer-10-told", "paper", "random"))
+    assert list(ids) == ["MMCReachLonger10Told-v0", "MMCReachPaper-v0", "MMCReach-v0"]
 
 
 @pytest.mark.parametrize("mode", [None, "vector_entry_point", "sync"])
@@ -197,10 +190,6 @@ def test_an_explicit_time_limit_wins() -> None:
     assert gym.make_vec("MMCReachPursuit-v0", 2, max_episode_steps=7).max_episode_steps == 7
     vector = gym.make_vec("MMCReach-v0", 2, task="pursuit", max_episode_steps=30)
     assert vector.max_episode_steps == 30
-
-
-def test_a_pursuit_lasts_one_period_of_the_targets_path() -> None:
-    assert MMCReachEnv(task="pursuit").setup.path_length == TASKS["pursuit"].episode_steps
 
 
 def test_registering_imports_neither_physics_nor_drawing() -> None:
@@ -303,14 +292,15 @@ def test_a_copy_of_a_running_environment_has_the_same_future(env: gym.Env) -> No
 
 
 @every_case
-def test_observations_stay_inside_their_space(env: gym.Env) -> None:
-    seen = []
-    for transition in rollout(env, harsh_actions(env, 500)):
-        observation = transition[0]
-        assert env.observation_space.contains(observation)
-        assert np.isfinite(flat(observation)).all()
-        seen.append(flat(observation))
-    assert (np.ptp(seen, axis=0) > 0.05).all()  # every element tells something
+def test_observations_are_in_their_space_and_each_element_tells_something(env: gym.Env) -> None:
+    observations = [transition[0] for transition in rollout(env, harsh_actions(env, 500))]
+    assert all(env.observation_space.contains(observation) for observation in observations)
+    seen = np.array([flat(observation) for observation in observations])
+    assert np.isfinite(seen).all()
+    varies, setup = np.ptp(seen, axis=0) > 0.1, env.unwrapped.setup
+    for joint in setup.body.lockable_joints if setup.lock_step == 0 else ():
+        varies |= elements(env, 6 + joint, 7 + joint)  # the speed of a joint that cannot turn
+    assert varies.all()
 
 
 @every_case
@@ -326,18 +316,12 @@ def test_what_is_returned_shares_no_memory(env: gym.Env) -> None:
 
 
 @every_case
-def test_rewards_are_finite_floats(env: gym.Env) -> None:
-    for _, reward, *_ in (step for step in rollout(env, harsh_actions(env, 100)) if len(step) == 5):
-        assert isinstance(reward, float)
-        assert np.isfinite(reward)
-
-
-@every_case
-def test_an_episode_ends_by_the_time_limit_alone(env: gym.Env) -> None:
+def test_rewards_are_finite_and_an_episode_ends_by_the_time_limit_alone(env: gym.Env) -> None:
     env.reset(seed=0)
     limit = env.spec.max_episode_steps
-    ends = [env.step(env.action_space.sample())[2:4] for _ in range(limit)]
-    assert ends == [(False, False)] * (limit - 1) + [(False, True)]
+    steps = [env.step(action) for action in harsh_actions(env, limit)]
+    assert all(isinstance(step[1], float) and np.isfinite(step[1]) for step in steps)
+    assert [step[2:4] for step in steps] == [(False, False)] * (limit - 1) + [(False, True)]
 
 
 @every_case

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
@@ -27,26 +28,21 @@ def targets_of(env: MMCReachEnv, steps: int, **reset: Any) -> np.ndarray:
 # --- The paper's movements
 
 
-def test_the_papers_task_is_its_420_movements_and_starts_at_their_first_target() -> None:
+def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent() -> None:
     env = MMCReachEnv(task="paper")
     assert env.setup.task.trial_count == len(PAIRS) == 420
-    infos = [env.reset(options={"trial": trial})[1] for trial in range(420)]
+    observations, infos = zip(*(env.reset(options={"trial": trial}) for trial in range(420)))
+    cosines, sines, speeds = np.split(np.array(observations)[:, :9], 3, axis=-1)
+    assert (speeds == 0.0).all()
+    bends = np.arctan2(sines, cosines)[:, 1:]  # at every joint the same, and to one side
+    np.testing.assert_allclose(bends[:, 0], bends[:, 1], atol=1e-6)
+    assert (bends >= -1e-6).all()
     starts = np.array([info["end_effector"] for info in infos])
     targets = np.array([info["target"] for info in infos])
     np.testing.assert_allclose(starts, TARGETS[PAIRS[:, 0]], atol=1e-9)
     np.testing.assert_allclose(targets, TARGETS[PAIRS[:, 1]], atol=1e-12)
     movements = {tuple(row) for row in np.hstack([starts, targets]).round(6).tolist()}
     assert len(movements) == 420
-
-
-def test_a_movement_starts_at_rest_in_an_evenly_bent_posture() -> None:
-    env = MMCReachEnv(task="paper")
-    for trial in (0, 100, 419):
-        observation, _ = env.reset(options={"trial": trial})
-        angles = np.arctan2(observation[3:6], observation[:3])
-        assert angles[1] == pytest.approx(angles[2], abs=1e-6)
-        assert angles[1] >= -1e-6
-        assert observation[6:9].tolist() == [0.0] * 3
 
 
 def test_trials_that_are_not_asked_for_are_drawn_from_all() -> None:
@@ -59,16 +55,23 @@ def test_trials_that_are_not_asked_for_are_drawn_from_all() -> None:
     assert len(drawn) > 400
 
 
-def test_an_arm_that_cannot_do_a_task_is_told_so() -> None:
-    with pytest.raises(ValueError, match="no evenly bent posture has the hand at"):
-        MMCReachEnv(task="paper", segment_lengths=(2.0, 0.5))  # nothing nearer than 1.5
-    about_the_start = VisuomotorRotation(30.0, (0.0, 1.5))
-    with pytest.raises(ValueError, match=r"task must be .* of its 420 trials 60 start or end"):
-        MMCReachEnv(task="paper", perturbations=about_the_start)  # the cursor leaves the reach
-    with pytest.raises(ValueError, match="task must be one that the perturbed arm can do"):
-        MMCReachEnv(task="paper", perturbations="obstacles")
-    with pytest.raises(ValueError, match="task must be one that the perturbed arm can do"):
-        MMCReachEnv(task="centre-out", segment_lengths=(1.0, 1.0), perturbations="locked")
+@pytest.mark.parametrize(
+    ("task", "arguments", "message"),
+    [
+        ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture has the hand at"),
+        # The cursor leaves the reach.
+        ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "its 420 trials 60 sta"),
+        ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
+        ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
+        ("centre-in", {}, r"task must be a Task or one of .*; did you mean 'centre-out'"),
+        (3, {}, "task must be .*, got 3$"),
+    ],
+)
+def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(
+    task: Any, arguments: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        MMCReachEnv(task=task, **arguments)
 
 
 def test_an_arm_of_another_reach_does_the_task_in_proportion() -> None:
@@ -96,9 +99,16 @@ def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far() 
 # --- Targets that jump
 
 
-@pytest.mark.parametrize(("name", "step"), [("double-step-100", 5), ("double-step-200", 10)])
-def test_the_target_jumps_once_and_at_its_time(name: str, step: int) -> None:
-    env = MMCReachEnv(task=name)
+@pytest.mark.parametrize(
+    ("arguments", "step"),
+    [
+        ({"task": "double-step-100"}, 5),
+        ({"task": "double-step-200"}, 10),
+        ({"task": DoubleStep(delay=0.1), "substeps": 2}, 10),  # steps of 0.01 s
+    ],
+)
+def test_the_target_jumps_once_and_at_its_time(arguments: dict[str, Any], step: int) -> None:
+    env = MMCReachEnv(**arguments)
     for seed in range(5):
         targets = targets_of(env, 40, seed=seed)
         jumps = np.flatnonzero(np.any(np.diff(targets, axis=0), axis=-1)) + 1
@@ -114,12 +124,6 @@ def test_the_jump_is_seen_and_rewarded_at_once() -> None:
         distance = math.dist(info["target"], info["end_effector"])
         assert info["distance"] == pytest.approx(distance)
         assert info["reward_distance"] == -info["distance"]
-
-
-def test_a_jump_at_another_control_rate_comes_at_the_same_time() -> None:
-    env = MMCReachEnv(task=DoubleStep(delay=0.1), substeps=2)  # steps of 0.01 s
-    jumps = np.flatnonzero(np.any(np.diff(targets_of(env, 30, seed=0), axis=0), axis=-1)) + 1
-    assert jumps.tolist() == [10]
 
 
 # --- Targets that move
@@ -140,6 +144,7 @@ def test_a_pursued_target_has_the_stated_frequencies_and_no_others() -> None:
 
 def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time() -> None:
     env = MMCReachEnv(task="pursuit")
+    assert env.setup.path_length == TASKS["pursuit"].episode_steps == 500
     paths = [targets_of(env, 1000, seed=seed) for seed in range(4)]
     for path in paths:
         np.testing.assert_array_equal(path[:500], path[500:1000])
@@ -222,11 +227,9 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, tri
         assert data_equivalence(act(env), act(twin), exact=True)
 
 
-def test_an_unknown_task_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"task must be a Task or one of .*'centre-out'"):
-        MMCReachEnv(task="centre-in")
-    with pytest.raises(ValueError, match="task must be"):
-        MMCReachEnv(task=3)
+def test_a_path_has_one_place_at_least() -> None:
+    targets = targets_of(MMCReachEnv(task=Pursuit(period=0.001)), 2, seed=0)
+    assert np.ptp(targets, axis=0).tolist() == [0.0, 0.0]
 
 
 def test_a_task_of_ones_own_is_a_few_lines() -> None:

@@ -168,8 +168,8 @@ def test_an_evenly_bent_posture_beyond_reach_or_limits_is_refused() -> None:
 def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(
     centre: tuple[float, float], degrees: float
 ) -> None:
-    rotation = VisuomotorRotation(degrees, centre)
-    space, random = Workspace(ArmParameters(), rotation=rotation), np.random.default_rng(0)
+    space, random = workspace((1.0, 1.0, 1.0)), np.random.default_rng(0)
+    space.rotation = rotation = VisuomotorRotation(degrees, centre)
     for _ in range(300):
         target = space.draw_target(random, [])
         assert space.contains(target)
@@ -178,7 +178,8 @@ def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(
 
 
 def test_what_the_hand_reaches_its_cursor_may_not() -> None:
-    space = Workspace(ArmParameters(), rotation=VisuomotorRotation(180.0, (1.0, 0.0)))
+    space = workspace((1.0, 1.0, 1.0))
+    space.rotation = VisuomotorRotation(180.0, (1.0, 0.0))
     assert space.contains((0.0, 0.0))  # the hand is then at (2, 0)
     assert not space.contains((-2.0, 0.0))  # it would be at (4, 0)
     assert not space.contains((4.0, 0.0))  # the target itself is out of reach

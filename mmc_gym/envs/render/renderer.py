@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -33,44 +34,39 @@ class Scene:
         target: (x, y), segment lengths.
         path: all places of the target in this trial, in order, or nothing if it stands still.
         ghost: N joint angles of an internal model, radians, or None.
-        is_locked: whether the lockable joints are locked.
-        observation: of `MMCReach-v0`, the last, if what was sensed shall be shown.
+        steps: control steps since the reset.
+        observation: the last; what was sensed is shown if the senses are disturbed.
     """
 
     segment_angles: Sequence[float]
     target: Sequence[float]
     path: Sequence[Sequence[float]] = ()
     ghost: Sequence[float] | None = None
-    is_locked: bool = False
-    observation: NDArray[np.float32] | None = None
+    steps: int = 0
+    observation: Any = None
 
 
 class Renderer:
-    """Paints an arm and its target, frame by frame, into an array or a window.
+    """Paints an arm and its target, frame by frame, into an array or a window."""
 
-    Attributes:
-        view: maps the world to the picture.
-    """
-
-    def __init__(self, setup: ReachSetup, mode: str, fps: int) -> None:
+    def __init__(self, setup: ReachSetup, mode: str) -> None:
         """Make a renderer for one arm.
 
         Args:
             setup: of its environment.
-            mode: "rgb_array", for which no display is touched, or "human", which opens a window.
-            fps: frames per second; `draw` waits for its turn if there is a window.
+            mode: "rgb_array", for which no display is touched, or "human", which opens a window:
+                `draw` then waits for its turn.
         """
-        self.view = View(setup.farthest)
         self._setup = setup
         self._lengths = setup.body.segment_lengths
         self._old_lengths = old_lengths(setup)
-        self._trace: deque[Point] = deque(maxlen=max(2, round(TRACE_SECONDS * fps)))
-        large = View(self.view.reach, _OVERSAMPLING * SIZE)
+        self._trace: deque[Point] = deque(maxlen=max(2, round(TRACE_SECONDS * setup.frame_rate)))
+        large = View(setup.farthest, _OVERSAMPLING * SIZE)
         self._canvas = Canvas(pygame.Surface((large.size,) * 2, depth=32), large)
         self._scenery = Canvas(self._canvas.surface.copy(), large)
         self._picture = pygame.Surface((SIZE, SIZE), depth=32)
         self._paint_scenery()
-        self._window = Window((SIZE, SIZE), "mmc-gym", fps) if mode == "human" else None
+        self._window = Window(setup.frame_rate) if mode == "human" else None
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Paint one frame.
@@ -84,7 +80,7 @@ class Renderer:
         self._paint_path(scene)
         self._canvas.draw_trace(self._trace)
         self._paint_arm(scene, nodes)
-        if scene.observation is not None:
+        if scene.observation is not None and self._setup.are_senses_disturbed:
             self._paint_sensed(scene.observation)
         self._paint_target(scene, nodes[-1])
         pygame.transform.smoothscale(self._canvas.surface, (SIZE, SIZE), self._picture)
@@ -135,9 +131,10 @@ class Renderer:
         if body.hand_mass:
             canvas.draw_hand_mass(nodes[-1], body.hand_mass)
         if scene.ghost is not None:
-            told = self._setup.told.segment_lengths
-            canvas.draw_ghost(scene.ghost, told)
-        for joint in body.lockable_joints if scene.is_locked else ():
+            canvas.draw_ghost(scene.ghost, self._setup.told.segment_lengths)
+        lock_step = self._setup.lock_step
+        is_locked = lock_step is not None and scene.steps >= lock_step
+        for joint in body.lockable_joints if is_locked else ():
             canvas.draw_lock(nodes[joint])
 
     def _paint_target(self, scene: Scene, hand: Point) -> None:
@@ -171,18 +168,18 @@ def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
 class Window:
     """A window that shows pictures at a steady rate, until its user closes it."""
 
-    def __init__(self, size: tuple[int, int], title: str, fps: int) -> None:
-        """Open the window."""
+    def __init__(self, frame_rate: int) -> None:
+        """Open the window; it shows at most `frame_rate` pictures a second."""
         pygame.display.init()
-        pygame.display.set_caption(title)
-        self.surface = pygame.display.set_mode(size)
-        self._fps = fps
+        pygame.display.set_caption("mmc-gym")
+        self._surface = pygame.display.set_mode((SIZE, SIZE))
+        self._frame_rate = frame_rate
         self._clock = pygame.time.Clock()
-        self.is_open = True
+        self._is_open = True
 
     def show(self, picture: pygame.Surface) -> None:
         """Show a picture and wait for its turn; nothing happens once the window is closed."""
-        if not self.is_open:
+        if not self._is_open:
             return
         if not pygame.display.get_init() or pygame.event.get(pygame.QUIT):
             self.close()
@@ -190,12 +187,12 @@ class Window:
             return
         # Keys are left for the caller; motion would fill the queue, and then no QUIT gets in.
         pygame.event.clear(pygame.MOUSEMOTION)
-        self.surface.blit(picture, (0, 0))
+        self._surface.blit(picture, (0, 0))
         pygame.display.flip()
-        self._clock.tick(self._fps)
+        self._clock.tick(self._frame_rate)
 
     def close(self) -> None:
         """Close the window."""
-        if self.is_open:
+        if self._is_open:
             pygame.display.quit()
-        self.is_open = False
+        self._is_open = False

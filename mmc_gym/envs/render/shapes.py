@@ -1,9 +1,8 @@
-"""Drawing an arm, its target and its path with pygame: each method of `Canvas` paints one thing.
+"""Shapes of the pictures: a `View` maps the world to pixels, a `Canvas` paints one thing a method.
 
-A `View` maps the world (x to the right, y up, the base in the middle) to pixels.  Nothing here
-depends on colour alone: the arm is the filled shape, the target the ring with a cross, reaching it
-adds a second ring, and the dots of the trace lie one frame apart; an internal model's arm is a thin
-line with hollow joints; dots, or rings without a cross, show where the target will be.
+Nothing depends on colour alone: the arm is the filled shape, the target the ring with a cross,
+reaching it adds a second ring, an internal model's arm is a thin line with hollow joints, and dots,
+or rings without a cross, show where the target will be.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate, pairwise, product
 
 import numpy as np
 import pygame
@@ -43,10 +42,10 @@ BASE_WIDTH, HAND_WIDTH = 21.0, 8.0  # thickness of the arm at its ends
 
 @dataclass(frozen=True)
 class View:
-    """The map between the world and a square picture.
+    """The map from the world (x to the right, y up, the base in the middle) to a square picture.
 
     Attributes:
-        reach: reach of the arm, in segment lengths; the picture shows a little more.
+        reach: of the arm, segment lengths; the picture shows a little more.
         size: width and height of the picture, pixels.
     """
 
@@ -69,7 +68,7 @@ class View:
         return (pixel[0] - middle) / self.scale, (middle - pixel[1]) / self.scale
 
     def stroke(self, width: float) -> float:
-        """Return the pixels of a width that is given for a picture of `SIZE`."""
+        """Return the pixels here of a width in pixels of a picture of `SIZE`."""
         return width * self.size / SIZE
 
 
@@ -104,12 +103,7 @@ def rod_outline(start: Point, end: Point, half_width: float) -> list[Point]:
 
 @dataclass(frozen=True)
 class Canvas:
-    """A surface to paint the world on.  Widths are in pixels of a picture of `SIZE`.
-
-    Attributes:
-        surface: pygame's.
-        view: maps the world to it.
-    """
+    """A surface of pygame's to paint the world on, as its view maps it."""
 
     surface: pygame.Surface
     view: View
@@ -123,16 +117,8 @@ class Canvas:
         length = math.hypot(along_x, along_y)
         if length > 0:
             across_x, across_y = -along_y / length / 2, along_x / length / 2
-            ends = (
-                (start, width, 1),
-                (end, end_width, 1),
-                (end, end_width, -1),
-                (start, width, -1),
-            )
-            corners = [
-                (x + side * wide * across_x, y + side * wide * across_y)
-                for (x, y), wide, side in ends
-            ]
+            wide = ((start, width), (end, end_width), (end, -end_width), (start, -width))
+            corners = [(x + across * across_x, y + across * across_y) for (x, y), across in wide]
             pygame.draw.polygon(self.surface, color, corners)
         self.disc(color, start, width / 2)
         self.disc(color, end, end_width / 2)
@@ -191,22 +177,18 @@ class Canvas:
         for inset, color in ((0.0, OUTLINE), (stroke(2), BASE)):
             side = 2 * (half - inset)
             self._plate(color, (x, y), side, side, round(stroke(7) - inset / 2))
-        for sign_x in (-1, 1):
-            for sign_y in (-1, 1):
-                self.disc(OUTLINE, (x + sign_x * corner, y + sign_y * corner), bolt)
+        for sign_x, sign_y in product((-1, 1), repeat=2):
+            self.disc(OUTLINE, (x + sign_x * corner, y + sign_y * corner), bolt)
 
-    def _plate(self, color: Color, middle: Point, width: float, height: float, round_: int) -> None:
+    def _plate(
+        self, color: Color, middle: Point, width: float, height: float, rounding: int
+    ) -> None:
         plate = pygame.Rect(0, 0, round(width), round(height))
         plate.center = round(middle[0]), round(middle[1])
-        pygame.draw.rect(self.surface, color, plate, border_radius=round_)
+        pygame.draw.rect(self.surface, color, plate, border_radius=rounding)
 
     def draw_arm(self, segment_angles: Sequence[float], segment_lengths: Sequence[float]) -> None:
-        """Paint an arm of N segments as tapering rods on round joints.
-
-        Args:
-            segment_angles: N absolute angles, radians.
-            segment_lengths: N lengths.
-        """
+        """Paint an arm of N segments (absolute angles) as tapering rods on round joints."""
         nodes = node_positions(segment_angles, segment_lengths)
         pixels = [self.view.pixel(node) for node in nodes]
         widths = self.arm_widths(segment_lengths)
@@ -274,10 +256,7 @@ class Canvas:
             self.disc(color, self.view.pixel(point), self.view.stroke(2))
 
     def draw_next_targets(
-        self,
-        target: Sequence[float],
-        points: Sequence[Sequence[float]],
-        success_distance: float,
+        self, target: Sequence[float], points: Sequence[Sequence[float]], success_distance: float
     ) -> None:
         """Paint the targets to come: faint rings, joined to the present one by dashes in order."""
         color, line = blend(BACKGROUND, TARGET, 0.55), self.view.stroke(2)
@@ -289,17 +268,12 @@ class Canvas:
             self.ring(color, pixel, radius, line)
 
     def draw_curl_field(self, curl: float) -> None:
-        """Paint a curl field: arrows that turn the way in which movements are bent.
-
-        Args:
-            curl: positive bends to the right, so that the arrows turn clockwise.
-        """
+        """Paint arrows that turn as movements are bent: clockwise if `curl` is positive."""
         spacing = self.view.reach / 3
-        for row in range(-3, 4):
-            for column in range(-3, 4):
-                middle = (column * spacing, row * spacing)
-                if 0 < math.hypot(*middle) < 0.95 * self.view.reach:
-                    self._draw_turn(self.view.pixel(middle), -math.copysign(1, curl))
+        for row, column in product(range(-3, 4), repeat=2):
+            middle = (column * spacing, row * spacing)
+            if 0 < math.hypot(*middle) < 0.95 * self.view.reach:
+                self._draw_turn(self.view.pixel(middle), -math.copysign(1, curl))
 
     def _draw_turn(self, middle: Point, sense: float) -> None:
         """Paint three quarters of a circle with an arrowhead; `sense` 1 is counter-clockwise."""
@@ -364,12 +338,11 @@ class Canvas:
         """Paint in dashes, around each segment of another length than it was, the one it was."""
         nodes = node_positions(segment_angles, segment_lengths)
         widths = self.arm_widths(segment_lengths)
-        for index, (length, old) in enumerate(zip(segment_lengths, old_lengths, strict=True)):
+        segments = zip(nodes, widths, segment_angles, segment_lengths, old_lengths, strict=False)
+        for (x, y), width, angle, length, old in segments:
             if not math.isclose(length, old):
-                angle = segment_angles[index]
-                x, y = nodes[index]
                 end = (x + old * math.cos(angle), y + old * math.sin(angle))
-                half = widths[index] / 2 + self.view.stroke(5)
+                half = width / 2 + self.view.stroke(5)
                 pixels = rod_outline(self.view.pixel((x, y)), self.view.pixel(end), half)
                 self.dashes(REACHABLE, pixels, 4, 400)
                 self.dashes(OUTLINE, pixels, 1.8, 6)
@@ -381,13 +354,7 @@ class Canvas:
             self.diamond(color, self.view.pixel(cursor), size)
 
     def draw_sensed(self, nodes: Sequence[Point], hand: Point, target: Point) -> None:
-        """Paint the sensed arm: a dashed skeleton, and hollow diamonds for hand and target as seen.
-
-        Args:
-            nodes: base, joints and hand (N + 1 points) as the joints are felt.
-            hand: where the hand, or its cursor, is seen.
-            target: where the target is seen.
-        """
+        """Paint the felt arm (N + 1 nodes) in dashes, seen hand and target as hollow diamonds."""
         pixels = [self.view.pixel(node) for node in nodes]
         color = blend(BACKGROUND, OUTLINE, 0.75)
         for start, end in pairwise(pixels):
