@@ -66,21 +66,20 @@ def read_head(path: Path) -> dict[str, Any]:
 
 
 def load_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> None:
-    """Bring a model, made with the same arguments, to the state in the checkpoint.
-
-    Args:
-        model: which may have been changed in part when an error is raised.
-        head: of the checkpoint, see `read_head`.
-        path: of the checkpoint.
+    """Bring a model, made with the same arguments, to the state in the checkpoint with that head.
 
     Raises:
-        UserError: if the file is not a checkpoint, or that of another model.
+        UserError: if the file is not a checkpoint, or that of another model, which may then have
+            been changed in part.
     """
     try:
         counts = head["model"]
         tensors = safetensors.torch.load_file(path)
         parameters = model.get_parameters()
-        found: dict[str, Any] = {name: _emptied(part) for name, part in parameters.items()}
+        found: dict[str, Any] = {
+            name: {**part, "state": {}} if "param_groups" in part else {}
+            for name, part in parameters.items()
+        }
         variables, replayed = _variables(model), Tensors()
         for key, tensor in tensors.items():
             kind, name, *rest = key.split("/")
@@ -100,12 +99,6 @@ def load_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
         _restore_counts(model, counts)
     except (KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
         raise UserError(f"{path} does not hold a training of this kind: {error}") from error
-
-
-def _emptied(part: Any) -> Any:
-    if isinstance(part, dict) and "param_groups" in part:
-        return {"state": {}, "param_groups": part["param_groups"]}
-    return {}
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:

@@ -1,12 +1,12 @@
 """Learning curves: success over the course of trainings, with intervals over training seeds.
 
 The cards of trained policies hold about 25 evaluations of each training, all of the same 200
-episodes.  The curve of a name, such as "ppo", at a point x is the mean over its training seeds s,
+episodes.  At a point x the curve of a name, such as "ppo", is the mean over its training seeds s,
 
     mean_s success_s(max {x_e ≤ x}),
 
-where e is the last evaluation up to x: nothing is interpolated upwards.  It begins where all seeds
-have been evaluated, and ends where the shortest training does.
+where e is the last evaluation up to x.  It begins where all seeds have been evaluated, and ends
+where the shortest training does.
 
 Time is the CPU time of the training process: its wall time depends on what else the machine does.
 A training runs on one thread, so that it is the wall time of a training with a core to itself.
@@ -29,7 +29,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns
@@ -72,11 +72,9 @@ class TrainingQuantity(NamedTuple):
     Attributes:
         name: its column in the data.
         label: its heading in tables.
-        unit: of its values.
         decimals: at most so many are shown.
-        best: whether high or low values are good.
         statistic: of many training seeds.
-        varies: whether seeds can differ in it, so that it has an interval.
+        varies: seeds can differ in it, so that it has an interval.
     """
 
     name: str
@@ -110,29 +108,19 @@ QUANTITIES = (
 
 
 def _numbers(card: PolicyCard, size: int) -> dict[str, float]:
-    """Return the numbers of a training, by the names of `QUANTITIES`.
+    """Return the `QUANTITIES` of a training whose weights have `size` bytes, by name.
 
-    Args:
-        card: of its policy.
-        size: of the policy's weights, bytes.
-
-    Returns:
-        NaN for a score that is missing, infinite for a level that was never reached.
+    A score that is missing is NaN, a level that was never reached infinite.
     """
-    levels = {}
+    scores = ("success", "final_distance", "time_to_target")
+    numbers = {name: card.scores.get(name, math.nan) for name in scores}
     for percent, level in _PERCENTS.items():
-        levels[f"steps_to_{percent}"] = first_reached(card, level, "steps") / 1_000
-        levels[f"minutes_to_{percent}"] = first_reached(card, level, "cpu_seconds") / 60
-    return {
-        **{
-            name: card.scores.get(name, math.nan)
-            for name in ("success", "final_distance", "time_to_target")
-        },
-        **levels,
-        "training_steps": card.training_steps / 1_000,
-        "training_minutes": card.training_cpu_seconds / 60,
-        "weights_size": size / 1_024,
-    }
+        numbers[f"steps_to_{percent}"] = first_reached(card, level, "steps") / 1_000
+        numbers[f"minutes_to_{percent}"] = first_reached(card, level, "cpu_seconds") / 60
+    numbers["training_steps"] = card.training_steps / 1_000
+    numbers["training_minutes"] = card.training_cpu_seconds / 60
+    numbers["weights_size"] = size / 1_024
+    return numbers
 
 
 def first_reached(card: PolicyCard, level: float, column: str) -> float:
@@ -141,9 +129,7 @@ def first_reached(card: PolicyCard, level: float, column: str) -> float:
     return next(reached, math.inf)
 
 
-def learning_curves(
-    folder: Path | None, out: Path, console: Console | None = None
-) -> dict[str, list[PolicyCard]]:
+def learning_curves(folder: Path | None, out: Path, console: Console | None = None) -> None:
     """Print a table of trainings, and write it, their learning curves and a figure.
 
     Writes curves.csv (a row for each evaluation), trainings.csv (for each training), table.csv and
@@ -154,9 +140,6 @@ def learning_curves(
         out: folder for the files.
         console: to print the table to; standard output if None.
 
-    Returns:
-        What `read_cards` returned.
-
     Raises:
         UserError: if the folder holds no policies, or damaged ones, or `out` is a file.
     """
@@ -166,12 +149,12 @@ def learning_curves(
     curves = curve_rows(cards)
     rows = trainings(cards, weights_sizes(folder))
     summary = summarize_trainings(rows)
+    tables = {"curves": curves, "trainings": rows, "table": summary}
     written = [
-        write_atomically(out / "curves.csv", _csv(curves)),
-        write_atomically(out / "trainings.csv", _csv(rows)),
-        write_atomically(out / "table.csv", _csv(summary)),
-        write_atomically(out / "table.md", to_markdown(rows, summary)),
+        write_atomically(out / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
+        for name, table in tables.items()
     ]
+    written.append(write_atomically(out / "table.md", to_markdown(rows, summary)))
     figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
     written += save_figure(figure, out / "learning_curves")
     console = console or make_console()
@@ -179,7 +162,6 @@ def learning_curves(
     for path in written:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
         console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
-    return cards
 
 
 def read_cards(folder: Path) -> dict[str, list[PolicyCard]]:
@@ -270,7 +252,7 @@ def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
     evaluated up to the end of the shortest, and that end.  With one seed there are no intervals.
 
     Args:
-        curves: what `curve_rows` returned.
+        curves: of `curve_rows`.
         against: its column that the curves run along.
 
     Returns:
@@ -279,41 +261,15 @@ def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
     """
     rows = []
     for agent, group in curves.groupby("agent", sort=False):
-        seeds = [
-            (seed[against].to_numpy(np.float64), seed["success"].to_numpy(np.float64))
-            for _, seed in group.groupby("seed")
-        ]
-        grid = _common_points([positions for positions, _ in seeds])
-        known = np.array([last_known(grid, *seed) for seed in seeds])
-        for position, successes in zip(grid, known.T, strict=True):
+        known = group.pivot_table("success", against, "seed", aggfunc="last").ffill().dropna()
+        ends = group.groupby("seed")[against].max()
+        points = [*group.loc[group["seed"] == ends.idxmax(), against], ends.min()]
+        known = known[known.index.isin(points) & (known.index <= ends.min())]
+        for position, successes in zip(known.index, known.to_numpy(), strict=True):
             found = success_interval(successes, EVALUATION_EPISODES)
             row = {"agent": agent, against: position, "success": found.estimate}
             rows.append({**row, "low": found.low, "high": found.high, "seeds": found.count})
     return pd.DataFrame(rows, columns=["agent", against, "success", "low", "high", "seeds"])
-
-
-def last_known(at: ArrayLike, positions: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
-    """Return the value at the last position up to each of `at`; NaN before the first.
-
-    Args:
-        at: where.
-        positions: (n,), ascending.
-        values: (n,).
-
-    Example:
-        >>> last_known([0.5, 1.0, 1.9, 2.0, 9.0], [1.0, 2.0], [0.25, 0.75])
-        array([ nan, 0.25, 0.25, 0.75, 0.75])
-    """
-    known = np.concatenate(([np.nan], np.asarray(values, np.float64)))
-    found: NDArray[np.float64] = known[np.searchsorted(positions, at, side="right")]
-    return found
-
-
-def _common_points(positions: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    first = max(seed[0] for seed in positions)
-    last = min(seed[-1] for seed in positions)
-    points = np.append(max(positions, key=lambda seed: seed[-1]), last)
-    return np.unique(points[(points >= first) & (points <= last)])
 
 
 def trainings(
@@ -335,10 +291,7 @@ def trainings(
 
 
 def summarize_trainings(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return each name's statistic and interval of each quantity over its training seeds.
-
-    Args:
-        rows: what `trainings` returned.
+    """Return the statistic of each quantity over each name's rows of `trainings`.
 
     Returns:
         Columns agent, measure, unit, statistic, and the fields of `Interval`.
@@ -369,12 +322,7 @@ def _over_seeds(values: NDArray[np.float64], quantity: TrainingQuantity) -> Inte
 
 
 def to_markdown(rows: pd.DataFrame, summary: pd.DataFrame) -> str:
-    """Return the table as Markdown.
-
-    Args:
-        rows: what `trainings` returned.
-        summary: what `summarize_trainings` returned.
-    """
+    """Return the table of `trainings` and `summarize_trainings` as Markdown."""
     labels, columns = _columns(rows, summary)
     lines = [[*labels, *columns], ["---"] * len(labels) + ["---:"] * len(columns)]
     lines += map(list, zip(*labels.values(), *columns.values(), strict=True))
@@ -403,10 +351,6 @@ def _columns(
     return labels, columns
 
 
-def _csv(frame: pd.DataFrame) -> str:
-    return frame.to_csv(index=False, lineterminator="\n")
-
-
 # Okabe and Ito's but yellow: with four kinds of lines no two curves look alike.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKERS = "osD^vPX<*"
@@ -422,12 +366,7 @@ _CAPTION = (
 
 
 def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame) -> Figure:
-    """Draw success against environment steps, left, and against minutes, right.
-
-    Args:
-        against_steps: what `mean_curves` returned.
-        against_time: the same with cpu_seconds.
-    """
+    """Draw `mean_curves` against environment steps, left, and against minutes, right."""
     minutes = against_time.assign(minutes=against_time["cpu_seconds"] / 60)
     panels = (
         (against_steps, "steps", "environment steps"),
@@ -442,8 +381,12 @@ def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame
                 axes.axhline(level, color="0.4", linestyle=":", linewidth=0.6, zorder=0)
             for number, (agent, curve) in enumerate(curves.groupby("agent", sort=False)):
                 _draw_curve(axes, str(agent), curve, column, number)
-            axes.set_xlabel(label)
-            _scale_logarithmically(axes)
+            axes.set(xlabel=label, xscale="log")
+            low, high = axes.get_xlim()
+            axes.xaxis.set_major_locator(
+                LogLocator(subs=(1, 3) if high > 10**_WIDE * low else (1, 2, 5))
+            )
+            axes.xaxis.set_minor_formatter(NullFormatter())
         row[0].set(ylabel="success", ylim=(0, 1.02))
         row[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.0f} %"))
         row[0].xaxis.set_major_formatter(EngFormatter(sep=""))
@@ -458,14 +401,6 @@ def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame
         )
         figure.supxlabel(textwrap.fill(_CAPTION, 150), fontsize=7, linespacing=1.4)
     return figure
-
-
-def _scale_logarithmically(axes: Axes) -> None:
-    axes.set_xscale("log")
-    low, high = axes.get_xlim()
-    subs = (1, 3) if high > 10**_WIDE * low else (1, 2, 5)
-    axes.xaxis.set_major_locator(LogLocator(subs=subs))
-    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_curve(axes: Axes, agent: str, curve: pd.DataFrame, column: str, number: int) -> None:

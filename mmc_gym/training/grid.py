@@ -30,8 +30,7 @@ class TrainingCell:
     """One training of a grid.
 
     Attributes:
-        policy: to train.
-        steps: environment steps, instead of those of the hyperparameters; None for these.
+        steps: environment steps; None for those of the hyperparameters.
         device: that torch computes on.
         folder: of the checkpoint, on this machine.  None on a cluster: where a node is lost, its
             training starts again, and ends with the same policy.
@@ -73,23 +72,20 @@ def train_all(
     on_policy: Callable[[PolicyCard], None] = lambda card: None,
     on_note: Callable[[str], None] = lambda note: None,
 ) -> list[PolicyCard]:
-    """Train policies, many at once, and write their files into a folder.
+    """Train policies, many at once, write their files into `out`, and return their cards.
 
     Policies that are there, trained with the same hyperparameters, are not trained again.
     Interrupted trainings go on from their checkpoints.
 
     Args:
-        policies: which.
-        out: the folder.
+        policies: to train.
+        out: folder for the files.
         steps: environment steps, instead of those of the hyperparameters.
         device: that torch computes on.
         jobs: how many are trained at once, see `run_grid`.
         cluster: where, see `run_grid`.
         on_policy: called with the card of each policy that is ready.
         on_note: called when a checkpoint is discarded, with the reason.
-
-    Returns:
-        The cards, in the order of `policies`.
 
     Raises:
         UserError: if `out` is a file, `steps` is below 1, or there are no such hyperparameters or
@@ -102,7 +98,7 @@ def train_all(
         usable_device(device)
     cards: dict[PolicyName, PolicyCard] = {}
     cells = []
-    for policy in map(PolicyName._make, policies):
+    for policy in policies:
         folder = None if cluster else str(out / "checkpoints" / file_stem(*policy))
         cell = TrainingCell(policy, steps, device, folder)
         card = _finished(cell, out)
@@ -124,7 +120,7 @@ def train_all(
         on_policy(card)
 
     run_grid(train_cell, cells, jobs=jobs, cluster=cluster, on_result=keep)
-    return [cards[PolicyName._make(policy)] for policy in policies]
+    return [cards[policy] for policy in policies]
 
 
 def train_cell(cell: TrainingCell) -> dict[str, bytes]:

@@ -1,8 +1,7 @@
 """Hyperparameters: YAML files in rl_zoo3's form, and what they mean to stable-baselines3.
 
-A file maps ids of environments to entries.  `read_recipe` reads the entry of one environment, from
-a file that ships or from your own, and `Recipe.settings` checks it: `PPOSettings`, `SACSettings`
-and `TQCSettings` have a field for each key, with the values that it accepts.
+A file maps ids of environments to entries.  `read_recipe` reads one, and `Recipe.settings` checks
+it: `PPOSettings`, `SACSettings` and `TQCSettings` have a field for each key.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ def _number(value: Any) -> float:
     """Read a number, or the text of one, such as 1e-3 to YAML."""
     try:
         number = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
         raise ValueError("must be a number")
@@ -171,13 +170,10 @@ def _looked_up(name: Any, table: Mapping[str, Any]) -> Any:
     return table[name]
 
 
-def _named(table: Mapping[str, Callable[..., Any]], value: Any, *first: None) -> list[partial[Any]]:
-    """Read a name, or a list of names and of mappings of one name to its arguments.
+def _named(table: Mapping[str, Callable[..., Any]], value: Any, *given: None) -> list[partial[Any]]:
+    """Read names of a table, or mappings of a name to its arguments, one or a list.
 
-    Args:
-        table: what may be named.
-        value: what is read.
-        first: stand for the arguments that are given besides.
+    `given` stands for the arguments that are given when it is called.
     """
     found = []
     for part in value if isinstance(value, list) else [] if value is None else [value]:
@@ -185,7 +181,7 @@ def _named(table: Mapping[str, Callable[..., Any]], value: Any, *first: None) ->
         name, arguments = next(iter(part.items())) if has_arguments else (part, None)
         make, arguments = _looked_up(name, table), arguments or {}
         try:
-            inspect.signature(make).bind(*first, **arguments)
+            inspect.signature(make).bind(*given, **arguments)
         except TypeError as error:
             raise ValueError(f"must have arguments that {name} takes: {error}") from error
         found.append(partial(make, **arguments))
@@ -199,8 +195,12 @@ def _wrapper(value: Any) -> partial[VecEnvWrapper] | None:
     return wrappers[0] if wrappers else None
 
 
-def _callbacks(value: Any) -> list[partial[BaseCallback]]:
-    return _named(_CALLBACKS, value)
+def _replay_buffer(name: Any) -> Any:
+    return _looked_up(name, {"HerReplayBuffer": HerReplayBuffer})
+
+
+def _target_entropy(value: Any) -> str | float:
+    return "auto" if value == "auto" else _number(value)
 
 
 Real = Annotated[float, BeforeValidator(_number)]
@@ -214,7 +214,6 @@ AnyRate = Annotated[Rate, PlainValidator(_rate)]
 
 _WRAPPERS: dict[str, type[VecEnvWrapper]] = {f"{Residual.__module__}.Residual": Residual}
 _CALLBACKS: dict[str, type[BaseCallback]] = {f"{__name__}.EntropyDecay": EntropyDecay}
-_BUFFERS = {"HerReplayBuffer": HerReplayBuffer}
 
 
 class _Keys(BaseModel):
@@ -234,10 +233,8 @@ class Normalization(_Keys):
     epsilon: Positive = 1e-8
 
 
-class PolicyOptions(_Keys):
+class PolicyOptions(_Keys, extra="allow"):
     """Arguments of a policy; any others are checked by the policy itself."""
-
-    model_config = ConfigDict(extra="allow")
 
     net_arch: Annotated[Any, PlainValidator(_layers)] = None
     activation_fn: Literal["relu", "tanh"] = "relu"
@@ -246,20 +243,15 @@ class PolicyOptions(_Keys):
     n_quantiles: Count = 25
 
 
-class ReplayOptions(_Keys):
+class ReplayOptions(_Keys, extra="allow"):
     """Arguments of a replay buffer; any others are checked by the buffer itself."""
-
-    model_config = ConfigDict(extra="allow")
 
     n_sampled_goal: Count = 4
     goal_selection_strategy: Literal["future", "final", "episode"] = "future"
 
 
 class Settings(_Keys):
-    """An entry of a hyperparameter file: the keys that all algorithms have.
-
-    Defaults are those of the algorithm.
-    """
+    """The keys that all algorithms have; their defaults are those of the algorithm."""
 
     algorithm: ClassVar[type[BaseAlgorithm]]
 
@@ -269,7 +261,9 @@ class Settings(_Keys):
     env_kwargs: Annotated[dict[str, Any], AfterValidator(_limited)] = {}
     vec_env_wrapper: Annotated[partial[VecEnvWrapper] | None, PlainValidator(_wrapper)] = None
     normalize: Annotated[Normalization | None, BeforeValidator(_normalized)] = None
-    callback: Annotated[list[partial[BaseCallback]], PlainValidator(_callbacks)] = []
+    callback: Annotated[
+        list[partial[BaseCallback]], PlainValidator(lambda value: _named(_CALLBACKS, value))
+    ] = []
 
     learning_rate: AnyRate = Rate(3e-4)
     gamma: Share = 0.99
@@ -291,11 +285,9 @@ class Settings(_Keys):
         """Return the steps of each environment between updates, in episodes of `episode_steps`."""
 
     def steps_per_leg(self, episode_steps: int, evaluations: int) -> int:
-        """Return the environment steps between two evaluations, a number of whole rollouts.
+        """Return the environment steps between two of about so many evaluations: whole rollouts.
 
-        Args:
-            episode_steps: of an episode, if `env_kwargs` do not say otherwise.
-            evaluations: about how many there shall be.
+        `env_kwargs` may have another number of steps of an episode.
         """
         episode_steps = self.env_kwargs.get("max_episode_steps", episode_steps)
         whole = self.rollout(episode_steps) * self.n_envs
@@ -304,13 +296,7 @@ class Settings(_Keys):
     def make_model(
         self, env: VecEnv, seed: int, device: str = "cpu", tensorboard: str | None = None
     ) -> BaseAlgorithm:
-        """Return an untrained model.
-
-        Args:
-            env: to train in.
-            seed: of everything random.
-            device: to train on, as torch names it.
-            tensorboard: folder for TensorBoard's logs.
+        """Return an untrained model, which logs to the folder `tensorboard`.
 
         Raises:
             UserError: if the algorithm or the policy does not take the options.
@@ -320,15 +306,9 @@ class Settings(_Keys):
         if self.normalize is not None:
             env = VecNormalize(env, **{"gamma": self.gamma, **_given(self.normalize)})
         options = {key: value for key, value in _given(self).items() if key not in _OWN}
+        options |= {"seed": seed, "device": device, "tensorboard_log": tensorboard}
         try:
-            return self.algorithm(
-                POLICIES[self.policy],
-                env,
-                seed=seed,
-                device=device,
-                tensorboard_log=tensorboard,
-                **options,
-            )
+            return self.algorithm(POLICIES[self.policy], env, **options)
         except (TypeError, AssertionError) as error:
             name = self.algorithm.__name__
             raise UserError(f"{name} does not take these hyperparameters: {error}") from error
@@ -345,7 +325,7 @@ def _given(keys: BaseModel) -> dict[str, Any]:
 
 
 class PPOSettings(Settings):
-    """An entry for PPO."""
+    """The keys of PPO."""
 
     algorithm: ClassVar[type[BaseAlgorithm]] = PPO
 
@@ -367,7 +347,7 @@ class PPOSettings(Settings):
 
 
 class SACSettings(Settings):
-    """An entry for SAC."""
+    """The keys of SAC."""
 
     algorithm: ClassVar[type[BaseAlgorithm]] = SAC
 
@@ -377,17 +357,13 @@ class SACSettings(Settings):
     tau: Share = 0.005
     train_freq: Annotated[tuple[int, str], PlainValidator(_frequency)] = (1, "step")
     gradient_steps: Annotated[Whole, Field(ge=-1)] = 1
-    replay_buffer_class: (
-        Annotated[Any, PlainValidator(lambda name: _looked_up(name, _BUFFERS))] | None
-    ) = None
+    replay_buffer_class: Annotated[Any, PlainValidator(_replay_buffer)] | None = None
     replay_buffer_kwargs: Annotated[ReplayOptions | None, BeforeValidator(_mapping)] = None
     optimize_memory_usage: StrictBool = False
     n_steps: Count = 1
     ent_coef: Annotated[str | float, PlainValidator(_entropy)] = "auto"
     target_update_interval: Count = 1
-    target_entropy: Annotated[
-        str | float, PlainValidator(lambda value: value if value == "auto" else _number(value))
-    ] = "auto"
+    target_entropy: Annotated[str | float, PlainValidator(_target_entropy)] = "auto"
     use_sde_at_warmup: StrictBool = False
 
     @override
@@ -399,14 +375,15 @@ class SACSettings(Settings):
 
 
 class TQCSettings(SACSettings):
-    """An entry for TQC."""
+    """The keys of TQC."""
 
     algorithm: ClassVar[type[BaseAlgorithm]] = TQC
 
     top_quantiles_to_drop_per_net: Natural = 2
 
 
-SETTINGS: dict[str, type[PPOSettings] | type[SACSettings]] = {
+AnySettings = PPOSettings | SACSettings
+SETTINGS: dict[Algorithm, type[AnySettings]] = {
     "ppo": PPOSettings,
     "sac": SACSettings,
     "tqc": TQCSettings,
@@ -442,10 +419,10 @@ class Recipe:
         if algorithm not in SETTINGS:
             known = ", ".join(SETTINGS)
             raise UserError(f"name must begin with one of {known}, got {self.name!r}")
-        return cast(Algorithm, algorithm)
+        return algorithm
 
     @property
-    def settings(self) -> PPOSettings | SACSettings:
+    def settings(self) -> AnySettings:
         """The hyperparameters, checked.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Policies of stable-baselines3 and sb3-contrib that see through one of our views (see `views`).
+"""Policies of stable-baselines3 and sb3-contrib that see through one of our `views`.
 
 YAML files give their full names, so that rl_zoo3 finds them too.  Layers are rectified linear,
 unless `policy_kwargs` says otherwise.
@@ -29,12 +29,7 @@ ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
 
 
 class ViewLayer(BaseFeaturesExtractor):
-    """`features` as a layer without parameters.
-
-    Attributes:
-        view: what it computes.
-        layout: of the observations.
-    """
+    """`features` as a layer without parameters."""
 
     def __init__(self, observation_space: spaces.Space[Any], view: View, joint_count: int) -> None:
         """Make the layer for the observations of an arm with `joint_count` joints.
@@ -75,10 +70,8 @@ class _HasView(BasePolicy):
         activation = options.get("activation_fn", "relu")
         options["activation_fn"] = ACTIVATIONS.get(activation, activation)
         options["features_extractor_class"] = ViewLayer
-        options["features_extractor_kwargs"] = {
-            "view": self.view,
-            "joint_count": action_space.shape[0],
-        }
+        seen = {"view": self.view, "joint_count": action_space.shape[0]}
+        options["features_extractor_kwargs"] = seen
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
 

@@ -2,8 +2,8 @@
 
 A training is cut into legs.  At the start of each leg the environments are reset, all random
 generators are seeded from the training's seed and the leg's number, and the state of the training
-is written to a checkpoint (see `checkpoints`).  So a training that was killed goes on from its last
-leg, and ends with the same policy as one that was not.
+is written to a checkpoint.  So a training that was killed goes on from its last leg, and ends with
+the same policy as one that was not.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -61,7 +61,6 @@ class Training:
     """A training in one environment, by the hyperparameters of a YAML file.
 
     Attributes:
-        recipe: what is trained, where, and how.
         seed: of everything random.
         folder: where the checkpoint and the trained policy are written.
         report: called after every rollout and every evaluation.
@@ -96,12 +95,6 @@ class Training:
             raise UserError(f"env must be the id of an environment: {error}") from error
         self.steps_per_leg = self.settings.steps_per_leg(episode_steps, self.evaluations)
         self.total_steps = -(-self.settings.n_timesteps // self.steps_per_leg) * self.steps_per_leg
-        self._before = {"seconds": 0.0, "cpu_seconds": 0.0}
-
-    @property
-    def label(self) -> str:
-        """The name of the policy's files, without suffix."""
-        return file_stem(self.recipe.name, self.seed)
 
     @property
     def checkpoint(self) -> Path:
@@ -111,7 +104,8 @@ class Training:
     @property
     def policy_files(self) -> tuple[Path, Path]:
         """The files of the trained policy."""
-        return self.folder / f"{self.label}.safetensors", self.folder / f"{self.label}.json"
+        label = file_stem(self.recipe.name, self.seed)
+        return self.folder / f"{label}.safetensors", self.folder / f"{label}.json"
 
     def run(self, resume: bool = False) -> PolicyCard:
         """Train, or go on training, and write the policy.
@@ -132,17 +126,17 @@ class Training:
                 PolicyAgent(*self._policy(model), self._interface)
             except ValueError as error:
                 raise UserError(f"hyperparameters must give a policy that acts: {error}") from error
+            self._started = _now()
             if head is not None:
                 load_checkpoint(model, head, self.checkpoint)
                 self.curve = head["curve"]
-                self._before = {name: head[name] for name in self._before}
-            self._started = _now()
+                self._started = {name: now - head[name] for name, now in _now().items()}
             if (remaining := self.total_steps - model.num_timesteps) > 0:
                 model.learn(
                     remaining,
                     callback=[_Legs(self), *(make() for make in self.settings.callback)],
                     reset_num_timesteps=False,
-                    tb_log_name=self.label,
+                    tb_log_name=file_stem(self.recipe.name, self.seed),
                 )
                 self.save(model)
             env.close()
@@ -224,22 +218,18 @@ class Training:
         }
 
     def _times(self) -> dict[str, float]:
-        now = _now()
-        return {
-            name: round(self._before[name] + now[name] - self._started[name], 1) for name in now
-        }
+        return {name: round(now - self._started[name], 1) for name, now in _now().items()}
 
     def _policy(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, PolicyCard]:
         """Return the policy as it is now, with a card that has no scores yet."""
-        interface = self._interface
         network, view = export_policy(model.policy)
         residual = unwrap_vec_wrapper(_env_of(model), Residual)
         card = PolicyCard(
             name=self.recipe.name,
             algorithm=self.recipe.algorithm,
             env_id=self.recipe.env_id,
-            control=interface.control,
-            segment_count=len(interface.segment_lengths),
+            control=self._interface.control,
+            segment_count=len(self._interface.segment_lengths),
             view=view,
             activation=network.activation,
             distribution=network.distribution,
@@ -261,9 +251,7 @@ def _now() -> dict[str, float]:
 
 
 def _env_of(model: BaseAlgorithm) -> VecEnv:
-    env = model.get_env()
-    assert env is not None
-    return env
+    return cast(VecEnv, model.get_env())
 
 
 class _Legs(BaseCallback):
@@ -324,7 +312,7 @@ def usable_device(name: str) -> str:
 
 
 def _differences(name: str, there: Any, here: Any) -> Iterator[str]:
-    """Say in words what two values of an entry of a checkpoint's head differ in."""
+    """Say what an entry of a checkpoint's head differs in."""
     if isinstance(there, dict) and isinstance(here, dict):
         for key in sorted({*there, *here}):
             if there.get(key) != here.get(key):

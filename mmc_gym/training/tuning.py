@@ -1,8 +1,7 @@
 """`mmc-gym tune`: let Optuna look for the constants of a network, or of a training.
 
-A `Target` says what can be tuned, and what a set of constants is worth.  `tune` keeps every trial
-in a journal.  A trial depends on nothing but the complete trials before it, and is seeded by their
-number: tuning that was interrupted, however often, gives the same trials.
+`tune` keeps every trial in a journal.  A trial depends on nothing but the complete trials before
+it, and is seeded by their number: interrupted tuning, however often, gives the same trials.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
-from mmc_gym.training.hyperparameters import PPOSettings, Recipe, SACSettings, read_recipe
+from mmc_gym.training.hyperparameters import AnySettings, PPOSettings, Recipe, read_recipe
 from mmc_gym.training.training import Training
 
 if TYPE_CHECKING:
@@ -69,9 +68,9 @@ class Target:
     Attributes:
         in_use: the constants in use; others beside those of the space are ignored.
         space: lets a trial suggest constants.
-        judge: what constants are worth, at most 1, after a number of environment steps.
-        episodes: how many it judges by, of a number of environment steps.
-        objective: what they are worth, in words.
+        judge: returns the worth of constants, at most 1, after so many environment steps.
+        episodes: returns how many it judges by, of so many environment steps.
+        objective: the worth in words.
     """
 
     in_use: Constants
@@ -137,7 +136,7 @@ def make_network_agent(constants: Constants, interface: ReachInterface) -> Agent
 
 
 def judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:
-    """Return how a policy does after a short training with the constants."""
+    """Return the part of the time at the target after a short training with the constants."""
     recipe = recipe.with_changes(**constants, n_timesteps=steps)
     with tempfile.TemporaryDirectory() as folder:
         training = Training(recipe, TUNING_SEED, Path(folder), evaluations=1)
@@ -177,7 +176,7 @@ def _suggest_feedback(trial: BaseTrial) -> Constants:
     }
 
 
-def _suggest_learning(settings: PPOSettings | SACSettings, trial: BaseTrial) -> Constants:
+def _suggest_learning(settings: AnySettings, trial: BaseTrial) -> Constants:
     """Suggest hyperparameters; the space includes those of the settings, wherever they are."""
 
     def around(name: str, low: float, high: float, value: float) -> float:
@@ -237,8 +236,7 @@ def tune(
         on_trial: called with the number and the value of each trial.
 
     Returns:
-        The content of `out/NAME.json`: name, trials, steps per trial, objective, episodes that it
-        is taken over, value and constants of those in use, and of the best.
+        The content of `out/NAME.json`.
 
     Raises:
         UserError: if there is no such name, the trials in the folder have another number of steps,
@@ -286,11 +284,7 @@ def tune(
 
 
 def _open_study(name: str, steps: int, out: Path) -> optuna.Study:
-    """Open the study of that name in the folder, or begin it.
-
-    Raises:
-        UserError: if its trials have another number of steps, or Optuna is not installed.
-    """
+    """Open the study of that name in the folder, or begin it."""
     try:
         import optuna
         from optuna.storages.journal import JournalFileBackend

@@ -1,9 +1,4 @@
-"""Gymnasium's vector environments for stable-baselines3: one step of arrays for many arms.
-
-A `VecEnv` of stable-baselines3 begins a new episode in the step that ends one, and tells in the
-infos how it ended.  `GymnasiumVecEnv` makes one of any `gymnasium.vector.VectorEnv` that does the
-same (`autoreset_mode="SameStep"`).
-"""
+"""Gymnasium's vector environments for stable-baselines3: one step of arrays for many arms."""
 
 from __future__ import annotations
 
@@ -58,10 +53,10 @@ class GymnasiumVecEnv(VecEnv):
     """
 
     def __init__(self, vector_env: VectorEnv[Any, Any, Any], info_keys: Sequence[str] = ()) -> None:
-        """Adapt an environment.
+        """Adapt an environment that restarts in the step that ends an episode.
 
         Args:
-            vector_env: any that restarts in the step that ends an episode.
+            vector_env: with the autoreset mode "SameStep".
             info_keys: names of infos to give in every step.
 
         Raises:
@@ -151,14 +146,14 @@ class GymnasiumVecEnv(VecEnv):
             UserError: if only some are chosen of a native vector environment.
         """
         chosen = self._chosen(indices)
+        everywhere = set(chosen) == set(range(self.num_envs))
         env: Any = self.vector_env.unwrapped
         if hasattr(env, "set_attr"):
-            everywhere = set(chosen) == set(range(self.num_envs))
             values = [value] * self.num_envs if everywhere else self._values(attr_name)
             for index in chosen:
                 values[index] = value
             env.set_attr(attr_name, values)
-        elif set(chosen) == set(range(self.num_envs)):
+        elif everywhere:
             setattr(env, attr_name, value)
         else:
             raise UserError(
@@ -194,10 +189,7 @@ class GymnasiumVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Tell of each chosen environment whether it is in such a wrapper.
-
-        Neither native arms nor environments of other processes are.
-        """
+        """Tell of each chosen environment whether it is in such a wrapper: no native arm is."""
         envs = getattr(self.vector_env.unwrapped, "envs", None)
         return [
             envs is not None and is_wrapped(envs[index], wrapper_class)
@@ -208,7 +200,6 @@ class GymnasiumVecEnv(VecEnv):
         return [int(index) for index in self._get_indices(indices)]
 
     def _values(self, name: str) -> list[Any]:
-        """Return an attribute of each environment."""
         env: Any = self.vector_env.unwrapped
         if hasattr(env, "get_attr"):
             return list(env.get_attr(name))
@@ -229,18 +220,13 @@ def _row(infos: Info, index: int) -> Info:
 
 
 class Residual(VecEnvWrapper):
-    """An environment whose actions correct those of a base agent.
+    """A reaching environment whose actions correct those of a base agent.
 
-    Attributes:
-        base_agent: which agent, a key of `BASE_AGENTS`.
+    Its proposed action follows the observation.
     """
 
     def __init__(self, venv: VecEnv, base_agent: str = "mmc") -> None:
-        """Wrap an environment with `Box` observations.
-
-        Args:
-            venv: of reaching environments.
-            base_agent: a key of `BASE_AGENTS`.
+        """Wrap an environment with `Box` observations; `base_agent` is a key of `BASE_AGENTS`.
 
         Raises:
             UserError: if there is no such agent, or the observations are of another kind.
@@ -250,9 +236,8 @@ class Residual(VecEnvWrapper):
         space, action = venv.observation_space, venv.action_space
         if not isinstance(space, spaces.Box) or not isinstance(action, spaces.Box):
             raise UserError(f"venv must have Box observations, got {space}")
-        low, high = (
-            np.concatenate(pair) for pair in zip((space.low, space.high), (action.low, action.high))
-        )
+        low = np.concatenate((space.low, action.low))
+        high = np.concatenate((space.high, action.high))
         super().__init__(venv, spaces.Box(low, high, dtype=np.float32))
         self.base_agent = base_agent
         self._base = BASE_AGENTS[base_agent](ReachInterface.of(venv))
@@ -273,11 +258,10 @@ class Residual(VecEnvWrapper):
         observation, rewards, dones, infos = self.venv.step_wait()
         assert isinstance(observation, np.ndarray)
         if dones.any():  # what the base agent would have gone on to do
-            last = observation.copy()
-            for index in np.flatnonzero(dones):
-                last[index] = infos[index]["terminal_observation"]
+            last, ended = observation.copy(), np.flatnonzero(dones)
+            last[ended] = [infos[index]["terminal_observation"] for index in ended]
             proposal, _ = self._base.predict(last, self._state)
-            for index in np.flatnonzero(dones):
+            for index in ended:
                 ending = (last[index], proposal[index])
                 infos[index]["terminal_observation"] = np.concatenate(ending)
         self._proposal, self._state = self._base.predict(observation, self._state, dones)

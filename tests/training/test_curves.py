@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import (
@@ -34,17 +31,7 @@ from mmc_gym.training.curves import (
     weights_sizes,
 )
 
-FILES = {
-    "curves.csv",
-    "trainings.csv",
-    "table.csv",
-    "table.md",
-    "learning_curves.png",
-    "learning_curves.svg",
-}
 RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
-
-
 NETWORK, CARD = load_policy(shipped_file("ppo", 0))
 
 
@@ -60,18 +47,15 @@ def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) 
         }
         for leg, value in enumerate(success, start=1)
     ]
-    card = replace(
-        CARD,
-        name=name,
-        seed=seed,
-        hyperparameters={"n_timesteps": 5_000, "gamma": 0.9},
-        training_steps=1_000 * len(success),
-        training_seconds=2 * seconds_per_leg * len(success),
-        training_cpu_seconds=seconds_per_leg * len(success),
-        scores={"success": success[-1], "final_distance": 0.01},
-        learning_curve=curve,
-    )
-    return replace(card, **changes)
+    values = {
+        "hyperparameters": {"n_timesteps": 5_000, "gamma": 0.9},
+        "training_steps": curve[-1]["steps"],
+        "training_seconds": curve[-1]["seconds"],
+        "training_cpu_seconds": curve[-1]["cpu_seconds"],
+        "scores": {"success": success[-1], "final_distance": 0.01},
+        "learning_curve": curve,
+    }
+    return replace(CARD, name=name, seed=seed, **{**values, **changes})
 
 
 def write(folder, *cards):
@@ -96,8 +80,7 @@ def test_policies_are_grouped_by_name_in_the_order_of_their_seeds(tmp_path):
     cards = read_cards(tmp_path)
     seeds = {name: [card.seed for card in group] for name, group in cards.items()}
     assert seeds == {"ppo": [0, 2, 10], "sac": [3]}
-    size = (tmp_path / "sac-3.safetensors").stat().st_size
-    assert weights_sizes(tmp_path)["sac-3"] == size
+    assert weights_sizes(tmp_path)["sac-3"] == (tmp_path / "sac-3.safetensors").stat().st_size
 
 
 def test_single_trainings_in_folders_of_their_own_are_found_too(tmp_path):
@@ -147,17 +130,10 @@ def test_damaged_or_misplaced_policies_are_an_error(tmp_path):
 
 def test_there_is_a_row_for_each_evaluation_of_each_training():
     frame = curve_rows({"ppo": [training(seed=0), training(seed=5, seconds_per_leg=30.0)]})
-    assert list(frame.columns[:6]) == [
-        "agent",
-        "seed",
-        "steps",
-        "seconds",
-        "cpu_seconds",
-        "success",
-    ]
     assert list(frame["seed"]) == [0] * 5 + [5] * 5
     assert list(frame["success"]) == [*RISE, *RISE]
-    assert frame.iloc[-1][["steps", "seconds", "cpu_seconds"]].tolist() == [5_000, 300, 150]
+    last = {"agent": "ppo", "seed": 5, "steps": 5_000, "seconds": 300, "cpu_seconds": 150}
+    assert dict(frame.iloc[-1, :5]) == last
 
 
 def test_the_curve_is_the_mean_over_the_seeds_and_lies_in_its_interval():
@@ -259,10 +235,8 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
     assert (left.get_xlabel(), left.get_ylabel()) == ("environment steps", "success")
     assert right.get_xlabel() == "time on one core [min]"
     assert left.get_xscale() == right.get_xscale() == "log"
-    assert [text.get_text() for text in figure.legends[0].texts] == [
-        "ppo (3 seeds)",
-        "sac (1 seed)",
-    ]
+    names = [text.get_text() for text in figure.legends[0].texts]
+    assert names == ["ppo (3 seeds)", "sac (1 seed)"]
     drawn = [line for line in right.lines if len(line.get_xdata()) > 2]
     assert drawn[0].get_xdata() == pytest.approx([1, 2, 3, 4, 5])
     assert drawn[0].get_ydata() == pytest.approx(RISE)
@@ -270,40 +244,27 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
     assert len(looks) == 2  # told apart without colour
 
 
-def test_all_files_are_written_and_the_table_is_printed(tmp_path):
+def test_the_command_writes_all_files_and_prints_the_table(tmp_path, capsys):
     never = training("sac", success=(0.1, 0.2))
     write(tmp_path / "in", *(training(seed=seed) for seed in range(3)), never)
-    target, out = Console(file=io.StringIO(), width=120, color_system=None), tmp_path / "out"
-    cards = learning_curves(tmp_path / "in", out, target)
-    assert list(cards) == ["ppo", "sac"]
-    assert {path.name for path in out.iterdir()} == FILES
+    out = tmp_path / "out"
+    main(["curves", "--folder", str(tmp_path / "in"), "--out", str(out)])
+    tables = {"curves.csv", "trainings.csv", "table.csv", "table.md"}
+    figures = {"learning_curves.png", "learning_curves.svg"}
+    assert {path.name for path in out.iterdir()} == tables | figures
     assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     assert len(pd.read_csv(out / "curves.csv")) == 3 * 5 + 2
     assert len(pd.read_csv(out / "trainings.csv")) == 4
     table = pd.read_csv(out / "table.csv").set_index(["agent", "measure"])
     assert table.loc[("ppo", "steps_to_95"), "estimate"] == 3.0
-    markdown = (out / "table.md").read_text().splitlines()
-    assert markdown[0] == "|  | best | ppo | sac |"
-    row = next(line for line in markdown if line.startswith("| time to 98 %"))
-    assert row == "| time to 98 % [min, one core] | low | 5.00 [5.00, 5.00] | – 0 of 1 |"
-    printed = target.file.getvalue()
+    markdown = (out / "table.md").read_text()
+    assert markdown.startswith("|  | best | ppo | sac |\n")
+    assert "\n| time to 98 % [min, one core] | low | 5.00 [5.00, 5.00] | – 0 of 1 |\n" in markdown
+    assert f"time to target: {FINAL_EPISODES} fixed episodes" in markdown
+    assert f"in the training, {EVALUATION_EPISODES} fixed episodes" in markdown
+    printed = capsys.readouterr().out.replace(str(out), "out")
     assert printed.isascii() and max(map(len, printed.splitlines())) <= 120
-    assert "training seeds" in printed and "wrote" in printed
-    note = (out / "table.md").read_text()
-    assert f"time to target: {FINAL_EPISODES} fixed episodes" in note
-    assert f"in the training, {EVALUATION_EPISODES} fixed episodes" in note
-
-
-def test_the_command_draws_the_policies_of_a_folder(tmp_path, capsys):
-    write(tmp_path / "in", training())
-    main(["curves", "--folder", str(tmp_path / "in"), "--out", str(tmp_path / "out")])
-    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
-    card = tmp_path / "in" / "ppo-0.json"
-    card.write_text(json.dumps({**json.loads(card.read_text()), "learning_curve": []}))
-    with pytest.raises(SystemExit) as stop:
-        main(["curves", "--folder", str(tmp_path / "in")])
-    assert stop.value.code == 2
-    assert "learning_curve of ppo-0 must have evaluations" in capsys.readouterr().err
+    assert "training seeds" in printed and "wrote out/table.md" in printed
 
 
 def test_a_file_in_the_place_of_the_folder_is_told(tmp_path):
