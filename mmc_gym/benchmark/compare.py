@@ -160,9 +160,11 @@ def compare(
     seeds = episode_seeds(seed, episodes)
     if out is not None:
         check_folder(out, "out")
-    envs = {entry.label: _make_env(env) for entry in entries}
+    envs = {entry.label: make_environment(env) for entry in entries}
     world = next(iter(envs.values()))
     try:
+        for made in envs.values():
+            check_environment(made)
         # All are made before the first one plays: a missing file should not cost the others' work.
         players = {entry.label: entry.agent.factory(envs[entry.label]) for entry in entries}
         recorded = _play(players, envs, seeds)
@@ -180,30 +182,28 @@ def compare(
     comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
     console = console or make_console()
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
-    _print_table(console, summary, steps, comparison.note)
+    _print_table(console, comparison)
     for path in written:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
         console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
     return comparison
 
 
-def _print_table(
-    console: Console, summary: pd.DataFrame, training_steps: Mapping[str, int | None], note: str
-) -> None:
+def _print_table(console: Console, comparison: Comparison) -> None:
     """Print a row for each shown measure and a column for each agent."""
     shown = shown_measures()
     headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
     best = ["" if one.best == "neither" else one.best for one in shown]
-    rows = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
+    rows = {(row["agent"], row["measure"]): row for row in comparison.summary.to_dict("records")}
     columns = {
         agent: [
             *(cell(rows[agent, one.name], one.decimals) for one in shown),
             "unknown" if steps is None else f"{steps:,}",
         ]
-        for agent, steps in training_steps.items()
+        for agent, steps in comparison.training_steps.items()
     }
     labels = {"": [*headings, "training\n[env steps]"], "best": [*best, ""]}
-    print_columns(console, labels, columns, note)
+    print_columns(console, labels, columns, comparison.note)
 
 
 def _tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
@@ -213,12 +213,6 @@ def _tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
         columns = {"agent": agent, "episode": range(len(episodes)), **episode_columns(episodes)}
         tables.append(pd.DataFrame(columns).drop(columns="duration"))
     return pd.concat(tables, ignore_index=True)
-
-
-def _make_env(env_id: str) -> gym.Env[Any, Any]:
-    env = make_environment(env_id)
-    check_environment(env)
-    return env
 
 
 def _play(

@@ -12,7 +12,7 @@ LABEL@3=...                      one of them as training seed 3 of LABEL
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +24,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, agent_names, resolve
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.policy import is_policy_path
-from mmc_gym.agents.resolver import AgentLike, ResolvedAgent, shipped_seeds
+from mmc_gym.agents.resolver import AgentLike, Factory, ResolvedAgent, shipped_seeds
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.interface import ControlError
 
@@ -41,7 +41,7 @@ class Entry:
     Attributes:
         label: the agent's name in tables and data.
         training_seed: None if it was not trained, as far as is known.
-        source: what `mmc_gym.agents.resolve` finds it by, or `REFERENCE`.
+        source: what `mmc_gym.agents.resolve` takes, or `REFERENCE`.
     """
 
     label: str
@@ -78,7 +78,8 @@ def find_entries(names: Iterable[str]) -> list[Entry]:
         >>> find_entries(["mmc", "twin=mmc"])[1]
         Entry(label='twin', training_seed=None, source='mmc')
     """
-    return _different([entry for name in names for entry in _entries(name)])
+    entries = [entry for name in names for entry in _entries(name)]
+    return _different(entries, [(one.label, one.training_seed) for one in entries])
 
 
 def single_entries(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> list[Entry]:
@@ -91,19 +92,17 @@ def single_entries(agents: Sequence[AgentLike] | Mapping[str, AgentLike]) -> lis
     Raises:
         UserError: if there is none, an unknown one, or two with the same label.
     """
-    if isinstance(agents, str):
-        agents = [agents]
     if isinstance(agents, Mapping):
-        labelled: list[tuple[str, AgentLike]] = list(agents.items())
+        named = [_Named(label, None, agent) for label, agent in agents.items()]
     else:
-        read = (_read(one) if isinstance(one, str) else _Named("", None, one) for one in agents)
-        labelled = [(one.label, one.source) for one in read]
+        given = [agents] if isinstance(agents, str) else agents
+        named = [_read(one) if isinstance(one, str) else _Named("", None, one) for one in given]
     entries = []
-    for label, source in labelled:
+    for label, _, source in named:
         agent = resolve(source)
         agent.check()
         entries.append(Entry(label or agent.label, agent.training_seed, source))
-    return _different(entries)
+    return _different(entries, [one.label for one in entries])
 
 
 def default_agents() -> tuple[str, ...]:
@@ -114,8 +113,7 @@ def default_agents() -> tuple[str, ...]:
 
 
 def make_for(
-    factory: Callable[[gym.Env[Any, Any]], Predictor],
-    make_env: Callable[[str | None], gym.Env[Any, Any]],
+    factory: Factory, make_env: Callable[[str | None], gym.Env[Any, Any]]
 ) -> tuple[gym.Env[Any, Any], Predictor]:
     """Make an environment, and an agent for it; under the agent's control if it knows no other.
 
@@ -123,15 +121,14 @@ def make_for(
         factory: makes the agent.
         make_env: makes the environment of a control mode; of its own one for None.
     """
-    env = make_env(None)
     try:
-        return env, factory(env)
+        return _made(factory, make_env(None))
     except ControlError as refusal:
-        env.close()
-        env = make_env(refusal.control)
-    except BaseException:
-        env.close()
-        raise
+        control = refusal.control
+    return _made(factory, make_env(control))
+
+
+def _made(factory: Factory, env: gym.Env[Any, Any]) -> tuple[gym.Env[Any, Any], Predictor]:
     try:
         return env, factory(env)
     except BaseException:
@@ -144,11 +141,8 @@ def training_steps(agent: object) -> int | None:
 
     `training_steps` of this package's agents, `num_timesteps` of stable-baselines3's models.
     """
-    for name in ("training_steps", "num_timesteps"):
-        steps = getattr(agent, name, None)
-        if steps is not None:
-            return int(steps)
-    return None
+    steps = getattr(agent, "training_steps", getattr(agent, "num_timesteps", None))
+    return None if steps is None else int(steps)
 
 
 class _Named(NamedTuple):
@@ -196,14 +190,14 @@ def _entries(text: str) -> list[Entry]:
     return [Entry(label or agent.name or agent.label, training_seed, source)]
 
 
-def _different(entries: list[Entry]) -> list[Entry]:
+def _different(entries: list[Entry], keys: Sequence[Hashable]) -> list[Entry]:
+    """Return entries; raise a `UserError` if there is none, or two have the same key."""
     if not entries:
         raise UserError(f"agents must name at least one of {agent_names()}, got none")
-    keys = [(one.label, one.training_seed) for one in entries]
-    repeated = next((label for label, seed in keys if keys.count((label, seed)) > 1), None)
-    if repeated is not None:
-        raise UserError(
-            f"agents must have different names, got {repeated} repeatedly; LABEL={repeated} is "
-            "another name for it"
-        )
+    for one, key in zip(entries, keys):
+        if keys.count(key) > 1:
+            raise UserError(
+                f"agents must have different names, got {one.label} repeatedly; LABEL={one.label} "
+                "is another name for it"
+            )
     return entries

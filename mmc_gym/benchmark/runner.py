@@ -278,7 +278,7 @@ def benchmark(
     episode_seeds(seed, episodes)
     check_cluster(cluster)
     check_folder(out, "out")
-    update_manifest(out, partial(_joined, out, scenarios, entries, episodes, seed))
+    begun = update_manifest(out, partial(_joined, out, scenarios, entries, episodes, seed))
     cells = _cells(scenarios, entries, episodes, seed)
     begin = time.perf_counter()
     missing = [cell for cell in cells if cell_facts(out, cell.key, cell.settings) is None]
@@ -299,7 +299,7 @@ def benchmark(
         keep(index, Outcome("failed", str(error.__cause__)))
 
     def finished(manifest: Manifest | None) -> Manifest:
-        assert manifest is not None
+        manifest = manifest or begun  # it may have been removed meanwhile
         others = [one for one in manifest.not_played if one.key not in not_played]
         seconds = manifest.elapsed_seconds + round(time.perf_counter() - begin, 1)
         return manifest.model_copy(

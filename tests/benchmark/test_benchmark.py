@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -25,7 +24,6 @@ import mmc_gym
 from mmc_gym import cli
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import PRETRAINED
-from mmc_gym.agents.resolver import ResolvedAgent
 from mmc_gym.benchmark import runner
 from mmc_gym.benchmark.entries import Entry
 from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents, read_ranking
@@ -53,7 +51,7 @@ import mmc_gym
 from mmc_gym.interface import CannotActError
 
 class Raising:
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+    def predict(self, *arguments, **options):
         raise RuntimeError("broken on purpose")
 
 class Constant:
@@ -100,20 +98,28 @@ def play(agents, out, environments=ENVS, episodes=4, jobs=1, **arguments):
     return benchmark(agents, out, environments, episodes, jobs=jobs, **arguments)
 
 
-def contents(out):
-    """All results of a store, which do not depend on when, where and in which order they came."""
-    episodes = read_episodes(out).drop(columns=TIMES)
-    return episodes, read_paths(out)
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """The store of a benchmark of mmc and the ideal hand, and its manifest; not to be changed."""
+    out = tmp_path_factory.mktemp("played")
+    return out, play(["mmc", REFERENCE], out)
+
+
+@pytest.fixture
+def store(played, tmp_path):
+    """A copy of it that may be changed."""
+    return shutil.copytree(played[0], tmp_path / "store")
 
 
 def assert_same_stores(one, other):
-    for mine, theirs in zip(contents(one), contents(other), strict=True):
-        pd.testing.assert_frame_equal(mine, theirs)
+    """All is the same that does not depend on when, where and in which order cells were played."""
+    for read, times in ((read_episodes, TIMES), (read_paths, [])):
+        pd.testing.assert_frame_equal(*(read(out).drop(columns=times) for out in (one, other)))
 
 
-def test_a_store_holds_the_episodes_of_rollouts(tmp_path):
-    manifest = play(["mmc", REFERENCE], tmp_path, episodes=4)
-    frame = read_episodes(tmp_path).set_index(["agent", "environment", "instance"])
+def test_a_store_holds_the_episodes_of_rollouts(played):
+    out, manifest = played
+    frame = read_episodes(out).set_index(["agent", "environment", "instance"])
     assert frame.loc[("mmc", "random")].shape[0] == 4
     assert frame.loc[("mmc", "centre-out")].shape[0] == 8  # all its trials, once each
     assert frame.loc[(REFERENCE, "random"), "success"].tolist() == [1.0] * 4
@@ -126,20 +132,15 @@ def test_a_store_holds_the_episodes_of_rollouts(tmp_path):
         assert row["final_distance"] == pytest.approx(alone.distances[-1], abs=1e-9)
         assert row["joint_work"] == pytest.approx(alone.servo_work.sum())
     assert frame.loc["mmc", "action_time"].groupby("environment").count().tolist() == [3, 3]
-    paths = read_paths(tmp_path)
-    drawn = paths[(paths["agent"] == "mmc") & (paths["environment"] == "centre-out")]
-    assert len(drawn) == 8 * 101
-    assert manifest == read_manifest(tmp_path)
+    assert len(read_paths(out).query("agent == 'mmc' and environment == 'centre-out'")) == 8 * 101
+    assert manifest == read_manifest(out)
     assert manifest.segment_lengths == (1.0, 1.0, 1.0)
-    assert set(manifest.wall_seconds) == {
-        *("mmc--random", "mmc--centre-out"),
-        *(CellKey(REFERENCE, None, name).stem for name in ENVS),
-    }
+    stems = {CellKey(agent, None, name).stem for agent in ("mmc", REFERENCE) for name in ENVS}
+    assert set(manifest.wall_seconds) == stems
 
 
 def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
     play(["mmc", REFERENCE], tmp_path, ["random", "distances"])
-    assert (tmp_path / "episodes" / "mmc--random.parquet").exists()
     path = tmp_path / "sets" / "mmc--distances.parquet"
     found = read_sets(tmp_path)
     assert list(found.columns) == list(SET_COLUMNS)
@@ -152,7 +153,6 @@ def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
     seen = []
     play(["mmc"], tmp_path, ["random", "distances"], on_progress=seen.append)
     assert len(seen) == 2 and path.exists()
-    assert read_sets(tmp_path / "none").empty
 
 
 def test_paths_tell_the_distance_that_success_is_about(tmp_path):
@@ -185,16 +185,14 @@ def test_cells_that_are_there_are_not_played_again(tmp_path):
     assert set(read_manifest(tmp_path / "grown").agents) == {"mmc", "ik-dls"}
 
 
-def test_a_damaged_cell_is_played_again(tmp_path):
-    play(["mmc"], tmp_path / "one")
-    play(["mmc"], tmp_path / "other")
-    path = tmp_path / "one" / "episodes" / "mmc--random.parquet"
+def test_a_damaged_cell_is_played_again(store, played):
+    path = store / "episodes" / "mmc--random.parquet"
     path.write_bytes(path.read_bytes()[:-100])
-    (tmp_path / "one" / "paths" / "mmc--centre-out.parquet").unlink()
+    (store / "paths" / "mmc--centre-out.parquet").unlink()
     seen = []
-    play(["mmc"], tmp_path / "one", on_progress=seen.append)
+    play(["mmc"], store, on_progress=seen.append)
     assert len(seen) == 3
-    assert_same_stores(tmp_path / "one", tmp_path / "other")
+    assert_same_stores(store, played[0])
 
 
 @pytest.mark.slow
@@ -206,13 +204,12 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
     )
     run = subprocess.Popen([sys.executable, "-c", script])
     deadline = time.monotonic() + 120
-    while len(list((tmp_path / "killed" / "episodes").glob("*.parquet"))) < 3:
+    while len(list(tmp_path.glob("killed/episodes/*.parquet"))) < 3:
         assert time.monotonic() < deadline
         assert run.poll() is None
         time.sleep(0.01)
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
-    assert len(list((tmp_path / "killed" / "episodes").glob("*.parquet"))) < 12
     seen = []
     play(agents, tmp_path / "killed", names, on_progress=seen.append)
     assert 3 <= seen[0].done < 12
@@ -220,22 +217,17 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
     assert_same_stores(tmp_path / "killed", tmp_path / "whole")
 
 
-def test_other_settings_are_refused(tmp_path):
-    play(["twin=mmc"], tmp_path, ["random"])
+def test_other_settings_are_refused(store, monkeypatch):
     for message, arguments in {
-        "episodes is 4, asked for is 5": {"agents": ["twin=mmc"], "episodes": 5},
-        "seed is 0, asked for is 1": {"agents": ["twin=mmc"], "seed": 1},
-        "agent twin is 'mmc', asked for is 'ik-dls'": {"agents": ["twin=ik-dls"]},
+        "episodes is 4, asked for is 5": {"episodes": 5},
+        "seed is 0, asked for is 1": {"seed": 1},
+        "agent mmc is 'mmc', asked for is 'ik-dls'": {"agents": ["mmc=ik-dls"]},
     }.items():
         with pytest.raises(ValueError, match=message):
-            play(**{"out": tmp_path, "environments": ["random"], **arguments})
-
-
-def test_another_environment_of_the_same_name_is_refused(tmp_path, monkeypatch):
-    play(["mmc"], tmp_path, ["random"])
+            play(**{"agents": ["mmc"], "out": store, **arguments})
     monkeypatch.setitem(TASK_SCENARIOS, "random", Scenario("random", "other", "paper"))
     with pytest.raises(ValueError, match="environment random is"):
-        play(["mmc"], tmp_path, ["random"])
+        play(["mmc"], store, ["random"])
 
 
 def test_a_broken_agent_is_last_and_a_copy_ties(tmp_path, outside):
@@ -244,8 +236,7 @@ def test_a_broken_agent_is_last_and_a_copy_ties(tmp_path, outside):
     )
     not_played = [one.key for one in manifest.not_played]
     ranking = rank_agents(read_episodes(tmp_path), not_played, resamples=100).set_index("agent")
-    assert ranking.index[-1] == "raising"
-    assert ranking.index[-2] == f"{outside}:constant"
+    assert ranking.index[-2:].tolist() == [f"{outside}:constant", "raising"]
     assert ranking.loc["raising", "not_played"] == 2
     assert ranking.loc["twin", "rank"] == ranking.loc["mmc", "rank"]
     assert ranking.loc["twin", "improvement"] == 0.5
@@ -274,10 +265,10 @@ def test_who_cannot_act_is_skipped_and_who_raises_anything_else_has_failed(tmp_p
 
 @pytest.mark.slow
 def test_a_cell_under_which_processes_die_has_failed_and_the_others_are_played(tmp_path, outside):
-    agents = [f"dying={outside}:dying", "mmc", "ik-dls"]
-    manifest = play(agents, tmp_path, ["random"], jobs=2)
-    assert [(one.agent, one.status) for one in manifest.not_played] == [("dying", "failed")]
-    assert "died" in manifest.not_played[0].reason
+    dying = f"dying={outside}:dying"
+    for agents, jobs in (([dying], None), ([dying, "mmc", "ik-dls"], 2)):
+        (one,) = play(agents, tmp_path, ["random"], jobs=jobs).not_played
+        assert (one.agent, one.status) == ("dying", "failed") and "died" in one.reason
     assert set(read_episodes(tmp_path)["agent"]) == {"mmc", "ik-dls"}
 
 
@@ -300,11 +291,10 @@ def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
     assert not play([source, "mmc"], tmp_path / "out").changed
 
 
-def test_agents_of_the_package_play_again_when_its_code_has_changed(tmp_path, monkeypatch):
-    play(["mmc"], tmp_path, ["random"])
-    assert play(["mmc"], tmp_path, ["random"]).reused == 1
+def test_agents_of_the_package_play_again_when_its_code_has_changed(store, monkeypatch):
+    assert play(["mmc"], store, ["random"]).reused == 1
     monkeypatch.setattr("mmc_gym.agents.resolver.code_digest", lambda: "another mmc.py")
-    assert play(["mmc"], tmp_path, ["random"]).reused == 0
+    assert play(["mmc"], store, ["random"]).reused == 0
 
 
 def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
@@ -335,16 +325,15 @@ def test_two_benchmarks_may_go_on_in_one_store(tmp_path):
     assert read_manifest(tmp_path) == manifest
 
 
-def test_a_ranking_counts_for_the_cells_it_was_made_of(tmp_path):
-    play(["mmc"], tmp_path, ["random"])
-    assert read_ranking(tmp_path).empty
-    ranking = print_ranking(Console(quiet=True), tmp_path)
-    os.utime(tmp_path / RANKING, (0, 0))
-    os.utime(tmp_path / "manifest.json")
-    pd.testing.assert_frame_equal(read_ranking(tmp_path), ranking, check_dtype=False)
-    play(["ik-dls"], tmp_path, ["random"])
-    os.utime(tmp_path / RANKING)
-    assert read_ranking(tmp_path).empty
+def test_a_ranking_counts_for_the_cells_it_was_made_of(store):
+    assert read_ranking(store).empty
+    ranking = print_ranking(Console(quiet=True), store)
+    os.utime(store / RANKING, (0, 0))
+    os.utime(store / "manifest.json")
+    pd.testing.assert_frame_equal(read_ranking(store), ranking, check_dtype=False)
+    play(["ik-dls"], store, ["random"])
+    os.utime(store / RANKING)
+    assert read_ranking(store).empty
 
 
 def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
@@ -369,27 +358,19 @@ def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside, name
     assert [outcome.facts["together"] for outcome in outcomes[1:]] == [False, True]
     frame = read_episodes(tmp_path).set_index("agent").drop(columns=TIMES)
     if name == "one_by_one":
-        np.testing.assert_allclose(
-            frame.loc["alone", "final_distance"], frame.loc["mmc", "final_distance"], atol=1e-9
-        )
+        distances = frame["final_distance"]
+        np.testing.assert_allclose(distances["alone"], distances["mmc"], atol=1e-9)
     else:  # it stays where it starts
         assert (frame.loc["alone", "peak_speed"] < 1e-3).all()
 
 
-def test_a_policy_for_other_actions_has_its_own(tmp_path, monkeypatch):
-    class Limp:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return np.zeros((*np.shape(observation)[:-1], 3), np.float32), None
-
-    def made(env):
+def test_a_policy_for_other_actions_has_its_own(frozen):
+    def limp(env):
         if env.unwrapped.control != "joint_torque":
             raise ControlError("control must be 'joint_torque'", "joint_torque")
-        return Limp()
+        return frozen
 
-    agent = ResolvedAgent("limp", "limp", given=made)
-    monkeypatch.setattr(Entry, "agent", agent)
-    cell = runner.Cell(Entry("limp", 0, "limp"), SCENARIOS["random"], 2, 0)
-    outcome = runner.run_cell(cell)
+    outcome = runner.run_cell(runner.Cell(Entry("limp", 0, limp), SCENARIOS["random"], 2, 0))
     assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
 
 
@@ -402,18 +383,17 @@ def test_a_copy_of_a_policy_plays_as_the_one_that_ships(tmp_path):
 
 
 def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(UserError, match="agent must be one of mmc"):
-        play(["nobody"], tmp_path / "out")
-    with pytest.raises(ValueError, match=r"scenario must be one of random, .* got .nowhere"):
-        play(["mmc"], tmp_path / "out", ["nowhere"])
-    with pytest.raises(ValueError, match="episodes must be at least 1"):
-        play(["mmc"], tmp_path / "out", episodes=0)
-    with pytest.raises(ValueError, match="cluster must be"):
-        play(["mmc"], tmp_path / "out", cluster="dask")
-    assert not (tmp_path / "out").exists()
     (tmp_path / "file").touch()
-    with pytest.raises(ValueError, match="out must be a folder"):
-        play(["mmc"], tmp_path / "file")
+    for message, arguments in {
+        "agent must be one of mmc": {"agents": ["nobody"]},
+        "scenario must be one of random, .* got .nowhere": {"environments": ["nowhere"]},
+        "episodes must be at least 1": {"episodes": 0},
+        "cluster must be": {"cluster": "dask"},
+        "out must be a folder": {"out": tmp_path / "file"},
+    }.items():
+        with pytest.raises(UserError, match=message):
+            play(**{"agents": ["mmc"], "out": tmp_path / "out", **arguments})
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -440,17 +420,15 @@ def test_strengths_differ_within_a_family():
 
 def test_the_command_prints_the_ranking(tmp_path, capsys):
     arguments = ["--agents", "mmc", "twin=mmc", "random", "--environments", "random"]
-    cli.main(
-        ["benchmark", *arguments, "--episodes", "3", "--jobs", "1", "--out", str(tmp_path / "out")]
-    )
+    cli.main(["benchmark", *arguments, "--episodes", "3", "--jobs", "1", "--out", str(tmp_path)])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     rows = [line[:2] for line in lines if line and line[0].isdecimal()]
     assert rows[:3] == [["1", "mmc"], ["1", "twin"], ["3", "random"]]
-    ranking = pd.read_csv(tmp_path / "out" / RANKING)
+    ranking = pd.read_csv(tmp_path / RANKING)
     assert ranking["agent"].tolist() == ["mmc", "twin", "random"]
-    assert ranking["success"][0] == read_episodes(tmp_path / "out")["success"][:3].mean()
+    assert ranking["success"][0] == read_episodes(tmp_path)["success"][:3].mean()
     with pytest.raises(SystemExit):
-        cli.main(["benchmark", "--agents", "nobody", "--out", str(tmp_path / "out")])
+        cli.main(["benchmark", "--agents", "nobody", "--out", str(tmp_path)])
 
 
 @pytest.mark.slow
@@ -469,5 +447,5 @@ def test_a_cluster_gives_what_one_process_gives(tmp_path, monkeypatch):
         ray.shutdown()
         shutil.rmtree(folder, ignore_errors=True)
         gc.collect()
-    play(["mmc", "random"], Path(tmp_path / "here"))
+    play(["mmc", "random"], tmp_path / "here")
     assert_same_stores(tmp_path / "cluster", tmp_path / "here")

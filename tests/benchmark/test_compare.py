@@ -172,6 +172,7 @@ def test_a_cell_tells_of_missing_and_of_small_values():
     [
         ({"agents": ["mmc", "nobody"]}, "mmc-classical.*'nobody'"),
         ({"agents": ["mmc", "mmc"]}, "mmc repeatedly"),
+        ({"agents": ["x=ppo-0", "x=ppo-1"]}, "x repeatedly"),
         ({"agents": []}, "got none"),
         ({"agents": ["no_such_module:make"]}, "no_such_module:make.*cannot be imported"),
         ({"agents": ["math:no_such_function"]}, "cannot be imported"),
