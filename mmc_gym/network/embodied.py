@@ -27,6 +27,7 @@ is tied to the base, because the first joint is locked, cannot turn.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,8 +35,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._errors import require
-from mmc_gym.network.chain import Floats, triangle_incidence
-from mmc_gym.network.model import Clamps, MMCNetwork, MMCState, compile_iteration, velocity_rule
+from mmc_gym.network.chain import Floats
+from mmc_gym.network.model import (
+    Clamps,
+    MMCNetwork,
+    MMCState,
+    compile_iteration,
+    mean_operator,
+    velocity_rule,
+)
 from mmc_gym.network.normalizers import Normalizer
 
 SEGMENT_WEIGHT = 0.05
@@ -103,91 +111,75 @@ def embodied_run(
     lengths = iteration.lengths
     if body.segment_lengths is not None:
         lengths = _batch_last(body.segment_lengths, values, (count,))
-    pull = _Pull.of(network, body, values)
-    rigid = _RigidBodies.of(body, lengths, values)
+    pull = _pull(network, body, values)
+    nearest = _rigid_bodies(network.normalizer, body, lengths, values)
     for _ in range(iterations):
         following = iteration.operator.dot(current.reshape(rows, -1)).reshape(current.shape)
         if pull is not None:
-            pull.apply(current, following)
-        if rigid is None:
+            pull(current, following)
+        if nearest is None:
             network.normalizer.normalize_rows(following[:count], lengths)
         else:
-            following[:count] = rigid.nearest(network.normalizer, following[:count])
+            following[:count] = nearest(following[:count])
         current = following
     return MMCState(current.reshape(values.shape), count)
 
 
-@dataclass(frozen=True, eq=False)
-class _Pull:
-    """The sensed posture as one more computation: what it adds to an iteration."""
+def _pull(
+    network: MMCNetwork, body: Embodiment, values: Floats
+) -> Callable[[Floats, Floats], None] | None:
+    """Return what adds the sensed posture to an iteration; both states are (rows, 2, batch)."""
+    if body.sensed is None or not body.weight:
+        return None
+    count, is_dynamic = network.segment_count, network.dynamics != "kinematic"
+    sensed = _batch_last(body.sensed, values, (count, 2))
+    mean = mean_operator(network)[:count]
+    to_mean = np.zeros((count, len(values)), dtype=values.dtype)  # makes L̃⁰ of the state
+    to_mean[:, : mean.shape[1]] = mean
+    gain = velocity_rule(network)[0] if is_dynamic else 1.0
+    factor = gain * (body.weight / (network.damping + body.weight))
 
-    sensed: Floats  # (N, 2, batch)
-    mean: Floats  # (N, rows): makes L̃⁰ of the state
-    share: float  # w/(d + w)
-    gain: float  # factor of L̃ in the velocity, or in the segments of a kinematic network
-    is_dynamic: bool
-
-    @classmethod
-    def of(cls, network: MMCNetwork, body: Embodiment, values: Floats) -> _Pull | None:
-        if body.sensed is None or not body.weight:
-            return None
-        is_dynamic, count = network.dynamics != "kinematic", network.segment_count
-        mean = np.zeros((count, len(values)), dtype=values.dtype)
-        incidence = triangle_incidence(count)
-        linear = np.eye(len(incidence)) - incidence @ incidence.T / network.damping
-        mean[:, : len(incidence)] = linear[:count]
-        share = body.weight / (network.damping + body.weight)
-        gain = velocity_rule(network)[0] if is_dynamic else 1.0
-        return cls(_batch_last(body.sensed, values, (count, 2)), mean, share, gain, is_dynamic)
-
-    def apply(self, current: Floats, following: Floats) -> None:
-        """Add it to `following`, (rows, 2, batch), which is made of `current`."""
-        count = len(self.sensed)
-        mean = self.mean.dot(current.reshape(len(current), -1)).reshape(self.sensed.shape)
-        change = self.gain * self.share * (self.sensed - mean)
+    def pull(current: Floats, following: Floats) -> None:
+        proposed = to_mean.dot(current.reshape(len(current), -1)).reshape(sensed.shape)
+        change = factor * (sensed - proposed)
         following[:count] += change
-        if self.is_dynamic:
+        if is_dynamic:
             following[-count:] += change
 
+    return pull
 
-@dataclass(frozen=True, eq=False)
-class _RigidBodies:
-    """Segments joined by locked joints; arrays (N, batch), complex numbers for vectors."""
 
-    lengths: Floats
-    starts: NDArray[np.bool_]  # tells whether a body begins with this segment
-    turned: NDArray[np.complexfloating]  # R(c_i), as a factor
-    is_tied: NDArray[np.bool_]  # tells whether it is tied to the base
+def _rigid_bodies(
+    normalizer: Normalizer, body: Embodiment, lengths: Floats, values: Floats
+) -> Callable[[Floats], Floats] | None:
+    """Return what brings segments (N, 2, batch) to the nearest ones of the bodies made by locks.
 
-    @classmethod
-    def of(cls, body: Embodiment, lengths: Floats, values: Floats) -> _RigidBodies | None:
-        if body.locked is None or body.joint_angles is None or not body.locked.any():
-            return None
-        count = body.locked.shape[-1]
-        angles = _batch_last(body.joint_angles, values, (count,))
-        locked = _batch_last(body.locked, values, (count,)) > 0
-        turned = np.exp(1j * np.where(locked, angles, 0.0))
-        is_tied = locked.copy()
-        for joint in range(1, len(locked)):
-            turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
-            is_tied[joint] &= is_tied[joint - 1]
-        return cls(np.broadcast_to(lengths, locked.shape), ~locked, turned, is_tied)
+    Complex numbers stand for vectors and turns.
+    """
+    if body.locked is None or body.joint_angles is None or not body.locked.any():
+        return None
+    count = body.locked.shape[-1]
+    locked = _batch_last(body.locked, values, (count,)) > 0
+    starts, is_tied = ~locked, locked.copy()  # a body's first segment; tied to the base
+    turned = np.exp(1j * np.where(locked, _batch_last(body.joint_angles, values, (count,)), 0.0))
+    for joint in range(1, count):
+        turned[joint] *= np.where(locked[joint], turned[joint - 1], 1.0)
+        is_tied[joint] &= is_tied[joint - 1]
+    own = lengths * turned  # ℓ_i R(c_i)
+    span = _over_bodies(starts, own)
+    squares = np.broadcast_to(SEGMENT_WEIGHT * lengths**2, locked.shape)
+    weight = _over_bodies(starts, squares) + np.abs(span) ** 2
 
-    def nearest(self, normalizer: Normalizer, segments: Floats) -> Floats:
-        """Return the nearest segments of such bodies, (N, 2, batch)."""
+    def nearest(segments: Floats) -> Floats:
         proposed = segments[:, 0] + 1j * segments[:, 1]
-        own = self.lengths * self.turned  # R(c_i) ℓ_i
-        fit = _over_bodies(self.starts, SEGMENT_WEIGHT * own.conj() * proposed)
-        weight = _over_bodies(self.starts, SEGMENT_WEIGHT * self.lengths**2)
-        span = _over_bodies(self.starts, own)
-        fit = fit + span.conj() * _over_bodies(self.starts, proposed)
-        weight = weight + np.abs(span) ** 2
-        count = len(segments)
+        fit = _over_bodies(starts, SEGMENT_WEIGHT * own.conj() * proposed)
+        fit = fit + span.conj() * _over_bodies(starts, proposed)
         direction = np.stack([fit.real, fit.imag], axis=1) / weight[:, None]
         normalizer.normalize_rows(direction, np.ones((count, 1), dtype=direction.dtype))
-        unit = np.where(self.is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
-        placed = self.lengths * self.turned * unit
+        placed = own * np.where(is_tied, 1.0, direction[:, 0] + 1j * direction[:, 1])
         return np.stack([placed.real, placed.imag], axis=1)
+
+    return nearest
 
 
 def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:

@@ -37,7 +37,12 @@ from torch import Tensor
 
 from mmc_gym._errors import require
 from mmc_gym._grid import one_torch_thread
-from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors, mean_squared_error
+from mmc_gym.network.normalizers import (
+    WEIGHTS,
+    LearnedNormalizer,
+    angle_errors,
+    mean_squared_error,
+)
 
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = Callable[[int, int], None]
@@ -253,6 +258,7 @@ def _initial_parameters(widths: Sequence[int], generator: torch.Generator) -> Te
 
 
 def _normalizer(parameters: Tensor, widths: Sequence[int]) -> LearnedNormalizer:
+    """Make a normalizer of the parameters (P,) of one run."""
     layers = _layers(parameters[None], widths)
     weights = [weights[0].numpy() for weights, _ in layers]
     return LearnedNormalizer(weights, [biases[0, :, 0].numpy() for _, biases in layers])
@@ -293,14 +299,6 @@ def _gradient(layers: _Layers, values: list[Tensor], slope: Tensor) -> Tensor:
     return torch.cat(parts, dim=1)
 
 
-def _penalty_gradient(layers: _Layers, weight_decay: float) -> Tensor:
-    """Return ∂(λ Σ w²)/∂parameters, (runs, P): 2 λ w for weights, 0 for biases."""
-    parts: list[Tensor] = []
-    for weights, biases in layers:
-        parts += [2 * weight_decay * weights.flatten(1), torch.zeros_like(biases[..., 0])]
-    return torch.cat(parts, dim=1)
-
-
 def _adam(
     parameters: Tensor,
     widths: Sequence[int],
@@ -312,8 +310,7 @@ def _adam(
 ) -> tuple[Tensor, Array]:
     """Run Adam; return the fitted parameters and the history of errors (runs, epochs, 2)."""
     dtype = torch.float32 if recipe.precision == "float32" else torch.float64
-    # Only biases start at zero.
-    trainable = (parameters != 0).to(device, dtype) if not recipe.biases else None
+    is_weight = (parameters != 0).to(device, dtype)  # only biases start at zero
     parameters, samples = parameters.to(device, dtype, copy=True), samples.to(device, dtype)
     validation, training = samples[..., : recipe.held_out], samples[..., recipe.held_out :]
     layers, count = _layers(parameters, widths), training.shape[2]
@@ -329,9 +326,9 @@ def _adam(
             total += error.square().sum((1, 2))
             gradient = _gradient(layers, values, error / batch.shape[2])
             if recipe.weight_decay:
-                gradient += _penalty_gradient(layers, recipe.weight_decay)
-            if trainable is not None:
-                gradient *= trainable
+                gradient += 2 * recipe.weight_decay * is_weight * parameters
+            if not recipe.biases:
+                gradient *= is_weight
             update += 1
             mean.lerp_(gradient, 0.1)
             variance.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
@@ -389,12 +386,12 @@ def refine(
     refinement = refinement or Refinement()
     vectors = np.asarray(vectors, dtype=np.float64)
     projections = _projections(vectors, refinement)
-    is_free = np.concatenate(
-        [
-            np.concatenate([np.ones(weight.size, bool), np.full(bias.size, bool(np.any(bias)))])
-            for weight, bias in zip(normalizer.weights, normalizer.biases, strict=True)
-        ]
-    )
+    widths, parts, free = (2, *normalizer.hidden_units, 2), [], []
+    for weight, bias in zip(normalizer.weights, normalizer.biases, strict=True):
+        parts += [weight.ravel(), bias]
+        free += [np.ones(weight.size, bool), np.full(bias.size, np.any(bias))]
+    parameters, is_free = np.concatenate(parts), np.concatenate(free)
+    normalizer = _normalizer(torch.from_numpy(parameters), widths)
     values = [vectors, *normalizer.activations(vectors)]
     errors = _errors(values[-1], projections)
     damping = 0.01
@@ -404,19 +401,20 @@ def refine(
         normal, slope = jacobian.T @ jacobian, jacobian.T @ errors
         scale = normal.diagonal() + 1e-12  # a unit that saturates has no slope left
         for _ in range(10):
-            step = np.zeros(len(is_free))
-            step[is_free] = np.linalg.solve(normal + np.diag(damping * scale), slope)
-            candidate = _moved(normalizer, -step)
+            moved = parameters.copy()
+            moved[is_free] -= np.linalg.solve(normal + np.diag(damping * scale), slope)
+            candidate = _normalizer(torch.from_numpy(moved), widths)
             candidate_values = [vectors, *candidate.activations(vectors)]
             candidate_errors = _errors(candidate_values[-1], projections)
             if candidate_errors @ candidate_errors < errors @ errors:
-                normalizer, values, errors = candidate, candidate_values, candidate_errors
+                parameters, normalizer = moved, candidate
+                values, errors = candidate_values, candidate_errors
                 damping = max(damping / 3, 1e-12)
                 break
             damping *= 4
         if after_iteration:
             after_iteration(normalizer)
-    return LearnedNormalizer(normalizer.weights, normalizer.biases)
+    return normalizer
 
 
 def _projections(vectors: Array, refinement: Refinement) -> list[Array]:
@@ -450,21 +448,10 @@ def _jacobian(normalizer: LearnedNormalizer, values: list[Array], projection: Ar
     return np.concatenate(parts, axis=1)
 
 
-def _moved(normalizer: LearnedNormalizer, change: Array) -> LearnedNormalizer:
-    """Return the normalizer with `change` (P,) added to its weights and biases."""
-    weights, biases, start = [], [], 0
-    for weight, bias in zip(normalizer.weights, normalizer.biases, strict=True):
-        middle, end = start + weight.size, start + weight.size + bias.size
-        weights.append(weight + change[start:middle].reshape(weight.shape))
-        biases.append(bias + change[middle:end])
-        start = end
-    return LearnedNormalizer(weights, biases)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train the normalizers that the package ships and write their files."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--folder", type=Path, default=Path(__file__).parent / "weights")
+    parser.add_argument("--folder", type=Path, default=WEIGHTS)
     folder = parser.parse_args(arguments).folder
     for name, recipe in RECIPES.items():
         normalizer = train_normalizers(recipe=recipe)[0].normalizer

@@ -349,10 +349,8 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
         network: the network.
         clamped: rows that are held (`Clamps.rows`).
     """
-    count = network.segment_count
-    incidence = chain.triangle_incidence(count)
-    vectors = len(incidence)
-    mean = np.eye(vectors) - incidence @ incidence.T / network.damping
+    count, mean = network.segment_count, mean_operator(network)
+    vectors = len(mean)
 
     # Where the segments are read from and written to, and where their velocities stand.
     delayed = network.schedule == "delayed"
@@ -384,6 +382,12 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
         if row < count and dynamic:
             operator[size - count + row] = 0.0
     return operator
+
+
+def mean_operator(network: MMCNetwork) -> NDArray[np.float64]:
+    """Return I − 1/d ∂₂∂₂ᵀ, which makes the means ṽ of the vectors v."""
+    incidence = chain.triangle_incidence(network.segment_count)
+    return np.eye(len(incidence)) - incidence @ incidence.T / network.damping
 
 
 def velocity_rule(network: MMCNetwork) -> tuple[float, float]:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -30,6 +29,7 @@ from mmc_gym._files import write_atomically
 from mmc_gym.network.chain import Floats
 
 ShippedNormalizer = Literal["accurate", "paper"]
+WEIGHTS = Path(__file__).parent / "weights"
 
 
 class Normalizer(ABC):
@@ -191,8 +191,7 @@ class LearnedNormalizer(Normalizer):
         """
         names = get_args(ShippedNormalizer)
         require(name in names, "name", name, f"one of {names}")
-        folder = files("mmc_gym.network") / "weights"
-        return cls.load(Path(str(folder / f"{name}-16x16.safetensors")))
+        return cls.load(WEIGHTS / f"{name}-16x16.safetensors")
 
     def __repr__(self) -> str:
         return f"LearnedNormalizer(hidden_units={self.hidden_units})"
@@ -212,10 +211,9 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
     >>> bool(angle_errors(EuclideanNormalizer(), [0.5, 1.0]).max() < 1e-15)
     True
     """
-    angles = np.arange(directions) * (2 * np.pi / directions)
-    x, y = np.cos(angles), np.sin(angles)
-    vectors = np.asarray(lengths, dtype=np.float64)[:, None, None] * np.stack([x, y], axis=-1)
-    output = normalizer(vectors)
+    wanted = _directions(directions)
+    output = normalizer(np.asarray(lengths, dtype=np.float64)[:, None, None] * wanted)
+    x, y = wanted.T
     across = x * output[..., 1] - y * output[..., 0]
     along = x * output[..., 0] + y * output[..., 1]
     errors: Floats = np.abs(np.arctan2(across, along))
@@ -234,6 +232,11 @@ def mean_squared_error(
         directions: number of directions, spread evenly over the circle.
     """
     lengths = np.arange(0.001, 2.0, 0.002) if lengths is None else np.asarray(lengths)
-    angles = np.arange(directions) * (2 * np.pi / directions)
-    wanted = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    wanted = _directions(directions)
     return float(np.mean((normalizer(lengths[:, None, None] * wanted) - wanted) ** 2))
+
+
+def _directions(count: int) -> Floats:
+    """Return unit vectors spread evenly over the circle, (count, 2)."""
+    angles = np.arange(count) * (2 * np.pi / count)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
