@@ -31,12 +31,9 @@ CONDITIONS = {
     "obstacles, force field": ArmParameters(obstacles=DISCS, force_field=FIELD),
     "lockable joints": ArmParameters(lockable_joints=(1, 2)),
 }
-CASES = {
-    f"{engine}: {name}": (engine, parameters)
-    for engine in get_args(Engine)
-    for name, parameters in CONDITIONS.items()
-    if engine == "pymunk" or not parameters.obstacles
-}
+FREE = {name: parameters for name, parameters in CONDITIONS.items() if not parameters.obstacles}
+CASES = {f"pymunk: {name}": ("pymunk", parameters) for name, parameters in CONDITIONS.items()}
+CASES |= {f"analytic: {name}": ("analytic", parameters) for name, parameters in FREE.items()}
 
 
 @pytest.fixture(scope="session", params=get_args(Servo))
@@ -57,6 +54,12 @@ def case(request):
 
 @pytest.fixture(scope="session", params=CONDITIONS.values(), ids=CONDITIONS.keys())
 def parameters(request):
+    return request.param
+
+
+@pytest.fixture(scope="session", params=FREE.values(), ids=FREE.keys())
+def free_parameters(request):
+    """Parameters without obstacles, which every engine can simulate."""
     return request.param
 
 

@@ -14,19 +14,6 @@ from mmc_gym._errors import UserError
 from mmc_gym.body import Arm, ArmParameters
 from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArms
 
-LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
-CONDITIONS = {
-    "default": ArmParameters(),
-    "joint limits": ArmParameters(joint_limits=LIMITS),
-    "gravity, unequal": ArmParameters(
-        segment_lengths=(1.5, 1.0, 0.4), segment_masses=(2.0, 0.5, 0.3), gravity=(3.0, -9.81)
-    ),
-    "hand mass, force field": ArmParameters(
-        hand_mass=0.7, force_field=((-1.0, 3.0), (-3.0, -1.0)), torque_limit=200.0
-    ),
-    "lock": ArmParameters(lockable_joints=(1,)),
-}
-
 
 def scale(parameters, servo):
     return {"position": math.pi, "velocity": parameters.speed_limit, "torque": 30.0}[servo]
@@ -59,9 +46,8 @@ def largest_difference(parameters, servo, sweeps, postures):
     return worst
 
 
-@pytest.mark.parametrize("parameters", CONDITIONS.values(), ids=CONDITIONS.keys())
-def test_chipmunk_given_the_time_to_solve_moves_the_same(parameters, servo, postures):
-    assert largest_difference(parameters, servo, 3000, postures) < 1e-6
+def test_chipmunk_given_the_time_to_solve_moves_the_same(free_parameters, servo, postures):
+    assert largest_difference(free_parameters, servo, 3000, postures) < 1e-6
 
 
 @pytest.mark.parametrize(

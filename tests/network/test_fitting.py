@@ -85,34 +85,28 @@ def test_samples_are_spread_over_the_circle_and_the_lengths():
     assert lengths.mean() == pytest.approx(1, abs=0.05)
 
 
-@pytest.fixture
-def parameters():
+@pytest.mark.parametrize("weight_decay", [0.0, 0.05])
+def test_training_is_adam_on_the_error_with_a_penalty_on_the_weights(weight_decay):
+    """Two updates by autograd: after the first, a penalty on the biases would show."""
+    recipe = replace(PAPER, samples=20, epochs=2, weight_decay=weight_decay, precision="float64")
     generator = fitting._generator(0, 0)
-    parameters = [fitting._initial_parameters(WIDTHS, generator) for _ in range(3)]
-    return torch.stack(parameters) + 0.1  # biases start at zero, where a penalty would not show
-
-
-def test_the_gradient_is_that_of_autograd(parameters):
-    inputs = torch.randn(3, 2, 7, generator=fitting._generator(1, 0), dtype=torch.float64)
-    wanted = inputs / inputs.norm(dim=1, keepdim=True)
-    layers = fitting._layers(parameters, WIDTHS)
-    values = fitting._forward(layers, inputs)
-    written = fitting._gradient(layers, values, values[-1] - wanted)
-
-    parameters.requires_grad_()
-    output = inputs
-    for weights, biases in fitting._layers(parameters, WIDTHS):
-        output = torch.tanh(weights @ output + biases)
-    ((output - wanted) ** 2).sum().div(2).backward()
-    torch.testing.assert_close(written, parameters.grad, rtol=1e-12, atol=1e-12)
-
-
-def test_the_gradient_of_the_weight_decay_is_that_of_autograd(parameters):
-    written = fitting._penalty_gradient(fitting._layers(parameters, WIDTHS), 0.0005)
-    parameters.requires_grad_()
-    weights = [weights for weights, _ in fitting._layers(parameters, WIDTHS)]
-    (0.0005 * sum((weight**2).sum() for weight in weights)).backward()
-    torch.testing.assert_close(written, parameters.grad, rtol=1e-12, atol=1e-12)
+    inputs, wanted = fitting._draw_samples(recipe, generator)[:, recipe.held_out :].split(2)
+    expected = fitting._initial_parameters(WIDTHS, generator).requires_grad_()
+    mean, square = torch.zeros_like(expected), torch.zeros_like(expected)
+    for update in (1, 2):
+        output, layers = inputs, fitting._layers(expected[None], WIDTHS)
+        for weights, biases in layers:
+            output = torch.tanh(weights[0] @ output + biases[0])
+        penalty = weight_decay * sum((weights**2).sum() for weights, _ in layers)
+        loss = (output - wanted).square().sum() / (2 * 16) + penalty
+        (gradient,) = torch.autograd.grad(loss, expected)
+        mean, square = 0.9 * mean + 0.1 * gradient, 0.999 * square + 0.001 * gradient**2
+        rate = 0.001 * (1 - 0.999**update) ** 0.5 / (1 - 0.9**update)
+        expected = (expected - rate * mean / (square.sqrt() + 1e-7)).detach().requires_grad_()
+    trained = train_normalizers(WIDTHS[1:-1], recipe)[0].normalizer
+    layers = zip(trained.weights, trained.biases, strict=True)
+    written = np.concatenate([part.ravel() for layer in layers for part in layer])
+    np.testing.assert_allclose(written, expected.detach().numpy(), rtol=1e-9, atol=1e-12)
 
 
 def test_weight_decay_keeps_weights_small_and_none_changes_nothing():
