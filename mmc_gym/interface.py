@@ -1,6 +1,5 @@
-"""The contract between an environment and an agent.
+"""The contract between an environment and an agent: observations, actions, what agents are told.
 
-It says how an observation is laid out, what an action means, and what agents are told of the arm.
 Environments, agents, policies and wrappers ask here, and write no index of their own.
 """
 
@@ -47,7 +46,6 @@ class ControlError(CannotActError):
     """
 
     def __init__(self, message: str, control: str) -> None:
-        """Say what is wrong, and which control mode would be right."""
         super().__init__(message, control)
         self.control = control
 
@@ -103,7 +101,7 @@ class ObservationParts(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """The place of each number of an observation, for an arm of N joints.
+    """The place of each number of an observation, for an arm of `joint_count` joints, N.
 
     An observation of `MMCReach-v0` is (..., 3 N + 4)::
 
@@ -111,10 +109,6 @@ class ObservationLayout:
 
     One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
     `achieved_goal` the hand and `desired_goal` the target, (..., 2), in segment lengths.
-
-    Attributes:
-        joint_count: N.
-        reach: sum of the segment lengths.
     """
 
     joint_count: int
@@ -135,11 +129,7 @@ class ObservationLayout:
         return spaces.Box(-1.0, 1.0, (self.size,), np.float32)
 
     def goal_space(self, farthest: float) -> spaces.Dict:
-        """Return the observation space of `MMCReachGoal-v0`.
-
-        Args:
-            farthest: largest absolute coordinate of hand and target, segment lengths.
-        """
+        """Return the observation space of `MMCReachGoal-v0`; no coordinate is beyond `farthest`."""
         goal = spaces.Box(-farthest, farthest, (2,), np.float64)
         posture = spaces.Box(-1.0, 1.0, (self.posture_size,), np.float32)
         return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
@@ -163,13 +153,7 @@ class ObservationLayout:
     def encode_posture(
         self, joint_angles: Floats, joint_speeds: Floats, *, more: int = 0
     ) -> NDArray[np.float32]:
-        """Return cosines and sines of the joint angles, and joint speeds, (..., 3 N + more).
-
-        Args:
-            joint_angles: radians, (..., N).
-            joint_speeds: as fractions of their limit, (..., N), see `relative_speeds`.
-            more: how many values are left at the end for the caller to fill in.
-        """
+        """Return the first 3 N values, and room at the end for some more, (..., 3 N + more)."""
         count = self.joint_count
         seen = np.empty((*joint_angles.shape[:-1], self.posture_size + more), np.float32)
         seen[..., :count] = np.cos(joint_angles)
@@ -250,11 +234,6 @@ class ObservationLayout:
             "desired_goal": np.array(target),
         }
 
-    def cosines_and_sines(self, observation: Any) -> tuple[Any, Any]:
-        """Return those of the joint angles, (..., N) each, out of an array of observations."""
-        count = self.joint_count
-        return observation[..., :count], observation[..., count : 2 * count]
-
     def split(self, observation: Any) -> ObservationParts:
         """Take observations of either kind apart; arrays of numpy or torch, (..., 3 N + 4).
 
@@ -268,10 +247,9 @@ class ObservationLayout:
         else:
             posture, target = observation, observation[..., end : end + 2]
             offset, rest = observation[..., end + 2 : end + 4], observation[..., end + 4 :]
-        cosines, sines = self.cosines_and_sines(posture)
         return ObservationParts(
-            cosines=cosines,
-            sines=sines,
+            cosines=posture[..., :count],
+            sines=posture[..., count : 2 * count],
             speeds=posture[..., 2 * count : end],
             target=target,
             offset=offset,
@@ -329,11 +307,9 @@ class ReachInterface:
 
     @classmethod
     def of(cls, env: Any) -> ReachInterface:
-        """Read it off an environment.
+        """Read it off an environment, wrapped or not, or a vector of equal ones.
 
-        Args:
-            env: an environment, wrapped or not, or a vector of equal ones: Gymnasium's, native or
-                not, or stable-baselines3's.
+        Vectors may be Gymnasium's, native or not, or stable-baselines3's.
 
         Raises:
             UserError: if it is none of this package's reaching environments, or they differ.
@@ -375,18 +351,19 @@ class ReachInterface:
             UserError: if its last axis has another length.
         """
         layout = self.layout
+        count, end = layout.joint_count, layout.posture_size
         if isinstance(observation, Mapping):
             values = np.asarray(observation["observation"], dtype=np.float64)
             target = np.asarray(observation["desired_goal"], dtype=np.float64)
-            expected = layout.posture_size
+            expected = end
         else:
             values = np.asarray(observation, dtype=np.float64)
-            target = values[..., layout.posture_size : layout.posture_size + 2] * layout.reach
+            target = values[..., end : end + 2] * layout.reach
             expected = layout.size
         if values.shape[-1:] != (expected,):
             raise UserError(f"observation must have shape (..., {expected}), got {values.shape}")
-        cosines, sines = layout.cosines_and_sines(values)
-        return Sensed(self.within_limits(np.arctan2(sines, cosines)), target)
+        joint_angles = np.arctan2(values[..., count : 2 * count], values[..., :count])
+        return Sensed(self.within_limits(joint_angles), target)
 
     def seen_hand(self, observation: Observation) -> Floats:
         """Return where observations show the hand, or its cursor, segment lengths, (..., 2)."""
@@ -404,12 +381,11 @@ class ReachInterface:
             UserError: if its last axis has another length than that of this environment.
         """
         if isinstance(observation, Mapping):
-            arrays = {name: np.asarray(value) for name, value in observation.items()}
-            self.sense(arrays)
-            return arrays
-        array = np.asarray(observation, dtype=np.float32)
-        self.sense(array)
-        return array
+            observation = {name: np.asarray(value) for name, value in observation.items()}
+        else:
+            observation = np.asarray(observation, dtype=np.float32)
+        self.sense(observation)
+        return observation
 
     def within_limits(self, joint_angles: Floats) -> Floats:
         """Return the angles within the joint limits that are nearest to these, (..., N)."""
@@ -477,12 +453,7 @@ class ReachInterface:
 
 
 def told_by(env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any] | Any, name: str) -> Any:
-    """Return an attribute of a reaching environment; None if it has none of that name.
-
-    Args:
-        env: an environment, wrapped or not, or a vector of them: Gymnasium's, native or not, or
-            stable-baselines3's.
-        name: of the attribute.
+    """Return an attribute of any environment that `ReachInterface.of` accepts; None if it has none.
 
     Raises:
         UserError: if it is not the same for all environments of a vector.

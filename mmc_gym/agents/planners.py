@@ -86,7 +86,6 @@ JUMP = 0.3
 HORIZON = 5
 """Control steps that are left at least while the target moves on."""
 
-
 ITERATIONS = 3
 """Iterations of inverse kinematics in a control step."""
 SUBSTEPS = 3
@@ -127,12 +126,7 @@ class Movement(NamedTuple):
 
 
 def begin(hand: Floats, target: Floats, control_step: float) -> Movement:
-    """Begin a movement.
-
-    Args:
-        hand: segment lengths, (..., 2).
-        target: segment lengths, (..., 2).
-        control_step: s.
+    """Begin a movement of the hand to a target, (..., 2) in segment lengths.
 
     >>> begin(np.array([1.0, 0.0]), np.array([3.0, 0.0]), control_step=0.02).duration.item()
     35.0
@@ -144,14 +138,7 @@ def begin(hand: Floats, target: Floats, control_step: float) -> Movement:
 
 
 def follow(movement: Movement, hand: Floats, target: Floats, control_step: float) -> Movement:
-    """Return the movement to where the target is now: a new one if it has jumped.
-
-    Args:
-        movement: under way.
-        hand: where a new movement would begin, segment lengths, (..., 2).
-        target: segment lengths, (..., 2).
-        control_step: s.
-    """
+    """Return the movement to where the target is now: a new one, from the hand, if it jumped."""
     shift = target - movement.target
     moved = np.hypot(shift[..., 0], shift[..., 1])
     if not moved.any():
@@ -200,10 +187,8 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
         movement = follow(state.movement, plan.position, sensed.target, self.interface.control_step)
         plan = minimum_jerk_step(plan, movement.target, movement.remaining)
         limits = self.interface.joint_limits
-        joint_angles = iterate(
-            _track, state.joint_angles, plan.position, lengths, ITERATIONS, limits
-        )
-        return joint_angles, MinimumJerkState(plan, step(movement), joint_angles)
+        posture = iterate(_track, state.joint_angles, plan.position, lengths, ITERATIONS, limits)
+        return posture, MinimumJerkState(plan, step(movement), posture)
 
 
 def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> HandPlan:
@@ -279,18 +264,11 @@ class PassiveMotionAgent(JointTargetAgent[PassiveMotionState]):
 
 
 def passive_motion_step(
-    joint_angles: Floats,
-    target: Floats,
-    share: Floats,
-    segment_lengths: SegmentLengths,
+    joint_angles: Floats, target: Floats, share: Floats, segment_lengths: SegmentLengths
 ) -> Floats:
     """Return joint angles (..., N) after an integration step of the internal body.
 
-    Args:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-        share: ∫ Γ dt over the step, as the share of the distance that is to be covered, (...).
-        segment_lengths: N lengths.
+    `share` is ∫ Γ dt over the step: the share of the distance that is to be covered, (...).
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = target - hand

@@ -26,13 +26,7 @@ _LOG_STD_RANGE = (-20.0, 2.0)  # stable-baselines3's, where the spread is an out
 
 
 class PolicyNetwork:
-    """The network.
-
-    Attributes:
-        input_size: features.
-        hidden_units: sizes of the hidden layers.
-        action_size: numbers of an action.
-    """
+    """The network: `input_size` features, layers of `hidden_units`, an action of `action_size`."""
 
     def __init__(self, tensors: Tensors, activation: Activation, distribution: Distribution):
         """Make a network of its weights.
@@ -62,14 +56,20 @@ class PolicyNetwork:
         if depth == 0 or set(tensors) != names:
             raise ValueError(f"tensors must be {sorted(names)}, got {sorted(tensors)}")
         sizes = [tensors["hidden.0.weight"].shape[-1]]
-        for layer in hidden:
-            sizes.append(len(tensors[f"{layer}.bias"]))
-            _check_layer(tensors, layer, sizes[-2], sizes[-1])
+        sizes += [len(tensors[f"{layer}.bias"]) for layer in hidden]
         action_size = len(tensors["mean.bias"])
-        for head in heads:
-            _check_layer(tensors, head, sizes[-1], action_size)
-        if spread_is_constant:
-            _check(tensors, "log_std", (action_size,))
+        shapes: dict[str, tuple[int, ...]] = {"log_std": (action_size,)}
+        for layer, inputs, outputs in (
+            *zip(hidden, sizes, sizes[1:]),
+            *((head, sizes[-1], action_size) for head in heads),
+        ):
+            shapes |= {f"{layer}.weight": (outputs, inputs), f"{layer}.bias": (outputs,)}
+        for name, tensor in tensors.items():
+            if tensor.shape != shapes[name] or tensor.dtype != np.float32:
+                raise ValueError(
+                    f"{name} must be float32 of shape {shapes[name]}, "
+                    f"got {tensor.dtype} of shape {tensor.shape}"
+                )
         self.tensors = dict(tensors)
         self.activation: Activation = activation
         self.distribution: Distribution = distribution
@@ -85,11 +85,9 @@ class PolicyNetwork:
         self._log_std = tensors["log_std"] if spread_is_constant else layers["log_std"]
 
     def act(self, features: Float32, random: np.random.Generator | None = None) -> Float32:
-        """The actions for features (..., input_size), within −1 and 1, (..., action_size).
+        """Return actions (..., action_size) within −1 and 1 for float32 features (..., input_size).
 
-        Args:
-            features: float32.
-            random: draws ε; None for the deterministic action.
+        They are deterministic without a generator that draws ε.
         """
         hidden = features
         for weight, bias in self._hidden:
@@ -108,16 +106,3 @@ class PolicyNetwork:
             noise = random.standard_normal(action.shape, np.float32)
             action = action + np.exp(log_std) * noise
         return np.tanh(action) if self.distribution == "squashed" else action.clip(-1.0, 1.0)
-
-
-def _check_layer(tensors: Tensors, layer: str, inputs: int, outputs: int) -> None:
-    _check(tensors, f"{layer}.weight", (outputs, inputs))
-    _check(tensors, f"{layer}.bias", (outputs,))
-
-
-def _check(tensors: Tensors, name: str, shape: tuple[int, ...]) -> None:
-    tensor = tensors[name]
-    if tensor.shape != shape or tensor.dtype != np.float32:
-        raise ValueError(
-            f"{name} must be float32 of shape {shape}, got {tensor.dtype} of shape {tensor.shape}"
-        )

@@ -45,8 +45,7 @@ class ResolvedAgent:
     Files are read and modules imported when they are asked for; `check` asks for all.
 
     Attributes:
-        label: what it is called: its name; a policy's file name without suffix; for functions and
-            objects the name of the function or class.
+        label: its name; a policy's file name without suffix; the name of a function or class.
         source: by which `resolve` finds it again, in another process too: "mmc", "ppo-3",
             "runs/ppo-1.json" or "module:function"; empty for functions and objects.
         name: its key in `AGENTS`; empty if it does not ship with the package.
@@ -108,7 +107,7 @@ class ResolvedAgent:
 
     @property
     def acts_on_batches(self) -> bool:
-        """Whether it is known to act on batches: agents of this package and policies do."""
+        """Tells whether it is known to act on batches: agents of this package and policies do."""
         return bool(self.name) or self.policy is not None
 
     @cached_property
@@ -120,9 +119,9 @@ class ResolvedAgent:
         the module's file.  What that file imports or reads may change unnoticed.  Empty for other
         functions and objects.
         """
-        if self.card is not None and not self.card.base_agent:
-            return self.card.sha256
         if self.card is not None:
+            if not self.card.base_agent:
+                return self.card.sha256
             return hashlib.sha256((self.card.sha256 + code_digest()).encode()).hexdigest()
         if self.name:
             return code_digest()

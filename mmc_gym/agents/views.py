@@ -49,11 +49,8 @@ OFFSET_GAIN = 6.0
 def features(arrays: Any, view: View, observation: Any, layout: ObservationLayout) -> Any:
     """Return the features of observations, (..., `feature_count`), and what they end with.
 
-    Args:
-        arrays: the module that the observations are arrays of, numpy or torch.
-        view: which.
-        observation: of MMCReach-v0, (..., 3N + 4) or longer, or of MMCReachGoal-v0, a mapping.
-        layout: of the observations.
+    The observations are `arrays` of the module numpy or torch: of MMCReach-v0, (..., 3N + 4) or
+    longer, or of MMCReachGoal-v0, a mapping.
     """
     cosines, sines, speeds, target, offset, rest = layout.split(observation)
     offset = OFFSET_GAIN * offset
@@ -84,16 +81,8 @@ def turned_actions(
 ) -> Any:
     """Turn joint positions in the target's view into joint positions in the world, or back.
 
-    Args:
-        arrays: the module that actions and observations are arrays of, numpy or torch.
-        actions: joint angles / π, (..., N).
-        observation: that they answer, see `features`.
-        layout: of the observations.
-        back: from the world into the target's view.
-
-    Returns:
-        Those actions, (..., N); the first is wrapped to the range from −1 to 1, the others are as
-        they were.
+    They are joint angles / π, (..., N).  The first is wrapped to the range from −1 to 1, the others
+    stay as they were.  The other arguments are those of `features`.
     """
     target = layout.split(observation).target
     turn = arrays.arctan2(target[..., 1:], target[..., :1]) / math.pi

@@ -77,20 +77,15 @@ PATIENCE = 25
 
 
 def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
-    """Return by how much the servos turn the joints in a control step, radians, (..., N).
+    """Return by how much servos turn joints towards targets in a control step, radians, (..., N).
 
     A position servo asks for a speed proportional to what is left, up to its limit, so that in a
     control step Δt a joint at q that is sent to c turns by about
 
         Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt)
 
-    Inertia and torque limits are left out: an arm that is heavy, or loaded, lags behind this.
-
-    Args:
-        interface: knows gain and speed limit.
-        joint_angles: where the joints are, radians, (..., N).
-        joint_targets: what their servos are sent to, radians, (..., N); the short way
-            round, or the way that joint limits leave.
+    the short way round, or the way that joint limits leave.  Inertia and torque limits are left
+    out: an arm that is heavy, or loaded, lags behind this.
 
     >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
     >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
@@ -133,12 +128,7 @@ class Delay(NamedTuple):
         return self._replace(commands=commands)
 
     def observed(self, joint_angles: Floats, expected: Floats) -> Delay:
-        """Return the memory after an observation.
-
-        Args:
-            joint_angles: as they are seen, radians, (..., N).
-            expected: where the servo model has them now, radians, (..., N).
-        """
+        """Return the memory after joints were seen; `expected`: where the servo model has them."""
         is_due = np.abs(wrap_angle(expected - self.start)) > MOVED
         moves = np.abs(wrap_angle(joint_angles - self.start)) > MOVED
         waited = np.where(is_due | (self.waited > 0), self.waited + 1, 0.0)
@@ -160,13 +150,7 @@ class Delay(NamedTuple):
     def run_forward(
         self, interface: ReachInterface, joint_angles: Floats, steps: NDArray[np.intp]
     ) -> Floats:
-        """Return where joints should be now, radians, (..., N).
-
-        Args:
-            interface: knows the servos.
-            joint_angles: where they were `steps` control steps ago, radians, (..., N).
-            steps: how long ago, (...).
-        """
+        """Return where joints should be now that were at these angles `steps` ago, (..., N)."""
         for back in range(int(steps.max(initial=0)), 0, -1):
             turn = expected_turn(interface, joint_angles, self.commands[..., -back, :])
             joint_angles = joint_angles + np.where((back <= steps)[..., None], turn, 0.0)
@@ -203,13 +187,7 @@ class Lengths(NamedTuple):
         )
 
     def observed(self, joint_angles: Floats, hand: Floats, told: tuple[float, ...]) -> Lengths:
-        """Return the knowledge after an observation.
-
-        Args:
-            joint_angles: radians, (..., N).
-            hand: where the hand is seen with this posture, segment lengths, (..., 2).
-            told: the lengths that were told.
-        """
+        """Return the knowledge after the hand was seen there, (..., 2), with this posture."""
         turn = np.abs(wrap_angle(joint_angles - self.last)).max(axis=-1)
         counts = ~(turn <= TURN)  # NaN: the first one does
         angles = np.cumsum(joint_angles, axis=-1)
@@ -282,7 +260,7 @@ class Locks(NamedTuple):
         Args:
             joint_angles: radians, (..., N).
             expected: by how much the servo model has them turned, radians, (..., N).
-            lockable: indices of the only joints that can lock, where that was told.
+            lockable: the only joints that can lock, where that was told.
         """
         enough = np.full(joint_angles.shape[-1], np.inf if lockable else ASKED)
         enough[list(lockable)] = ASKED_IF_TOLD

@@ -3,10 +3,7 @@
 The internal posture starts as the sensed one.  In each control step a solver takes it nearer to
 the target, by a few iterations, and its joint angles are the servos' targets.  Nothing sensed
 later changes it: that is resolved-rate control (Whitney 1969) over position servos, and the same
-for all methods here.
-
-A solver is a pure function of arrays with any leading batch axes, see `Solver`; `iterative` and
-`closed_form` have them.
+for all the solvers of `iterative` and `closed_form`.
 
 Literature: D. E. Whitney (1969), Resolved motion rate control of manipulators and human
 prostheses, IEEE Trans. Man-Machine Systems 10, 47–53.
@@ -33,7 +30,11 @@ from mmc_gym.network.chain import (
 
 SegmentLengths: TypeAlias = tuple[float, ...]
 Solver: TypeAlias = Callable[[Floats, Floats, SegmentLengths], Floats]
-"""One iteration: (joint angles (..., N), target (..., 2), N lengths) → joint angles (..., N)."""
+"""One iteration of a method, a pure function of joint angles, target and segment lengths.
+
+It is given joint angles (..., N) in radians, targets (..., 2) in segment lengths, and N lengths;
+it returns joint angles (..., N).
+"""
 
 STRAIGHT = 0.01
 """An arm is taken as straight, and a target as in line with it, within this angle, radians."""
@@ -93,15 +94,8 @@ def iterate(
 ) -> Floats:
     """Return joint angles (..., N) after iterations of a solver, out of a dead end if in one.
 
-    Args:
-        solver: one iteration.
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2); out of reach, the nearest point within is meant, since
-            an arm that goes on pulling outward trembles where it is stretched.
-        segment_lengths: N lengths.
-        iterations: how many.
-        joint_limits: lowest and highest angle of each joint, radians; an iteration that goes
-            beyond ends there.  None: joints turn freely.
+    Out of reach, the nearest point within is meant: an arm that goes on pulling outward trembles
+    where it is stretched.  An iteration that goes beyond a joint limit ends there.
     """
     target = nearest_reachable(target, segment_lengths)
     joint_angles = leave_line(joint_angles, target, segment_lengths)
@@ -153,12 +147,8 @@ def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLen
 
     Where all segments and the target lie in one line, no joint can move the hand towards the
     target (Jᵀe = 0).  The network has no way out either, for all its vectors lie in that line, and
-    so do their means.  Each joint of such an arm turns by `BEND`, unless the hand is at the target.
-
-    Args:
-        joint_angles: radians, (..., N).
-        target: within reach, segment lengths, (..., 2).
-        segment_lengths: N lengths.
+    so do their means.  Each joint of such an arm turns by `BEND`, unless the hand is at the target,
+    (..., 2), which must be within reach.
     """
     straight = np.abs(np.sin(joint_angles[..., 1:])).max(axis=-1, initial=0.0) < STRAIGHT
     if not straight.any():

@@ -36,20 +36,19 @@ def closed_form(
     segment_lengths: SegmentLengths,
     joint_limits: JointLimits | None = None,
 ) -> Floats:
-    """Return the solution nearest to a posture; joint angles (..., N).
+    """Return the solution nearest to a posture, joint angles (..., N): a `Solver` for N up to 3.
 
-    It is a `Solver` that is done after one iteration: its own solution is the nearest to itself, up
-    to rounding.  For a target out of reach it solves for
-    the nearest point within reach.  With two equal segments and the target at the base the first
-    joint is free; its angle is then an arbitrary one.
+    It is done after one iteration, for a solution is the nearest to itself.  For a target out of
+    reach it solves for the nearest point within.  With two equal segments and the target at the
+    base the first joint is free; its angle is then an arbitrary one.
 
     Args:
         joint_angles: the present posture, radians, (..., N).
         target: segment lengths, (..., 2).
         segment_lengths: N = 1, 2 or 3 lengths.
         joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
-            Solutions beyond them are left out, and the nearest is that by the way which they
-            leave.  If there is no other solution, the one least beyond, brought to the limits.
+            Solutions beyond them do not count, and the nearest is that by the way which they
+            leave.  If all are beyond, it is the one least so, brought to the limits.
 
     Raises:
         CannotActError: for another number of segments.
@@ -76,15 +75,7 @@ def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Flo
     """Return all solutions of a sweep; joint angles in any turn, radians, (..., solutions, N).
 
     With three segments the sweep takes in both ends of the interval of orientations, and the one
-    of `joint_angles`, or the end next to it.
-
-    Args:
-        target: segment lengths, (..., 2).
-        segment_lengths: N = 1, 2 or 3 lengths.
-        joint_angles: the present posture, radians, (..., N).
-
-    Raises:
-        CannotActError: for another number of segments.
+    of `joint_angles`, or the end next to it.  The arguments are those of `closed_form`.
     """
     count = len(segment_lengths)
     if count > 3:

@@ -1,12 +1,16 @@
 """Inverse kinematics by iteration: four solvers by the Jacobian, and two joint after joint.
 
-By the Jacobian J of the hand's position with respect to the joint angles q:
+Each is a `Solver`: that says what the first three arguments are, and what is returned.  Four go by
+the Jacobian J of the hand's position with respect to the joint angles q:
 
     e = target − hand,   shortened to at most `max_step` except for the transpose
     transpose        Δq = α Jᵀe,             α = ⟨e, JJᵀe⟩ / ⟨JJᵀe, JJᵀe⟩
     pseudo-inverse   Δq = J⁺e = Jᵀ(JJᵀ)⁻¹e
     damped           Δq = Jᵀ(JJᵀ + λ²I)⁻¹e
     null space       Δq = Jᵀ(JJᵀ + λ²I)⁻¹e − κ (I − J⁺J) ∇H(q)
+
+`max_step` and `damping` (λ) are in segment lengths.  `max_change` is the most that a joint turns,
+and `joint_limits` the lowest and highest angle of each joint, radians; None: joints turn freely.
 
 Cyclic coordinate descent turns one joint at a time, from the hand to the base, so that the hand
 comes as near to the target as this joint alone can bring it: into the line from joint to target.
@@ -31,6 +35,7 @@ solver for the inverse kinematics problem, Graphical Models 73, 243–260.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TypeAlias
 
 import numpy as np
@@ -55,17 +60,10 @@ def jacobian_transpose(
     segment_lengths: SegmentLengths,
     max_change: float = 0.05,
 ) -> Floats:
-    """Iterate once by the Jacobian transpose; return joint angles (..., N).
+    """Iterate once by the Jacobian transpose.
 
     α is the step that takes the hand nearest to the target, were J constant.  The error is not
-    shortened: α Jᵀe is bounded by `max_change`.
-
-    Args:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-        segment_lengths: N lengths.
-        max_change: most that a joint turns, radians; where it is less than the method asks for,
-            all joints turn by the same share of that.
+    shortened: where α Jᵀe is more than `max_change` for a joint, all turn by the same share of it.
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = target - hand
@@ -86,21 +84,11 @@ def pseudo_inverse(
     max_step: float = 0.1,
     max_change: float = 0.2,
 ) -> Floats:
-    """Iterate once by the pseudo-inverse; return joint angles (..., N).
-
-    J⁺ = Σ v uᵀ/σ for J = Σ σ u vᵀ.
+    """Iterate once by the pseudo-inverse, J⁺ = Σ v uᵀ/σ for J = Σ σ u vᵀ.
 
     Singularities: a σ less than `truncation` times the largest counts as 0, so that the arm does
     not try to move where it cannot.  Before that the change by each σ is bounded for itself (as
     in selectively damped least squares), so that a hopeless direction does not hold up the other.
-
-    Args:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-        segment_lengths: N lengths.
-        truncation: smallest ratio of the singular values at which both are used.
-        max_step: longest error that is acted on, segment lengths.
-        max_change: most that a joint turns for one singular value, radians.
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = shortened(target - hand, max_step)
@@ -117,16 +105,9 @@ def damped_least_squares(
     damping: float = 0.1,
     max_step: float = 0.1,
 ) -> Floats:
-    """Iterate once by damped least squares; return joint angles (..., N).
+    """Iterate once by damped least squares.
 
     The change is at most `max_step` / (2 `damping`), at singularities too.
-
-    Args:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-        segment_lengths: N lengths.
-        damping: λ, segment lengths.
-        max_step: longest error that is acted on, segment lengths.
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = shortened(target - hand, max_step)
@@ -142,7 +123,7 @@ def null_space(
     max_step: float = 0.1,
     joint_limits: JointLimits | None = None,
 ) -> Floats:
-    """Iterate once by damped least squares, towards a comfortable posture; return joint angles.
+    """Iterate once by damped least squares, towards a comfortable posture.
 
     H = ½ Σ (q_i − m_i)²: Liégeois's distance from the middles m of the joints' ranges.  Where there
     are no limits these are 0, and the first joint, which only says where the arm points, is left
@@ -150,16 +131,7 @@ def null_space(
     With limits each term has a weight, (narrowest range / its range)⁴, and joints may pass through
     the forbidden range here: comfort takes them out again, and the servos go round.  The projector
     is that of the undamped pseudo-inverse, so comfort does not move the hand; it is bounded, so it
-    needs no damping.
-
-    Args:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-        segment_lengths: N lengths.
-        comfort: κ, the share of the way to comfort that one iteration goes.
-        damping: λ, segment lengths.
-        max_step: longest error that is acted on, segment lengths.
-        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
+    needs no damping.  `comfort` is κ, the share of the way to it that one iteration goes.
     """
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = shortened(target - hand, max_step)
@@ -203,11 +175,7 @@ def resisted_force(
 ) -> tuple[Floats, Floats]:
     """Return both components (...) of f = (JJᵀ + ρI)⁻¹e: the damped step is Jᵀf, the hand's e − ρf.
 
-    Args:
-        jacobian_x: first row of J, (..., N).
-        jacobian_y: its second row, (..., N).
-        error: e, segment lengths, (..., 2).
-        resistance: ρ = λ², segment lengths squared, for all or each, (...).
+    The resistance ρ = λ², in segment lengths squared, is one for all or one for each, (...).
     """
     # (J Jᵀ + ρ I) is 2 × 2 and symmetric; its inverse is written out.
     xx = (jacobian_x * jacobian_x).sum(axis=-1) + resistance
@@ -222,8 +190,8 @@ def resisted_force(
 
 def _singular_rows(
     jacobian_x: Floats, jacobian_y: Floats, truncation: float
-) -> list[tuple[Floats, Floats, Floats]]:
-    """Return u (..., 2), σ·v = Jᵀu (..., N) and 1/σ² (...) for both singular values σ of J.
+) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Yield u (..., 2), σ·v = Jᵀu (..., N) and 1/σ² (...) for both singular values σ of J.
 
     J = Σ σ u vᵀ.  1/σ² is 0 where σ is less than `truncation` times the larger one.
     """
@@ -233,15 +201,12 @@ def _singular_rows(
     angle = np.arctan2(2 * xy, xx - yy) / 2  # of the eigenvector of J Jᵀ with the larger value
     larger = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     smaller = np.stack([-larger[..., 1], larger[..., 0]], axis=-1)
-    parts: list[tuple[Floats, Floats, Floats]] = []
     least = np.full_like(xx, _TINY)
     for toward in (larger, smaller):
         row = toward[..., :1] * jacobian_x + toward[..., 1:] * jacobian_y
         square = (row * row).sum(axis=-1)
-        inverse = np.divide(1.0, square, out=np.zeros_like(square), where=square > least)
-        parts.append((toward, row, inverse))
+        yield toward, row, np.divide(1.0, square, out=np.zeros_like(square), where=square > least)
         least = np.maximum(truncation**2 * square, _TINY)
-    return parts
 
 
 def cyclic_coordinate_descent(
@@ -251,19 +216,12 @@ def cyclic_coordinate_descent(
     max_change: float = 0.1,
     joint_limits: JointLimits | None = None,
 ) -> Floats:
-    """Turn every joint once by cyclic coordinate descent; return joint angles (..., N).
+    """Turn every joint once by cyclic coordinate descent.
 
     With turns of any size the joints next to the hand turn most, and the arm curls up before the
     others get to work.  Small turns make all take part, and a path of the hand that is nearly
-    straight; π allows any.  A joint on which the hand or the target lies does not turn.
-
-    Args:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-        segment_lengths: N lengths.
-        max_change: most that a joint turns, radians.
-        joint_limits: lowest and highest angle of each joint, radians, at which it stops, and the
-            joints after it take over; None: joints turn freely.
+    straight; π allows any.  A joint on which the hand or the target lies does not turn.  One that
+    stops at its limit leaves the rest to the joints after it.
     """
     lengths = np.array(segment_lengths)
     aim = _points(target)
@@ -285,15 +243,10 @@ def cyclic_coordinate_descent(
 
 
 def fabrik(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:
-    """Iterate once by FABRIK, backward and forward; return joint angles (..., N).
+    """Iterate once by FABRIK, backward and forward.
 
     To a target out of reach the arm stretches out straight.  A segment whose ends coincide keeps
     its direction.
-
-    Args:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-        segment_lengths: N lengths.
     """
     aim = _points(target)
     directions = list(np.moveaxis(np.exp(1j * np.cumsum(joint_angles, axis=-1)), -1, 0))
