@@ -71,7 +71,7 @@ class Game:
         agent: name of the agent at work.
         paused: whether time stands still.
         running: False once the user has asked to quit.
-        target: where the mouse has put the target, (x, y) in segment lengths.
+        target: where the mouse or, before, the task has put the target, (x, y) in segment lengths.
         message: why an agent could not be made, or "".
     """
 
@@ -131,8 +131,12 @@ class Game:
 
     def _restart(self, **arguments: Any) -> None:
         self._observation, info = self._env.reset(**arguments)
-        self.target, self._hand = tuple(info["target"]), info["end_effector"]
+        self._see(info)
         self._state, self._hand_speed = None, 0.0
+
+    def _see(self, info: Mapping[str, Any]) -> None:
+        self.target, self._hand = tuple(info["target"].tolist()), info["end_effector"]
+        self._seen_hand = info.get("cursor", self._hand)
 
     def _step(self) -> None:
         start = np.full(1, self._state is None)
@@ -141,7 +145,7 @@ class Game:
         )
         hand = self._hand
         self._observation, _, _, _, info = self._env.step(action)
-        self._hand = info["end_effector"]
+        self._see(info)
         self._hand_speed = math.dist(hand, self._hand) / self._reach.parameters.control_step
 
     def _heed(self, event: pygame.event.Event) -> bool:
@@ -199,7 +203,7 @@ class Game:
         pygame.display.flip()
 
     def _measures(self) -> str:
-        distance = math.dist(self._hand, self.target)
+        distance = math.dist(self._seen_hand, self.target)
         reached = "reached" if distance <= self._reach.success_distance else ""
         numbers = f"distance {distance:.2f}    hand speed {self._hand_speed:.1f}/s"
         return f"{self.agent}    {numbers}    {'paused' if self.paused else reached}"

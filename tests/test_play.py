@@ -1,4 +1,4 @@
-"""Facts about playing: what mouse and keys do to target, agent and time."""
+"""Play: what mouse and keys do to target, agent and time."""
 
 import math
 
@@ -25,13 +25,10 @@ class Recorder:
         return np.full(3, 0.25, np.float32), 1 if state is None else state + 1
 
 
-def make_env(**arguments):
-    return gym.make("MMCReach-v0", render_mode="rgb_array", max_episode_steps=-1, **arguments)
-
-
 @pytest.fixture
-def env():
-    env = make_env()
+def env(request):
+    env_id = getattr(request, "param", "MMCReach-v0")
+    env = gym.make(env_id, render_mode="rgb_array", max_episode_steps=-1)
     yield env
     env.close()
     pygame.display.quit()
@@ -66,15 +63,17 @@ def shown():
     return pygame.surfarray.array3d(pygame.display.get_surface())
 
 
-@pytest.mark.parametrize("name", ["obstacles", "rotation-45", "longer-50"])
-def test_the_mouse_points_at_what_the_picture_shows_and_the_hand_can_reach(name):
-    env = make_env(perturbations=name)
-    game = Game(env, {"first": Recorder}, "first", seed=0)
+def perturbed(*names):
+    return pytest.mark.parametrize("env", [f"MMCReach{name}-v0" for name in names], indirect=True)
+
+
+@perturbed("Obstacles", "Rotation45", "Longer50")
+def test_the_mouse_points_at_what_the_picture_shows_and_the_hand_can_reach(env, game):
     view = View(env.unwrapped.setup.farthest)
     point_at(*view.pixel((-0.5, 1.5)))
     game.frame()
     assert game.target == pytest.approx((-0.5, 1.5))
-    if name == "obstacles":
+    if "Obstacles" in env.spec.id:
         point_at(*view.pixel((1.5, 1.0)))  # in the middle of one
         game.frame()
         assert game.target == pytest.approx((-0.5, 1.5))
@@ -82,24 +81,26 @@ def test_the_mouse_points_at_what_the_picture_shows_and_the_hand_can_reach(name)
         point_at(*corner)
         game.frame()
         assert env.unwrapped.setup.workspace.contains(game.target)
-    env.close()
-    pygame.display.quit()
 
 
-def test_the_mouse_is_the_target(game, env):
-    point_at(*View(3.0).pixel((-1.0, 0.5)))
+@pytest.mark.parametrize("pixel", [(214, 262), (0, 0), (SIZE - 1, 5), (10, SIZE + 60)])
+def test_the_mouse_is_the_target_or_points_to_one_on_the_border(game, env, pixel):
+    point_at(*pixel)
     game.frame()
-    assert game.target == pytest.approx((-1.0, 0.5))
+    point = np.array(View(3.0).point(pixel))
+    assert game.target == pytest.approx(point * min(1, 3 / np.linalg.norm(point)))
     *_, info = env.step(np.zeros(3, np.float32))
     assert info["target"].tolist() == list(game.target)
 
 
-@pytest.mark.parametrize("pixel", [(0, 0), (SIZE - 1, 5), (10, SIZE + 60)])
-def test_a_mouse_out_of_reach_puts_the_target_on_the_border(game, pixel):
-    point_at(*pixel)
-    game.frame()
-    assert math.hypot(*game.target) == pytest.approx(3.0)
-    assert math.atan2(*game.target) == pytest.approx(math.atan2(*View(3.0).point(pixel)))
+@perturbed("Rotation45", "Pursuit")
+def test_the_distance_is_that_of_the_cursor_and_to_a_target_that_moves(env, game, monkeypatch):
+    step, told = env.step, []
+    monkeypatch.setattr(env, "step", lambda action: told.append(step(action)) or told[-1])
+    for _ in range(20):
+        game.frame()
+    *_, info = told[-1]
+    assert f"distance {info['distance']:.2f}" in game._measures()
 
 
 def test_there_is_no_time_limit(game, agents):

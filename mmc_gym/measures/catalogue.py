@@ -157,7 +157,7 @@ def measure(
         unit: of the values; "fraction" is shown in percent, "" is a plain number.
         best: whether "high" or "low" values are good, or "neither".
         statistic: of many episodes, in tables: "mean" or "median".
-        decimals: at most so many are shown.
+        decimals: that are shown; of a fraction always one, in percent.
         shown: whether tables show it; files hold all.
         successes_only: whether it is reported only of episodes that ended at the target.
 
