@@ -63,7 +63,8 @@ class Frozen:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        return np.arctan2(observation[3:6], observation[:3]) / np.float32(math.pi), None
+        sines, cosines = observation[..., 3:6], observation[..., :3]
+        return np.arctan2(sines, cosines) / np.float32(math.pi), None
 
 
 @pytest.fixture

@@ -57,7 +57,7 @@ from mmc_gym.measures import (
     episode_seeds,
     run_episodes,
 )
-from mmc_gym.measures.catalogue import digest, own_measures, register_measures
+from mmc_gym.measures.catalogue import digest, own_measures, register
 
 TIMED = 3
 """Episodes that are played one by one as well: what an action takes is known of them."""
@@ -138,7 +138,8 @@ class _Recorded(NamedTuple):
 
 def run_cell(cell: Cell) -> Outcome:
     """Play a cell.  An error of the agent is a result, and ends nothing."""
-    register_measures(cell.measures)
+    for measure in cell.measures:
+        register(measure)
     begin, processor_begin = time.perf_counter(), time.process_time()
     try:
         recorded = _play(cell)

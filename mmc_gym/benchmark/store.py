@@ -31,8 +31,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
-from mmc_gym.measures import MEASURES, Episode, measure_all
-from mmc_gym.measures.catalogue import set_measures_in
+from mmc_gym.measures import MEASURES, SET_MEASURES, Episode, measure_all
 
 SCHEMA_VERSION = 2
 MANIFEST = "manifest.json"
@@ -151,7 +150,7 @@ def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
     A row for each of `SET_MEASURES` that is taken in this environment: agent, training_seed,
     environment, measure, unit, episodes (their number), value (NaN if they have none).
     """
-    measures = set_measures_in(key.environment)
+    measures = [one for one in SET_MEASURES.values() if one.environment == key.environment]
     if not measures:
         return None
     columns = {

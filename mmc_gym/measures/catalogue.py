@@ -168,11 +168,11 @@ def measure(
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
     facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
 
-    def register(function: OfEpisode) -> OfEpisode:
-        _add(Measure(name=function.__name__, of=function, **facts))
+    def decorate(function: OfEpisode) -> OfEpisode:
+        register(Measure(name=function.__name__, of=function, **facts))
         return function
 
-    return register
+    return decorate
 
 
 def set_measure(
@@ -190,14 +190,15 @@ def set_measure(
     """
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
 
-    def register(function: OfEpisodes) -> OfEpisodes:
-        _add(SetMeasure(name=function.__name__, environment=environment, of=function, **facts))
+    def decorate(function: OfEpisodes) -> OfEpisodes:
+        register(SetMeasure(name=function.__name__, environment=environment, of=function, **facts))
         return function
 
-    return register
+    return decorate
 
 
-def _add(made: Measure | SetMeasure) -> None:
+def register(made: Measure | SetMeasure) -> None:
+    """Register a measure; raise a `UserError` for a name that is taken or an unknown fact."""
     for name, accepted in (("best", get_args(Direction)), ("statistic", get_args(Statistic))):
         value = getattr(made, name, accepted[0])
         if value not in accepted:
@@ -218,15 +219,9 @@ def _origin(known: Measure | SetMeasure) -> str:
 
 
 def own_measures() -> tuple[Measure | SetMeasure, ...]:
-    """Return the measures that users have registered, to be handed to worker processes."""
+    """Return the measures that users have registered; workers must `register` them too."""
     known: list[Measure | SetMeasure] = [*MEASURES.values(), *SET_MEASURES.values()]
     return tuple(one for one in known if not one.of.__module__.startswith("mmc_gym."))
-
-
-def register_measures(measures: Iterable[Measure | SetMeasure]) -> None:
-    """Register `own_measures` of another process in this one."""
-    for one in measures:
-        _add(one)
 
 
 def import_measures(modules: Iterable[str]) -> None:
@@ -263,11 +258,6 @@ def set_measures_of(facts: Mapping[str, Any]) -> dict[str, SetMeasure]:
 def shown_measures() -> tuple[Measure, ...]:
     """Return the measures that tables show."""
     return tuple(one for one in MEASURES.values() if one.shown)
-
-
-def set_measures_in(environment: str) -> tuple[SetMeasure, ...]:
-    """Return the measures of sets that are taken in an environment; none in most."""
-    return tuple(one for one in SET_MEASURES.values() if one.environment == environment)
 
 
 def measure_all(episode: Episode) -> dict[str, float]:

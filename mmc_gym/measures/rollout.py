@@ -145,13 +145,13 @@ def _play(
     """Play from a reset to the end of an episode, or of those of all arms of a vector."""
     together = isinstance(env, gym.vector.VectorEnv)
     observation, info = (_reset_together if together else _reset)(env, seeds, options)
-    seen = {name: key for name, key in _SEEN.items() if key in info}
     effort = _EFFORT if getattr(arm, "records_effort", False) else ()
     records: defaultdict[str, list[Any]] = defaultdict(list)
 
     def note(info: Mapping[str, Any]) -> None:
-        for name, key in seen.items():
-            records[name].append(info[key])
+        for name, key in _SEEN.items():
+            if key in info:
+                records[name].append(info[key])
         # Senses may be noisy and late: the posture is the arm's own and not the observed one.
         records["joint_angles"].append(np.array(getattr(arm, "joint_angles", ())))
 

@@ -55,9 +55,9 @@ def test_a_line_is_straight_however_unevenly_it_is_walked():
     assert linearity_index(line) == pytest.approx(0, abs=1e-12)
 
 
-def test_a_path_that_goes_nowhere_has_no_shape():
-    assert math.isnan(straightness(np.ones((5, 2))))
-    assert math.isnan(linearity_index(np.ones((5, 2))))
+@pytest.mark.parametrize("shape", [straightness, linearity_index])
+def test_a_path_that_goes_nowhere_has_no_shape(shape):
+    assert math.isnan(shape(np.ones((5, 2))))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.measures import SET_MEASURES, run_episodes
-from mmc_gym.measures.catalogue import set_measures_in
 from mmc_gym.measures.sets import (
     FITTS_WIDTHS,
     fitts_law,
@@ -25,7 +24,6 @@ def take(names, episodes):
 
 def test_set_measures_are_taken_in_environments_that_exist():
     assert {measure.environment for measure in SET_MEASURES.values()} <= set(SCENARIOS)
-    assert not set_measures_in("random")
 
 
 def test_the_environments_are_what_the_measures_need(frozen):
