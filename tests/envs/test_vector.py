@@ -4,6 +4,7 @@ import copy
 import pickle
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import gymnasium as gym
@@ -64,66 +65,42 @@ def make_native(env_id: str, count: int = COUNT, **arguments: Any) -> VectorEnv:
     return vector
 
 
-def make_sync(env_id: str, mode: AutoresetMode, steps: int | None, **arguments: Any) -> VectorEnv:
-    return gym.make_vec(
-        env_id,
-        COUNT,
-        vectorization_mode="sync",
-        max_episode_steps=steps,
-        vector_kwargs={"autoreset_mode": mode},
-        **arguments,
-    )
-
-
 def random_actions(vector: VectorEnv, steps: int, seed: int = 0) -> np.ndarray:
     assert vector.action_space.shape is not None
     random = np.random.default_rng(seed)
     return random.uniform(-1, 1, (steps, *vector.action_space.shape)).astype(np.float32)
 
 
-def assert_same_play(native: VectorEnv, sync: VectorEnv, steps: int = 30) -> None:
-    """Both return the same over some episodes, with partial resets on the way."""
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize(
+    ("env_id", "variant"),
+    [*product(["MMCReach-v0"], VARIANTS), *product(["MMCReachGoal-v0"], GOAL_VARIANTS)],
+)
+def test_it_returns_bit_for_bit_what_single_environments_return(
+    env_id: str, variant: str, mode: AutoresetMode
+) -> None:
+    """Over some episodes, with partial resets on the way."""
+    arguments = {"max_episode_steps": 13, **VARIANTS[variant]}
+    native = make_native(env_id, autoreset_mode=mode, **arguments)
+    sync = gym.make_vec(env_id, COUNT, "sync", vector_kwargs={"autoreset_mode": mode}, **arguments)
+
+    def reset_both(mask: np.ndarray, seed: Any = None) -> None:
+        first, second = (
+            one.reset(seed=seed, options={"reset_mask": mask.copy()}) for one in (native, sync)
+        )
+        assert same(first, second)
+
     assert native.observation_space == sync.observation_space
     assert native.action_space == sync.action_space
     assert native.single_observation_space == sync.single_observation_space
     assert same(native.reset(seed=3), sync.reset(seed=3))
-    some = np.arange(COUNT) % 2 == 0
-    for index, action in enumerate(random_actions(native, steps)):
+    for index, action in enumerate(random_actions(native, 30)):
         step = native.step(action)
         assert same(step, sync.step(action))
-        over = step[3]
-        if native.metadata["autoreset_mode"] == AutoresetMode.DISABLED and over.any():
-            first, second = (
-                one.reset(options={"reset_mask": over.copy()}) for one in (native, sync)
-            )
-            assert same(first, second)
+        if mode == AutoresetMode.DISABLED and step[3].any():
+            reset_both(step[3])
         if index == 7:
-            first, second = (
-                one.reset(seed=[1, 2, 3, 4, 5], options={"reset_mask": some.copy()})
-                for one in (native, sync)
-            )
-            assert same(first, second)
-
-
-@pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_it_returns_bit_for_bit_what_single_environments_return(
-    variant: str, mode: AutoresetMode
-) -> None:
-    arguments = VARIANTS[variant]
-    native = make_native("MMCReach-v0", autoreset_mode=mode, max_episode_steps=13, **arguments)
-    sync = make_sync("MMCReach-v0", mode, 13, **arguments)
-    assert_same_play(native, sync)
-
-
-@pytest.mark.parametrize("variant", GOAL_VARIANTS)
-def test_the_goal_environment_does_so_too(variant: str) -> None:
-    arguments = VARIANTS[variant]
-    for mode in AutoresetMode:
-        native = make_native(
-            "MMCReachGoal-v0", autoreset_mode=mode, max_episode_steps=13, **arguments
-        )
-        assert_same_play(native, make_sync("MMCReachGoal-v0", mode, 13, **arguments))
+            reset_both(np.arange(COUNT) % 2 == 0, seed=[1, 2, 3, 4, 5])
 
 
 @pytest.mark.parametrize("engine", ["pymunk", "analytic"])
@@ -140,45 +117,31 @@ def test_an_arm_plays_the_same_in_any_number_of_arms_and_threads(engine: str) ->
     many.close()
 
 
-def test_it_returns_new_arrays() -> None:
-    vector = make_native("MMCReach-v0")
-    kept = [vector.reset(seed=0)]
-    kept += [vector.step(action) for action in random_actions(vector, 3)]
-    before = copy.deepcopy(kept)
-    for action in random_actions(vector, 3, seed=1):
-        vector.step(action)
-    vector.reset()
-    assert same(kept, before)
-
-
-def test_what_is_done_to_returned_arrays_does_not_matter() -> None:
+def test_it_returns_new_arrays_and_what_is_done_to_them_does_not_matter() -> None:
     touched, untouched = make_native("MMCReach-v0"), make_native("MMCReach-v0")
     some = np.array([True, False, False, False, True])
-    for vector in (touched, untouched):
-        observation, info = vector.reset(seed=0)
-        if vector is touched:
-            observation[:] = 7.0
-            for values in info.values():
-                values[:] = False
+    observation, info = touched.reset(seed=0)
+    kept = [untouched.reset(seed=0)]
+    observation[:] = 7.0
+    for values in info.values():
+        values[:] = False
+    before = copy.deepcopy(kept)
     options = [{"reset_mask": some.copy()} for _ in range(2)]
-    first, second = touched.reset(options=options[0]), untouched.reset(options=options[1])
-    assert same(first, second)
-    action = random_actions(touched, 1)[0]
-    assert same(touched.step(action), untouched.step(action))
+    kept.append(untouched.reset(options=options[0]))
+    assert same(touched.reset(options=options[1]), kept[-1])
+    for action in random_actions(touched, 3):
+        before.append(copy.deepcopy(kept[-1]))
+        kept.append(untouched.step(action))
+        assert same(touched.step(action), kept[-1])
+    assert same(kept[:-1], before)
 
 
-def test_without_a_time_limit_it_goes_on() -> None:
-    vector = make_native("MMCReach-v0", 2, max_episode_steps=None)
+@pytest.mark.parametrize("limit", [{}, {"max_episode_steps": None}])
+def test_it_has_the_time_limit_of_the_registration_or_none(limit: dict[str, Any]) -> None:
+    vector = make_native("MMCReach-v0", 2, **limit)
     vector.reset(seed=0)
-    ends = [vector.step(action)[3].any() for action in random_actions(vector, 150)]
-    assert not any(ends)
-
-
-def test_the_time_limit_is_that_of_the_registration() -> None:
-    vector = make_native("MMCReach-v0", 2)
-    vector.reset(seed=0)
-    ends = [vector.step(action)[3].all() for action in random_actions(vector, 100)]
-    assert ends == [False] * 99 + [True]
+    ends = [vector.step(action)[3].all() for action in random_actions(vector, 150)]
+    assert np.flatnonzero(ends).tolist() == ([] if limit else [99])
 
 
 def test_agents_play_in_it() -> None:
@@ -199,15 +162,6 @@ def test_gymnasium_wraps_it() -> None:
     for action in random_actions(vector, 100):
         *_, info = vector.step(action)
     assert (info["episode"]["l"] == 100).all()
-
-
-def test_pictures_show_every_arm() -> None:
-    vector = make_native("MMCReach-v0", 3, render_mode="rgb_array")
-    vector.reset(seed=0)
-    frames = vector.render()
-    assert frames is not None
-    assert [frame.shape for frame in frames] == [(640, 640, 3)] * 3
-    assert not same(frames[0], frames[1])
 
 
 def test_a_goal_reward_is_that_of_the_goals() -> None:
@@ -275,27 +229,21 @@ def test_bad_arguments_are_refused(arguments: dict[str, Any], message: str) -> N
         MMCReachVectorEnv(**{"num_envs": 2, **arguments})
 
 
-def test_a_step_before_the_reset_is_refused() -> None:
-    vector = make_native("MMCReach-v0")
-    with pytest.raises(ResetNeeded, match=r"reset\(\)"):
-        vector.step(random_actions(vector, 1)[0])
-
-
-def test_without_autoreset_a_finished_episode_must_be_reset() -> None:
+def test_a_step_before_the_reset_or_after_the_end_without_autoreset_is_refused() -> None:
     vector = make_native("MMCReach-v0", autoreset_mode=AutoresetMode.DISABLED, max_episode_steps=1)
+    (action,) = random_actions(vector, 1)
+    with pytest.raises(ResetNeeded, match=r"reset\(\)"):
+        vector.step(action)
     vector.reset(seed=0)
-    vector.step(random_actions(vector, 1)[0])
+    vector.step(action)
     with pytest.raises(ResetNeeded, match=r"\[0, 1, 2, 3, 4\]"):
-        vector.step(random_actions(vector, 1)[0])
+        vector.step(action)
 
 
 def test_copies_are_refused() -> None:
-    vector = make_native("MMCReach-v0")
-    vector.reset(seed=0)
-    with pytest.raises(TypeError, match="cannot be pickled or copied"):
-        pickle.dumps(vector)
-    with pytest.raises(TypeError, match="cannot be pickled or copied"):
-        copy.deepcopy(vector)
+    for make_copy in (pickle.dumps, copy.deepcopy):
+        with pytest.raises(TypeError, match="cannot be pickled or copied"):
+            make_copy(make_native("MMCReach-v0"))
 
 
 @pytest.mark.parametrize("context", ["fork", "spawn"])
