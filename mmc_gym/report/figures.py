@@ -19,6 +19,7 @@ from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures import Measure
 from mmc_gym.measures.episode import hand_speed
 from mmc_gym.report.panels import (
+    Curve,
     Look,
     Panel,
     PanelFigure,
@@ -39,6 +40,7 @@ PROFILE_RESAMPLES = 300
 _POINTS = 41  # of a performance profile
 _UNPERTURBED = 0.0
 _MOVEMENT_SIZE = (2.6, 4.3)  # inches
+_OTHERS = Look("0.45", "-", "|")  # agents that only the dots show
 _AXES: tuple[tuple[Axis, str, float], ...] = (
     ("steps", "environment steps", 1.0),
     ("cpu_seconds", "time on one core [min]", 60.0),
@@ -58,16 +60,15 @@ def dots(
         with drawn(height=0.75 + 0.17 * len(found)) as (figure, axes):
             scale = 100 if measure.unit == "fraction" else 1
             for row, (agent, one) in enumerate(found.items()):
-                own = look.get(agent)
-                colour = own.colour if own else "0.45"
+                own = look.get(agent, _OTHERS)
                 ends = [scale * one.low, scale * one.high]
-                axes.plot(ends, [row, row], color=colour, linewidth=1.6, solid_capstyle="butt")
+                axes.plot(ends, [row, row], color=own.colour, linewidth=1.6, solid_capstyle="butt")
                 axes.plot(
                     scale * one.estimate,
                     row,
-                    marker=own.marker if own else "|",
-                    color=colour,
-                    markersize=5 if own else 6,
+                    marker=own.marker,
+                    color=own.colour,
+                    markersize=6 if own is _OTHERS else 5,
                     markerfacecolor="white",
                     clip_on=False,
                 )
@@ -127,16 +128,18 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
             continue
         used += met
         curves = Bootstrap.of(frame, "final_distance", PROFILE_RESAMPLES).profile(taus, "low")
-        groups = {str(agent): curve for agent, curve in curves.groupby("agent", sort=False)}
-        groups = {agent: groups[agent] for agent in look if agent in groups}
+        lines = {
+            agent: Curve(*curves.loc[rows, ["threshold", "estimate", "low", "high"]].to_numpy().T)
+            for agent in look
+            if (rows := curves["agent"] == agent).any()
+        }
         title = plain if key == "base" else count(len(met), "perturbed environment")
         panels.append(
             line_panel(
                 f"profile-{key}",
                 title,
                 f"Share of episodes that end within a distance, {title}",
-                {a: (c["threshold"], c["estimate"]) for a, c in groups.items()},
-                {a: (c["low"], c["high"]) for a, c in groups.items()},
+                lines,
                 look,
                 finish,
                 markers=False,
@@ -175,13 +178,15 @@ def degradation(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure |
         if first.baseline in results.environments and is_scale:
             points = [(_UNPERTURBED, first.baseline), *points]
         used += [key for _, key in points]
-        lines, bands = {}, {}
+        lines, said = {}, []
         for agent in look:
             found = [(x, estimates.of(key, SUCCESS).get(agent)) for x, key in points]
             known = [(x, one) for x, one in found if one is not None]
             if known:
-                lines[agent] = ([x for x, _ in known], [100 * one.estimate for _, one in known])
-                bands[agent] = ([100 * e.low for _, e in known], [100 * e.high for _, e in known])
+                shares = 100 * np.array([one for _, one in known])
+                lines[agent] = Curve([x for x, _ in known], *shares.T)
+                texts = (SUCCESS.quantity(one.estimate) for _, one in known)
+                said.append(f"{agent} {', '.join(texts)}")
 
         def finish(axes: Axes, unit_of: str = first.unit, name: str = family) -> None:
             axes.set(ylim=(-3, 103), ylabel="success [%]")
@@ -190,17 +195,13 @@ def degradation(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure |
                 axes.set_xticks([1, 2, 3], ["1 (base)", "2", "3"])
                 axes.set_xlim(0.6, 3.4)
 
-        said = "; ".join(
-            f"{agent} {', '.join(f'{y:.0f} %' for y in line[1])}" for agent, line in lines.items()
-        )
         strengths = ", ".join(f"{x:g}" for x, _ in points)
         panels.append(
             line_panel(
                 f"degradation-{number}",
                 family,
-                f"Success at strengths {strengths} {first.unit}: {said}",
+                f"Success at strengths {strengths} {first.unit}: {'; '.join(said)}",
                 lines,
-                bands,
                 look,
                 finish,
                 connected=is_scale,
@@ -230,8 +231,12 @@ def learning(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
     panels = []
     curves = curve_rows(cards)
     for axis, label, scale in _AXES:
-        means = mean_curves(curves, axis)
-        groups = {str(agent): curve for agent, curve in means.groupby("agent", sort=False)}
+        lines = {
+            str(agent): Curve(
+                one[axis] / scale, *100 * one[["success", "low", "high"]].to_numpy().T
+            )
+            for agent, one in mean_curves(curves, axis).groupby("agent", sort=False)
+        }
 
         def finish(axes: Axes, steps: bool = axis == "steps", name: str = label) -> None:
             axes.set(xscale="log", ylim=(0, 103), ylabel="success [%]", xlabel=name)
@@ -244,8 +249,7 @@ def learning(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
                 f"learning-{axis}",
                 f"Against {label.partition(' [')[0]}",
                 f"Success during training against {label}",
-                {a: (c[axis] / scale, 100 * c["success"]) for a, c in groups.items()},
-                {a: (100 * c["low"], 100 * c["high"]) for a, c in groups.items()},
+                lines,
                 look,
                 finish,
                 markers=False,
@@ -350,9 +354,8 @@ def _draw_movements(drawn_of: Sequence[Movement], results: Results, fastest: flo
     with drawn(*_MOVEMENT_SIZE) as (figure, axes):
         axes.remove()
         above, below = figure.subplots(2, 1, height_ratios=(1.45, 1))
-        draw_paths(
-            above, drawn_of, sum(results.manifest.segment_lengths), results.manifest.tolerance
-        )
+        reach = sum(results.manifest.segment_lengths)
+        draw_paths(above, drawn_of, reach, results.manifest.tolerance)
         above.set(xlabel="x [segment lengths]", ylabel="y [segment lengths]")
         quartiles = speed_quartiles(drawn_of)
         draw_speed(below, quartiles, results.manifest.control_step)

@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,6 +67,15 @@ class Panel(NamedTuple):
     svg: str
 
 
+class Curve(NamedTuple):
+    """A line, and the band of its interval."""
+
+    x: ArrayLike
+    y: ArrayLike
+    low: ArrayLike
+    high: ArrayLike
+
+
 class PanelFigure(NamedTuple):
     """A figure of the report: panels, and the caption of all of them."""
 
@@ -75,10 +85,7 @@ class PanelFigure(NamedTuple):
 
 def looks(agents: Sequence[str]) -> dict[str, Look]:
     """Return the look of each of the agents that figures show."""
-    return {
-        agent: Look(_COLOURS[n % 7], _LINES[n % 7], _MARKERS[n % 7])
-        for n, agent in enumerate(agents)
-    }
+    return dict(zip(agents, cycle(map(Look, _COLOURS, _LINES, _MARKERS))))
 
 
 def shortened(name: str, length: int = 15) -> str:
@@ -101,8 +108,7 @@ def line_panel(
     key: str,
     title: str,
     description: str,
-    lines: Mapping[str, tuple[ArrayLike, ArrayLike]],
-    bands: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    curves: Mapping[str, Curve],
     look: Mapping[str, Look],
     finish: Callable[[Axes], None],
     markers: bool = True,
@@ -112,23 +118,23 @@ def line_panel(
 
     Args:
         key: unique in the page.
-        title: above the panel.
-        description: for those who do not see it.
-        lines: (x, y) by agent.
-        bands: (low, high) by agent.
+        title: see `Panel`.
+        description: see `Panel`.
+        curves: by agent.
         look: of each agent.
         finish: sets limits, scales and labels of the axes.
         markers: whether to mark every point; else some are.
         connected: whether to connect the points; not if there is nothing between them.
     """
     with drawn() as (figure, axes):
-        for number, (agent, (x, y)) in enumerate(lines.items()):
+        for number, (agent, curve) in enumerate(curves.items()):
             own = look[agent]
-            if agent in bands and connected:
-                axes.fill_between(x, *bands[agent], color=own.colour, alpha=0.14, linewidth=0)
+            if connected:
+                band = (curve.x, curve.low, curve.high)
+                axes.fill_between(*band, color=own.colour, alpha=0.14, linewidth=0)
             axes.plot(
-                x,
-                y,
+                curve.x,
+                curve.y,
                 color=own.colour,
                 linestyle=own.line if connected else "",
                 linewidth=1.4,
@@ -138,7 +144,7 @@ def line_panel(
                 markevery=1 if markers else (0.02 * number, 0.2),
             )
         finish(axes)
-        name_lines(axes, lines, look)
+        name_lines(axes, {agent: (one.x, one.y) for agent, one in curves.items()}, look)
     return Panel(title, description, to_svg(figure, key))
 
 

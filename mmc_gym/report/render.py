@@ -6,11 +6,11 @@ and losses follow from the same rule.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -22,14 +22,7 @@ from mmc_gym.report import figures, tables
 from mmc_gym.report.panels import looks
 from mmc_gym.report.replay import replay, replayed
 from mmc_gym.report.results import Results, count, listed, read_results
-from mmc_gym.report.scores import (
-    COMMON,
-    MARGINS,
-    SUCCESS,
-    Comparison,
-    Estimates,
-    Outcome,
-)
+from mmc_gym.report.scores import COMMON, MARGINS, SUCCESS, Comparison, Estimates, Outcome
 
 FOCUS = ("mmc", "mmc-closed")
 """The agents whose wins and losses are told: the network alone, and with all loops closed."""
@@ -43,20 +36,13 @@ EXAMPLES = 3
 """Environments that a sentence names, those of the largest differences."""
 
 
-def write_report(
-    store: Path | str,
-    out: Path | str,
-    resamples: int = RESAMPLES,
-) -> Path:
-    """Write the report of a benchmark.
+def write_report(store: Path | str, out: Path | str, resamples: int = RESAMPLES) -> Path:
+    """Write the report of a benchmark, and return its file.
 
     Args:
         store: folder of the benchmark.
         out: the HTML file.
         resamples: of each bootstrap.
-
-    Returns:
-        The file.
 
     Raises:
         UserError: if there is no store, it is damaged or has no episodes, or `out` is a folder.
@@ -155,60 +141,37 @@ def _trained(row: Mapping[Hashable, Any]) -> str:
     return count(seeds, "training seed") if seeds else "not trained"
 
 
-@dataclass(frozen=True)
-class Standing:
-    """Where an agent stands among its rivals.
-
-    Attributes:
-        agent: its name.
-        counts: comparisons by outcome.
-        better: a line for each measure, of where it is clearly better than all rivals.
-        worse: lines of the same form, of where the best rival is clearly better.
-    """
+class Standing(NamedTuple):
+    """How often each outcome was, and a line for each measure that has such a clear one."""
 
     agent: str
-    counts: dict[Outcome, int]
-    better: tuple[str, ...]
-    worse: tuple[str, ...]
-
-    @property
-    def total(self) -> int:
-        """Number of comparisons."""
-        return sum(self.counts.values())
+    counts: Counter[Outcome]
+    better: list[str]
+    worse: list[str]
 
 
 def standing(board: Sequence[Comparison], agent: str) -> Standing:
-    """Return where an agent stands, from `Estimates.scoreboard`."""
-    return Standing(agent, _counts(board), _lines(board, "better"), _lines(board, "worse"))
+    """Return where an agent stands among its rivals, from `Estimates.scoreboard`."""
+    counts = Counter(entry.outcome for entry in board)
+    return Standing(agent, counts, _lines(board, "better"), _lines(board, "worse"))
 
 
-def _counts(board: Sequence[Comparison]) -> dict[Outcome, int]:
-    outcomes = [entry.outcome for entry in board]
-    return {outcome: outcomes.count(outcome) for outcome in tables.SIGNS}
-
-
-def _lines(board: Sequence[Comparison], outcome: Outcome) -> tuple[str, ...]:
+def _lines(board: Sequence[Comparison], outcome: Outcome) -> list[str]:
     lines = []
     for measure in dict.fromkeys(entry.measure for entry in board):
         compared = [entry for entry in board if entry.measure == measure]
         found = sorted((e for e in compared if e.outcome == outcome), key=_gap, reverse=True)
-        examples = [
-            f"{entry.environment} ({' against '.join(_both(entry))} of {entry.rival})"
-            for entry in found[:EXAMPLES]
-        ]
-        more = [f"{len(found) - EXAMPLES} more"] if len(found) > EXAMPLES else []
+        examples = []
+        for entry in found[:EXAMPLES]:
+            mine = measure.number(entry.mine.estimate, entry.more_decimals)
+            theirs = measure.quantity(entry.theirs.estimate, entry.more_decimals)
+            examples.append(f"{entry.environment} ({mine} against {theirs} of {entry.rival})")
+        if len(found) > EXAMPLES:
+            examples.append(f"{len(found) - EXAMPLES} more")
         if found:
-            lines.append(
-                f"{measure.full_label}: in {len(found)} of {count(len(compared), 'environment')}: "
-                f"{listed([*examples, *more])}"
-            )
-    return tuple(lines)
-
-
-def _both(entry: Comparison) -> tuple[str, str]:
-    """Return both values, with as many decimals as it takes to tell them apart."""
-    measure, more = entry.measure, entry.more_decimals
-    return measure.number(entry.mine.estimate, more), measure.quantity(entry.theirs.estimate, more)
+            among = count(len(compared), "environment")
+            lines.append(f"{measure.full_label}: in {len(found)} of {among}: {listed(examples)}")
+    return lines
 
 
 def _gap(entry: Comparison) -> float:
@@ -236,7 +199,7 @@ def _likeness(estimates: Estimates) -> dict[str, list[Comparison]]:
 
 def verdict(board: Sequence[Comparison], learned: str, network: str) -> str:
     """Return whether an agent that learned to be smooth is as human-like as a network."""
-    counts = _counts(board)
+    counts = Counter(entry.outcome for entry in board)
     said: dict[Outcome, str] = {
         "better": "more human-like",
         "worse": "less human-like",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
@@ -121,20 +121,16 @@ class Results:
     """The results of a benchmark.
 
     Attributes:
-        manifest: what they were made with, and which cells could not be played.
-        episodes: columns agent, training_seed (missing without training), environment, instance,
-            and those of all measures, NaN where `leave_out_failures` says so.
-        paths: columns agent, training_seed, environment, instance, step, joint_angle_1 to _N,
-            hand_x, hand_y, cursor_x, cursor_y, target_x, target_y; empty if none were kept.
+        manifest: how they were made, and which cells could not be played.
+        episodes: as `read_episodes` returns them, NaN where `leave_out_failures` says so.
+        paths: as `read_paths` returns them.
         environments: by key, in the order of the manifest.
         identities: who each agent is.
         agents: by kind, and within a kind as `AGENTS` lists them.
         measures: that tables show, and some episode has a value of.
         set_measures: of all episodes of a policy together, by name.
-        sets: columns agent, training_seed, environment, measure, unit, episodes, value: one for
-            all episodes of a policy together; empty if there is none.
-        ranking: of the agents, as `rank_agents` returns it; empty if the store has none of its
-            present cells.
+        sets: their values, as `read_sets` returns them.
+        ranking: as `rank_agents` returns it; empty if the store has none of its present cells.
     """
 
     manifest: Manifest
@@ -217,32 +213,21 @@ class Results:
         return [one.key for one in self.manifest.not_played if one.agent != REFERENCE]
 
     def seeds(self, agent: str, environments: Iterable[str] = ()) -> tuple[int, int] | None:
-        """Return the least and the most training seeds of an agent in any of some environments.
+        """Return the least and the most training seeds of an agent in any environment, or in these.
 
-        Args:
-            agent: its name; (0, 0) is the answer for one without training.
-            environments: keys; all by default.
-
-        Returns:
-            None if it was in none of them.
+        (0, 0) is the answer for one without training, None if it was in none of them.
         """
         keys = tuple(environments) or tuple(self.environments)
         counts = [found for key in keys if (found := self._seeds.get((agent, key))) is not None]
         return (min(counts), max(counts)) if counts else None
 
-    def instances(self, environment: str) -> int:
-        """Return the number of starts and targets in an environment."""
-        return self._instances.get(environment, 0)
-
     def sample_sizes(self, agents: Iterable[str], environments: Iterable[str]) -> str:
-        """Return over how many instances and training seeds the figures of agents are.
+        """Return over how many instances and training seeds figures are, as a sentence.
 
-        Args:
-            agents: in the figure; those that were in none of the environments are left out.
-            environments: keys, in the figure.
+        Agents that were in none of the environments are left out.
         """
         keys = tuple(environments)
-        counts = sorted({self.instances(key) for key in keys}) or [0]
+        counts = sorted({self._instances.get(key, 0) for key in keys}) or [0]
         each = " in each environment" if len(counts) > 1 else ""
         by_count: dict[tuple[int, int], list[str]] = {}
         for agent in agents:
@@ -343,9 +328,8 @@ def _ordered(identities: Mapping[str, Identity]) -> tuple[str, ...]:
 
 
 def _environment(settings: Mapping[str, Any]) -> Environment:
-    names = ("id", "description", "family", "strength", "unit", "baseline")
-    known = {name: settings[name] for name in names if settings.get(name) is not None}
-    return Environment(**known)
+    names = {one.name for one in fields(Environment)} & settings.keys()
+    return Environment(**{name: settings[name] for name in names if settings[name] is not None})
 
 
 def _paths(store: Path) -> pd.DataFrame:

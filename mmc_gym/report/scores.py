@@ -181,17 +181,7 @@ def _medians(values: Floats, drawn: NDArray[Any]) -> Floats:
 
 @dataclass(frozen=True)
 class Comparison:
-    """An agent beside another in one measure of one environment.
-
-    Attributes:
-        environment: its key.
-        measure: the measure.
-        rival: name of the other.
-        mine: value of the agent.
-        theirs: value of the other.
-        difference: the former less the latter, paired by instance.
-        outcome: for the agent.
-    """
+    """An agent's value of a measure less that of a rival, paired by instance."""
 
     environment: str
     measure: Measure
@@ -205,22 +195,15 @@ class Comparison:
     def more_decimals(self) -> int:
         """Decimals more than usual that it takes to tell both estimates apart; 0 if too many."""
         for more in range(_MOST_DECIMALS):
-            mine, theirs = (
-                self.measure.number(one.estimate, more) for one in (self.mine, self.theirs)
-            )
-            if mine != theirs:
+            texts = {self.measure.number(v.estimate, more) for v in (self.mine, self.theirs)}
+            if len(texts) == 2:
                 return more
         return 0
 
 
 @dataclass(eq=False)
 class Estimates:
-    """Estimates of a benchmark, made when they are first asked for.
-
-    Attributes:
-        results: the results of the benchmark.
-        resamples: of each bootstrap.
-    """
+    """Estimates of a benchmark, made when they are first asked for, each of `resamples`."""
 
     results: Results
     resamples: int = RESAMPLES
@@ -286,10 +269,8 @@ class Estimates:
         difference = self.scores(environment).difference(agent, rival, measure)
         if difference is None:
             return None
-        outcome = judge(difference, measure, margin)
-        return Comparison(
-            environment, measure, rival, mine[agent], theirs[rival], difference, outcome
-        )
+        found = (mine[agent], theirs[rival], difference)
+        return Comparison(environment, measure, rival, *found, judge(difference, measure, margin))
 
     def scoreboard(self, agent: str) -> list[Comparison]:
         """Compare an agent with the best of its rivals in all measures of all environments."""
@@ -329,12 +310,8 @@ class Estimates:
             return pd.DataFrame()
         if baseline in (None, BASELINE_AGENT) and not results.ranking.empty:
             return results.ranking
-        return rank_agents(
-            results.episodes,
-            results.cells_not_played,
-            baseline or "",
-            self.resamples,
-        )
+        not_played = results.cells_not_played
+        return rank_agents(results.episodes, not_played, baseline or "", self.resamples)
 
     def time_interval(self, agent: str) -> tuple[float, float]:
         """Return the 95 % interval of the mean over `common` of the median time to target.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -40,23 +39,22 @@ class Heading(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """A cell of a table.
+    """A cell of a table: a text, and smaller notes below it.
 
     Attributes:
-        text: what stands in it.
-        notes: smaller, below the text.
         best: whether it is the best of its column, or row.
         look: its CSS class; empty for none.
-        sign: before the text, see `SIGNS`.
-        meaning: of the sign, in words.
+        sign: before the text, and its meaning, see `SIGNS`.
     """
 
     text: str
     notes: tuple[str, ...] = ()
     best: bool = False
     look: str = ""
-    sign: str = ""
-    meaning: str = ""
+    sign: tuple[str, str] | None = None
+
+
+_NOTHING = Cell("·")
 
 
 class Row(NamedTuple):
@@ -68,17 +66,8 @@ class Row(NamedTuple):
     look: str = ""
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table.
-
-    Attributes:
-        title: what it shows, for those who do not see it.
-        look: its CSS class.
-        headings: of the columns, that of the names first.
-        rows: in order.
-        caption: what one must know to read it.
-    """
+class Table(NamedTuple):
+    """A table: its title for those who do not see it, its CSS class, its cells and its caption."""
 
     title: str
     look: str
@@ -199,7 +188,7 @@ def board_table(results: Results, board: Sequence[Comparison], agent: str) -> Ta
         "board",
         (Heading("environment"), *_headings(measures)),
         tuple(
-            Row(key, tuple(cells.get((key, measure.name), Cell("·")) for measure in measures))
+            Row(key, tuple(cells.get((key, measure.name), _NOTHING) for measure in measures))
             for key in environments
         ),
         f"Above: {agent}; below: the rival with the best value. "
@@ -213,12 +202,10 @@ def likeness_table(results: Results, agent: str, boards: Mapping[str, list[Compa
     rows = []
     for rival, board in boards.items():
         found = {entry.measure.name: entry for entry in board}
-        cells = [
-            _compared(found[measure.name], with_difference=True)
-            if measure.name in found
-            else Cell("·")
-            for measure in measures
-        ]
+        cells = (
+            _compared(found[one.name], with_difference=True) if one.name in found else _NOTHING
+            for one in measures
+        )
         rows.append(Row(f"{agent} and {rival}", tuple(cells)))
     return Table(
         f"Human-likeness of {agent}",
@@ -233,13 +220,12 @@ def likeness_table(results: Results, agent: str, boards: Mapping[str, list[Compa
 def _compared(entry: Comparison, with_difference: bool = False) -> Cell:
     more = entry.more_decimals if entry.outcome in ("better", "worse") else 0
     mine, theirs = (entry.measure.number(one.estimate, more) for one in (entry.mine, entry.theirs))
-    sign, meaning = SIGNS[entry.outcome]
     notes = [f"{theirs} {entry.rival}"]
     if with_difference:
         difference = entry.difference
         ends = entry.measure.interval(difference.low, difference.high)
         notes.append(f"{entry.measure.number(difference.estimate)} {ends}")
-    return Cell(mine, tuple(notes), look=entry.outcome, sign=sign, meaning=meaning)
+    return Cell(mine, tuple(notes), look=entry.outcome, sign=SIGNS[entry.outcome])
 
 
 def ranking_table(estimates: Estimates) -> Table | None:
@@ -374,23 +360,15 @@ def law_table(results: Results) -> Table | None:
     agents = [agent for agent in results.agents if agent in present]
     environments = list(dict.fromkeys(one.environment for one in measures))
     people = [Cell(law.people or "–", _notes(law.source)) for law in laws]
-    rows = [
-        Row(
-            agent,
-            tuple(
-                _kept(known[known["agent"] == agent], law, one) for law, one in zip(laws, measures)
-            ),
-            results.kind(agent),
-        )
-        for agent in agents
-    ]
+    rows = []
+    for agent in agents:
+        mine = known[known["agent"] == agent]
+        cells = tuple(_kept(mine, law, one) for law, one in zip(laws, measures))
+        rows.append(Row(agent, cells, results.kind(agent)))
     return Table(
         "Laws of human movement",
         "scores",
-        (
-            Heading("agent"),
-            *(Heading(one.label, one.shown_unit) for one in measures),
-        ),
+        (Heading("agent"), *(Heading(one.label, one.shown_unit) for one in measures)),
         (Row("people", tuple(people), look="people"), *rows),
         "Posture variability: how much the postures differ at the same target, reached from "
         "different starts; 0 is Donders' law. Fitts' slope: time for each bit of difficulty; no "

@@ -137,7 +137,7 @@ def test_an_agent_that_hardly_ever_arrives_wins_no_race(estimates):
 def test_wins_and_losses_are_told_in_the_same_form(estimates):
     board = estimates.scoreboard("mmc")
     standing = render.standing(board, "mmc")
-    assert standing.total == len(board)
+    assert standing.counts.total() == len(board)
     assert any(line.startswith("time to target") for line in standing.better)
     assert any("rotation-15 (0.0 against 100.0 % of ppo" in line for line in standing.worse)
 
