@@ -57,7 +57,7 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
 
 
 class Label(NamedTuple):
-    """Where the name of an agent stands: its left edge in pixels, and its line."""
+    """The name of an agent with its key, its left edge in pixels, and its line."""
 
     text: str
     left: int

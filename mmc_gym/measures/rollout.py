@@ -195,13 +195,12 @@ def _play(
     ]
 
 
-def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> tuple[Any, Any]:
+def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> Any:
     (seed,), (option,) = seeds, options
     # Not `seed` itself: the space would draw the very numbers that the environment draws for its
     # starting state, and the first random action would be the posture the arm is in.
     env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
-    start: tuple[Any, Any] = env.reset(seed=seed, options=dict(option))
-    return start
+    return env.reset(seed=seed, options=dict(option))
 
 
 def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> tuple[Any, Any]:
