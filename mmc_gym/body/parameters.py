@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Literal, NamedTuple
 
 from mmc_gym._errors import require
@@ -79,11 +80,13 @@ class ArmParameters:
             require(len(masses) == count, "segment_masses", masses, accepted)
         for name in ("segment_lengths", "segment_masses"):
             values = getattr(self, name) or ()
-            require(all(map(_is_positive, values)), name, values, "positive and finite")
+            require(
+                all(0 < value < math.inf for value in values), name, values, "positive and finite"
+            )
         for name in ("speed_limit", "torque_limit", "servo_gain", "substep", "segment_radius"):
             value = getattr(self, name)
-            require(_is_positive(value), name, value, "positive and finite")
-        whole = isinstance(self.substeps, int) and self.substeps >= 1
+            require(0 < value < math.inf, name, value, "positive and finite")
+        whole = isinstance(self.substeps, Integral) and self.substeps >= 1
         require(whole, "substeps", self.substeps, "a whole number of at least 1")
         gravity = self._make_floats("gravity")
         fine = len(gravity) == 2 and _are_finite(gravity)
@@ -131,9 +134,8 @@ class ArmParameters:
     @property
     def rods(self) -> tuple[Rod, ...]:
         """Inertia of each segment; the last one carries the hand's mass."""
-        rods = []
-        for index, (mass, length) in enumerate(zip(self.masses, self.segment_lengths)):
-            held = self.hand_mass if index == len(self.masses) - 1 else 0.0
+        rods, loads = [], (*[0.0] * (len(self.masses) - 1), self.hand_mass)
+        for mass, length, held in zip(self.masses, self.segment_lengths, loads):
             total = mass + held
             centre = length / 2 * (1 + held / total)
             inertia = mass * length**2 / 12 + mass * held / total * (length / 2) ** 2
@@ -144,10 +146,6 @@ class ArmParameters:
     def control_step(self) -> float:
         """Duration of a control step, s."""
         return self.substep * self.substeps
-
-
-def _is_positive(value: float) -> bool:
-    return 0 < value < math.inf
 
 
 def _are_finite(values: Iterable[float]) -> bool:

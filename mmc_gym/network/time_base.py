@@ -159,6 +159,7 @@ def timed_trajectory(
     ([-0.98, 1.5], 24)
     """
     _check(network)
+    require(0 < duration < np.inf, "duration", duration, "positive and finite")
     iterations = round(duration) if iterations is None else iterations
     state = network.run(state, network.inverse(target), iterations=0)
     postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)

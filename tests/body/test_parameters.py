@@ -52,7 +52,7 @@ def test_lengths_are_floats_whatever_they_were_given_as():
     assert parameters.segment_lengths == (2.0, 1.0)
     assert parameters.masses == (1.0, 2.0)
     assert ArmParameters().masses == (1.0, 1.0, 1.0)
-    assert ArmParameters(substep=0.01, substeps=3).control_step == pytest.approx(0.03)
+    assert ArmParameters(substep=0.01, substeps=np.int64(3)).control_step == pytest.approx(0.03)
 
 
 def test_the_last_rod_carries_the_hand_mass():

@@ -32,6 +32,16 @@ def random_segments(shape, seed=0):
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
+def random_targets(*shape):
+    return np.random.default_rng(1).uniform(-2, 2, (*shape, 2))
+
+
+def moved(network, segments, target, iterations):
+    """The state after so many iterations from these segments towards the target."""
+    state = network.state_from_segments(segments)
+    return network.run(state, network.inverse(target), iterations)
+
+
 def written_out(network, segments, clamped, iterations):
     """The equations of the paper as loops over nodes; returns the segments of each iteration.
 
@@ -105,10 +115,8 @@ def test_the_linear_core_is_the_mean_of_multiple_computations(count, damping):
 
 
 def test_three_segments_give_the_equation_of_the_paper():
-    l1, l2, l3, d1, d2, r = np.random.default_rng(0).normal(size=6)
-    core = linear_operator(network_of(3, damping=10))
-    expected = (d1 - l2) / 10 + (r - d2) / 10 + 8 / 10 * l1
-    assert core[0] @ [l1, l2, l3, d1, d2, r] == pytest.approx(expected)
+    row_of_l1 = linear_operator(network_of(3, damping=10))[0]
+    np.testing.assert_allclose(10 * row_of_l1, [8, -1, 0, 1, -1, 1], atol=1e-14)  # L1-3 D1-2 R
 
 
 @given(count=counts, data=st.data())
@@ -261,29 +269,25 @@ def test_zero_vectors_leave_everything_finite(normalizer):
 @every_normalizer
 def test_arms_in_a_batch_move_as_they_would_alone(dynamics, schedule, normalizer):
     network = MMCNetwork(dynamics=dynamics, schedule=schedule, normalizer=normalizer)
-    segments = random_segments((5, 3))
-    targets = np.random.default_rng(1).uniform(-1.5, 1.5, (5, 2))
-    together = network.run(network.state_from_segments(segments), network.inverse(targets), 60)
+    segments, targets = random_segments((5, 3)), random_targets(5)
+    together = moved(network, segments, targets, 60)
     for index in range(5):
-        alone = network.state_from_segments(segments[index])
-        alone = network.run(alone, network.inverse(targets[index]), 60)
+        alone = moved(network, segments[index], targets[index], 60)
         # The order of sums depends on the batch, so they agree up to rounding.
         np.testing.assert_allclose(together.segments[index], alone.segments, atol=1e-11)
 
 
 def test_batches_have_any_axes_and_broadcast():
     network = MMCNetwork(schedule="delayed", dynamics="paper")
-    segments = random_segments((4, 1, 3))
-    targets = np.random.default_rng(1).uniform(-2, 2, (2, 1, 5, 2))
-    state = network.run(network.state_from_segments(segments), network.inverse(targets), 20)
+    segments, targets = random_segments((4, 1, 3)), random_targets(2, 1, 5)
+    state = moved(network, segments, targets, 20)
     assert state.batch_shape == (2, 4, 5)
     assert state.vectors.shape == (2, 4, 5, 6, 2)
     assert state.segments.shape == (2, 4, 5, 3, 2)
     assert state.joint_angles.shape == (2, 4, 5, 3)
     assert state.end_effector.shape == (2, 4, 5, 2)
     for index in np.ndindex(2, 4, 5):
-        alone = network.state_from_segments(segments[index[1], 0])
-        alone = network.run(alone, network.inverse(targets[index[0], 0, index[2]]), 20)
+        alone = moved(network, segments[index[1], 0], targets[index[0], 0, index[2]], 20)
         np.testing.assert_allclose(state.segments[index], alone.segments, atol=1e-12)
 
 
@@ -291,30 +295,24 @@ def test_batches_have_any_axes_and_broadcast():
 def test_batches_larger_than_a_block_are_no_different(shared_target):
     network = MMCNetwork()
     size = 2 * model._BLOCK + 3
-    segments = random_segments((size, 3))
-    targets = np.random.default_rng(1).uniform(-2, 2, (2,) if shared_target else (size, 2))
-    clamps = network.inverse(targets)
-    state = network.run(network.state_from_segments(segments), clamps, 5)
-    tail = slice(size - 7, size)
-    clamps = network.inverse(targets if shared_target else targets[tail])
-    alone = network.run(network.state_from_segments(segments[tail]), clamps, 5)
+    segments, tail = random_segments((size, 3)), slice(size - 7, size)
+    targets = random_targets() if shared_target else random_targets(size)
+    state = moved(network, segments, targets, 5)
+    alone = moved(network, segments[tail], targets if shared_target else targets[tail], 5)
     np.testing.assert_allclose(state.segments[tail], alone.segments, atol=1e-13)
 
 
 def test_an_empty_batch_stays_empty():
-    network = MMCNetwork()
-    state = network.state_from_segments(np.empty((0, 3, 2)))
-    assert network.run(state, network.inverse([1.0, 1.0]), 3).segments.shape == (0, 3, 2)
+    state = moved(MMCNetwork(), np.empty((0, 3, 2)), [1.0, 1.0], 3)
+    assert state.segments.shape == (0, 3, 2)
 
 
 @every_normalizer
 def test_single_precision_is_kept_and_close(normalizer):
     network = MMCNetwork(schedule="delayed", normalizer=normalizer)
-    segments = random_segments((6, 3))
-    targets = np.random.default_rng(1).uniform(-1, 1, (6, 2))
-    single = network.state_from_segments(segments.astype(np.float32))
-    single = network.run(single, network.inverse(targets), 30)
-    double = network.run(network.state_from_segments(segments), network.inverse(targets), 30)
+    segments, targets = random_segments((6, 3)), random_targets(6) / 2
+    single = moved(network, segments.astype(np.float32), targets, 30)
+    double = moved(network, segments, targets, 30)
     assert single.values.dtype == single.segments.dtype == np.float32
     np.testing.assert_allclose(single.segments, double.segments, atol=1e-4)
 
@@ -331,27 +329,22 @@ def test_nothing_that_is_passed_in_changes():
         np.testing.assert_array_equal(array, copy)
 
 
-def test_steps_one_by_one_are_a_run_and_a_trajectory():
+@pytest.mark.parametrize("iterations", [0, 7])
+@pytest.mark.parametrize("target", [None, [1.0, 1.5]])
+def test_steps_one_by_one_are_a_run_and_a_trajectory(iterations, target):
     network = MMCNetwork(schedule="delayed", dynamics="paper")
     begin = network.state_from_segments(random_segments((4, 3)))
-    clamps = network.inverse([1.0, 1.5])
-    state, postures = begin, []
-    for _ in range(7):
+    clamps = NO_CLAMPS if target is None else network.inverse(target)
+    state, postures = network.run(begin, clamps, 0), []
+    if target is None:
+        np.testing.assert_array_equal(state.values, begin.values)
+    for _ in range(iterations):
         state = network.step(state, clamps)
         postures.append(state.segments)
-    np.testing.assert_array_equal(network.run(begin, clamps, 7).values, state.values)
-    last, trajectory = network.trajectory(begin, clamps, 7)
-    np.testing.assert_array_equal(last.values, state.values)
-    np.testing.assert_array_equal(trajectory, postures)
-
-
-def test_no_iterations_change_no_posture():
-    network = MMCNetwork()
-    state = network.state_from_segments(random_segments((4, 3)))
-    np.testing.assert_array_equal(network.run(state, iterations=0).values, state.values)
-    last, postures = network.trajectory(state, NO_CLAMPS, 0)
-    np.testing.assert_array_equal(last.values, state.values)
-    assert postures.shape == (0, 4, 3, 2)
+    last, trajectory = network.trajectory(begin, clamps, iterations)
+    for end in (last, network.run(begin, clamps, iterations)):
+        np.testing.assert_array_equal(end.values, state.values)
+    np.testing.assert_array_equal(trajectory, np.reshape(postures, (iterations, 4, 3, 2)))
 
 
 # Errors

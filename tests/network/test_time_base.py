@@ -5,16 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.network import LearnedNormalizer, MMCNetwork
+from mmc_gym._errors import UserError
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk, share, timed_step, timed_trajectory
 
+NETWORK = MMCNetwork()
 POSTURE = [0.3, 0.6, 0.6]
-NETWORKS = [MMCNetwork(), MMCNetwork(normalizer=LearnedNormalizer.shipped("accurate"))]
-
-
-def start(network, batch=None):
-    angles = np.resize([0.3, 0.6, 0.6, 0.4], network.segment_count)
-    return network.state_from_joint_angles(angles if batch is None else np.tile(angles, (batch, 1)))
+START = NETWORK.state_from_joint_angles(POSTURE)
 
 
 def hand_steps(state, postures):
@@ -44,10 +41,11 @@ def test_after_the_movement_all_that_remains_is_taken():
     assert share([10, 11, 1000], duration=10).tolist() == [1, 1, 1]
 
 
-@pytest.mark.parametrize("network", NETWORKS, ids=["euclidean", "learned"])
+@pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), LearnedNormalizer.shipped()])
 @pytest.mark.parametrize("part", [1e-4, 0.01, 0.1, 0.3])
-def test_the_hand_takes_the_share_of_its_distance(network, part):
-    before = network.run(start(network), iterations=5)
+def test_the_hand_takes_the_share_of_its_distance(normalizer, part):
+    network = MMCNetwork(normalizer=normalizer)
+    before = network.run(START, iterations=5)
     target = np.array([-1.0, 1.5])
     after = timed_step(network, before, target, part)
     step = np.linalg.norm(after.end_effector - before.end_effector)
@@ -56,22 +54,20 @@ def test_the_hand_takes_the_share_of_its_distance(network, part):
 
 
 def test_no_share_is_no_movement_and_the_gain_is_bounded():
-    network = MMCNetwork()
-    state = start(network)
-    rest = timed_step(network, state, [-1.0, 1.5], 0.0)
-    np.testing.assert_allclose(rest.segments, state.segments, atol=1e-15)
+    rest = timed_step(NETWORK, START, [-1.0, 1.5], 0.0)
+    np.testing.assert_allclose(rest.segments, START.segments, atol=1e-15)
     # With all of the share the damping is (N + 3)/2, the least there is.
-    fastest = timed_step(network, state, [-1.0, 1.5], 1.0)
+    fastest = timed_step(NETWORK, START, [-1.0, 1.5], 1.0)
     damped = MMCNetwork(damping=3.0)
-    expected = damped.step(state, damped.inverse([-1.0, 1.5]))
+    expected = damped.step(START, damped.inverse([-1.0, 1.5]))
     np.testing.assert_allclose(fastest.values, expected.values, atol=1e-14)
 
 
 @pytest.mark.parametrize("segments", [3, 4, 6])
 def test_a_movement_is_bell_shaped_for_longer_arms_too(segments):
     network = MMCNetwork(segment_lengths=(1.0,) * segments)
-    state, target = start(network), np.array([-0.8, 0.5])
-    _, postures = timed_trajectory(network, state, target, duration=60)
+    state = network.state_from_joint_angles(np.resize([0.3, 0.6, 0.6, 0.4], segments))
+    _, postures = timed_trajectory(network, state, [-0.8, 0.5], duration=60)
     covered = np.diff(minimum_jerk(np.arange(61) / 60))
     steps = hand_steps(state, postures)
     assert np.corrcoef(steps, covered)[0, 1] > 0.97
@@ -79,51 +75,45 @@ def test_a_movement_is_bell_shaped_for_longer_arms_too(segments):
 
 
 def test_the_network_s_own_damping_plays_no_part():
-    state = start(MMCNetwork())
     postures = [
-        timed_trajectory(MMCNetwork(damping=damping), state, [1.0, 2.0], 30)[1]
+        timed_trajectory(MMCNetwork(damping=damping), START, [1.0, 2.0], 30)[1]
         for damping in (4.0, 10.0)
     ]
     np.testing.assert_array_equal(*postures)
 
 
 def test_a_longer_duration_is_the_same_movement_slower():
-    network = MMCNetwork()
-    state = start(network)
-    quick = timed_trajectory(network, state, [-1.0, 1.5], 100)[1][9::10]
-    slow = timed_trajectory(network, state, [-1.0, 1.5], 200)[1][19::20]
+    quick = timed_trajectory(NETWORK, START, [-1.0, 1.5], 100)[1][9::10]
+    slow = timed_trajectory(NETWORK, START, [-1.0, 1.5], 200)[1][19::20]
     np.testing.assert_allclose(slow.sum(axis=-2), quick.sum(axis=-2), atol=0.03)
 
 
 def test_arms_of_a_batch_move_as_each_alone():
-    network = MMCNetwork()
     targets = np.array([[-1.0, 1.5], [0.5, -0.5], [2.0, 1.0]])
     shares = np.array([0.1, 0.0, 0.7])
-    together = timed_step(network, start(network, 3), targets, shares)
+    starts = NETWORK.state_from_joint_angles([POSTURE] * 3)
+    together = timed_step(NETWORK, starts, targets, shares)
     for index in range(3):
-        alone = timed_step(network, start(network), targets[index], shares[index])
+        alone = timed_step(NETWORK, START, targets[index], shares[index])
         np.testing.assert_allclose(together.segments[index], alone.segments, atol=1e-12)
-    state, postures = timed_trajectory(network, start(network), targets, 20, iterations=25)
+    state, postures = timed_trajectory(NETWORK, START, targets, 20, iterations=25)
     assert postures.shape == (25, 3, 3, 2) and state.batch_shape == (3,)
     np.testing.assert_array_equal(postures[-1], state.segments)
 
 
 def test_the_state_it_is_given_stays_and_float32_is_kept():
-    network = MMCNetwork()
-    angles = np.array(POSTURE, dtype=np.float32)
-    state = network.state_from_joint_angles(angles)
+    state = NETWORK.state_from_joint_angles(np.array(POSTURE, dtype=np.float32))
     values = state.values.copy()
-    after = timed_step(network, state, np.array([-1, 1.5], np.float32), 0.2)
+    after = timed_step(NETWORK, state, np.array([-1, 1.5], np.float32), 0.2)
     np.testing.assert_array_equal(state.values, values)
     assert after.values.dtype == np.float32
-    exact = timed_step(network, network.state_from_joint_angles(POSTURE), [-1, 1.5], 0.2)
+    exact = timed_step(NETWORK, START, [-1, 1.5], 0.2)
     np.testing.assert_allclose(after.values, exact.values, atol=1e-5)
 
 
 def test_an_arm_at_its_target_stays():
-    network = MMCNetwork()
-    state = network.run(start(network), iterations=5)
-    after = timed_step(network, state, state.end_effector, 1.0)
+    state = NETWORK.run(START, iterations=5)
+    after = timed_step(NETWORK, state, state.end_effector, 1.0)
     np.testing.assert_allclose(after.end_effector, state.end_effector, atol=1e-12)
 
 
@@ -131,15 +121,17 @@ def test_an_arm_at_its_target_stays():
 def test_other_networks_are_refused(kind):
     network = MMCNetwork(**kind)
     with pytest.raises(ValueError, match="network must be kinematic and synchronous"):
-        timed_trajectory(network, start(network), [1.0, 1.0], 10)
+        timed_trajectory(network, network.state_from_joint_angles(POSTURE), [1.0, 1.0], 10)
 
 
 def test_what_is_out_of_range_is_refused():
-    network = MMCNetwork()
-    with pytest.raises(ValueError, match="duration must be positive"):
-        share(1, 0)
-    with pytest.raises(ValueError, match="share must be between 0 and 1"):
-        timed_step(network, start(network), [1.0, 1.0], 1.5)
+    for duration in (0, -1, np.inf, np.nan):
+        with pytest.raises(UserError, match="duration must be positive and finite, got"):
+            share(1, duration)
+        with pytest.raises(UserError, match="duration must be positive and finite, got"):
+            timed_trajectory(NETWORK, START, [1.0, 1.0], duration)
+    with pytest.raises(UserError, match="share must be between 0 and 1"):
+        timed_step(NETWORK, START, [1.0, 1.0], 1.5)
 
 
 def test_a_hand_that_does_not_get_anywhere_is_no_division_by_next_to_nothing():
