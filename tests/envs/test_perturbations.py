@@ -34,32 +34,35 @@ STILL = np.zeros(3, np.float32)
 Perturbed = Sequence[str | Perturbation]
 
 
-def movement(
-    env: MMCReachEnv, steps: int = 100, agent: str = "mmc", **reset: Any
-) -> list[dict[str, Any]]:
-    """What reset and steps tell while an agent acts; `angles` are the joint angles."""
-    actor, state = make_agent(agent, env), None
+def movement(env: MMCReachEnv, steps: int = 100, **reset: Any) -> list[dict[str, Any]]:
+    """What reset and steps tell while the MMC agent acts; `angles` are the joint angles."""
+    agent, state = make_agent("mmc", env), None
     observation, info = env.reset(**reset)
     infos = [{**info, "angles": joint_angles(env)}]
     for _ in range(steps):
-        action, state = actor.predict(observation, state)
-        observation, reward, _, _, info = env.step(action)
-        infos.append({**info, "angles": joint_angles(env), "reward": reward})
+        action, state = agent.predict(observation, state)
+        observation, _, _, _, info = env.step(action)
+        infos.append({**info, "angles": joint_angles(env)})
     return infos
 
 
 def joint_angles(env: MMCReachEnv) -> np.ndarray:
-    return np.array(env._arm.joint_angles)
+    return np.array(env.arm.joint_angles)
 
 
 def hands(infos: list[dict[str, Any]]) -> np.ndarray:
     return np.array([info["end_effector"] for info in infos])
 
 
-def centre_out(perturbations: Perturbed, **arguments: Any) -> list[list[dict[str, Any]]]:
+def centre_out(perturbations: Perturbed) -> list[list[dict[str, Any]]]:
     """The eight movements of centre-out."""
-    env = MMCReachEnv(task="centre-out", perturbations=perturbations, **arguments)
+    env = MMCReachEnv(task="centre-out", perturbations=perturbations)
     return [movement(env, seed=0, options={"trial": trial}) for trial in range(8)]
+
+
+@pytest.fixture(scope="module")
+def straight() -> list[list[dict[str, Any]]]:
+    return centre_out([])
 
 
 def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -108,9 +111,10 @@ def rightward(infos: list[dict[str, Any]]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(sign: int) -> None:
-    field = ForceField(sign * ForceField().curl)
-    bent, straight = centre_out([field]), centre_out([])
+def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(
+    sign: int, straight: list[list[dict[str, Any]]]
+) -> None:
+    bent = centre_out([ForceField(sign * ForceField().curl)])
     pushes = [sign * (rightward(a) - rightward(b)) for a, b in zip(bent, straight, strict=True)]
     assert np.mean([push.max() for push in pushes]) > 0.06  # the target is 0.6 away
     assert max(push.max() for push in pushes) > 0.2
@@ -118,12 +122,11 @@ def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(sign: int) -> 
     assert all(infos[-1]["is_success"] for infos in bent)
 
 
-def test_a_stronger_field_bends_more() -> None:
-    straight = [hands(infos) for infos in centre_out([])]
-    bends = []
+def test_a_stronger_field_bends_more(straight: list[list[dict[str, Any]]]) -> None:
+    unbent, bends = np.array([hands(infos) for infos in straight]), []
     for curl in (5.0, 20.0, 40.0, 60.0):
-        paths = [hands(infos) for infos in centre_out([ForceField(curl)])]
-        bends.append(np.mean([np.abs(a - b).max() for a, b in zip(paths, straight, strict=True)]))
+        bent = np.array([hands(infos) for infos in centre_out([ForceField(curl)])])
+        bends.append(np.abs(bent - unbent).max(axis=(1, 2)).mean())
     assert (np.diff(bends) > 0).all()
 
 
@@ -136,14 +139,11 @@ def test_a_curl_field_does_no_work() -> None:
 # --- The hand mass
 
 
-def test_a_heavy_hand_is_late() -> None:
-    def arrivals(perturbations: Perturbed) -> list[int]:
-        return [
-            max(step for step, info in enumerate(infos) if not info["is_success"]) + 1
-            for infos in centre_out(perturbations)
-        ]
-
-    light, heavy = arrivals([]), arrivals(["hand-mass"])
+def test_a_heavy_hand_is_late(straight: list[list[dict[str, Any]]]) -> None:
+    light, heavy = (
+        [max(step for step, info in enumerate(one) if not info["is_success"]) + 1 for one in infos]
+        for infos in (straight, centre_out(["hand-mass"]))
+    )
     assert all(late >= early for early, late in zip(light, heavy, strict=True))
     assert sum(heavy) >= sum(light) + 4  # steps
     assert max(heavy) < 20
@@ -179,15 +179,11 @@ def test_targets_of_a_locked_arm_can_be_reached_by_its_other_joints(joint: int) 
     env = MMCReachEnv(perturbations=LockedJoint(joint))
     for seed in range(200):
         target = env.reset(seed=seed)[1]["target"]
-        segments = segments_from_joint_angles(joint_angles(env), (1.0,) * 3)
-        nodes = node_positions(segments)
-        start = nodes[1] if joint == 0 else nodes[0]  # the first joint that is free
-        if joint == 1:
-            pieces = np.linalg.norm(nodes[2]), 1.0
-        else:
-            pieces = (1.0, np.linalg.norm(nodes[3] - nodes[1])) if joint == 2 else (1.0, 1.0)
+        nodes = node_positions(segments_from_joint_angles(joint_angles(env), (1.0,) * 3))
+        start, elbow, hand = np.delete(nodes, joint, axis=0)  # the joints that are free, and it
+        one, other = np.linalg.norm(elbow - start), np.linalg.norm(hand - elbow)
         distance = np.linalg.norm(target - start)
-        assert abs(pieces[0] - pieces[1]) - 1e-8 <= distance <= sum(pieces) + 1e-8
+        assert abs(one - other) - 1e-8 <= distance <= one + other + 1e-8
         assert np.linalg.norm(target) <= 3 + 1e-8
 
 
@@ -242,7 +238,7 @@ def test_vision_noise_is_as_large_as_stated_and_white() -> None:
     targets = observations[:, 9:11] * 3
     seen_hands = targets - observations[:, 11:13] * 6
     assert_white(targets - (-1.0, 1.5), 0.05)
-    assert_white(seen_hands - env._arm.end_effector, 0.05)
+    assert_white(seen_hands - env.arm.end_effector, 0.05)
     both = np.concatenate([targets, seen_hands], axis=1)
     assert np.abs(np.corrcoef(both.T)[np.triu_indices(4, 1)]).max() < 0.07
     np.testing.assert_allclose(observations[:, :9], observations[:1, :9].repeat(4000, 0), atol=1e-6)
@@ -288,11 +284,8 @@ def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
         assert np.array_equal(late.reset(seed=seed)[0], start)
         wrapped.reset(seed=seed)
         for step, action in enumerate(rough_actions(40, seed), start=1):
-            seen = late.step(action)[0]
-            expected = wrapped.step(action)[0] if step > steps else start
-            if step <= steps:
-                wrapped.step(action)
-            assert np.array_equal(seen, expected)
+            seen, shown = late.step(action)[0], wrapped.step(action)[0]
+            assert np.array_equal(seen, shown if step > steps else start)
 
 
 def test_delays_add_and_no_delay_is_none() -> None:
@@ -311,10 +304,8 @@ def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(
 ) -> None:
     env = MMCReachEnv(perturbations=rotation, control_weight=0.0)
     env.reset(seed=0)
-    turn, centre = (
-        np.exp(1j * math.radians(rotation.degrees)),
-        complex(*(rotation.centre or (0.0, 0.0))),
-    )
+    turn = np.exp(1j * math.radians(rotation.degrees))
+    centre = complex(*(rotation.centre or (0.0, 0.0)))
     for action in rough_actions(40, seed=0):
         observation, reward, _, _, info = env.step(action)
         cursor = turn * (complex(*info["end_effector"]) - centre) + centre
@@ -334,10 +325,9 @@ def test_a_rotation_about_the_start_leaves_the_cursor_on_the_hand_there() -> Non
 
 
 def test_who_knows_nothing_of_a_rotation_misses_by_it() -> None:
+    miss = 2 * 0.6 * math.sin(math.radians(15))
     for infos in centre_out(["rotation-30"]):  # about the start
-        assert infos[-1]["distance"] == pytest.approx(
-            2 * 0.6 * math.sin(math.radians(15)), abs=0.01
-        )
+        assert infos[-1]["distance"] == pytest.approx(miss, abs=0.01)
 
 
 @pytest.mark.parametrize(

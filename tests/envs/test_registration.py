@@ -188,8 +188,8 @@ def test_a_task_of_another_length_than_the_ids_is_refused_by_name(mode: str | No
 def test_an_explicit_time_limit_wins() -> None:
     assert gym.make("MMCReachPursuit-v0", max_episode_steps=7).spec.max_episode_steps == 7
     assert gym.make_vec("MMCReachPursuit-v0", 2, max_episode_steps=7).max_episode_steps == 7
-    vector = gym.make_vec("MMCReach-v0", 2, task="pursuit", max_episode_steps=30)
-    assert vector.max_episode_steps == 30
+    other = gym.make_vec("MMCReach-v0", 2, task="pursuit", max_episode_steps=30)
+    assert other.max_episode_steps == 30
 
 
 def test_registering_imports_neither_physics_nor_drawing() -> None:
