@@ -60,14 +60,18 @@ def test_without_weight_there_is_no_statistic(statistic):
     assert np.isnan(statistic(np.array([]), np.zeros((3, 0)))).all()
 
 
+def coverage(intervals, truth):
+    """The part of the intervals that the truth is in."""
+    return np.mean([one.low <= truth <= one.high for one in intervals])
+
+
 @pytest.mark.parametrize("size", [400, 2_000, 6_400])
 def test_the_interval_of_a_mean_is_the_normal_one_for_a_large_sample(size):
     sample = np.random.default_rng(0).normal(3.0, 2.0, size=size)
-    interval = bootstrap_interval(sample, "mean")
-    half = 1.96 * sample.std() / math.sqrt(size)
-    assert interval.estimate == pytest.approx(sample.mean())
-    ends = sample.mean() - half, sample.mean() + half
-    assert (interval.low, interval.high) == pytest.approx(ends, abs=0.07 * half)
+    found = bootstrap_interval(sample, "mean")
+    mean, half = sample.mean(), 1.96 * sample.std() / math.sqrt(size)
+    assert found.estimate == pytest.approx(mean)
+    assert (found.low, found.high) == pytest.approx((mean - half, mean + half), abs=0.07 * half)
 
 
 @pytest.mark.parametrize(
@@ -75,12 +79,8 @@ def test_the_interval_of_a_mean_is_the_normal_one_for_a_large_sample(size):
 )
 def test_about_95_percent_of_the_intervals_cover_the_truth(statistic, truth):
     samples = np.random.default_rng(5).exponential(size=(200, 100))
-    intervals = [
-        bootstrap_interval(sample, statistic, seed, resamples=999)
-        for seed, sample in enumerate(samples)
-    ]
-    covered = sum(interval.low <= truth <= interval.high for interval in intervals)
-    assert 0.89 <= covered / 200 <= 0.985
+    found = (bootstrap_interval(one, statistic, seed, 999) for seed, one in enumerate(samples))
+    assert 0.89 <= coverage(found, truth) <= 0.985
 
 
 @pytest.mark.parametrize("statistic", ["mean", "median"])
@@ -166,58 +166,63 @@ def simulated(random, seeds, instances, between_seeds, between_instances, noise=
     )
 
 
-def width(estimate):
-    return estimate.high - estimate.low
+def estimate(*frames, statistic="mean", **arguments):
+    """The estimate of agent "a"."""
+    return Bootstrap.of(pd.concat(frames), **arguments).estimate("a", statistic)
+
+
+def both(a, b, **arguments):
+    return Bootstrap.of(pd.concat([rows("a", a), rows("b", b)]), **arguments)
+
+
+def width(found):
+    return found.high - found.low
 
 
 def test_estimates_are_those_of_the_data_and_tell_what_they_are_over():
     values = np.random.default_rng(0).normal(size=(3, 40))
-    found = Bootstrap.of(rows("a", values), resamples=200).estimate("a")
+    found = estimate(rows("a", values), statistic="iqm")
     assert found.estimate == pytest.approx(trim_mean(values.ravel(), 0.25))
     assert (found.seeds, found.instances, found.environments) == ((3,), 40, 1)
 
 
 def test_many_episodes_of_few_seeds_do_not_make_the_interval_narrow():
     random = np.random.default_rng(1)
-    few = Bootstrap.of(rows("a", simulated(random, 10, 50, 1.0, 0.0))).estimate("a", "mean")
-    many = Bootstrap.of(rows("a", simulated(random, 10, 800, 1.0, 0.0))).estimate("a", "mean")
+    few = estimate(rows("a", simulated(random, 10, 50, 1.0, 0.0)))
+    many = estimate(rows("a", simulated(random, 10, 800, 1.0, 0.0)))
     assert width(many) == pytest.approx(width(few), rel=0.6)
-    one_seed = rows("a", simulated(random, 10, 800, 1.0, 0.0).reshape(1, -1))
-    assert width(Bootstrap.of(one_seed).estimate("a", "mean")) < 0.3 * width(many)
+    one_seed = estimate(rows("a", simulated(random, 10, 800, 1.0, 0.0).reshape(1, -1)))
+    assert width(one_seed) < 0.3 * width(many)
 
 
 def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
     values = simulated(np.random.default_rng(2), 40, 100, 1.0, 2.0, noise=0.0)
-    found = Bootstrap.of(rows("a", values)).estimate("a", "mean")
     variance = values.mean(1).var() / 40 + values.mean(0).var() / 100
-    assert width(found) == pytest.approx(2 * 1.96 * math.sqrt(variance), rel=0.08)
+    assert width(estimate(rows("a", values))) == pytest.approx(
+        2 * 1.96 * math.sqrt(variance), rel=0.08
+    )
 
 
 def test_about_95_percent_of_the_intervals_over_seeds_cover_the_truth():
-    covered = 0
-    for number in range(150):
-        values = simulated(np.random.default_rng(number), 20, 30, 1.0, 1.0)
-        found = Bootstrap.of(rows("a", values), resamples=300).estimate("a", "mean")
-        covered += found.low <= 0 <= found.high
-    assert 0.86 <= covered / 150 <= 0.99
+    samples = (simulated(np.random.default_rng(seed), 20, 30, 1.0, 1.0) for seed in range(150))
+    found = (estimate(rows("a", values), resamples=300) for values in samples)
+    assert 0.86 <= coverage(found, 0) <= 0.99
 
 
 def test_intervals_cover_the_truth_where_the_same_instances_are_hard_in_all_environments():
-    covered = 0
-    for number in range(150):
-        random = np.random.default_rng(number)
+    def interval(seed):
+        random = np.random.default_rng(seed)
         hard = random.normal(size=(1, 25))
         met = [rows("a", hard + 0.5 * random.normal(size=(1, 25)), env) for env in "EFGHIJ"]
-        own = rows("a", random.normal(size=(1, 8)), "numbered")
-        found = Bootstrap.of(pd.concat([*met, own]), resamples=300).estimate("a", "mean")
-        covered += found.low <= 0 <= found.high
-    assert 0.86 <= covered / 150 <= 0.99
+        return estimate(*met, rows("a", random.normal(size=(1, 8)), "numbered"), resamples=300)
+
+    assert 0.86 <= coverage(map(interval, range(150)), 0) <= 0.99
 
 
 def test_environments_of_equally_many_instances_share_their_draw():
     values = np.random.default_rng(8).normal(size=(1, 30))
-    frames = [rows("a", values, "E"), rows("a", values[:, :8], "F"), rows("a", values, "G")[::-1]]
-    scores = arrange(pd.concat(frames))
+    e, f, g = rows("a", values, "E"), rows("a", values[:, :8], "F"), rows("a", values, "G")[::-1]
+    scores = arrange(pd.concat([e, f, g]))
     assert np.array_equal(scores.values["a"][0], scores.values["a"][2])
     first, other, shared = draw(scores, 20, 3).instances
     assert np.array_equal(first, shared)
@@ -227,23 +232,17 @@ def test_environments_of_equally_many_instances_share_their_draw():
 def test_an_agent_without_training_is_resampled_over_instances_alone():
     values = np.random.default_rng(3).normal(size=(1, 400))
     untrained = rows("a", values, seeds=[None])
-    found = Bootstrap.of(untrained).estimate("a", "mean")
+    found = estimate(untrained)
     assert found.seeds == (0,) and found.instances == 400
     assert width(found) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
-    (policies,) = draw(arrange(untrained), 50, 0).policies.values()
-    assert (policies == 1).all()
+    assert (draw(arrange(untrained), 50, 0).policies["a"] == 1).all()
 
 
 def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
     random = np.random.default_rng(4)
     hard = 5 * random.normal(size=(1, 200))
-    frame = pd.concat(
-        [
-            rows("a", hard + 0.5 + 0.1 * random.normal(size=(5, 200))),
-            rows("b", hard + 0.1 * random.normal(size=(5, 200))),
-        ]
-    )
-    bootstrap = Bootstrap.of(frame)
+    a, b = (hard + more + 0.1 * random.normal(size=(5, 200)) for more in (0.5, 0.0))
+    bootstrap = both(a, b)
     difference = bootstrap.difference("a", "b")
     alone = {agent: bootstrap.estimate(agent, "mean") for agent in "ab"}
     assert difference.estimate == pytest.approx(alone["a"].estimate - alone["b"].estimate, abs=1e-9)
@@ -258,43 +257,36 @@ def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
 @pytest.mark.parametrize("seeds", [1, 2, 10])
 def test_a_copy_of_an_agent_is_better_in_exactly_half_of_all_cases(seeds, better):
     values = simulated(np.random.default_rng(5), seeds, 60, 0.5, 1.0).round(1)
-    frame = pd.concat([rows("a", values), rows("copy", values)])
-    found = Bootstrap.of(frame).improvement("a", "copy", better)
+    found = both(values, values).improvement("a", "b", better)
     assert found.estimate == 0.5
     assert found.low <= 0.5 <= found.high
 
 
 def test_equal_scores_count_half():
-    frame = pd.concat([rows("a", [[1.0, 1.0, 2.0, 0.0]]), rows("b", [[1.0, 1.0, 1.0, 1.0]])])
-    assert Bootstrap.of(frame).improvement("a", "b").estimate == 0.5
-    frame = pd.concat([rows("a", [[1.0, 1.0, 2.0, 3.0]]), rows("b", [[1.0, 1.0, 1.0, 1.0]])])
-    assert Bootstrap.of(frame).improvement("a", "b").estimate == 0.75
-    assert Bootstrap.of(frame).improvement("a", "b", "low").estimate == 0.25
+    assert both([1.0, 1.0, 2.0, 0.0], [1.0] * 4).improvement("a", "b").estimate == 0.5
+    bootstrap = both([1.0, 1.0, 2.0, 3.0], [1.0] * 4)
+    assert bootstrap.improvement("a", "b").estimate == 0.75
+    assert bootstrap.improvement("a", "b", "low").estimate == 0.25
 
 
 def test_the_probability_of_improvement_of_shifted_normal_scores_is_that_of_the_integral():
     # Paired by instance: of the difference only the noise of both is left.
     random = np.random.default_rng(6)
     hard = 10 * random.normal(size=(1, 4000))
-    frame = pd.concat(
-        [
-            rows("a", hard + 0.7 + random.normal(size=(4, 4000))),
-            rows("b", hard + random.normal(size=(4, 4000))),
-        ]
-    )
-    found = Bootstrap.of(frame, resamples=200).improvement("a", "b")
+    a, b = (hard + more + random.normal(size=(4, 4000)) for more in (0.7, 0.0))
+    found = both(a, b, resamples=200).improvement("a", "b")
     assert found.estimate == pytest.approx(norm.cdf(0.7 / math.sqrt(2)), abs=0.01)
     assert found.low < found.estimate < found.high
 
 
 def test_missing_scores_are_left_out_of_comparisons_and_beat_no_threshold():
-    frame = pd.concat([rows("a", [[2.0, math.nan, 2.0]]), rows("b", [[1.0, 1.0, math.nan]])])
-    assert Bootstrap.of(frame).improvement("a", "b").estimate == 1.0
-    profile = Bootstrap.of(frame).profile([0.0]).set_index("agent")["estimate"]
+    bootstrap = both([2.0, math.nan, 2.0], [1.0, 1.0, math.nan])
+    assert bootstrap.improvement("a", "b").estimate == 1.0
+    profile = bootstrap.profile([0.0]).set_index("agent")["estimate"]
     assert profile.to_dict() == pytest.approx({"a": 2 / 3, "b": 2 / 3})
-    found = Bootstrap.of(frame).estimate("a")
+    found = bootstrap.estimate("a")
     assert (found.estimate, found.missing) == (pytest.approx(2.0), 1)
-    assert Bootstrap.of(frame).difference("a", "b").missing == 2
+    assert bootstrap.difference("a", "b").missing == 2
 
 
 def test_a_profile_is_the_share_of_episodes_beyond_each_threshold():
@@ -309,12 +301,11 @@ def test_a_profile_is_the_share_of_episodes_beyond_each_threshold():
 
 
 def test_environments_count_equally_however_many_instances_they_have():
-    frame = pd.concat(
-        [rows("a", np.zeros((2, 10)), "small"), rows("a", np.ones((2, 1000)), "large")]
-    )
-    found = Bootstrap.of(frame, resamples=50).estimate("a", "mean")
+    small, large = rows("a", np.zeros((2, 10)), "small"), rows("a", np.ones((2, 1000)), "large")
+    bootstrap = Bootstrap.of(pd.concat([small, large]), resamples=50)
+    found = bootstrap.estimate("a", "mean")
     assert (found.estimate, found.environments, found.instances) == (pytest.approx(0.5), 2, 1010)
-    assert Bootstrap.of(frame, resamples=10).profile([0.5])["estimate"].item() == pytest.approx(0.5)
+    assert bootstrap.profile([0.5])["estimate"].item() == pytest.approx(0.5)
 
 
 def test_the_instances_drawn_do_not_depend_on_the_agents():
@@ -327,7 +318,7 @@ def test_the_instances_drawn_do_not_depend_on_the_agents():
 
 def test_the_same_seed_gives_the_same_interval_and_another_gives_another():
     values = np.random.default_rng(9).normal(size=(3, 20))
-    first, same, other = (Bootstrap.of(rows("a", values), seed=s).estimate("a") for s in (1, 1, 2))
+    first, same, other = (estimate(rows("a", values), seed=seed) for seed in (1, 1, 2))
     assert first == same != other
     first, same, other = (bootstrap_interval(values[0], "mean", seed) for seed in (1, 1, 2))
     assert first == same != other
