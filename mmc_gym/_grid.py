@@ -107,9 +107,7 @@ def run_grid(
     >>> run_grid(abs, [-1, 2, -3], jobs=1)
     [1, 2, 3]
     """
-    check_cluster(cluster)
-    if jobs is not None and jobs < 1:
-        raise UserError(f"jobs must be at least 1, got {jobs}")
+    check_workers(jobs, cluster)
     cells = list(cells)
     results: list[Any] = [None] * len(cells)
     pending, suspects = deque(range(len(cells))), deque[int]()
@@ -150,8 +148,10 @@ def run_grid(
     return results
 
 
-def check_cluster(cluster: str | None) -> None:
-    """Raise a `UserError` unless `run_grid` could use `cluster`, as far as this machine knows."""
+def check_workers(jobs: int | None, cluster: str | None) -> None:
+    """Raise a `UserError` unless `run_grid` takes these, as far as this machine knows."""
+    if jobs is not None and jobs < 1:
+        raise UserError(f"jobs must be at least 1, got {jobs}")
     if cluster is None:
         return
     host, _, port = cluster.removeprefix("ray://").rpartition(":")

@@ -11,6 +11,7 @@ movement from its present state, as they do.  Measures that need an arm are NaN.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -75,17 +76,14 @@ def _follow(starts: Floats, targets: Floats, control_step: float) -> list[Floats
 def _episode(like: Episode, hands: Floats) -> Episode:
     steps = len(like.rewards)
     unknown, no_joints = np.full(steps, np.nan), np.zeros((steps + 1, 0))
-    return Episode(
-        seed=like.seed,
+    return replace(
+        like,
         hands=hands,
+        cursors=None,
         distances=np.linalg.norm(hands - like.targets, axis=-1),
-        targets=like.targets,
         joint_angles=no_joints,
         servo_impulses=no_joints[1:],
         servo_work=no_joints[1:],
         rewards=unknown,
         action_times=unknown,
-        control_step=like.control_step,
-        tolerance=like.tolerance,
-        reach=like.reach,
     )

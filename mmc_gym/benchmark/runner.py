@@ -24,7 +24,7 @@ import numpy as np
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import check_folder
-from mmc_gym._grid import CellError, check_cluster, run_grid
+from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym.agents.base import RandomAgent
 from mmc_gym.benchmark.entries import Entry, find_entries, make_for
 from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
@@ -277,45 +277,44 @@ def benchmark(
     scenarios = find_scenarios(environments)
     entries = find_entries(agents)
     episode_seeds(seed, episodes)
-    check_cluster(cluster)
+    check_workers(jobs, cluster)
     check_folder(out, "out")
     begun = update_manifest(out, partial(_joined, out, scenarios, entries, episodes, seed))
     cells = _cells(scenarios, entries, episodes, seed)
     begin = time.perf_counter()
-    missing = [cell for cell in cells if cell_facts(out, cell.key, cell.settings) is None]
-    reused = done = len(cells) - len(missing)
-    on_progress(Progress(done, len(cells)))
-    not_played: dict[CellKey, NotPlayed | None] = {cell.key: None for cell in cells}
+    missing: list[Cell] = []
+    finished: dict[CellKey, NotPlayed | None] = {}
+    for cell in cells:
+        if cell_facts(out, cell.key, cell.settings) is None:
+            missing.append(cell)
+        else:
+            finished[cell.key] = None
+    reused = len(finished)
+    on_progress(Progress(reused, len(cells)))
 
     def keep(index: int, outcome: Outcome) -> None:
-        nonlocal done
         key = missing[index].key
         write_cell(out, key, outcome.files)  # or remove it, if it was played by a former agent
+        finished[key] = None
         if outcome.status != "played":
-            not_played[key] = NotPlayed.of(key, outcome.status, outcome.reason)
-        done += 1
-        on_progress(Progress(done, len(cells), key, outcome))
+            finished[key] = NotPlayed.of(key, outcome.status, outcome.reason)
+        on_progress(Progress(len(finished), len(cells), key, outcome))
 
     def bury(index: int, error: CellError) -> None:
         keep(index, Outcome("failed", str(error.__cause__)))
 
-    def finished(manifest: Manifest | None) -> Manifest:
+    def updated(manifest: Manifest | None) -> Manifest:
         manifest = manifest or begun  # it may have been removed meanwhile
-        others = [one for one in manifest.not_played if one.key not in not_played]
+        not_played = [one for one in manifest.not_played if one.key not in finished]
+        not_played += [one for one in finished.values() if one is not None]
         seconds = manifest.elapsed_seconds + round(time.perf_counter() - begin, 1)
-        return manifest.model_copy(
-            update={
-                "not_played": others + [one for one in not_played.values() if one is not None],
-                "elapsed_seconds": seconds,
-                "reused": reused,
-                **_found(out),
-            }
-        )
+        known = {"not_played": not_played, "elapsed_seconds": seconds, "reused": reused}
+        return manifest.model_copy(update={**known, **_found(out)})
 
     try:
         run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep, on_failure=bury)
     finally:
-        manifest = update_manifest(out, finished)
+        manifest = update_manifest(out, updated)
     return manifest
 
 
@@ -350,15 +349,16 @@ def _joined(
     manifest: Manifest | None,
 ) -> Manifest:
     """Return the manifest of the store, with these scenarios and agents added."""
-    plain: Any = find_scenario("random").make().unwrapped
-    manifest = manifest or Manifest(
-        episodes=episodes,
-        seed=seed,
-        control_step=plain.parameters.control_step,
-        segment_lengths=plain.parameters.segment_lengths,
-        tolerance=plain.success_distance,
-        control=plain.control,
-    )
+    if manifest is None:
+        plain: Any = find_scenario("random").make().unwrapped
+        manifest = Manifest(
+            episodes=episodes,
+            seed=seed,
+            control_step=plain.parameters.control_step,
+            segment_lengths=plain.parameters.segment_lengths,
+            tolerance=plain.success_distance,
+            control=plain.control,
+        )
     _require_same(out, "episodes", manifest.episodes, episodes)
     _require_same(out, "seed", manifest.seed, seed)
     environments = dict(manifest.environments)

@@ -110,7 +110,7 @@ def episodes_file(
         "instance": np.arange(len(episodes), dtype=np.int32),
         **episode_columns(episodes),
     }
-    return _parquet(columns, settings, facts)
+    return _parquet(columns, Kept(settings, facts))
 
 
 def paths_file(key: CellKey, episodes: Sequence[Episode], joint_count: int) -> bytes:
@@ -174,17 +174,16 @@ def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
 class Kept(NamedTuple):
     """What a cell was made with, and what else is kept about it, see `episodes_file`."""
 
-    settings: dict[str, Any]
-    facts: dict[str, Any]
+    settings: Mapping[str, Any]
+    facts: Mapping[str, Any]
 
 
-def _parquet(
-    columns: Mapping[str, Any],
-    settings: Mapping[str, Any] | None = None,
-    facts: Mapping[str, Any] | None = None,
-) -> bytes:
+_NOTHING = Kept({}, {})
+
+
+def _parquet(columns: Mapping[str, Any], kept: Kept = _NOTHING) -> bytes:
     table = pa.table(dict(columns))
-    content = json.dumps({"settings": settings or {}, "facts": facts or {}})
+    content = json.dumps(kept._asdict())
     metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
     buffer = io.BytesIO()
     pq.write_table(
@@ -238,7 +237,7 @@ def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
             path.unlink(missing_ok=True)
 
 
-def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """Return the facts kept about a cell; None if it is missing, damaged, or of other settings."""
     try:
         schema = _read(folder / EPISODES / key.file_name).schema

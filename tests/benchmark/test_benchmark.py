@@ -263,6 +263,21 @@ def test_who_cannot_act_is_skipped_and_who_raises_anything_else_has_failed(tmp_p
     assert set(read_episodes(tmp_path)["agent"]) == {"mmc"}  # not what it did before
 
 
+def test_of_cells_that_an_interrupted_run_has_not_reached_the_store_knows_what_it_knew(
+    tmp_path, outside
+):
+    def interrupt(progress):
+        if progress.done == 1:
+            raise KeyboardInterrupt
+
+    crashing = f"crashing={outside}:crashing"
+    before = play([crashing], tmp_path, ["random"]).not_played
+    with pytest.raises(KeyboardInterrupt):
+        play(["mmc", crashing], tmp_path, ["random"], on_progress=interrupt)
+    assert set(read_episodes(tmp_path)["agent"]) == {"mmc"}
+    assert read_manifest(tmp_path).not_played == before != []
+
+
 @pytest.mark.slow
 def test_a_cell_under_which_processes_die_has_failed_and_the_others_are_played(tmp_path, outside):
     dying = f"dying={outside}:dying"
@@ -388,6 +403,7 @@ def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):
         "agent must be one of mmc": {"agents": ["nobody"]},
         "scenario must be one of random, .* got .nowhere": {"environments": ["nowhere"]},
         "episodes must be at least 1": {"episodes": 0},
+        "jobs must be at least 1": {"jobs": 0},
         "cluster must be": {"cluster": "dask"},
         "out must be a folder": {"out": tmp_path / "file"},
     }.items():
