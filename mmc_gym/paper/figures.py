@@ -48,35 +48,27 @@ def add_legend(figure: Figure, axes: Axes, title: str | None = None) -> None:
 
 @styled
 def draw_courses(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
-    """Draw mean and standard deviation over the iterations, a panel for each quantity.
-
-    Args:
-        panels: courses by the label of the vertical axis and by name, (movements, iterations).
-    """
+    """Draw mean and standard deviation of courses (movements, iterations), by panel and name."""
     figure, row = make_panels(len(panels), 3.7 * len(panels) + 0.5, 3.6)
     for axes, (label, courses) in zip(row, panels.items(), strict=True):
         for number, (name, course) in enumerate(courses.items()):
-            _draw_course(axes, name, course, number)
+            iterations = np.arange(1, course.shape[1] + 1)
+            mean, deviation = course.mean(axis=0), course.std(axis=0)
+            low, high = np.maximum(mean - deviation, 0), mean + deviation  # none is negative
+            colour = look(number)["color"]
+            axes.fill_between(iterations, low, high, color=colour, alpha=0.12, linewidth=0)
+            for edge in (low, high):
+                axes.plot(iterations, edge, linewidth=0.5, **look(number))
+            axes.plot(iterations, mean, linewidth=1.5, label=name, **look(number))
+            axes.set_xlim(0, iterations[-1])
         axes.set(xlabel="iteration", ylabel=label, ylim=(0, None))
     add_legend(figure, row[0], title="mean (thick) ± standard deviation (thin)")
     return figure
 
 
-def _draw_course(axes: Axes, name: str, course: Floats, number: int) -> None:
-    iterations = np.arange(1, course.shape[1] + 1)
-    mean, deviation = course.mean(axis=0), course.std(axis=0)
-    low, high = np.maximum(mean - deviation, 0), mean + deviation  # neither can be negative
-    colour = look(number)["color"]
-    axes.fill_between(iterations, low, high, color=colour, alpha=0.12, linewidth=0)
-    for edge in (low, high):
-        axes.plot(iterations, edge, linewidth=0.5, **look(number))
-    axes.plot(iterations, mean, linewidth=1.5, label=name, **look(number))
-    axes.set_xlim(0, iterations[-1])
-
-
 @styled
 def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figure:
-    """Draw mean final distances of each run, and mean ± deviation over the movements of all.
+    """Draw the mean final distance of each run, and mean ± deviation over the movements of all.
 
     Args:
         runs: final distances by architecture, (runs, movements).
@@ -107,11 +99,7 @@ def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figur
 
 @styled
 def draw_profiles(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
-    """Draw velocities of single movements over the iterations, a panel for each title.
-
-    Args:
-        panels: profiles by title and name, (iterations,).
-    """
+    """Draw velocities (iterations,) of single movements, by title of the panel and name."""
     figure, row = make_panels(len(panels), 3.1 * len(panels) + 0.6, 3.2, sharey=True)
     for axes, (title, profiles) in zip(row, panels.items(), strict=True):
         for number, (name, profile) in enumerate(profiles.items()):
@@ -126,12 +114,7 @@ def draw_profiles(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
 
 @styled
 def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
-    """Draw cumulative distributions: the share of the movements with at most a value.
-
-    Args:
-        samples: a value per movement by name, (movements,).
-        label: of the horizontal axis.
-    """
+    """Draw the share of the movements with at most a value; `label` names the value."""
     figure, (axes,) = make_panels(1, 4.2, 3.3)
     for number, (name, values) in enumerate(samples.items()):
         axes.ecdf(values, linewidth=1.5, label=name, **look(number))
@@ -142,30 +125,21 @@ def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
 
 @styled
 def draw_postures(movements: Mapping[str, Recording], every: int = 2) -> Figure:
-    """Draw postures of the arm in single movements, a panel for each title.
-
-    Args:
-        movements: a recording of one movement by title.
-        every: a posture is drawn each so many iterations; the first and the last are thick.
-    """
+    """Draw single movements by title: a posture in so many iterations, and the first and last."""
     figure, row = make_panels(len(movements), 3.1 * len(movements), 2.5, sharex=True, sharey=True)
+    ends: Any = {"color": "black", "linewidth": 1.8, "marker": "o", "markersize": 3.5}
+    cross: Any = {"color": COLOURS[1], "markersize": 8, "markeredgewidth": 2}
     for axes, (title, movement) in zip(row, movements.items(), strict=True):
-        _draw_movement(axes, movement, every)
+        nodes = node_positions(np.concatenate([movement.start_segments[None], movement.segments]))
+        for posture in nodes[every:-1:every]:
+            axes.plot(*posture.T, color="0.72", linewidth=0.8, zorder=1)
+        hand = nodes[:, -1]
+        axes.plot(*hand[::every].T, ".", color=COLOURS[0], markersize=4, zorder=3)
+        axes.plot(*hand.T, color=COLOURS[0], linewidth=0.9, label="hand", zorder=2)
+        axes.plot(*nodes[0].T, "--", label="start", **ends)
+        axes.plot(*nodes[-1].T, "-", label="end", **ends)
+        axes.plot(*movement.target, "x", label="target", zorder=4, **cross)
         axes.set(title=title, xlabel="x [segment lengths]", aspect="equal")
     row[0].set_ylabel("y [segment lengths]")
     row[0].legend(frameon=False, loc="lower left")
     return figure
-
-
-def _draw_movement(axes: Axes, movement: Recording, every: int) -> None:
-    nodes = node_positions(np.concatenate([movement.start_segments[None], movement.segments]))
-    for posture in nodes[every:-1:every]:
-        axes.plot(*posture.T, color="0.72", linewidth=0.8, zorder=1)
-    hand = nodes[:, -1]
-    axes.plot(*hand[::every].T, ".", color=COLOURS[0], markersize=4, zorder=3)
-    axes.plot(*hand.T, color=COLOURS[0], linewidth=0.9, label="hand", zorder=2)
-    ends: Any = {"color": "black", "linewidth": 1.8, "marker": "o", "markersize": 3.5}
-    axes.plot(*nodes[0].T, "--", label="start", **ends)
-    axes.plot(*nodes[-1].T, "-", label="end", **ends)
-    cross: Any = {"color": COLOURS[1], "markersize": 8, "markeredgewidth": 2}
-    axes.plot(*movement.target, "x", label="target", zorder=4, **cross)

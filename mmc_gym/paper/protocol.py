@@ -9,9 +9,9 @@ velocity are divided by the distance between the two targets (paper, Sect. "Resu
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from itertools import product
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -62,8 +62,7 @@ ITERATIONS = (10, 20, 40, 100)
 """Iterations after which distances are given."""
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(NamedTuple):
     """Movements of an MMC network, with any batch axes in front.
 
     Attributes:
@@ -137,7 +136,9 @@ def record_movements(
     start, target = TARGETS[PAIRS[:, 0]], TARGETS[PAIRS[:, 1]]
     # A movement's state depends on its first target alone: warm 21 networks, not 420.
     state = network.state_from_segments(STARTING_SEGMENTS)
-    warm, _ = move(network, state, TARGETS, warm_iterations or iterations)
+    if warm_iterations is None:
+        warm_iterations = iterations
+    warm, _ = move(network, state, TARGETS, warm_iterations)
     state = MMCState(np.ascontiguousarray(warm.values[..., PAIRS[:, 0]]), warm.segment_count)
     _, segments = move(network, state, target, iterations)
     return Recording(state.segments, np.moveaxis(segments, 0, -3), start, target)
@@ -154,30 +155,24 @@ def record_runs(
         record_movements(replace(network, normalizer=normalizer), iterations, warm_iterations)
         for normalizer in normalizers
     ]
-    parts = ([getattr(r, field.name) for r in recordings] for field in fields(Recording))
-    return Recording(*map(np.concatenate, parts))
+    return Recording(*map(np.concatenate, zip(*recordings, strict=True)))
 
 
 def record_example(network: MMCNetwork, iterations: int = 40) -> Recording:
     """Run the paper's example movement, from the starting posture, without a warm movement."""
     state = network.state_from_segments(STARTING_SEGMENTS)
     _, segments = clamp_and_run(network, state, EXAMPLE_TARGET, iterations)
-    return Recording(
-        start_segments=state.segments,
-        segments=np.moveaxis(segments, 0, -3),
-        start=state.end_effector,
-        target=EXAMPLE_TARGET,
-    )
+    segments = np.moveaxis(segments, 0, -3)
+    return Recording(state.segments, segments, state.end_effector, EXAMPLE_TARGET)
 
 
 def summarize(recording: Recording) -> dict[str, float]:
     """Summarize movements, (movements, iterations).
 
     Returns:
-        distance_k, mean over the movements, for every k of `ITERATIONS` that was recorded; final
-        (distance), its deviation, and far, the number of movements that end above `FAR`;
-        peak_velocity and peak_iteration of the mean velocity profile; overshoots and
-        second_peaks, numbers of movements.
+        Means over the movements: distance_k after each k of `ITERATIONS` that was recorded, final
+        distance and its deviation, peak_velocity and peak_iteration of the mean profile.  Numbers
+        of movements: far, which end above `FAR`, overshoots and second_peaks.
     """
     distance, velocity = recording.distance, recording.velocity
     mean_distance, mean_velocity = distance.mean(axis=0), velocity.mean(axis=0)

@@ -33,8 +33,7 @@ from mmc_gym._errors import UserError
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.paper.experiment import Result, Row, Settings, format_value, write_result
 from mmc_gym.paper.experiments import (
-    accurate,
-    bell_shaped,
+    bettered,
     forward_and_mixed,
     movements,
     normalization,
@@ -69,7 +68,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         "hidden units of the normalization networks as a population code", population.run
     ),
     "accurate": Experiment(
-        "bettered: a normalization network that hardly turns a vector", accurate.run
+        "bettered: a normalization network that hardly turns a vector", bettered.accurate
     ),
     "kinematic": Experiment(
         "420 movements of the kinematic network with every normalizer", movements.kinematic
@@ -80,7 +79,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     ),
     "example": Experiment("the example movement, kinematic and dynamic", movements.example),
     "bell-shaped": Experiment(
-        "bettered: a time base makes each movement bell-shaped", bell_shaped.run
+        "bettered: a time base makes each movement bell-shaped", bettered.bell_shaped
     ),
     "forward-and-mixed": Experiment(
         "forward and mixed tasks with the network of the inverse tasks", forward_and_mixed.run
@@ -107,10 +106,10 @@ class Section:
     """The report's section on an experiment, as `result.json` holds it.
 
     Attributes:
-        settings: identity of the result.
+        settings: what the result depends on.
         rows: lines of the table.
         captions: captions of the figures, by file stem.
-        points: findings on the points of `POINTS`, by number.
+        points: findings by number of a point of `POINTS`.
     """
 
     settings: Identity
@@ -137,7 +136,7 @@ def reproduce(
 
     Args:
         names: names of experiments; all of them if there are none.
-        folder: folder to write into.
+        folder: takes all that is written.
         quick: run a small part of each experiment, to see that everything works.
         seed: seed of everything random, not negative.
         jobs: number of processes for long work; by default one per core.

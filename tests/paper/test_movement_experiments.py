@@ -8,8 +8,12 @@ from mmc_gym.network.model import linear_operator
 from mmc_gym.paper import protocol
 from mmc_gym.paper.experiment import Settings, write_result
 from mmc_gym.paper.experiments import movements
-from mmc_gym.paper.experiments.accurate import LENGTHS, measure
-from mmc_gym.paper.experiments.bell_shaped import minimum_jerk_movements, record_timed_movements
+from mmc_gym.paper.experiments.bettered import (
+    LENGTHS,
+    measure,
+    minimum_jerk_movements,
+    record_timed_movements,
+)
 from mmc_gym.paper.experiments.forward_and_mixed import (
     NETWORKS,
     TASKS,
@@ -101,6 +105,12 @@ def test_the_classical_rows_agree_with_the_data(results):
             assert float(found.ours) == pytest.approx(found.data, abs=5e-4)
     assert row(results["dynamic"], "classical (Euclidean): peak").ours == "0.1082 at 2"
     assert row(results["example"], "kinematic (Euclidean)").ours == "0.00977"
+    deviation = row(results["dynamic"], "classical (Euclidean): standard deviation")
+    assert float(deviation.ours) == pytest.approx(deviation.data, abs=5e-5)
+
+
+def test_running_longer_brings_the_classical_network_nearer(results):
+    assert (np.diff(results["kinematic"].data["longer"]["Euclidean"]) < 0).all()
 
 
 def test_the_shape_of_single_movements_is_that_of_the_data(results):
@@ -163,12 +173,12 @@ def test_the_accurate_normalizer_is_as_good_as_was_sought(results):
     assert len(result.data["angle_errors"]) == len(LENGTHS)
 
 
-def test_no_length_up_to_three_is_turned_the_wrong_way():
-    assert LENGTHS.min() == 1e-6
-    assert LENGTHS.max() == 3
-    found = measure(ACCURATE, directions=720)
-    assert found.worst_error.max() < 5
-    assert 0.99 < found.output_length[0] < 1 < found.output_length[1] < 1.01
+def test_no_length_up_to_three_is_turned_the_wrong_way(results):
+    assert (LENGTHS.min(), LENGTHS.max()) == (1e-6, 3)
+    assert row(results["accurate"], "accurate: worst angle error").ours < 5
+    lengths = row(results["accurate"], "accurate: lengths of the outputs").ours
+    shortest, longest = lengths.split(" to ")
+    assert 0.99 < float(shortest) < 1 < float(longest) < 1.01
 
 
 @pytest.mark.parametrize("iterations", [40, 100])

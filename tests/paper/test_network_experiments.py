@@ -64,6 +64,8 @@ def test_silent_units_are_counted_and_left_out():
     found = tuning(activations)
     np.testing.assert_allclose(found.preferred, [3, 5])
     assert (len(found.width), found.size, found.active.max()) == (2, 3, 2)
+    none = tuning(1e-6 * activations)
+    assert (len(none.width), none.size, none.active.max(), none.largest_gap) == (0, 3, 0, 360)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from math import sqrt
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -39,6 +39,9 @@ from mmc_gym.paper.protocol import ACCURATE, EUCLIDEAN
 
 ARMS = 1000
 ITERATIONS = 500
+
+_Found: TypeAlias = Mapping[tuple[str, str, str], Floats]
+"""Errors by network, normalizer and task, (iterations, arms)."""
 
 _R: Pair = (0, 3)
 TASKS: Mapping[str, tuple[Pair, ...]] = {
@@ -95,10 +98,6 @@ def errors(network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int
     return found
 
 
-_Found: TypeAlias = Mapping[tuple[str, str, str], Floats]
-"""Errors by network, normalizer and task, (iterations, arms)."""
-
-
 def run(settings: Settings) -> Result:
     """Give every task to every network with every normalizer."""
     arms = ARMS // 10 if settings.quick else ARMS
@@ -114,17 +113,14 @@ def run(settings: Settings) -> Result:
         clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
         found[name, normalizer, task] = errors(network, state, clamps, ITERATIONS)
     courses = {key: error.mean(axis=1) for key, error in found.items()}
+    panels = {
+        name: {task: courses["kinematic", name, task] for task in TASKS} for name in normalizers
+    }
     return Result(
         rows=[*_forward_rows(found), *_mixed_rows(found)],
         figures={
             "forward_and_mixed": Captioned(
-                draw_errors(
-                    {
-                        name: {task: courses["kinematic", name, task] for task in TASKS}
-                        for name in normalizers
-                    },
-                    factor(NETWORKS["kinematic"].damping),
-                ),
+                draw_errors(panels, factor(NETWORKS["kinematic"].damping)),
                 f"Mean error over {arms} random postures of the kinematic network, d = 10, by the "
                 "vectors that are clamped, for three normalizers; grey: the slope of a forward "
                 "task by theory.",
@@ -141,26 +137,14 @@ def run(settings: Settings) -> Result:
 
 @styled
 def draw_errors(panels: Mapping[str, Mapping[str, Floats]], slope: float) -> Figure:
-    """Draw errors over the iterations on a logarithmic axis, a panel for each title.
-
-    Args:
-        panels: errors by title and name, (iterations,), segment lengths.
-        slope: a factor per iteration, drawn to compare with.
-    """
+    """Draw errors (iterations,) by title of the panel and name, beside a factor per iteration."""
     figure, row = make_panels(len(panels), 2.7 * len(panels) + 0.6, 3.4, sharey=True)
+    iterations = np.arange(1, ITERATIONS + 1)
     for axes, (title, courses) in zip(row, panels.items(), strict=True):
         for number, (name, error) in enumerate(courses.items()):
-            axes.plot(
-                np.arange(1, len(error) + 1),
-                error,
-                color=(*COLOURS, "black")[number],
-                linestyle=look(number)["linestyle"],
-                marker="osD^v"[number],
-                markevery=(10 * number, len(error) // 6),
-                markersize=3,
-                label=name,
-            )
-        iterations = np.arange(1, ITERATIONS + 1)
+            style = look(number) | {"color": (*COLOURS, "black")[number], "label": name}
+            marks: Any = {"marker": "osD^v"[number], "markevery": (10 * number, len(error) // 6)}
+            axes.plot(iterations, error, markersize=3, **style, **marks)
         label = f"{slope:.4f}ᵏ"
         axes.plot(iterations, slope**iterations, color="0.6", linewidth=0.8, label=label)
         axes.set(title=title, xlabel="iteration k", yscale="log", ylim=(1e-4, 5))

@@ -13,9 +13,8 @@ a bump around its preferred direction.  Here, for every unit and any layer,
                           largest angle between neighbouring preferred directions
 
 The published figure in three dimensions is of a network trained with a weight decay of 0.0005,
-which the sixty networks of the paper's other figures do not have.  Here [8, 8] is shown without
-and with it.  Weight decay silences units: their activation hardly depends on the direction, they
-are tuned to nothing, and are counted and left out.
+which those of the other figures do not have.  Here [8, 8] is shown without and with it.  Weight
+decay silences units: their activation hardly depends on the direction.  They are left out.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -43,8 +41,7 @@ WEIGHT_DECAY = 0.0005
 SILENT = 0.01
 """A unit whose activation ranges over less than this is silent."""
 
-_PLAIN = "[8, 8]"
-_DECAYED = "[8, 8], weight decay"
+_PLAIN, _DECAYED = "[8, 8]", "[8, 8], weight decay"
 
 DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
 """Directions φ that the units are shown, radians, (720,)."""
@@ -59,7 +56,8 @@ class Tuning(NamedTuple):
         width: tuning widths, degrees, (units,).
         inside: True where h(φ) > (max h + min h)/2, (directions, units).
         active: number of units within their tuning width, by direction, (directions,).
-        largest_gap: largest angle between neighbouring preferred directions, degrees.
+        largest_gap: largest angle between neighbouring preferred directions, degrees; 360
+            without units.
         size: number of units in the layer, silent ones too.
     """
 
@@ -90,14 +88,14 @@ def tuning(activations: Floats) -> Tuning:
     activations, preferred = activations[:, order], preferred[order]
     half = (activations.max(axis=0) + activations.min(axis=0)) / 2
     inside = activations > half
-    gaps = np.diff(preferred, append=preferred[0] + 2 * np.pi)
+    gaps = np.diff(preferred, append=preferred[:1] + 2 * np.pi)
     return Tuning(
         activations=activations,
         preferred=preferred,
         width=360 * inside.mean(axis=0),
         inside=inside,
         active=inside.sum(axis=1),
-        largest_gap=float(np.degrees(gaps.max())),
+        largest_gap=float(np.degrees(gaps.max())) if gaps.size else 360.0,
         size=units,
     )
 
@@ -207,6 +205,7 @@ def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
     ]
 
 
+_DEGREES = np.degrees(DIRECTIONS)
 _ANGLES = (0, 90, 180, 270, 360)
 _COLUMNS = 3
 
@@ -218,7 +217,15 @@ def draw_activations(layers: Mapping[str, Tuning]) -> Figure:
     figure, panels = make_panels(len(layers), 7.6, 2.5 * rows + 0.3, _COLUMNS)
     for axes, (name, layer) in zip(panels, layers.items(), strict=True):
         axes.set_title(name)
-        _draw_layer(axes, layer)
+        for unit, activation in enumerate(layer.activations.T):
+            colour, line = COLOURS[unit % len(COLOURS)], LINES[unit // len(COLOURS) % len(LINES)]
+            axes.plot(_DEGREES, activation, color=colour, linestyle=line, linewidth=1.2)
+            # At the preferred direction; in the middle of the plateau of a unit that saturates.
+            angle = layer.preferred[unit]
+            height = np.interp(angle, DIRECTIONS, activation, period=2 * np.pi)
+            write_number(
+                axes, unit + 1, (np.degrees(angle), height), (0, 2), ha="center", color=colour
+            )
         axes.set(xlim=(0, 360), xticks=_ANGLES, ylim=(-1.05, 1.15))
         axes.axhline(0, color="0.8", linewidth=0.6, zorder=0)
     figure.supxlabel("input angle [°]")
@@ -226,30 +233,16 @@ def draw_activations(layers: Mapping[str, Tuning]) -> Figure:
     return figure
 
 
-def _draw_layer(axes: Axes, layer: Tuning) -> None:
-    degrees = np.degrees(DIRECTIONS)
-    for unit, (activation, angle) in enumerate(
-        zip(layer.activations.T, layer.preferred, strict=True)
-    ):
-        colour, line = COLOURS[unit % len(COLOURS)], LINES[unit // len(COLOURS) % len(LINES)]
-        axes.plot(degrees, activation, color=colour, linestyle=line, linewidth=1.2)
-        # At the preferred direction; in the middle of the plateau of a unit that saturates.
-        height = float(np.interp(angle, DIRECTIONS, activation, period=2 * np.pi))
-        place = float(np.degrees(angle)), height
-        write_number(axes, unit + 1, place, (0, 2), ha="center", color=colour)
-
-
 @styled
 def draw_activations_in_depth(layers: Mapping[str, Tuning]) -> Figure:
     """Draw a curve per unit in three dimensions: input angle, unit, activation."""
     figure, panels = make_panels(len(layers), 4 * len(layers), 3.6, subplot_kw={"projection": "3d"})
-    degrees = np.degrees(DIRECTIONS)
     axes: Any
     for axes, (name, layer) in zip(panels, layers.items(), strict=True):
         axes.set_title(name, y=1.0)
         for unit, activation in enumerate(layer.activations.T):
             colour = COLOURS[unit % len(COLOURS)]
-            axes.plot(degrees, np.full_like(degrees, unit + 1), activation, color=colour)
+            axes.plot(_DEGREES, np.full_like(_DEGREES, unit + 1), activation, color=colour)
         axes.set(
             xlabel="input angle [°]",
             ylabel="hidden unit",
