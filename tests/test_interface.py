@@ -1,5 +1,7 @@
 """The contract between environments and agents: observations, actions, and what is told."""
 
+import pickle
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -73,7 +75,8 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(arrays):
 def test_the_layout_knows_the_spaces_of_the_environments(env_id):
     space = gym.make(env_id).observation_space
     is_dict = isinstance(space, gym.spaces.Dict)
-    high = space["desired_goal"].high[0] if is_dict else 0.0
+    high = space["desired_goal"].high[0] if is_dict else LAYOUT.reach
+    assert high == pytest.approx(LAYOUT.reach, rel=1e-6)
     assert space == (LAYOUT.goal_space(high) if is_dict else LAYOUT.space())
     assert LAYOUT.additions(space) == 0
     assert ObservationLayout(2, 2.0).additions(space) == 3
@@ -115,8 +118,8 @@ def test_every_control_mode_has_a_meaning():
     assert [one.servo for one in meanings] == ["position", "position", "velocity", "torque"]
 
 
-def test_an_agent_that_cannot_act_says_so_by_errors_of_the_user():
-    assert issubclass(ControlError, CannotActError)
-    assert issubclass(CannotActError, UserError)
-    error = ControlError("control must be another", "joint_torque")
+def test_an_agent_that_cannot_act_says_so_by_an_error_of_the_user_in_any_process():
+    error = pickle.loads(pickle.dumps(ControlError("control must be another", "joint_torque")))
     assert (str(error), error.control) == ("control must be another", "joint_torque")
+    assert isinstance(error, CannotActError)
+    assert isinstance(error, UserError)

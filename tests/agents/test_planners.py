@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.agents.base import JointTargetAgent
+from mmc_gym.agents import AGENTS
 from mmc_gym.agents.ik.agent import hand_position, jacobian
 from mmc_gym.agents.mmc import TimedMMCAgent
 from mmc_gym.agents.planners import (
@@ -14,8 +14,6 @@ from mmc_gym.agents.planners import (
     JUMP,
     SHORTEST,
     HandPlan,
-    MinimumJerkAgent,
-    PassiveMotionAgent,
     begin,
     follow,
     minimum_jerk_step,
@@ -34,19 +32,10 @@ POSTURE, TARGET = np.array([0.3, 0.9, 0.8]), np.array([1.5, -0.8])
 points = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)).map(np.array)
 
 
-def interface(lengths: tuple[float, ...] = (1.0, 1.0, 1.0)) -> ReachInterface:
-    return ReachInterface(lengths, "joint_position", 6.28, 12.0, DT)
-
-
-def make(name: str, lengths: tuple[float, ...]) -> JointTargetAgent:
-    if name == "mmc-bell":
-        return TimedMMCAgent(interface(lengths), MMCNetwork(lengths), iterations_per_step=2)
-    return {"minimum-jerk": MinimumJerkAgent, "pmp": PassiveMotionAgent}[name](interface(lengths))
-
-
 def internal_hands(name, posture, targets, lengths=(1.0, 1.0, 1.0)) -> np.ndarray:
     """Hand positions of the internal model, as if the servos were perfect, (steps + 1, ..., 2)."""
-    agent, state, hands = make(name, lengths), None, [hand_position(posture, lengths)]
+    agent = AGENTS[name].build(ReachInterface(lengths, "joint_position", 6.28, 12.0, DT))
+    state, hands = None, [hand_position(posture, lengths)]
     for target in targets:
         sensed = Sensed(posture, np.asarray(target))
         state = agent.start(sensed) if state is None else state
@@ -60,8 +49,7 @@ def speeds(hands: np.ndarray) -> np.ndarray:
 
 
 def planned(start: np.ndarray, target: np.ndarray, duration: int) -> HandPlan:
-    plan = HandPlan(start, np.zeros_like(start), np.zeros_like(start))
-    plans = [plan]
+    plans = [HandPlan(start, np.zeros_like(start), np.zeros_like(start))]
     for remaining in range(duration, 0, -1):
         plans.append(minimum_jerk_step(plans[-1], target, np.array(float(remaining))))
     return HandPlan(*map(np.array, zip(*plans)))
@@ -214,10 +202,8 @@ def test_a_movement_begins_anew_only_where_the_target_jumps():
     assert (movement.remaining == HORIZON).all()
 
 
-def test_settings_of_the_timed_network_are_checked():
-    with pytest.raises(ValueError, match="iterations_per_step must be at least 1, got 0"):
-        TimedMMCAgent(interface(), MMCNetwork(), iterations_per_step=0)
+def test_only_a_kinematic_network_can_be_timed():
+    interface = ReachInterface((1.0,) * 3, "joint_position", 6.28, 12.0, DT)
+    agent, sensed = TimedMMCAgent(interface, MMCNetwork(dynamics="paper")), Sensed(POSTURE, TARGET)
     with pytest.raises(ValueError, match="network must be kinematic"):
-        agent = TimedMMCAgent(interface(), MMCNetwork(dynamics="paper"))
-        sensed = Sensed(POSTURE, TARGET)
         agent.advance(agent.start(sensed), sensed)

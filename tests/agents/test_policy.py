@@ -23,14 +23,13 @@ from mmc_gym.training.training import evaluate_policy
 MEBIBYTE = 2**20
 SHIPPED = [pytest.param(*cell, id=f"{cell[0]}-{cell[1]}") for cell in shipped_policies()]
 SUFFIXES = ("json", "safetensors")
-PPOS = ("ppo", "ppo-0", "ppo-3")
 ROW = {"steps": 100, "seconds": 1.0, "cpu_seconds": 1.0, "success": 0.5}
 KINDS = [name for name, entry in AGENTS.items() if entry.training_seeds]
 
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    for suffix in ("json", "safetensors"):
+    for suffix in SUFFIXES:
         shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path)
     return tmp_path / "ppo-0.json"
 
@@ -80,24 +79,13 @@ def test_nothing_else_ships():
 
 def test_an_agent_is_asked_for_by_name_and_seed():
     env = gym.make("MMCReach-v0")
-    steps = {make_agent(name, env).training_steps for name in ("ppo", "ppo-0", "ppo-3")}
-    assert steps == {load_policy(PRETRAINED / "ppo-0.json")[1].training_steps}
     observation, _ = env.reset(seed=0)
-    actions = [make_agent(name, env).predict(observation, deterministic=True)[0] for name in PPOS]
+    agents = [make_agent(name, env) for name in ("ppo", "ppo-0", "ppo-3")]
+    steps = load_policy(PRETRAINED / "ppo-0.json")[1].training_steps
+    assert {agent.training_steps for agent in agents} == {steps}
+    actions = [agent.predict(observation, deterministic=True)[0] for agent in agents]
     np.testing.assert_array_equal(actions[0], actions[1])
     assert not np.array_equal(actions[0], actions[2])
-    for name in ("ppo-10", "ppo--1", "ppo-01", "mmc-0", "ppo-"):
-        with pytest.raises(ValueError, match=r"agent must be one of .*ppo-0 to ppo-9"):
-            make_agent(name, env)
-
-
-def test_exploration_is_the_same_at_every_run():
-    env = gym.make("MMCReach-v0")
-    observation, _ = env.reset(seed=0)
-    one, other = (make_agent("ppo", env) for _ in range(2))
-    first, second = (one.predict(observation)[0] for _ in range(2))
-    assert not np.array_equal(first, second)
-    np.testing.assert_array_equal(first, other.predict(observation)[0])
 
 
 def test_a_missing_file_is_an_error(copy):
@@ -158,24 +146,9 @@ def test_weights_that_are_no_numbers_are_an_error(copy, tmp_path):
         load_policy(copy)
 
 
-def test_a_policy_of_ones_own_is_an_agent_by_its_path(copy):
-    env = gym.make("MMCReach-v0")
-    observation, _ = env.reset(seed=0)
-    shipped, _ = make_agent("ppo-0", env).predict(observation, deterministic=True)
-    for path in (copy, copy.with_suffix(".safetensors")):
-        own, _ = make_agent(str(path), env).predict(observation, deterministic=True)
-        np.testing.assert_array_equal(own, shipped)
-    with pytest.raises(FileNotFoundError):
-        make_agent(str(copy.with_stem("ppo-7")), env)
+def test_a_folder_is_no_policy(copy):
     with pytest.raises(ValueError, match="path must be that of a policy's file"):
         load_policy(str(copy.parent))
-
-
-def test_a_policy_refuses_an_observation_of_another_shape():
-    agent = make_agent("ppo", gym.make("MMCReach-v0"))
-    with pytest.raises(ValueError, match=r"must have shape \(\.\.\., 13\), got \(14,\)"):
-        agent.predict(np.zeros(14, dtype=np.float32))
-    assert agent.predict([0.0] * 13)[0].shape == (3,)
 
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe", b"[" * 100_000])
@@ -183,13 +156,6 @@ def test_a_card_that_is_none_is_an_error(copy, content):
     copy.write_bytes(content)
     with pytest.raises(ValueError, match="does not hold a policy"):
         load_policy(copy)
-
-
-def test_the_policy_refuses_other_arms_and_other_actions():
-    with pytest.raises(ValueError, match="env must have 3 segments for this policy, got 2"):
-        make_agent("ppo", gym.make("MMCReach-v0", segment_lengths=(1.0, 1.0)))
-    with pytest.raises(ValueError, match=r"control must be .* for this policy, got 'joint_torque'"):
-        make_agent("ppo", gym.make("MMCReach-v0", control="joint_torque"))
 
 
 def test_a_policy_of_joint_deltas_moves_the_arm_alike_under_position_control():
