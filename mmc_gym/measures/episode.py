@@ -91,7 +91,8 @@ class Episode:
 def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
     """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T.
 
-    The mean over a step as the crow flies, and so the speed in its middle, up to terms in T².
+    In segment lengths/s, (steps,): the mean over a step as the crow flies, and so the speed in its
+    middle, up to terms in T².
 
     Args:
         hands: positions p, segment lengths, (steps + 1, 2).

@@ -46,7 +46,7 @@ def _fit_line(x: Floats, y: Floats, fewest: int) -> Line:
 
 
 def posture_spread(joint_angles: ArrayLike) -> float:
-    """Return how much postures that put the hand to one place differ, radians.
+    """Return how much the postures of a hand at one place differ, radians.
 
     √((1/N) Σ_i 2 (1 − R_i)), R_i = |mean over the movements of e^{i q_i}|: the root mean square
     over the joints of the angular deviation, which is the standard deviation for small spreads

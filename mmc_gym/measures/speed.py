@@ -35,7 +35,7 @@ SPARC_PADDING = 4  # 2⁴ times the next power of two
 
 def highest_speed(speeds: ArrayLike) -> float:
     """Return the largest speed of a profile; 0 without steps."""
-    return float(np.max(np.asarray(speeds), initial=0.0))
+    return float(np.max(speeds, initial=0.0))
 
 
 @measure(label="peak speed", unit="lengths/s", shown=True, successes_only=True)
@@ -70,10 +70,9 @@ def phase_of_peak(speeds: ArrayLike) -> float:
         >>> phase_of_peak([0.1, 1.0, 0.5, 0.2]), phase_of_peak([0.5, 1.0, 0.5])
         (0.375, 0.5)
     """
-    profile = np.asarray(speeds)
-    if highest_speed(profile) == 0.0:
+    if highest_speed(speeds) == 0.0:
         return math.nan
-    return (int(profile.argmax()) + 0.5) / profile.size
+    return (int(np.argmax(speeds)) + 0.5) / np.size(speeds)
 
 
 @measure(label="time to peak speed", unit="of duration", shown=True, successes_only=True)
