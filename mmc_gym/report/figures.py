@@ -128,11 +128,12 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
             continue
         used += met
         curves = Bootstrap.of(frame, "final_distance", PROFILE_RESAMPLES).profile(taus, "low")
+        parts = ["threshold", "estimate", "low", "high"]
         lines = {
-            agent: Curve(*curves.loc[rows, ["threshold", "estimate", "low", "high"]].to_numpy().T)
-            for agent in look
-            if (rows := curves["agent"] == agent).any()
+            str(agent): Curve(*curve[parts].to_numpy().T)
+            for agent, curve in curves.groupby("agent", sort=False)
         }
+        lines = {agent: lines[agent] for agent in look if agent in lines}
         title = plain if key == "base" else count(len(met), "perturbed environment")
         panels.append(
             line_panel(

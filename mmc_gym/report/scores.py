@@ -70,16 +70,7 @@ class EnvironmentScores:
     """
 
     def __init__(self, episodes: pd.DataFrame, measures: Sequence[Measure], resamples: int) -> None:
-        """Arrange scores and draw resamples.
-
-        Args:
-            episodes: of the environment; columns agent, training_seed, instance, and measures.
-            measures: of the episodes.
-            resamples: of the bootstrap.
-
-        Raises:
-            ValueError: if an agent has not met all instances.
-        """
+        """Arrange the scores of episodes; raise a `ValueError` if an agent has not met them all."""
         instances = int(episodes["instance"].nunique())
         columns = [measure.name for measure in measures]
         self.values: dict[str, Floats] = {}
@@ -253,12 +244,7 @@ class Estimates:
     ) -> Comparison | None:
         """Compare an agent with the rival that has the best value; None if that is impossible.
 
-        Args:
-            environment: its key.
-            measure: the measure.
-            agent: name.
-            rivals: names.
-            margin: see `judge`; half of the last digit shown by default.
+        The margin is that of `judge`.
         """
         mine = self.taking_part(environment, measure, [agent])
         theirs = self.taking_part(environment, measure, rivals)
@@ -330,17 +316,10 @@ class Estimates:
 
 
 def judge(difference: Value, measure: Measure, margin: float | None = None) -> Outcome:
-    """Return what the interval of a difference says.
+    """Judge the difference of two agents by its interval.
 
-    Args:
-        difference: of two agents.
-        measure: the measure.
-        margin: the largest difference that counts as none; half of the last digit shown by
-            default.
-
-    Returns:
-        "equal" if the interval lies within the margin to both sides; else "better" or "worse" if
-        it excludes 0, and "unclear" if it does not.
+    It is "equal" if the interval lies within the margin to both sides, half of the last digit shown
+    by default; else "better" or "worse" if it excludes 0, and "unclear" if it does not.
     """
     low, high = difference.low, difference.high
     if max(-low, high) <= (measure.resolution / 2 if margin is None else margin):

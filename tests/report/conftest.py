@@ -38,21 +38,13 @@ STEPS, CONTROL_STEP = 60, 0.02
 
 
 class Mover(NamedTuple):
-    """How an agent moves.
+    """How an agent moves."""
 
-    Attributes:
-        duration: of a movement, steps.
-        trembling: radians.
-        lost: radians for each degree of a rotation.
-        seeds: of its trainings; of none by default.
-        source: what it is made of, if not of its name.
-    """
-
-    duration: int
-    trembling: float
-    lost: float
+    duration: int  # steps
+    trembling: float  # radians
+    lost: float  # radians for each degree of a rotation
     seeds: tuple[int | None, ...] = (None,)
-    source: str = ""
+    source: str = ""  # if it is not made of its name
 
 
 AGENTS = {
@@ -98,25 +90,14 @@ def episode(instance, duration, trembling, error, seed=0):
 
 
 def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCES):
-    """Write a store.
-
-    Args:
-        folder: of it.
-        agents: names in `AGENTS`, or movers by name.
-        keys: of the environments.
-        missing: (agent, training seed, environment) of cells that were not played.
-        instances: in each environment.
-    """
+    """Write a store of agents in `AGENTS`, or of movers by name, without the `missing` cells."""
     movers = agents if isinstance(agents, dict) else {name: AGENTS[name] for name in agents}
     environments = {key: SCENARIOS[key].settings for key in keys}
     policies = {REFERENCE: [Policy(training_seed=None, source=REFERENCE)]}
     for name, (duration, trembling, lost, seeds, source) in movers.items():
+        sources = {seed: name if seed is None else f"{name}-{seed}" for seed in seeds}
         policies[name] = [
-            Policy(
-                training_seed=seed,
-                source=source or (name if seed is None else f"{name}-{seed}"),
-            )
-            for seed in seeds
+            Policy(training_seed=seed, source=source or own) for seed, own in sources.items()
         ]
         for key, settings in environments.items():
             error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)

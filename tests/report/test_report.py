@@ -7,7 +7,6 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from inspect import signature
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -152,18 +151,13 @@ def test_the_page_gives_wins_and_losses_the_same_place(text):
     assert pair.index('class="better"') < pair.index('class="worse"') < pair.index("</section>")
 
 
-def test_the_command_writes_the_report(benchmark_store, tmp_path, capsys):
-    out = tmp_path / "deep" / "report.html"
-    main(["report", "--store", str(benchmark_store), "--out", str(out)])
-    assert out.read_text(encoding="utf-8").startswith("<!doctype html>")
-    assert str(out) in capsys.readouterr().out
-
-
-def test_unless_told_otherwise_the_command_writes_it_into_the_store(monkeypatch, tmp_path):
-    monkeypatch.setattr("mmc_gym.report.write_report", lambda store, out: asked.append(out))
-    asked: list[Path] = []
-    main(["report", "--store", str(tmp_path / "mine")])
-    assert asked == [tmp_path / "mine" / "report.html"]
+@pytest.mark.parametrize("out", ["", "deep/new/folder"], ids=["into the store", "elsewhere"])
+def test_the_command_writes_the_report(make_store, out, tmp_path, capsys):
+    make_store(tmp_path, ["mmc"], ("random",), instances=5)
+    file = tmp_path / out / "report.html"
+    main(["report", "--store", str(tmp_path), *(["--out", str(file)] if out else [])])
+    assert file.read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert str(file) in capsys.readouterr().out
 
 
 def test_a_folder_without_a_store_is_refused(tmp_path, capsys):
