@@ -123,19 +123,20 @@ def test_keys_hand_the_arm_to_another_agent(game, agents, key):
     assert agents["first"].calls[-1] == (None, True)  # it starts anew, from the present posture
 
 
-def test_keys_of_no_agent_do_nothing(game):
-    press(pygame.K_9, pygame.K_0, pygame.K_x)
+@pytest.mark.parametrize(
+    ("keys", "agent", "message"),
+    [
+        ((pygame.K_9, pygame.K_0, pygame.K_x), "first", ""),
+        ((pygame.K_3,), "first", "lost: weights must exist"),
+        ((pygame.K_3, pygame.K_2), "second", ""),
+    ],
+)
+def test_keys_of_no_agent_or_of_one_that_cannot_be_made_leave_it_and_say_why(
+    game, keys, agent, message
+):
+    press(*keys)
     game.frame()
-    assert game.agent == "first" and game.running
-
-
-def test_an_agent_that_cannot_be_made_leaves_the_present_one_and_says_why(game):
-    press(pygame.K_3)
-    game.frame()
-    assert (game.agent, game.message) == ("first", "lost: weights must exist")
-    press(pygame.K_2)
-    game.frame()
-    assert game.message == ""
+    assert (game.agent, game.message, game.running) == (agent, message, True)
 
 
 def test_space_stops_time_but_not_the_target(game, agents):
@@ -225,4 +226,4 @@ def test_the_names_of_all_agents_fit_into_the_window(env):
     width, height = pygame.display.get_surface().get_size()
     for label in game._labels:
         assert label.left + game._font.size(label.text)[0] <= width
-        assert game._view.size + 26 * (label.line + 3) <= height
+        assert SIZE + 26 * (label.line + 3) <= height

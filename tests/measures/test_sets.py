@@ -22,11 +22,9 @@ def take(names, episodes):
     return [SET_MEASURES[name].of(episodes) for name in names]
 
 
-def test_set_measures_are_taken_in_environments_that_exist():
+def test_the_environments_exist_and_are_what_the_measures_need(frozen):
     assert {measure.environment for measure in SET_MEASURES.values()} <= set(SCENARIOS)
 
-
-def test_the_environments_are_what_the_measures_need(frozen):
     def few(name, trials):
         env = SCENARIOS[name].make()
         return run_episodes(frozen, env, list(trials), options=[{"trial": k} for k in trials])
