@@ -15,7 +15,6 @@ import safetensors.torch
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
-from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecNormalize
@@ -152,10 +151,3 @@ def _restore_buffer(model: BaseAlgorithm, replayed: Tensors, counts: dict[str, A
     for name, tensor in replayed.items():
         arrays[name][: len(tensor)] = tensor.numpy()
     buffer.pos, buffer.full = counts["position"], counts["full"]
-
-
-def begin_episodes(model: BaseAlgorithm) -> None:
-    """Tell a replay buffer that finds goals in episodes that new ones begin here."""
-    buffer = _replay_buffer(model)
-    if isinstance(buffer, HerReplayBuffer):
-        buffer._current_ep_start[:] = buffer.pos

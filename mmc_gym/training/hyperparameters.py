@@ -392,11 +392,11 @@ SETTINGS: dict[Algorithm, type[AnySettings]] = {
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is trained, where, and how.
+    """An entry of a hyperparameter file.
 
     Attributes:
-        name: that of the file, without folder and suffix; it begins with the algorithm's.
-        env_id: the environment.
+        name: of the file, without folder and suffix; it begins with the algorithm's.
+        env_id: the environment to train in.
         hyperparameters: the entry of the file for it.
     """
 
@@ -448,7 +448,7 @@ def names() -> list[str]:
 
 
 def read_recipe(source: str, env_id: str | None = None, steps: int | None = None) -> Recipe:
-    """Read hyperparameters.
+    """Read an entry of a hyperparameter file.
 
     Args:
         source: the name of a file that ships, see `names`, or the path of your own YAML file.
@@ -457,8 +457,7 @@ def read_recipe(source: str, env_id: str | None = None, steps: int | None = None
 
     Raises:
         FileNotFoundError: if there is no such file.
-        UserError: if there is no such name or environment, or the file is no mapping of
-            environments to hyperparameters.
+        UserError: if there is no such name or environment, or the file is no such mapping.
     """
     path = Path(source)
     if path.suffix not in (".yml", ".yaml"):

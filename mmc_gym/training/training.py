@@ -20,6 +20,7 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 import torch
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, unwrap_vec_wrapper
@@ -38,7 +39,7 @@ from mmc_gym.agents.policy import (
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
-from mmc_gym.training.checkpoints import begin_episodes, load_checkpoint, read_head, save_checkpoint
+from mmc_gym.training.checkpoints import load_checkpoint, read_head, save_checkpoint
 from mmc_gym.training.hyperparameters import Recipe
 from mmc_gym.training.policies import export_policy
 from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
@@ -192,7 +193,9 @@ class Training:
         model.set_random_seed(seed)
         model._last_obs = env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
-        begin_episodes(model)
+        buffer = getattr(model, "replay_buffer", None)
+        if isinstance(buffer, HerReplayBuffer):  # it finds goals in episodes, and new ones begin
+            buffer._current_ep_start[:] = buffer.pos
 
     def _prepare(self, resume: bool) -> dict[str, Any] | None:
         """Check the folder; return the head of its checkpoint, None if there is none."""
@@ -260,15 +263,14 @@ class _Legs(BaseCallback):
     def __init__(self, training: Training) -> None:
         super().__init__()
         self._training = training
-        self._first = True
 
     def _on_rollout_start(self) -> None:
         model, training = self.model, self._training
         if model.num_timesteps % training.steps_per_leg == 0:
-            if not self._first:  # where a training starts or goes on, nothing is new to save
+            saved = training.curve[-1]["steps"] if training.curve else 0
+            if model.num_timesteps > saved:
                 training.save(model)
             training.begin_leg(model)
-            self._first = False
 
     def _on_rollout_end(self) -> None:
         training = self._training

@@ -27,11 +27,9 @@ from mmc_gym.interface import ReachInterface
 
 Info = dict[str, Any]
 
-# What a vector environment has for each of its environments, under another name or as a tuple.
 _SINGLE = {name: f"single_{name}" for name in ("action_space", "observation_space")}
-_OF_EACH = ("np_random", "np_random_seed")
-# What it does for all its environments at once.
-_OF_ALL = ("close", "render", "reset", "step")
+_OF_EACH = ("np_random", "np_random_seed")  # a vector environment has a tuple of them
+_OF_ALL = ("close", "render", "reset", "step")  # it does for all at once
 
 
 class GymnasiumVecEnv(VecEnv):

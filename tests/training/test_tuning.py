@@ -21,6 +21,7 @@ from mmc_gym.training.hyperparameters import read_recipe
 from mmc_gym.training.tuning import find_target, tune
 
 STEPS = 200
+IN_USE = {"damping": 4.0, "velocity_damping": 5.0, "velocity_decay": 0.92, "iterations_per_step": 3}
 
 
 def complete(folder, name="mmc"):
@@ -99,13 +100,7 @@ def test_tuning_killed_in_a_trial_gives_the_same_as_at_once(trial, whole, tmp_pa
 
 def test_the_first_trial_has_the_constants_in_use(tmp_path):
     result = tune("mmc", 1, 20_000, tmp_path)
-    assert result["best"] == result["in_use"]
-    assert result["in_use"] == {
-        "damping": 4.0,
-        "velocity_damping": 5.0,
-        "velocity_decay": 0.92,
-        "iterations_per_step": 3,
-    }
+    assert result["best"] == result["in_use"] == IN_USE
     assert result["best_value"] == result["value_of_those_in_use"]
     assert 0.5 < result["best_value"] < 0.9  # arriving takes half a second of two
 
@@ -114,10 +109,7 @@ def test_constants_that_came_into_use_later_have_a_trial_too(tmp_path, monkeypat
     before = tune("mmc", 2, STEPS, tmp_path)
     monkeypatch.setitem(tuning.NETWORK_IN_USE, "iterations_per_step", 5)
     after = tune("mmc", 2, STEPS, tmp_path)
-    assert (before["in_use"]["iterations_per_step"], after["in_use"]["iterations_per_step"]) == (
-        3,
-        5,
-    )
+    assert [result["in_use"]["iterations_per_step"] for result in (before, after)] == [3, 5]
     assert after["value_of_those_in_use"] == complete(tmp_path)[-1][1]
     assert after["trials"] == 3
 
@@ -126,27 +118,16 @@ def test_constants_that_came_into_use_later_have_a_trial_too(tmp_path, monkeypat
 def test_constants_in_use_are_those_of_the_agent_of_that_name(name):
     target = find_target(name)
     constants = target.space(optuna.trial.FixedTrial(target.in_use))
-    arguments = {"perturbations": ["rotation-30"]}
-    expected = evaluate(
-        lambda interface: make_agent(name, gym.make("MMCReach-v0")), "MMCReach-v0", arguments, 20, 5
-    )
-    scores = evaluate(
-        partial(tuning.make_network_agent, constants), "MMCReach-v0", arguments, 20, 5
-    )
-    assert scores == expected
+    where = ("MMCReach-v0", {"perturbations": ["rotation-30"]}, 20, 5)
+    expected = evaluate(lambda interface: make_agent(name, gym.make("MMCReach-v0")), *where)
+    assert evaluate(partial(tuning.make_network_agent, constants), *where) == expected
 
 
 def test_feedback_is_tuned_where_it_matters(tmp_path):
     result = tune("mmc-feedback", 1, 2_000, tmp_path)
     assert result["episodes"] == 20
-    assert result["in_use"] == {
-        "damping": 3.75,
-        "velocity_damping": 5.0,
-        "velocity_decay": 0.92,
-        "iterations_per_step": 3,
-        "posture_weight": 0.25,
-        "hand_rate": 0.3,
-    }
+    feedback = {"damping": 3.75, "posture_weight": 0.25, "hand_rate": 0.3}
+    assert result["in_use"] == {**IN_USE, **feedback}
     target = find_target("mmc-feedback")
     without = {**result["in_use"], "damping": 4.0, "posture_weight": 0.0, "hand_rate": 0.0}
     assert target.judge(without, 2_000) < result["value_of_those_in_use"] - 0.1
@@ -155,9 +136,7 @@ def test_feedback_is_tuned_where_it_matters(tmp_path):
 def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
     tune("mmc", 1, STEPS, tmp_path)
     before = (tmp_path / "mmc.json").read_bytes(), complete(tmp_path)
-    with pytest.raises(
-        ValueError, match=r"steps must be those of the trials in .*, 200, .* got 50"
-    ):
+    with pytest.raises(UserError, match=r"steps must be those of the trials in .*, 200, .* got 50"):
         tune("mmc", 2, 50, tmp_path)
     assert ((tmp_path / "mmc.json").read_bytes(), complete(tmp_path)) == before
 
@@ -225,7 +204,7 @@ def test_your_own_file_is_tuned_around_what_it_has(name, keys, in_use, tmp_path,
     assert result["name"] == f"{name}-x"
     assert in_use.items() <= result["in_use"].items()
     assert result["in_use"] == tried[0]
-    assert {path.name for path in (tmp_path / "out").iterdir()} >= {f"{name}-x.json"}
+    assert (tmp_path / "out" / f"{name}-x.json").exists()
 
 
 @pytest.mark.slow
