@@ -138,7 +138,7 @@ class ObservationLayout:
         """Return how many values an observation space has beyond this layout.
 
         Raises:
-            UserError: if the space is that of no such observation.
+            UserError: if no such observation fits the space.
         """
         goals = getattr(space, "spaces", None)  # of a goal environment
         shape = (goals.get("observation", space) if goals else space).shape

@@ -72,8 +72,9 @@ class PolicyCard:
     Attributes:
         name: of the hyperparameters, such as "ppo".
         env_id: the environment that it was trained in.
-        view: what it sees, see `views`.
-        activation: of the network, see `PolicyNetwork`; `distribution` likewise.
+        view: see `views`.
+        activation: see `PolicyNetwork`.
+        distribution: see `PolicyNetwork`.
         base_agent: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none.
         hyperparameters: as in the YAML file.
         training_steps: environment steps.
@@ -176,16 +177,10 @@ class PolicyAgent(Agent[Any]):
     def __init__(
         self, network: PolicyNetwork, card: PolicyCard, interface: ReachInterface, seed: int = 0
     ) -> None:
-        """Make an agent.
+        """Make an agent; the seed is that of its exploration, where it is not deterministic.
 
         A policy that gives joint deltas also acts in an environment with position control,
         where the same servo is handed the same joint target.
-
-        Args:
-            network: the policy.
-            card: what it is.
-            interface: of the environment to act in.
-            seed: of its exploration, when it is asked for actions that are not deterministic.
 
         Raises:
             CannotActError: if the arm has another number of joints than the policy's, or the

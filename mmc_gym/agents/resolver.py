@@ -116,8 +116,8 @@ class ResolvedAgent:
 
         Of a policy these are its weights, together with the code if it corrects another agent; of
         an agent without a policy the code of all agents and of the network; of "module:function"
-        the module's file.  What that file imports or reads may change unnoticed.  Empty for other
-        functions and objects.
+        the module's file.  What that file imports or reads may change unnoticed.  Empty where no
+        file is known.
         """
         if self.card is not None:
             if not self.card.base_agent:
@@ -126,7 +126,10 @@ class ResolvedAgent:
         if self.name:
             return code_digest()
         look_here()
-        spec = find_spec(self.source.partition(":")[0]) if self.source else None
+        try:
+            spec = find_spec(self.source.partition(":")[0]) if self.source else None
+        except (ImportError, ValueError):  # no such package, or __main__, which has no spec
+            spec = None
         file = Path(spec.origin) if spec is not None and spec.origin else Path()
         return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
@@ -183,7 +186,7 @@ def _resolve_name(name: str) -> ResolvedAgent:
     if kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds)):
         path = shipped_file(kind, int(seed))
         return ResolvedAgent(name, path.stem, kind, path)
-    if ":" in name:
+    if ":" in name and not name.startswith("."):  # a relative import is none from here
         return ResolvedAgent(name, name)
     raise _unknown(name)
 
@@ -232,9 +235,8 @@ def make_agent(name: str, env: gym.Env[Any, Any]) -> Agent[Any]:
     """Make an agent for an environment, wrapped or not.
 
     Args:
-        name: a key of `AGENTS`; for trained agents also "NAME-SEED", such as "ppo-3", where NAME
-            alone is the training of seed 0.  Or the path of your own policy, of either of its two
-            files, such as "runs/ppo-1/ppo-1.safetensors".  Or "module:function".
+        name: a key of `AGENTS`, "NAME-SEED" such as "ppo-3", the path of your own policy such as
+            "runs/ppo-1/ppo-1.json", or "module:function"; see `resolve`.
         env: a reaching environment; the agent is told its segment lengths and control mode.
 
     Raises:

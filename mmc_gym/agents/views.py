@@ -6,13 +6,13 @@ hundredths:
     cos q, sin q, joint speeds, target / reach, GAIN · (target − hand) / (2 reach)
 
 The task has no preferred direction: turn arm and target about the base, and the same joint speeds
-do.  The other two views are those of a world that is turned so that something lies on its x axis,
-whereby one number becomes superfluous.  "arm" is that of the arm's first segment:
+do.  The other two views turn the world, which makes one number superfluous.  In "arm" the arm's
+first segment lies on the x axis:
 
     cos q_2…q_N, sin q_2…q_N, joint speeds,
     R(−q_1) target / reach, GAIN · R(−q_1) (target − hand) / (2 reach)
 
-"target" is that of the target, in direction φ from the base:
+In "target" the target does, which is in direction φ from the base:
 
     cos (q_1 − φ), sin (q_1 − φ), cos q_2…q_N, sin q_2…q_N, joint speeds,
     |target| / reach, GAIN · R(−φ) (target − hand) / (2 reach)

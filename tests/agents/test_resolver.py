@@ -2,7 +2,7 @@
 
 import shutil
 import sys
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import gymnasium as gym
 import pytest
@@ -105,6 +105,7 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class():
         ),
         *((thing, r"agent must be one of .* got ") for thing in (None, 3)),
         ("no_such_module:make", "'no_such_module:make' cannot be imported"),
+        (".my_agents:Still", "agent must be one of .* got '.my_agents:Still'"),
         ("my_agents:nothing", "'my_agents:nothing' cannot be imported"),
         ("my_agents:NOTHING", "must be a function of the environment, got 3"),
         ("my_agents.py.json", "does not hold a policy"),
@@ -115,6 +116,12 @@ def test_what_is_no_agent_is_an_error_of_the_user(folder, agent, message):
         (folder / f"my_agents.py.{suffix}").write_text("{}")
     with pytest.raises(UserError, match=message):
         resolve(agent).check()
+
+
+def test_where_no_file_is_known_there_is_no_fingerprint(monkeypatch):
+    monkeypatch.setitem(sys.modules, "of_a_prompt", ModuleType("of_a_prompt"))
+    for source in ("of_a_prompt:make", "no_such_package.module:make"):
+        assert resolve(source).fingerprint == ""
 
 
 def test_a_missing_policy_is_known_to_be_one_and_missing():
