@@ -45,11 +45,7 @@ class SingleArm(ABC):
     servo_work: list[float]
 
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
-        """Build the arm, stretched along the x axis and at rest.
-
-        Args:
-            parameters: physical parameters.
-            servo: what the servos take, see `command`.
+        """Build the arm, stretched along the x axis and at rest; see `command` for its servos.
 
         Raises:
             UserError: for an unknown kind of servo, or an arm that the engine cannot simulate.
@@ -142,7 +138,7 @@ class ArmBatch(ABC):
         Args:
             parameters: physical parameters of every arm.
             count: number of arms.
-            servo: what the servos take, see `command`.
+            servo: what the servos take, see `SingleArm.command`.
             threads: number of threads that simulate them.  The result does not depend on it.
 
         Raises:

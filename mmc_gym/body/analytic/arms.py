@@ -1,9 +1,9 @@
 """Arms whose equations of motion are integrated by compiled code, for millions of episodes.
 
-The physics are those of the arms simulated by pymunk, and so is each physics step.  What Chipmunk
-approaches by sweeping over the joints is solved here to the end: the pivots hold exactly, and the
-servos' torques are the right ones.  `kernel` has the equations.  With 3,000 sweeps in a physics
-step, Chipmunk's joint angles are the same to 1e-6 rad after 2 s.
+The physics are those of pymunk's arms, and so is each physics step, but what Chipmunk approaches by
+sweeping over the joints is solved here to the end: pivots and torques are exact.  `kernel` has the
+equations.  With 3,000 sweeps in a physics step, Chipmunk's joint angles are the same to 1e-6 rad
+after 2 s.
 
 The motion of a slack arm is of second order in the substep: 2.5e-3 rad off after 2 s at 5 ms, and
 6.3e-4 at 2.5 ms (median of 60 arms released at up to 3 rad/s).  That of a driven arm is of first

@@ -27,16 +27,12 @@ kink of the same kind.  The joints of all lanes are solved together, and lanes t
 their solution while others go on.
 
 Lanes never mix and nothing is reassociated or fused, so that an arm's numbers do not depend on its
-neighbours, its lane or the machine's vector width.  Three things are there for the compiler.  It
-turns the loops over lanes into vector instructions only if it sees, or can check once before a
-loop, that nothing it writes is read again:
-
-    the records, whose fields do not overlap;
-    the number of lanes as an argument, because constant loops would be unrolled first;
-    the segments from the hand inward, looked up in `inward`, because its checks before loops that
-    run backward always fail.
-
-Together they make the steps two to four times as quick.
+neighbours, its lane or the machine's vector width.  Three things make the steps two to four times
+as quick, because the compiler turns loops over lanes into vector instructions only if it sees, or
+can check once before a loop, that nothing it writes is read again: records, whose fields do not
+overlap; the number of lanes as an argument, because constant loops would be unrolled first; and
+segments from the hand inward looked up in `inward`, because its checks fail for loops that run
+backward.
 
 Functions that are called from Python are `compiled`, those that they call are `inner`.  numba keeps
 the former between processes until this file changes, which is why they all stand in it.
@@ -60,31 +56,24 @@ _TINY = 1e-12  # rad/s: less is not worth another guess
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
 
 
-def _record(*names: str, lanes: tuple[int, ...] = ()) -> np.dtype[np.void]:
-    return np.dtype([(name, np.float64, lanes) for name in names])
-
-
-def _lanes(names: str) -> np.dtype[np.void]:
-    return _record(*names.split(), lanes=(LANES,))
+def _record(names: str, lanes: tuple[int, ...] = (LANES,)) -> np.dtype[np.void]:
+    return np.dtype([(name, np.float64, lanes) for name in names.split()])
 
 
 # What an arm remembers, per segment and the joint before it: `lag` is the part of the velocity of
 # u_j that closes the pivots; `asked` is what the servo is to do, with at most the impulse `limit`;
 # `held` is the angle of a locked joint, or nan.
-STATE = _lanes("angle speed lag_x lag_y asked limit held")
+STATE = _record("angle speed lag_x lag_y asked limit held")
 # What one physics step works with, per segment, and for all of them.
-WORK = _lanes(
+WORK = _record(
     "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
     "needed bound moment_x moment_y inertia right inverse excess"
 )
-SUMS = _lanes("x y turn angle changed")
+SUMS = _record("x y turn angle changed")
 # The segments, each with the joint before it, and what is common to them.
-RODS = _record("length", "mass", "centre", "inertia", "lowest_angle", "highest_angle")
-_SCALARS = "substep speed_limit torque_limit gain stop_gain is_position is_torque"
-WORLD = np.dtype(
-    [(name, np.float64) for name in _SCALARS.split()]
-    + [("gravity", np.float64, (2,)), ("field", np.float64, (2, 2))]
-)
+RODS = _record("length mass centre inertia lowest_angle highest_angle", lanes=())
+SCALARS = _record("substep speed_limit torque_limit gain stop_gain is_position is_torque", lanes=())
+WORLD = np.dtype([*SCALARS.descr, ("gravity", np.float64, (2,)), ("field", np.float64, (2, 2))])
 
 
 def make_rods(parameters: ArmParameters) -> NDArray[np.void]:
@@ -159,7 +148,6 @@ def _sine_cosine(angle):
 
 @inner
 def _any_lane(counts, lanes):
-    """Tell whether a count is above zero in any lane."""
     total = 0.0
     for k in range(lanes):
         total += counts[k]

@@ -200,7 +200,6 @@ class Arms(ArmBatch):
         self._set_servos(values, slice(None))
 
     def _set_servos(self, values: Floats, arms: slice | Indices) -> None:
-        """Command k `arms` with values (k, N)."""
         p = self.parameters
         if self._servo == "velocity":
             self._settings[arms] = -np.minimum(np.maximum(values, -p.speed_limit), p.speed_limit)

@@ -34,15 +34,13 @@ _STRONG = 1e4  # rad/s that a servo could give a segment alone in a physics step
 def solver_iterations(parameters: ArmParameters) -> int:
     """Return the number of sweeps of the solver in a physics step.
 
-    A sweep goes over the joints one after the other.  A servo or a pivot acts on the two segments
-    that it joins as if they were alone, and further sweeps pass this on to the rest of the arm: the
-    heavier what hangs on a segment, measured by that segment, the more it takes.  With too few, an
-    arm buzzes around its joint targets instead of coming to rest, and its pivots give way.  Three
-    equal rods, with a ratio of inertias of 27, need pymunk's 10.  In random arms of two to five
-    segments, four times lighter and heavier, the need grew in proportion to that ratio.  Servos out
-    of all proportion to the segments need ten times as many.  A lock must bear whatever the servos
-    and the other segments do: in 2 s of abrupt commands it slips by 0.7 rad with 10 sweeps, and by
-    less than 0.005 with 60.
+    A servo or a pivot acts on the two segments that it joins as if they were alone, and further
+    sweeps pass this on to the rest of the arm.  The heavier what hangs on a segment, measured by
+    that segment, the more it takes: with too few, an arm buzzes around its joint targets, and its
+    pivots give way.  Three equal rods, with a ratio of inertias of 27, need pymunk's 10; in random
+    arms of two to five segments, four times lighter and heavier, the need grew in proportion to
+    that ratio.  Servos out of all proportion to the segments need ten times as many.  A lock slips
+    by 0.7 rad in 2 s of abrupt commands with 10 sweeps, and by less than 0.005 with 60.
 
     Raises:
         UserError: if they would be too many.  Of 30,000 random arms of one to ten segments, with
