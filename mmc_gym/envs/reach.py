@@ -181,8 +181,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             target: (x, y) in segment lengths.  It stays there, whatever the task.
 
         Raises:
-            UserError: if it is of wrong shape, not finite, or out of reach; the target stays
-                where it was.
+            UserError: if it is no point in reach; the target stays where it was.
         """
         self._targets = [self.setup.check_target("target", target)]
         self._target = self._targets[0]
@@ -194,7 +193,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             joint_angles: N relative angles in radians, or None for no ghost.
 
         Raises:
-            UserError: if they are of wrong shape or not finite.
+            UserError: if they are not N finite numbers.
         """
         if joint_angles is not None:
             joint_angles = finite("joint_angles", joint_angles, self.setup.joint_count)
@@ -317,10 +316,7 @@ class GoalEnvironment(ReachEnvironment):
     def compute_reward(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
     ) -> Any:
-        """Return the reward for hands (..., 2) and targets (..., 2), shape (...).
-
-        `info` is not used.
-        """
+        """Return the reward for hands (..., 2) and targets (..., 2), shape (...)."""
         del info
         hands, targets = (np.asarray(goal, np.float64) for goal in (achieved_goal, desired_goal))
         return goal_reward(self.setup, distances(hands, targets))

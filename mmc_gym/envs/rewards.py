@@ -28,12 +28,9 @@ def distances(hands: Floats, targets: Floats) -> Floats:
 
 
 def control_cost(speeds: Speeds, weight: float) -> Any:
-    """Return minus `weight` times the mean square of the joint speeds.
+    """Return minus `weight` times the mean square, over the first axis, of joint speeds.
 
-    Args:
-        speeds: of the joints, as fractions of their limit, first axis; an array may have arms
-            behind it.  Or their changes, for the cost of movements that are not smooth.
-        weight: of the cost.
+    Speeds are fractions of their limit; or their changes, for movements that are not smooth.
     """
     # Not sum(): from Python 3.12 on it adds floats more precisely than arrays.
     squares: Any = reduce(add, map(mul, speeds, speeds))
@@ -42,17 +39,13 @@ def control_cost(speeds: Speeds, weight: float) -> Any:
 
 def goal_reward(setup: ReachSetup, distance: Any) -> Any:
     """Return the reward without costs: minus the distance, or 0 at the target and −1 elsewhere."""
-    return (
-        (distance <= setup.success_distance) - 1.0 if setup.reward_type == "sparse" else -distance
-    )
+    if setup.reward_type == "sparse":
+        return (distance <= setup.success_distance) - 1.0
+    return -distance
 
 
 def reward_and_info(
-    setup: ReachSetup,
-    distance: Any,
-    is_success: Any,
-    speeds: Speeds,
-    speeds_before: Speeds,
+    setup: ReachSetup, distance: Any, is_success: Any, speeds: Speeds, speeds_before: Speeds
 ) -> tuple[Any, dict[str, Any]]:
     """Return the reward of a state, and the infos that it follows from.
 

@@ -4,8 +4,8 @@ One grammar holds everywhere, in `perturbations=[…]`, in the benchmark, report
 
     <perturbation>[-<strength>][-told]      delay-150, longer-35-told, rotation-30, force-field
 
-Any strength is accepted; without one it is the family's default, so that `force-field` is
-`force-field-60`.  With `-told`, agents are told of the changed body.  In an id the name is in
+Any strength is accepted; without one it is the family's default (`force-field` is
+`force-field-60`).  With `-told`, agents are told of the changed body.  In an id the name is in
 camel case: `MMCReachLonger20Told-v0`.
 
 Perturbations are met in the task "random", so that an agent's episodes under all of them differ
@@ -51,7 +51,6 @@ class Family:
 
     Attributes:
         name: the first part of their names.
-        unit: of the strength.
         description: of a scenario, in a line; `{}` stands for the strength.
         default: strength of a name without one.
         make: makes the perturbation of a strength.
@@ -146,15 +145,11 @@ class Scenario:
         return self.arguments if control is None else {**self.arguments, "control": control}
 
     def instances(self, episodes: int) -> list[dict[str, Any]]:
-        """Return the reset options of each episode: every trial once, if they are numbered.
-
-        Args:
-            episodes: how many there are where trials are drawn.
-        """
-        task = TASKS[self.task] if isinstance(self.task, str) else self.task
-        if task.trial_count is None:
+        """Return the reset options of all numbered trials, or of `episodes` that are drawn."""
+        trials = find_task(self.task).trial_count
+        if trials is None:
             return [{} for _ in range(episodes)]
-        return [{"trial": trial} for trial in range(task.trial_count)]
+        return [{"trial": trial} for trial in range(trials)]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -204,11 +199,10 @@ def find_task(value: object) -> Task:
     """
     if isinstance(value, Task):
         return value
-    accepted = f"a Task or one of {', '.join(TASKS)}"
     if not isinstance(value, str) or value not in TASKS:
         near = get_close_matches(str(value), TASKS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise UserError(f"task must be {accepted}, got {value!r}{hint}")
+        raise UserError(f"task must be a Task or one of {', '.join(TASKS)}, got {value!r}{hint}")
     return TASKS[value]
 
 

@@ -1,7 +1,6 @@
 """The setup of a reaching environment: its arguments, checked, and all that follows from them.
 
-Nothing here changes while an environment runs.  The single and the vector environment use the
-same setup, so that every argument means the same in both.
+The single and the vector environment share it, and nothing in it changes while they run.
 """
 
 from __future__ import annotations
@@ -108,7 +107,7 @@ class ReachSetup:
         self.engine: Engine = engine
         self.task = find_task(task)
         self.task_name = task if isinstance(task, str) else None
-        if isinstance(perturbations, (str, Perturbation)):
+        if isinstance(perturbations, str) or not isinstance(perturbations, Sequence):
             perturbations = (perturbations,)
         self.perturbations = tuple(map(find_perturbation, perturbations))
         named = [*([] if task == "random" else [task]), *perturbations]
@@ -147,8 +146,7 @@ class ReachSetup:
     def _rotation(self) -> VisuomotorRotation | None:
         """Return the rotation, if there is one, about the point that it is meant to turn about."""
         rotations = [one for one in self.perturbations if isinstance(one, VisuomotorRotation)]
-        if len(rotations) > 1:
-            raise UserError(f"perturbations must have at most one rotation, got {rotations}")
+        require(len(rotations) <= 1, "perturbations", rotations, "a list with at most one rotation")
         if not rotations or rotations[0].centre is not None:
             return rotations[0] if rotations else None
         x, y = self.task.start or (0.0, 0.0)
@@ -211,9 +209,8 @@ class ReachSetup:
 
     def _check_posture(self, posture: ArrayLike) -> list[float]:
         name, body = "options['joint_angles']", self.body
-        angles = [
-            math.remainder(angle, math.tau) for angle in finite(name, posture, self.joint_count)
-        ]
+        given = finite(name, posture, self.joint_count)
+        angles = [math.remainder(angle, math.tau) for angle in given]
         for angle, (low, high) in zip(angles, body.joint_limits or (), strict=False):
             accepted = f"within the joint limits {body.joint_limits}"
             require(low <= angle <= high, name, angles, accepted)
@@ -222,11 +219,7 @@ class ReachSetup:
         return angles
 
     def check_target(self, name: str, target: ArrayLike) -> Point:
-        """Return the target as a point that can be reached.
-
-        Raises:
-            UserError: if it is of wrong shape, not finite, out of reach, or in an obstacle.
-        """
+        """Return the target, or raise a `UserError` if it is no point that can be reached."""
         x, y = finite(name, target, 2)
         clear = " and clear of the obstacles" if self.body.obstacles else ""
         accepted = f"between {self.workspace.inner:g} and {self.workspace.outer:g} from the base"
@@ -236,12 +229,11 @@ class ReachSetup:
     def _check_trial(self, trial: Any) -> int:
         count = self.task.trial_count
         if count is None:
-            raise UserError(
-                f"options['trial'] must not be given: {self.task} has no numbered trials"
-            )
+            accepted = f"left out, as {self.task} has no numbered trials"
+        else:
+            accepted = f"a whole number from 0 to {count - 1}"
         whole = isinstance(trial, (int, np.integer)) and not isinstance(trial, bool)
-        fine = whole and 0 <= trial < count
-        require(fine, "options['trial']", trial, f"from 0 to {count - 1}")
+        require(whole and 0 <= trial < (count or 0), "options['trial']", trial, accepted)
         return int(trial)
 
 
@@ -249,11 +241,7 @@ class GoalSetup(ReachSetup):
     """The arguments of `MMCReachGoalEnv`, and what follows from them."""
 
     def __init__(self, *, reward_type: RewardType = "sparse", **arguments: Any) -> None:
-        """Check the arguments; those of `ReachSetup`, less the weights of costs.
-
-        Raises:
-            UserError: if the reward would not be a function of the observed goals.
-        """
+        """Check the arguments; raise a `UserError` if they make goals not tell the reward."""
         for name in ("control_weight", "smoothness_weight"):
             weight = arguments.pop(name, 0.0)
             require(weight == 0.0, name, weight, "0: the reward is a function of the goals")
@@ -301,8 +289,8 @@ class ReachEnvironment:
     def spec(self) -> EnvSpec | None:
         """Gymnasium's specification, if `gym.make` made the environment.
 
-        Setting it raises a `UserError` if the task was given by name and takes another time than
-        an episode of the id: Gymnasium goes by the id alone.
+        Setting it raises a `UserError` if a task given by name is longer or shorter than an episode
+        of the id: Gymnasium goes by the id alone.
         """
         return self._spec
 

@@ -146,7 +146,8 @@ class ViaPoints(RandomTarget):
     count: int = 3
 
     def __post_init__(self) -> None:
-        require(self.count >= 1, "count", self.count, "at least 1")
+        fine = isinstance(self.count, int) and self.count >= 1
+        require(fine, "count", self.count, "a whole number of at least 1")
 
     @override
     def path_length(self, control_step: float) -> int:
@@ -242,6 +243,7 @@ class Pursuit(Task):
 
     def __post_init__(self) -> None:
         require(0 < self.period < math.inf, "period", self.period, "positive and finite")
+        require(math.isfinite(self.amplitude), "amplitude", self.amplitude, "finite")
         for name in ("multiples_x", "multiples_y"):
             multiples = getattr(self, name)
             fine = bool(multiples) and min(multiples) >= 1

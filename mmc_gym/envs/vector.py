@@ -1,8 +1,4 @@
-"""`MMCReach-v0` as a vector environment: many arms, stepped as arrays.
-
-Arm `i` plays exactly what a single environment with its seed and actions would play.  All that
-follows from the arguments comes from the same `ReachSetup`.
-"""
+"""`MMCReach-v0` as a vector environment: many arms, stepped as arrays."""
 
 from __future__ import annotations
 
@@ -101,14 +97,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._all = np.arange(num_envs)
         self._randoms: list[np.random.Generator] = []
         self._seeds: list[int] = []
-        self._steps = np.zeros(num_envs, dtype=np.intp)
         self._paths = np.zeros((num_envs, setup.path_length, 2))
-        self._last_places = np.zeros(num_envs, dtype=np.intp)
-        self._places = np.zeros(num_envs, dtype=np.intp)
+        self._steps, self._places, self._last_places = np.zeros((3, num_envs), dtype=np.intp)
         self._speeds = np.zeros((num_envs, setup.joint_count))  # relative, a step earlier
         self._targets = np.zeros((num_envs, 2))
-        self._is_started = np.zeros(num_envs, dtype=bool)
-        self._is_over = np.zeros(num_envs, dtype=bool)
+        self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
         space = self.single_observation_space
         # Observations on their way, oldest first: that one is shown.
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
@@ -132,7 +125,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         options = dict(options or {})
         mask = check_mask(options.pop("reset_mask", None), self.num_envs)
         checked = self.setup.check_options(options)
-        self._seed(check_seeds(seed, self.num_envs), mask)
+        seeds = check_seeds(seed, self.num_envs)
+        self._seed([one if chosen else None for one, chosen in zip(seeds, mask, strict=True)])
         arms = np.flatnonzero(mask)
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
@@ -207,13 +201,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     @property  # type: ignore[misc]  # read-only, as in SyncVectorEnv
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The random generator of each arm, as of Gymnasium's `SyncVectorEnv`."""
-        self._seed([None] * self.num_envs, np.zeros(self.num_envs, dtype=bool))
+        self._seed([None] * self.num_envs)
         return tuple(self._randoms)
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """The seed of each arm's generator."""
-        self._seed([None] * self.num_envs, np.zeros(self.num_envs, dtype=bool))
+        self._seed([None] * self.num_envs)
         return tuple(self._seeds)
 
     def __getstate__(self) -> NoReturn:
@@ -224,13 +218,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.max_episode_steps == registered.max_episode_steps:  # nobody asked for another
             super()._check_length(registered)
 
-    def _seed(self, seeds: Sequence[int | None], mask: Bools) -> None:
-        """Give the masked arms generators of their seeds, and all arms one if they have none."""
+    def _seed(self, seeds: Sequence[int | None]) -> None:
+        """Give each arm a generator of its seed; without one, it keeps the one it has, or any."""
         if not self._randoms:
             made = [seeding.np_random() for _ in self._all]
             self._randoms, self._seeds = [one for one, _ in made], [seed for _, seed in made]
-        for arm, (seed, is_masked) in enumerate(zip(seeds, mask, strict=True)):
-            if is_masked and seed is not None:
+        for arm, seed in enumerate(seeds):
+            if seed is not None:
                 self._randoms[arm], self._seeds[arm] = seeding.np_random(seed)
 
     def _place(self, arms: Indices, options: Options) -> None:
@@ -245,8 +239,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps[arms] = self._places[arms] = 0
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
-        for renderer in [self._renderers[arm] for arm in arms] if self._renderers else ():
-            renderer.clear_trace()
+        for arm in arms if self._renderers else ():
+            self._renderers[arm].clear_trace()
 
     def _advance_events(self) -> None:
         """Let the rest of a step happen: targets move on, and joints lock."""
@@ -376,11 +370,7 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
 
 
 def check_mask(mask: Any, count: int) -> Bools:
-    """Return the mask of the arms to reset; None stands for all.
-
-    Raises:
-        UserError: if it is no numpy array of `count` bools, or all are False.
-    """
+    """Return the mask of the arms to reset, or raise a `UserError`; None stands for all."""
     if mask is None:
         return np.ones(count, dtype=bool)
     fine = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)
@@ -390,17 +380,14 @@ def check_mask(mask: Any, count: int) -> Bools:
 
 
 def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """Return a seed or None for each arm; from one number, it and those that follow it.
-
-    Raises:
-        UserError: if there are not `count` of them, or one is negative.
-    """
+    """Return a seed or None for each arm, or raise a `UserError`; one number starts a sequence."""
     if seed is None:
         return [None] * count
     if isinstance(seed, (int, np.integer)):
         seeds: list[int | None] = [int(seed) + arm for arm in range(count)]
     else:
-        seeds = list(seed)
-    fine = len(seeds) == count and all(one is None or one >= 0 for one in seeds)
-    require(fine, "seed", seed, f"a number of at least 0, or {count} of them")
-    return seeds
+        seeds = list(seed) if np.iterable(seed) else []
+    whole = all(one is None or (isinstance(one, (int, np.integer)) and one >= 0) for one in seeds)
+    accepted = f"a whole number of at least 0, or {count} of them"
+    require(whole and len(seeds) == count, "seed", seed, accepted)
+    return [None if one is None else int(one) for one in seeds]

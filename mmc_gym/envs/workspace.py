@@ -33,10 +33,8 @@ class Workspace:
     what can be reached depends on the posture.
 
     Attributes:
-        body: the arm.
         inner: smallest distance from the base of a reachable point, with all joints free.
         outer: largest distance, likewise.
-        locked: indices of joints that are locked all the time.
         rotation: of the cursor that stands for the hand; None, until it is set.  With a rotation,
             the workspace is what the cursor can reach.
     """
@@ -154,8 +152,8 @@ class Workspace:
         Raises:
             UserError: if there is none, or none within the joint limits.
         """
-        lengths, distance = self.body.segment_lengths, math.hypot(*point)
-        bend = _even_bend(lengths, distance)
+        lengths = self.body.segment_lengths
+        bend = _even_bend(lengths, math.hypot(*point))
         if bend is None:
             raise UserError(f"no evenly bent posture has the hand at {tuple(point)}")
         x, y = _bent_hand(lengths, bend)
@@ -194,13 +192,10 @@ class Workspace:
 def reachable_hands(
     segment_lengths: tuple[float, ...], joint_limits: tuple[tuple[float, float], ...]
 ) -> list[NDArray[np.float64]]:
-    """Return hand positions of an arm with joint limits, grouped by the cells of a square grid.
+    """Return hand positions of an arm with joint limits, an array (n, 2) per cell of a square grid.
 
     Draw a cell, then a position in it: such targets are all reachable, and area-uniform up to the
     size of a cell (a thirtieth of the reach).
-
-    Returns:
-        One array (n, 2) per cell that the hand can reach.
     """
     random = np.random.default_rng(0)
     low, high = np.array(joint_limits).T

@@ -417,6 +417,7 @@ def test_perturbations_can_be_combined(names: list[str]) -> None:
     [
         ("gremlins", r"perturbations must be a Perturbation, or one of .*locks"),
         ([None], "perturbations must be"),
+        (None, "perturbations must be .*, got None$"),
         (["rotation-30", "rotation-45"], "at most one rotation"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),

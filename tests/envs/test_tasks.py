@@ -245,7 +245,9 @@ def test_a_task_of_ones_own_is_a_few_lines() -> None:
     [
         (lambda: DoubleStep(delay=-0.1), "delay"),
         (lambda: ViaPoints(count=0), "count"),
+        (lambda: ViaPoints(count=2.5), "count"),  # type: ignore[arg-type]
         (lambda: Pursuit(period=0.0), "period"),
+        (lambda: Pursuit(amplitude=math.nan), "amplitude"),
         (lambda: Pursuit(multiples_y=()), "multiples_y"),
         (lambda: PointToPoint(((0.5, 0.0),), ()), "pairs"),
         (lambda: PointToPoint(((0.5, 0.0),), ((0, 1),)), "pairs"),

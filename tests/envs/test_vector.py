@@ -186,6 +186,11 @@ REFUSED: dict[str, tuple[Callable[[VectorEnv], Any], str]] = {
         "within -1 and 1.*arm 3",
     ),
     "number of seeds": (lambda env: env.reset(seed=[1, 2]), "seed must be .*5 of them"),
+    "seed that is no whole number": (
+        lambda env: env.reset(seed=[1, 2.5, 3, 4, 5]),
+        r"seed must be a whole .*5 of them, got \[1, 2.5, 3, 4, 5\]",
+    ),
+    "seed that is no number": (lambda env: env.reset(seed=1.5), "seed must be .*got 1.5"),
     "negative seed": (lambda env: env.reset(seed=-1), "seed must be .*at least 0.*-1"),
     "mask of no bools": (
         lambda env: env.reset(options={"reset_mask": np.ones(COUNT)}),
