@@ -57,7 +57,7 @@ class Comparison:
 
     @property
     def note(self) -> str:
-        """How to read the numbers: stands below the table and in summary.json."""
+        """The lines below the table, and in summary.json, that tell how to read the numbers."""
         one, shown = next(iter(self.recorded.values())), shown_measures()
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         all_told = ", ".join(measure.label for measure in shown if not measure.successes_only)
@@ -79,7 +79,7 @@ class Comparison:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that the comparison was made with, ready for JSON."""
+        """Everything that the comparison was made with, ready for JSON."""
         one = next(iter(self.recorded.values()))
         return {
             "environment": self.env,

@@ -118,14 +118,14 @@ def rank_agents(
 def success_by_environment(
     episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()
 ) -> pd.DataFrame:
-    """Return the success in each environment: a row for each agent, a column for each environment.
+    """Return the success of each agent (rows) in each environment (columns).
 
     Args:
         episodes: as `read_episodes` returns them.
         not_played: cells that were attempted and have no episodes: without success.
 
     Returns:
-        The mean over training seeds and instances; NaN where nothing was attempted.
+        Means over training seeds and instances; NaN where nothing was attempted.
     """
     lost = pd.DataFrame([{**key._asdict(), "success": 0.0} for key in not_played])
     cells = pd.concat([episodes[[*_POLICY, "environment", "success"]], lost], ignore_index=True)
@@ -135,12 +135,11 @@ def success_by_environment(
 
 
 def ranked_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
-    """Return the scores that a ranking is made of.
+    """Return the scores that a ranking is made of, in the environments that all have attempted.
 
     Returns:
-        Columns agent, training_seed, environment, instance, success, time_to_target, settled; a
-        row for each episode of each policy in the environments that all have attempted, also for
-        those that were not played.
+        A row for each episode of each policy, also of those not played: agent, training_seed,
+        environment, instance, success, time_to_target, settled.
 
     Raises:
         UserError: if there is no such environment.

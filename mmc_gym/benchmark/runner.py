@@ -62,7 +62,7 @@ from mmc_gym.measures.catalogue import digest, own_measures, register
 TIMED = 3
 """Episodes that are played one by one as well: what an action takes is known of them."""
 
-DRAWN = 12
+PATHS_KEPT = 12
 """Instances whose paths are kept, of the lowest training seed that takes part."""
 
 RECORDING = 2
@@ -77,12 +77,9 @@ class Cell:
     """An agent in a scenario.
 
     Attributes:
-        entry: the agent, or one of its trainings.
-        scenario: where it plays.
         episodes: how many, where the scenario does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
-        keeps_paths: whether its first paths are kept.
-        measures: your own, which a worker does not know.
+        measures: the user's own, which a worker does not know.
     """
 
     entry: Entry
@@ -99,7 +96,7 @@ class Cell:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that its results are known to depend on, ready for JSON."""
+        """All that its results depend on, as far as is known; ready for JSON."""
         return {
             "recording": RECORDING,
             "source": str(self.entry.source),
@@ -119,14 +116,11 @@ class Outcome:
         status: "skipped" if the agent cannot act in the scenario, "failed" if it raised.
         reason: why it was skipped or failed.
         files: its files, see `write_cell`; none unless played.
-        facts: kept with it: wall_seconds, cpu_seconds, control (the meaning of actions), together
-            (whether its episodes were played at once), has_paths, has_sets, software.
     """
 
     status: Literal["played", "skipped", "failed"]
     reason: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict)
-    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 class _Recorded(NamedTuple):
@@ -149,25 +143,25 @@ def run_cell(cell: Cell) -> Outcome:
         return Outcome("failed", f"{type(error).__name__}: {error}")
     files = {}
     if cell.keeps_paths:
-        files[PATHS] = paths_file(cell.key, recorded.episodes[:DRAWN], recorded.joint_count)
+        files[PATHS] = paths_file(cell.key, recorded.episodes[:PATHS_KEPT], recorded.joint_count)
     if (sets := sets_file(cell.key, recorded.episodes)) is not None:
         files[SETS] = sets
     facts = {
         "wall_seconds": round(time.perf_counter() - begin, 3),
         "cpu_seconds": round(time.process_time() - processor_begin, 3),
-        "control": recorded.control,
-        "together": recorded.together,
+        "control": recorded.control,  # the meaning of actions
+        "together": recorded.together,  # whether all episodes were played at once
         "has_paths": PATHS in files,
         "has_sets": SETS in files,
         "software": software(),
     }
     files[EPISODES] = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
-    return Outcome("played", "", files, facts)
+    return Outcome("played", files=files)
 
 
 @cache
 def software() -> dict[str, str]:
-    """Return what results may depend on: versions, by name, and the machine."""
+    """Return versions and machine by name: results may depend on them."""
     return {
         **{package: version(package) for package in _PACKAGES},
         "python": platform.python_version(),
@@ -233,16 +227,14 @@ class Progress:
     """The progress of a benchmark.
 
     Attributes:
-        done: cells that are finished, those of earlier runs included.
-        total: cells that there are.
-        key: of the last cell that was finished; None at the start.
-        outcome: of that cell.
+        done: number of cells that are finished, those of earlier runs included.
+        total: number of cells.
+        key: name of the cell that was finished last; None at the start.
     """
 
     done: int
     total: int
     key: CellKey | None = None
-    outcome: Outcome | None = None
 
 
 def benchmark(
@@ -256,23 +248,20 @@ def benchmark(
     cluster: str | None = None,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Manifest:
-    """Let agents play the benchmark's environments, and keep all in a store.
+    """Let agents play the benchmark's environments; keep all in a store, and return its manifest.
 
     Args:
         agents: names, see `entries`.
         out: folder of the store; one that is there is added to, also by several benchmarks at once.
-        environments: names of environments; all of the benchmark's by default.
+        environments: names of scenarios; all of the benchmark's by default.
         episodes: in each environment; where trials are numbered each is played once instead.
         seed: decides on starts and targets, which are the same for all agents.
         jobs: how many cells are played at once, see `run_grid`.
         cluster: where, see `run_grid`.
         on_progress: called at the start, and whenever a cell is finished.
 
-    Returns:
-        The manifest of the store.
-
     Raises:
-        UserError: for unknown names, or a store that was made with other settings.
+        UserError: if an argument is none of those, or the store was made with other settings.
     """
     scenarios = find_scenarios(environments)
     entries = find_entries(agents)
@@ -298,7 +287,7 @@ def benchmark(
         finished[key] = None
         if outcome.status != "played":
             finished[key] = NotPlayed.of(key, outcome.status, outcome.reason)
-        on_progress(Progress(len(finished), len(cells), key, outcome))
+        on_progress(Progress(len(finished), len(cells), key))
 
     def bury(index: int, error: CellError) -> None:
         keep(index, Outcome("failed", str(error.__cause__)))
@@ -395,10 +384,7 @@ def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
 
 
 def _found(out: Path) -> dict[str, Any]:
-    """Return what the cells of a store tell, those of this run and of all others.
-
-    They are fields of `Manifest`: wall_seconds, cpu_seconds, versions and changed.
-    """
+    """Return the fields of `Manifest` that all cells of a store tell, of this run and of others."""
     versions, fingerprints = defaultdict(set), defaultdict(set)
     seconds: dict[str, dict[str, float]] = {"wall_seconds": {}, "cpu_seconds": {}}
     for stem, (settings, facts) in kept_cells(out).items():

@@ -150,8 +150,8 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
         value: the column of the scores, NaN where an episode has none.
 
     Raises:
-        ValueError: if a column is missing, an episode is there twice, or some agent's policy has
-            not met all instances.
+        ValueError: if a column is missing, an episode is there twice, or a policy has not met all
+            instances.
     """
     missing = [column for column in (*COLUMNS, value) if column not in frame.columns]
     if missing or frame.empty:
@@ -377,9 +377,9 @@ class Interval:
     """A statistic of a sample with its confidence interval.
 
     Attributes:
-        estimate: the statistic; NaN for an empty sample.
-        low: lower end; NaN for fewer than two values.
-        high: upper end; NaN for fewer than two values.
+        estimate: NaN for an empty sample.
+        low: lower end, NaN for fewer than two values, as `high` is.
+        high: upper end.
         count: number of values it is about.
         missing: number of values that were NaN, and left out.
     """
@@ -437,6 +437,7 @@ def success_interval(
     A resample draws training seeds, and for each of them as many episodes as it played: a
     binomial number of successes.  The seeds alone would give ten trainings that all succeed in
     499 of 500 episodes an interval without width, though other episodes may find more failures.
+    A single training has no interval: it cannot tell what another would give.
 
     Args:
         successes: fraction of the episodes of each training that succeeded, (seeds,); NaNs are
@@ -444,9 +445,6 @@ def success_interval(
         episodes: how many each training played.
         seed: of the resampling.
         resamples: how many.
-
-    Returns:
-        The interval has no ends for a single training, which cannot tell what another would give.
 
     Example:
         >>> found = success_interval([0.998, 0.998, 0.998], episodes=500)
@@ -472,15 +470,15 @@ def _present(values: ArrayLike) -> tuple[Floats, int]:
 
 
 def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
-    """Return each agent's statistic and interval of each measure, one row for each pair.
+    """Return the interval of each measure for each agent.
 
     Args:
         episodes: one row per agent and episode, with a column "agent" and one per measure.
-        measures: which of them to summarize.
+        measures: columns to summarize.
         seed: of the resampling.
 
     Returns:
-        Columns agent, measure, unit, statistic, and the fields of `Interval`.
+        A row per agent and measure: agent, measure, unit, statistic, and the fields of `Interval`.
     """
     rows = [
         {

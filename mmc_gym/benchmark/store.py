@@ -100,10 +100,10 @@ def episodes_file(
     those of `episode_columns`.
 
     Args:
-        key: of the cell.
+        key: name of the cell.
         episodes: of its instances, in order.
-        settings: that it was made with, ready for JSON; `cell_facts` compares them.
-        facts: what else is to be kept about the cell, ready for JSON.
+        settings: all that it was made with, ready for JSON; `cell_facts` compares them.
+        facts: more to be kept about the cell, ready for JSON.
     """
     columns = {
         **_key_columns(key, len(episodes)),
@@ -172,7 +172,7 @@ def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
 
 
 class Kept(NamedTuple):
-    """What a cell was made with, and what else is kept about it, see `episodes_file`."""
+    """Settings and facts of a cell, see `episodes_file`."""
 
     settings: Mapping[str, Any]
     facts: Mapping[str, Any]
@@ -196,7 +196,7 @@ def _parquet(columns: Mapping[str, Any], kept: Kept = _NOTHING) -> bytes:
 
 
 def _checksum(schema: pa.Schema, content: str) -> str:
-    """Return the SHA-256 of what Parquet's checksums of pages leave out: columns and metadata."""
+    """Return the SHA-256 of columns and metadata, which Parquet's checksums of pages leave out."""
     columns = [(field.name, str(field.type)) for field in schema]
     return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
 
@@ -222,12 +222,12 @@ def _kept(schema: pa.Schema) -> Kept:
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
-    """Write a cell's files, and remove what was there and is not written: all, without any.
+    """Write a cell's files, and remove those that it had and that are not given.
 
     Args:
         folder: of the store.
-        key: of the cell.
-        files: content of its files of `EPISODES`, `PATHS` and `SETS`.
+        key: name of the cell.
+        files: contents by kind, `EPISODES`, `PATHS` and `SETS`; none removes the cell.
     """
     for kind in (PATHS, SETS, EPISODES):  # the last says that the cell is there
         path = folder / kind / key.file_name
@@ -252,7 +252,7 @@ def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> Mappi
 
 
 def kept_cells(folder: Path) -> dict[str, Kept]:
-    """Return what is kept about all cells, by the stem of their files, but of damaged ones."""
+    """Return settings and facts of all cells that are not damaged, by the stem of their files."""
     found = {}
     for path in _files(folder, EPISODES):
         with suppress(OSError, pa.ArrowException, ValueError):
@@ -274,9 +274,7 @@ def read_episodes(folder: Path | str) -> pd.DataFrame:
 
 
 def read_paths(folder: Path | str) -> pd.DataFrame:
-    """Return all paths of a store, with cursor_x and cursor_y everywhere; empty if none were kept.
-
-    `paths_file` names the columns.
+    """Return all paths of a store, empty if none were kept; `paths_file` names the columns.
 
     Raises:
         UserError: if a file is damaged.
@@ -289,9 +287,7 @@ def read_paths(folder: Path | str) -> pd.DataFrame:
 
 
 def read_sets(folder: Path | str) -> pd.DataFrame:
-    """Return all set measures of a store, a row each; empty if no environment has any.
-
-    `sets_file` names the columns.
+    """Return all set measures of a store, empty if there are none; `sets_file` names the columns.
 
     Raises:
         UserError: if a file is damaged.
@@ -409,7 +405,7 @@ def reasons(not_played: Iterable[NotPlayed]) -> list[str]:
 
 
 def read_manifest(folder: Path | str) -> Manifest:
-    """Return what a store was made with.
+    """Return the manifest of a store.
 
     Raises:
         UserError: if there is no manifest, or it is damaged, or of another version.

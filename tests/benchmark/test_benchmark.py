@@ -32,10 +32,12 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import (
     SET_COLUMNS,
     CellKey,
+    kept_cells,
     read_episodes,
     read_manifest,
     read_paths,
     read_sets,
+    write_cell,
 )
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario
@@ -363,14 +365,9 @@ def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
 
 @pytest.mark.parametrize("name", ["one_by_one", "forgetful"])
 def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside, name):
-    outcomes = []
-    play(
-        [f"alone={outside}:{name}", "mmc"],
-        tmp_path,
-        ["random"],
-        on_progress=lambda progress: outcomes.append(progress.outcome),
-    )
-    assert [outcome.facts["together"] for outcome in outcomes[1:]] == [False, True]
+    play([f"alone={outside}:{name}", "mmc"], tmp_path, ["random"])
+    together = {stem: kept.facts["together"] for stem, kept in kept_cells(tmp_path).items()}
+    assert together == {"alone--random": False, "mmc--random": True}
     frame = read_episodes(tmp_path).set_index("agent").drop(columns=TIMES)
     if name == "one_by_one":
         distances = frame["final_distance"]
@@ -379,14 +376,15 @@ def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside, name
         assert (frame.loc["alone", "peak_speed"] < 1e-3).all()
 
 
-def test_a_policy_for_other_actions_has_its_own(frozen):
+def test_a_policy_for_other_actions_has_its_own(tmp_path, frozen):
     def limp(env):
         if env.unwrapped.control != "joint_torque":
             raise ControlError("control must be 'joint_torque'", "joint_torque")
         return frozen
 
-    outcome = runner.run_cell(runner.Cell(Entry("limp", 0, limp), SCENARIOS["random"], 2, 0))
-    assert (outcome.status, outcome.facts["control"]) == ("played", "joint_torque")
+    cell = runner.Cell(Entry("limp", 0, limp), SCENARIOS["random"], 2, 0)
+    write_cell(tmp_path, cell.key, runner.run_cell(cell).files)
+    assert kept_cells(tmp_path)["limp--0--random"].facts["control"] == "joint_torque"
 
 
 def test_a_copy_of_a_policy_plays_as_the_one_that_ships(tmp_path):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import sys
 
 import pandas as pd
@@ -13,13 +14,8 @@ from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.measures.catalogue import MEASURES
 
-FILES = {
-    "episodes.csv",
-    "summary.csv",
-    "summary.json",
-    "paths_and_profiles.png",
-    "paths_and_profiles.svg",
-}
+FIGURES = {"paths_and_profiles.png", "paths_and_profiles.svg"}
+FILES = {"episodes.csv", "summary.csv", "summary.json", *FIGURES}
 
 
 def console(width=120, encoding="utf-8", terminal=False):
@@ -46,13 +42,10 @@ def test_all_agents_see_the_same_starts_and_targets(oracle, frozen):
     agents = {"frozen": frozen, "oracle": oracle, "random": "random"}
     found = compare(agents, episodes=10, seed=3, console=console()).episodes
     given = ["episode", "seed", "start_x", "start_y", "target_x", "target_y"]
-    frozen_rows, oracle_rows, random_rows, ideal_rows = (
-        group[given].reset_index(drop=True) for _, group in found.groupby("agent", sort=False)
-    )
-    pd.testing.assert_frame_equal(frozen_rows, oracle_rows, check_exact=True)
-    pd.testing.assert_frame_equal(frozen_rows, random_rows, check_exact=True)
-    pd.testing.assert_frame_equal(frozen_rows, ideal_rows, check_exact=True)
-    assert frozen_rows["target_x"].nunique() == 10
+    first, *others = (group[given].reset_index(drop=True) for _, group in found.groupby("agent"))
+    assert len(others) == 3 and first["target_x"].nunique() == 10
+    for other in others:
+        pd.testing.assert_frame_equal(first, other, check_exact=True)
 
 
 def test_beside_the_agents_stands_an_ideal_hand_where_it_meets_the_same_targets(frozen):
@@ -78,14 +71,13 @@ def test_the_success_measured_is_the_success_the_environment_told(oracle, env):
 def test_the_same_seed_gives_the_same_files_but_for_the_times(tmp_path):
     for folder in ("a", "b"):
         compare(["mmc", "random"], episodes=4, seed=5, out=tmp_path / folder, console=console())
-    first, second = (pd.read_csv(tmp_path / folder / "episodes.csv") for folder in "ab")
     times = ["action_time", "slow_action_time"]
-    pd.testing.assert_frame_equal(
-        first.drop(columns=times), second.drop(columns=times), check_exact=True
-    )
-    first, second = (pd.read_csv(tmp_path / folder / "summary.csv") for folder in "ab")
-    timeless = ~first["measure"].isin(times)
-    pd.testing.assert_frame_equal(first[timeless], second[timeless], check_exact=True)
+    for name, timeless in {
+        "episodes.csv": lambda frame: frame.drop(columns=times),
+        "summary.csv": lambda frame: frame[~frame["measure"].isin(times)],
+    }.items():
+        first, second = (timeless(pd.read_csv(tmp_path / folder / name)) for folder in "ab")
+        pd.testing.assert_frame_equal(first, second, check_exact=True)
     for name in ("paths_and_profiles.svg", "summary.json"):
         assert (tmp_path / "a" / name).read_text() == (tmp_path / "b" / name).read_text()
 
@@ -131,12 +123,11 @@ def test_the_table_is_ascii_and_fits_120_columns_where_there_is_no_terminal(caps
     assert "NOT" in out and "training seeds" in out.replace("\n", " ")
 
 
-def test_a_terminal_gets_all_signs_if_its_encoding_has_them(frozen):
-    good, poor = console(terminal=True), console(terminal=True, encoding="latin-1")
-    compare({"frozen": frozen}, episodes=2, console=good)
-    compare({"frozen": frozen}, episodes=2, console=poor)
-    assert "[µs]" in printed(good)
-    assert "[us]" in printed(poor)
+@pytest.mark.parametrize(("encoding", "unit"), [("utf-8", "[µs]"), ("latin-1", "[us]")])
+def test_a_terminal_gets_all_signs_if_its_encoding_has_them(frozen, encoding, unit):
+    terminal = console(terminal=True, encoding=encoding)
+    compare({"frozen": frozen}, episodes=2, console=terminal)
+    assert unit in printed(terminal)
 
 
 def test_a_name_or_folder_that_the_encoding_lacks_costs_nobody_the_results(tmp_path, frozen):
@@ -158,13 +149,13 @@ def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
 
 
 def test_a_cell_tells_of_missing_and_of_small_values():
-    nan = float("nan")
-    row = {"estimate": nan, "low": nan, "high": nan, "count": 0, "missing": 7}
-    assert cell(row, 2) == "–\n0 of 7"
-    row = {"estimate": 123.4, "low": 99.6, "high": 150.0, "count": 7, "missing": 0}
-    assert cell(row, 2) == "123\n[100, 150]"
-    row = {"estimate": 0.0001, "low": 0.0, "high": 0.02, "count": 7, "missing": 0}
-    assert cell(row, 3) == "<0.001\n[0.000, 0.020]"
+    for (*values, decimals), text in {
+        (math.nan, math.nan, math.nan, 0, 7, 2): "–\n0 of 7",
+        (123.4, 99.6, 150.0, 7, 0, 2): "123\n[100, 150]",
+        (0.0001, 0.0, 0.02, 7, 0, 3): "<0.001\n[0.000, 0.020]",
+    }.items():
+        row = dict(zip(("estimate", "low", "high", "count", "missing"), values, strict=True))
+        assert cell(row, decimals) == text
 
 
 @pytest.mark.parametrize(
@@ -204,7 +195,7 @@ def test_an_agent_may_be_a_function_in_a_module_of_the_working_directory(tmp_pat
         "    training_steps = 12\n"
         "    def __init__(self, env):\n"
         "        self.zero = 0 * env.action_space.sample()\n"
-        "    def predict(self, observation, state=None, episode_start=None, deterministic=False):\n"
+        "    def predict(self, *arguments, **options):\n"
         "        return self.zero, None\n"
     )
     monkeypatch.chdir(tmp_path)

@@ -32,6 +32,7 @@ SETTINGS = {"seed": 0, "arguments": [1, 2]}
 MANIFEST = Manifest(
     episodes=3, seed=1, control_step=0.02, segment_lengths=(1, 1, 1), tolerance=0.05
 )
+READ = {EPISODES: read_episodes, PATHS: read_paths}
 FACTS = {"has_paths": True, "wall_seconds": 0.5}
 
 
@@ -63,10 +64,8 @@ def test_episodes_are_read_back(store, episodes):
         *("start_x", "start_y", "target_x", "target_y", "duration"),
         *MEASURES,
     ]
-    assert frame["agent"].tolist() == ["ppo", "ppo"]
-    assert frame["training_seed"].tolist() == [3, 3]
-    assert frame["instance"].tolist() == [0, 1]
-    assert frame["seed"].tolist() == [7, 11]
+    who = frame[["agent", "training_seed", "instance", "seed"]]
+    assert who.to_numpy().tolist() == [["ppo", 3, 0, 7], ["ppo", 3, 1, 11]]
     np.testing.assert_allclose(frame["duration"], 0.8)
     np.testing.assert_array_equal(frame[["start_x", "start_y"]], [[0.0, 1.0]] * 2)
     np.testing.assert_array_equal(frame[["target_x", "target_y"]], [[2.0, 1.0], [2.0, 2.0]])
@@ -76,7 +75,7 @@ def test_episodes_are_read_back(store, episodes):
 
 
 def test_paths_are_read_back(store, episodes):
-    frame = read_paths(store)
+    frame, one = read_paths(store), episodes[0]
     assert list(frame.columns) == [
         *("agent", "training_seed", "environment", "instance", "step"),
         *("joint_angle_1", "joint_angle_2", "joint_angle_3"),
@@ -85,10 +84,9 @@ def test_paths_are_read_back(store, episodes):
     np.testing.assert_array_equal(frame[["cursor_x", "cursor_y"]], frame[["hand_x", "hand_y"]])
     assert frame["step"].tolist() == list(range(41))
     assert frame["hand_x"].dtype == np.float32
-    np.testing.assert_array_equal(frame[["hand_x", "hand_y"]], episodes[0].hands.astype(np.float32))
-    np.testing.assert_array_equal(
-        frame["joint_angle_2"], episodes[0].joint_angles[:, 1].astype(np.float32)
-    )
+    hands, joint_angles = (kept.astype(np.float32) for kept in (one.hands, one.joint_angles))
+    np.testing.assert_array_equal(frame[["hand_x", "hand_y"]], hands)
+    np.testing.assert_array_equal(frame["joint_angle_2"], joint_angles[:, 1])
 
 
 def test_a_cursor_is_read_back_beside_hands_without_one(store, make_episode):
@@ -122,7 +120,7 @@ def test_a_cell_is_known_by_its_settings(store):
         assert cell_facts(store, KEY._replace(training_seed=seed), SETTINGS) is None
 
 
-@pytest.mark.parametrize("kind", ["episodes", "paths"])
+@pytest.mark.parametrize("kind", READ)
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty", "missing"])
 def test_damage_is_noticed(store, kind, damage):
     path = store / kind / KEY.file_name
@@ -132,9 +130,8 @@ def test_damage_is_noticed(store, kind, damage):
     else:
         content[100] ^= 1
         path.write_bytes({"cut": content[:-50], "changed": content, "empty": b""}[damage])
-        read = {"episodes": read_episodes, "paths": read_paths}[kind]
         with pytest.raises(ValueError, match="is damaged"):
-            read(store)
+            READ[kind](store)
     assert cell_facts(store, KEY, SETTINGS) is None
 
 
@@ -215,11 +212,10 @@ def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch
     assert read.to_dict() == {"old": 0, "ppo": 2}
 
 
-@pytest.mark.parametrize("kind", ["episodes", "paths"])
+@pytest.mark.parametrize("kind", READ)
 def test_no_flipped_bit_is_taken_for_data(store, kind):
     """Only bits that nobody reads may be flipped unnoticed."""
-    path = store / kind / KEY.file_name
-    read = {"episodes": read_episodes, "paths": read_paths}[kind]
+    path, read = store / kind / KEY.file_name, READ[kind]
     whole, before = path.read_bytes(), read(store)
     noticed, places = 0, np.random.default_rng(0).integers(len(whole), size=200)
     for place in places.tolist():
