@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import textwrap
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -143,9 +142,7 @@ def speed_quartiles(movements: Sequence[Movement]) -> Floats:
     padded = np.full((len(movements), max(len(one.speeds) for one in movements)), np.nan)
     for row, movement in zip(padded, movements, strict=True):
         row[: len(movement.speeds)] = movement.speeds  # shorter ones drop out of the quartiles
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a step that no movement has
-        quartiles: Floats = np.nanpercentile(padded, (25, 50, 75), axis=0)
+    quartiles: Floats = np.nanpercentile(padded, (25, 50, 75), axis=0)
     return quartiles
 
 
