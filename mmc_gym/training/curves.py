@@ -30,7 +30,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
-from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns
 from mmc_gym._errors import UserError
@@ -129,7 +128,7 @@ def first_reached(card: PolicyCard, level: float, column: str) -> float:
     return next(reached, math.inf)
 
 
-def learning_curves(folder: Path | None, out: Path, console: Console | None = None) -> None:
+def learning_curves(folder: Path | None, out: Path) -> None:
     """Print a table of trainings, and write it, their learning curves and a figure.
 
     Writes curves.csv (a row for each evaluation), trainings.csv (for each training), table.csv and
@@ -138,7 +137,6 @@ def learning_curves(folder: Path | None, out: Path, console: Console | None = No
     Args:
         folder: of trained policies, see `read_cards`; None for those that ship with the package.
         out: folder for the files.
-        console: to print the table to; standard output if None.
 
     Raises:
         UserError: if the folder holds no policies, or damaged ones, or `out` is a file.
@@ -157,7 +155,7 @@ def learning_curves(folder: Path | None, out: Path, console: Console | None = No
     written.append(write_atomically(out / "table.md", to_markdown(rows, summary)))
     figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
     written += save_figure(figure, out / "learning_curves")
-    console = console or make_console()
+    console = make_console()
     print_columns(console, *_columns(rows, summary), NOTE)
     for path in written:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
@@ -272,21 +270,19 @@ def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["agent", against, "success", "low", "high", "seeds"])
 
 
-def trainings(
-    cards: Mapping[str, Sequence[PolicyCard]], weights_sizes: Mapping[str, int]
-) -> pd.DataFrame:
+def trainings(cards: Mapping[str, Sequence[PolicyCard]], sizes: Mapping[str, int]) -> pd.DataFrame:
     """Return a row for each training: agent, seed, environment, control, and all `QUANTITIES`.
 
     Args:
         cards: by name, see `read_cards`.
-        weights_sizes: bytes, by NAME-SEED.
+        sizes: of their weights, see `weights_sizes`.
     """
     rows = []
     for name, group in cards.items():
         for card in group:
             row = {"agent": name, "seed": card.seed}
             row |= {"environment": card.env_id, "control": card.control}
-            rows.append({**row, **_numbers(card, weights_sizes[card.file_stem])})
+            rows.append({**row, **_numbers(card, sizes[card.file_stem])})
     return pd.DataFrame(rows)
 
 

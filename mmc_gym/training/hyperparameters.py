@@ -410,7 +410,7 @@ class Recipe:
 
     @property
     def algorithm(self) -> Algorithm:
-        """The algorithm: what the name begins with, up to the first "-".
+        """The algorithm: the name up to the first "-".
 
         Raises:
             UserError: if there is no such algorithm.

@@ -45,7 +45,6 @@ from mmc_gym.training.policies import export_policy
 from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
 CHECKPOINT = "checkpoint.safetensors"
-EVALUATIONS = 25
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ class Training:
     seed: int
     folder: Path
     report: Callable[[TrainingProgress], None] = lambda progress: None
-    evaluations: int = EVALUATIONS
+    evaluations: int = 25
     device: str = "cpu"
     tensorboard: Path | None = None
     curve: list[dict[str, float]] = field(default_factory=list, init=False)

@@ -63,7 +63,7 @@ Constants = dict[str, Any]
 
 @dataclass(frozen=True)
 class Target:
-    """What is tuned.
+    """Constants to tune, and how they are judged.
 
     Attributes:
         in_use: the constants in use; others beside those of the space are ignored.

@@ -157,7 +157,7 @@ def test_the_number_of_episodes_is_that_of_those_played(name, episodes, tmp_path
 
 @pytest.fixture
 def tried(monkeypatch):
-    """What trials of trainings are given, each better than the one before; none is trained."""
+    """Constants of the trials of trainings, each judged better than the one before, untrained."""
     tried: list[dict[str, object]] = []
 
     def judge(recipe, constants, steps):
