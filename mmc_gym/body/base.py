@@ -99,6 +99,10 @@ class SingleArm(ABC):
     def lock(self) -> None:
         """Make the `lockable_joints` rigid where they are, until the next reset."""
 
+    @abstractmethod
+    def pivot_gap(self) -> float:
+        """Return the largest distance between the two ends that a pivot should hold together."""
+
 
 def wrong_count(name: str, values: Sequence[float], count: int) -> ValueError:
     """Return the error about an argument that does not have one value per joint."""
@@ -197,6 +201,10 @@ class ArmBatch(ABC):
             ValueError: for indices of no arm or twice of the same.
         """
         self._lock(self._indices(arms))
+
+    @abstractmethod
+    def pivot_gaps(self) -> Floats:
+        """Return each arm's largest distance between ends that a pivot should hold, (count,)."""
 
     def close(self) -> None:
         """End the threads; the next step would start new ones."""

@@ -17,7 +17,7 @@ class Rod(NamedTuple):
     """Inertia of a segment with what it carries.
 
     Attributes:
-        mass: of both.
+        mass: mass.
         centre: distance of the centre of gravity from the joint, length.
         inertia: moment of inertia about the centre of gravity, mass · length².
     """

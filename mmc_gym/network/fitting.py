@@ -23,7 +23,7 @@ The normalizers that ship with the package were trained, in about a minute, by
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, pi, sqrt
@@ -37,7 +37,6 @@ from torch import Tensor
 
 from mmc_gym._errors import require
 from mmc_gym._grid import one_torch_thread
-from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import (
     WEIGHTS,
     LearnedNormalizer,
@@ -156,6 +155,7 @@ def train_normalizers(
     recipe: Recipe = ACCURATE,
     runs: int = 1,
     seed: int = 0,
+    device: str = "cpu",
     progress: Progress | None = None,
 ) -> list[TrainedNormalizer]:
     """Train `runs` MLPs of one architecture together.
@@ -171,6 +171,7 @@ def train_normalizers(
         recipe: `ACCURATE`, `PAPER`, or another.
         runs: number of MLPs, each with its own samples, initial weights and order of samples.
         seed: seed of all random numbers, not negative.
+        device: torch's name of the device for Adam; refinement runs in numpy.
         progress: called with (epochs and refinement iterations done, their total number).
 
     Returns:
@@ -197,7 +198,7 @@ def train_normalizers(
         generators = [_generator(seed, run) for run in range(runs)]
         samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
         parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
-        parameters, history = _adam(parameters, widths, samples, generators, recipe, tick)
+        parameters, history = _adam(parameters, widths, samples, generators, recipe, device, tick)
     trained = []
     for run in range(runs):
         normalizer = _normalizer(parameters[run], widths)
@@ -226,7 +227,8 @@ def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
 
 
 def _generator(seed: int, run: int) -> torch.Generator:
-    # With a seed sequence run 1 of seed 0 and run 0 of seed 1 share nothing.
+    # With a seed sequence run 1 of seed 0 and run 0 of seed 1 share nothing.  Drawing on the CPU
+    # gives every device the same samples.
     state = np.random.SeedSequence((seed, run)).generate_state(1, np.uint64)
     return torch.Generator().manual_seed(int(state[0]))
 
@@ -303,19 +305,20 @@ def _adam(
     samples: Tensor,
     generators: Sequence[torch.Generator],
     recipe: Recipe,
+    device: str,
     tick: Callable[[], None],
 ) -> tuple[Tensor, Array]:
     """Run Adam; return the fitted parameters and the history of errors (runs, epochs, 2)."""
     dtype = torch.float32 if recipe.precision == "float32" else torch.float64
-    is_weight = (parameters != 0).to(dtype)  # only biases start at zero
-    parameters, samples = parameters.to(dtype, copy=True), samples.to(dtype)
+    is_weight = (parameters != 0).to(device, dtype)  # only biases start at zero
+    parameters, samples = parameters.to(device, dtype, copy=True), samples.to(device, dtype)
     validation, training = samples[..., : recipe.held_out], samples[..., recipe.held_out :]
     layers, count = _layers(parameters, widths), training.shape[2]
     mean, variance = torch.zeros_like(parameters), torch.zeros_like(parameters)
     history, update = [], 0
     for _ in range(recipe.epochs):
         orders = [torch.randperm(count, generator=generator) for generator in generators]
-        order = torch.stack(orders)[:, None].expand_as(training)
+        order = torch.stack(orders).to(device)[:, None].expand_as(training)
         total = training.new_zeros(len(parameters))
         for batch in torch.split(training.gather(2, order), recipe.batch_size, dim=2):
             values = _forward(layers, batch[:, :2])
@@ -335,7 +338,7 @@ def _adam(
         error = _forward(layers, validation[:, :2])[-1] - validation[:, 2:]
         history.append(torch.stack([total / (2 * count), error.square().mean((1, 2))], dim=1))
         tick()
-    return parameters.double(), torch.stack(history, dim=1).double().numpy()
+    return parameters.double().cpu(), torch.stack(history, dim=1).double().cpu().numpy()
 
 
 def _refined(
@@ -343,17 +346,22 @@ def _refined(
 ) -> tuple[LearnedNormalizer, Array]:
     """Refine on samples (n, 4); return the normalizer and the history (iterations, 2)."""
     validation, training = np.split(samples, [recipe.held_out])
-    history = []
-    for refined in _refinements(normalizer, training[:, :2], recipe.refinement):
-        errors = [(refined(part[:, :2]) - part[:, 2:]) ** 2 for part in (training, validation)]
+    history: list[list[float]] = []
+
+    def record(current: LearnedNormalizer) -> None:
+        errors = [(current(part[:, :2]) - part[:, 2:]) ** 2 for part in (training, validation)]
         history.append([float(error.mean()) for error in errors])
-        normalizer = refined
         tick()
+
+    normalizer = refine(normalizer, training[:, :2], recipe.refinement, record)
     return normalizer, np.reshape(history, (-1, 2))
 
 
 def refine(
-    normalizer: LearnedNormalizer, vectors: ArrayLike, refinement: Refinement | None = None
+    normalizer: LearnedNormalizer,
+    vectors: ArrayLike,
+    refinement: Refinement | None = None,
+    after_iteration: Callable[[LearnedNormalizer], None] | None = None,
 ) -> LearnedNormalizer:
     """Refine a normalizer so that it turns vectors less.
 
@@ -370,20 +378,13 @@ def refine(
         normalizer: the normalizer to begin with.
         vectors: vectors to do better on, none of them zero, shape (n, 2).
         refinement: iterations and weights.
+        after_iteration: called with the normalizer of every iteration.
 
     Returns:
         The refined normalizer, without a card.
     """
-    refined = [LearnedNormalizer(normalizer.weights, normalizer.biases)]
+    refinement = refinement or Refinement()
     vectors = np.asarray(vectors, dtype=np.float64)
-    refined += _refinements(normalizer, vectors, refinement or Refinement())
-    return refined[-1]
-
-
-def _refinements(
-    normalizer: LearnedNormalizer, vectors: Array, refinement: Refinement
-) -> Iterator[LearnedNormalizer]:
-    """Yield the normalizer after every iteration."""
     projections = _projections(vectors, refinement)
     widths, parts, free = (2, *normalizer.hidden_units, 2), [], []
     for weight, bias in zip(normalizer.weights, normalizer.biases, strict=True):
@@ -411,7 +412,9 @@ def _refinements(
                 damping = max(damping / 3, 1e-12)
                 break
             damping *= 4
-        yield normalizer
+        if after_iteration:
+            after_iteration(normalizer)
+    return normalizer
 
 
 def _projections(vectors: Array, refinement: Refinement) -> list[Array]:
@@ -424,7 +427,7 @@ def _projections(vectors: Array, refinement: Refinement) -> list[Array]:
     return [weight * across, weight * refinement.length_weight * along]
 
 
-def _errors(output: Floats, projections: list[Array]) -> Array:
+def _errors(output: Array, projections: list[Array]) -> Array:
     """Return the errors e of all vectors, (2 n,)."""
     across, along = projections
     # u · (f − u) = u · f − 1, and the weight of u is the length of the projection itself.
@@ -433,7 +436,7 @@ def _errors(output: Floats, projections: list[Array]) -> Array:
     return errors
 
 
-def _jacobian(normalizer: LearnedNormalizer, values: list[Floats], projection: Array) -> Array:
+def _jacobian(normalizer: LearnedNormalizer, values: list[Array], projection: Array) -> Array:
     """Return ∂(a · y_K)/∂parameters of every vector, a its `projection`, (n, P)."""
     parts: list[Array] = []
     slope = projection

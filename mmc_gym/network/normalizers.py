@@ -220,12 +220,18 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
     return errors
 
 
-def mean_squared_error(normalizer: Normalizer, directions: int = 3600) -> float:
+def mean_squared_error(
+    normalizer: Normalizer, lengths: ArrayLike | None = None, directions: int = 3600
+) -> float:
     """Return the mean of |output − direction|²/2, the paper's loss, without the luck of a test set.
 
-    The mean is over 1,000 lengths, spread evenly over the paper's ]0, 2], and as many `directions`.
+    Args:
+        normalizer: the normalizer to measure.
+        lengths: lengths of the vectors it is given, shape (n,); by default, 1,000 spread evenly
+            over the paper's ]0, 2].
+        directions: number of directions, spread evenly over the circle.
     """
-    lengths = np.arange(0.001, 2.0, 0.002)
+    lengths = np.arange(0.001, 2.0, 0.002) if lengths is None else np.asarray(lengths)
     wanted = _directions(directions)
     return float(np.mean((normalizer(lengths[:, None, None] * wanted) - wanted) ** 2))
 

@@ -85,7 +85,8 @@ def _play(arm, servo, seed, steps=40):
             arm.command((scale * random.uniform(-1, 1, len(arm.joint_angles))).tolist())
         arm.step()
         angles = *arm.segment_angles, *arm.joint_angles
-        states.append((*angles, *arm.joint_velocities, *arm.end_effector))
+        hand = *arm.end_effector, *getattr(arm, "hand_velocity", ())
+        states.append((*angles, *arm.joint_velocities, *hand))
     return states
 
 

@@ -65,6 +65,8 @@ def play_both(postures, scale):
             for single in singles.values():
                 single.step()
             assert_equal(arms, singles)
+        gaps = [single.pivot_gap() for single in singles.values()]
+        np.testing.assert_allclose(arms.pivot_gaps()[list(singles)], gaps, atol=1e-15)
         arms.close()
 
     return play

@@ -103,7 +103,7 @@ def test_the_velocities_of_a_reset_are_those_of_rigid_rods_on_pivots():
         difference = (moved.position - body.position) / instant
         assert body.velocity == pytest.approx(difference, abs=1e-5)
     difference = np.subtract(later.end_effector, arm.end_effector) / instant
-    assert arm._linkage.hand_velocity() == pytest.approx(tuple(difference), abs=1e-5)
+    assert arm.hand_velocity == pytest.approx(tuple(difference), abs=1e-5)
 
 
 def test_no_servo_gives_more_than_the_torque_limit(servo, scale):
@@ -230,7 +230,7 @@ def test_the_default_substep_is_fine_enough():
 
 
 def test_pivots_gape_little():
-    gaps = [arm._linkage.pivot_gap() for arm in random_movements(Arm(), 20)]
+    gaps = [arm.pivot_gap() for arm in random_movements(Arm(), 20)]
     assert np.median(gaps) < 1e-3
     assert max(gaps) < 0.005
 
@@ -257,7 +257,7 @@ def largest_gap_of_random_commands(arm, largest_command, resets):
             if step % held == 0:
                 arm.command(commands[step % 20])
             arm.step()
-            largest = max(largest, arm._linkage.pivot_gap())
+            largest = max(largest, arm.pivot_gap())
     return largest
 
 
@@ -321,7 +321,7 @@ def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, post
     arm.reset(postures(parameters, np.random.default_rng(seed), 1)[0].tolist())
     for _ in range(3):
         assert np.isfinite(play(arm, servo, seed, steps=3)).all()
-        assert arm._linkage.pivot_gap() < 0.05 * sum(parameters.segment_lengths)
+        assert arm.pivot_gap() < 0.05 * sum(parameters.segment_lengths)
 
 
 @pytest.mark.parametrize(
@@ -344,7 +344,7 @@ def test_arms_that_are_not_refused(made, servo, play, postures):
     arm.reset(postures(arm.parameters, np.random.default_rng(0), 1)[0].tolist())
     for _ in range(5):
         assert np.isfinite(play(arm, servo, seed=0, steps=3)).all()
-        assert arm._linkage.pivot_gap() < 0.01 * sum(arm.parameters.segment_lengths)
+        assert arm.pivot_gap() < 0.01 * sum(arm.parameters.segment_lengths)
 
 
 def test_an_arm_with_too_heavy_a_hand_for_the_solver_is_refused():

@@ -115,6 +115,10 @@ class AnalyticArms(ArmBatch):
             held = self._state["held"][:, joint]
             held[arms // kernel.LANES, arms % kernel.LANES] = self.joint_angles[arms, joint]
 
+    @override
+    def pivot_gaps(self) -> Floats:
+        return np.zeros(self._count)  # by construction
+
 
 class AnalyticArm(SingleArm):
     """One arm of the analytic engine; `SingleArm` documents what it is and does."""
@@ -154,3 +158,7 @@ class AnalyticArm(SingleArm):
     @override
     def lock(self) -> None:
         self._arms.lock([0])
+
+    @override
+    def pivot_gap(self) -> float:
+        return 0.0  # by construction

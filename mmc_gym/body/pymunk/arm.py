@@ -189,6 +189,15 @@ class Arm(SingleArm):
             self._linkage.lock(self.joint_angles)
             self._steps_to_lock = len(self._history)
 
+    @property
+    def hand_velocity(self) -> tuple[float, float]:
+        """Velocity (x, y) of the end of the last segment, lengths / s."""
+        return self._linkage.hand_velocity()
+
+    @override
+    def pivot_gap(self) -> float:
+        return self._linkage.pivot_gap()
+
     def __reduce__(self) -> tuple[Any, ...]:
         if self._history is _FORGOTTEN:
             raise RuntimeError(

@@ -270,6 +270,11 @@ class Arms(ArmBatch):
                 angles = self.joint_angles[space.first + member]
                 space.linkages[member].lock(angles.tolist())
 
+    @override
+    def pivot_gaps(self) -> Floats:
+        linkages = (linkage for space in self._spaces for linkage in space.linkages)
+        return np.array([linkage.pivot_gap() for linkage in linkages])
+
     def __reduce__(self) -> NoReturn:
         raise TypeError(
             "Arms cannot be pickled or copied: Chipmunk does not show the impulses that its "
