@@ -189,7 +189,7 @@ def nothing_compared(results: Results, networks: Sequence[str]) -> str:
 
 
 def _likeness(estimates: Estimates) -> dict[str, list[Comparison]]:
-    """Return the agent that learned to be smooth beside each network, where both have values."""
+    """Compare the agent that learned to be smooth with each network, where both have values."""
     smooth = estimates.results.label_of(SMOOTH)
     networks = [found for name in NETWORKS if (found := estimates.results.label_of(name))]
     if smooth is None:

@@ -56,7 +56,7 @@ class Identity:
     Attributes:
         name: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
         knowledge: its kind, what it is told, and what it senses.
-        cards: of its trainings in the benchmark, all of them; empty if any is not there.
+        cards: of all its trainings in the benchmark; empty if any is not there.
         damaged: why a card cannot be read, a line each.
     """
 
@@ -100,11 +100,8 @@ class Environment:
     """An environment of the benchmark, as the manifest describes it.
 
     Attributes:
-        id: Gymnasium's.
-        description: one line.
         family: of the perturbation; empty without one.
         strength: of the perturbation, in `unit`; NaN without one.
-        unit: of the strength.
         baseline: key of the environment that differs from this one only in the perturbation.
     """
 

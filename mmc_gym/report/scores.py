@@ -67,6 +67,7 @@ class EnvironmentScores:
     Attributes:
         values: of all measures by agent, (measures, policies, instances); NaN where there is none.
         distributions: their statistics in the data, then in all resamples, (measures, R + 1).
+        estimates: of every agent, by name of the measure.
     """
 
     def __init__(self, episodes: pd.DataFrame, measures: Sequence[Measure], resamples: int) -> None:
@@ -91,6 +92,10 @@ class EnvironmentScores:
         self._numbers = {measure.name: number for number, measure in enumerate(measures)}
         self.distributions = {
             agent: self._resampled(agent, values, measures) for agent, values in self.values.items()
+        }
+        self.estimates = {
+            name: {agent: Value.of(found[number]) for agent, found in self.distributions.items()}
+            for name, number in self._numbers.items()
         }
 
     def distribution(self, agent: str, measure: Measure) -> Floats:
@@ -199,7 +204,6 @@ class Estimates:
     results: Results
     resamples: int = RESAMPLES
     _scores: dict[str, EnvironmentScores] = field(default_factory=dict)
-    _known: dict[tuple[str, str], dict[str, Value]] = field(default_factory=dict)
 
     def scores(self, environment: str) -> EnvironmentScores:
         """Return all scores of an environment."""
@@ -212,15 +216,8 @@ class Estimates:
 
     def of(self, environment: str, measure: Measure) -> dict[str, Value]:
         """Return the value of every agent that was there, by name."""
-        key = (environment, measure.name)
-        if key not in self._known:
-            scores = self.scores(environment)
-            self._known[key] = {
-                agent: Value.of(scores.distribution(agent, measure))
-                for agent in self.results.agents
-                if agent in scores.values
-            }
-        return self._known[key]
+        found = self.scores(environment).estimates[measure.name]
+        return {agent: found[agent] for agent in self.results.agents if agent in found}
 
     def taking_part(
         self, environment: str, measure: Measure, agents: Iterable[str]

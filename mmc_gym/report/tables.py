@@ -325,18 +325,11 @@ def _shade(share: float) -> str:
 
 
 class Law(NamedTuple):
-    """A law of human movement.
-
-    Attributes:
-        measure: name of the set measure.
-        explained: name of the one that tells how well the law holds; empty for none.
-        people: what people do; empty if there is no such law.
-        source: of that.
-    """
+    """A law of human movement, or another measure of sets of movements."""
 
     measure: str
-    explained: str = ""
-    people: str = ""
+    explained: str = ""  # name of the measure that tells how well the law holds
+    people: str = ""  # what people do, and who found that
     source: str = ""
 
 
