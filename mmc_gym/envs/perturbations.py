@@ -41,8 +41,8 @@ class ForceField(Perturbation):
     """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
 
     Viscous fields at the hand are Shadmehr & Mussa-Ivaldi's (1994), J. Neurosci. 14:3208.
-    Servos with torque to spare hold their course: the hand leaves it where the field takes them
-    to their torque limit.  From a curl of about 80 on, they may fail to bring it to the target.
+    The hand leaves its course where the field takes the servos to their torque limit.  From a curl
+    of about 80 on, they may fail to bring it to the target.
 
     Attributes:
         curl: mass / s; positive bends to the right of the movement.

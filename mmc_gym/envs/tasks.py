@@ -1,8 +1,7 @@
 """Reaching tasks: where a trial starts, and where its target is.
 
-A trial is a posture to start from and a path of target positions.  The target moves along the
-path by one place every control step, or, for via points, whenever it has been reached.  At the
-end it stays at the last place, or starts over if the task is periodic.
+The target of a trial moves along a path, by one place every control step, or, for via points,
+whenever it has been reached.  It stays at the last place, or starts over if the task is periodic.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ class Task(ABC):
     """A reaching task.
 
     Attributes:
-        advance: what moves the target along its path: "time", by one place every control step,
+        advance: what moves the target to the next place of its path: "time", every control step,
             or "reach", when the hand has come within the success distance.
         periodic: whether the path starts over at its end.
         episode_steps: control steps of an episode in the environments that Gymnasium makes.

@@ -91,12 +91,16 @@ class Workspace:
         return radius * math.cos(angle), radius * math.sin(angle)
 
     def draw_posture(self, random: np.random.Generator) -> list[float]:
-        """Draw joint angles, uniform on the circle or within their limits, clear of obstacles."""
+        """Draw joint angles, uniform on the circle or within their limits, clear of obstacles.
+
+        Raises:
+            UserError: if the obstacles leave no room for the arm.
+        """
         for _ in range(_MOST_DRAWS):
             posture = [_uniform(low, high, random) for low, high in self._limits]
             if self.is_clear(posture):
                 return posture
-        raise RuntimeError("the obstacles leave no room for the arm")
+        raise UserError(f"obstacles must leave room for the arm, got {self.body.obstacles}")
 
     def draw_target(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         """Draw a target that the hand can reach from `posture`, clear of obstacles.
@@ -104,13 +108,19 @@ class Workspace:
         It is area-uniform over the reachable set; with joint limits, up to the size of a grid
         cell.  Where some joints are locked and others limited, it is the hand of a posture drawn
         uniformly, and not area-uniform.
+
+        Raises:
+            UserError: if no such target is found.
         """
         for _ in range(_MOST_DRAWS):
             hand = self._draw_hand(random, posture)
             target = hand if self.rotation is None else self.rotation.cursor(*hand)
             if self.contains(target):
                 return target
-        raise RuntimeError("no reachable target was found: the perturbations leave no room")
+        raise UserError(
+            "perturbations must leave targets in reach, got obstacles "
+            f"{self.body.obstacles} and rotation {self.rotation}"
+        )
 
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         if self._hands:

@@ -418,6 +418,8 @@ def test_perturbations_can_be_combined(names: list[str]) -> None:
         ("gremlins", r"perturbations must be a Perturbation, or one of .*locks"),
         ([None], "perturbations must be"),
         (None, "perturbations must be .*, got None$"),
+        (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
+        (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach, .*degrees=180.0"),
         (["rotation-30", "rotation-45"], "at most one rotation"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),
@@ -426,7 +428,7 @@ def test_perturbations_can_be_combined(names: list[str]) -> None:
 )
 def test_what_cannot_be_or_be_combined_is_refused(perturbations: Any, message: str) -> None:
     with pytest.raises(UserError, match=message):
-        MMCReachEnv(perturbations=perturbations)
+        MMCReachEnv(perturbations=perturbations).reset(seed=0)
 
 
 @pytest.mark.parametrize(

@@ -437,6 +437,5 @@ def test_hindsight_experience_replay_learns_from_it() -> None:
 
 
 def test_frames_come_at_the_control_rate() -> None:
-    assert MMCReachEnv().metadata["render_fps"] == 50
-    assert MMCReachEnv(substeps=2).metadata["render_fps"] == 100
-    assert MMCReachEnv.metadata["render_fps"] == 50
+    envs = (MMCReachEnv(), MMCReachEnv(substeps=2), MMCReachEnv)
+    assert [env.metadata["render_fps"] for env in envs] == [50, 100, 50]
