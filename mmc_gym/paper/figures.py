@@ -124,17 +124,17 @@ def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
 
 
 @styled
-def draw_postures(movements: Mapping[str, Recording], every: int = 2) -> Figure:
-    """Draw single movements by title: a posture in so many iterations, and the first and last."""
+def draw_postures(movements: Mapping[str, Recording]) -> Figure:
+    """Draw every second posture of single movements, by title; first and last are thick."""
     figure, row = make_panels(len(movements), 3.1 * len(movements), 2.5, sharex=True, sharey=True)
     ends: Any = {"color": "black", "linewidth": 1.8, "marker": "o", "markersize": 3.5}
     cross: Any = {"color": COLOURS[1], "markersize": 8, "markeredgewidth": 2}
     for axes, (title, movement) in zip(row, movements.items(), strict=True):
         nodes = node_positions(np.concatenate([movement.start_segments[None], movement.segments]))
-        for posture in nodes[every:-1:every]:
+        for posture in nodes[2:-1:2]:
             axes.plot(*posture.T, color="0.72", linewidth=0.8, zorder=1)
         hand = nodes[:, -1]
-        axes.plot(*hand[::every].T, ".", color=COLOURS[0], markersize=4, zorder=3)
+        axes.plot(*hand[::2].T, ".", color=COLOURS[0], markersize=4, zorder=3)
         axes.plot(*hand.T, color=COLOURS[0], linewidth=0.9, label="hand", zorder=2)
         axes.plot(*nodes[0].T, "--", label="start", **ends)
         axes.plot(*nodes[-1].T, "-", label="end", **ends)

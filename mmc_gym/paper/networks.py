@@ -13,10 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmc_gym._files import write_atomically
 from mmc_gym._grid import run_grid
@@ -157,28 +156,24 @@ def _read(task: _Task, settings: Settings) -> TrainedArchitecture | None:
     path = settings.folder and task.path_in(settings.folder)
     if not path or not path.exists():
         return None
+    layers = range(len(task.hidden_units) + 1)
     try:
         # Opened here, because numpy leaves a damaged file open.
-        with open(path, "rb") as file, np.load(file) as arrays:
-            version = str(arrays["version"]) if "version" in arrays else "unknown"
-            trained = _unpacked(task, dict(arrays))
+        with open(path, "rb") as file, np.load(file) as archive:
+            arrays = dict(archive)
+        version = str(arrays.get("version", "unknown"))
+        normalizers = tuple(
+            LearnedNormalizer(
+                [arrays[f"weights_{layer}"][run] for layer in layers],
+                [arrays[f"biases_{layer}"][run] for layer in layers],
+            )
+            for run in range(task.runs)
+        )
+        measures = {name: arrays[name] for name in TrainedArchitecture._fields[1:]}
     except Exception as error:  # zip, zlib, tokenizer, key, shape …: each damage has its own
         settings.on_note(f"{path} is damaged and is made anew ({type(error).__name__})")
         return None
     if version != settings.version:
         settings.on_note(f"{path} was made by version {version} and is made anew")
         return None
-    return trained
-
-
-def _unpacked(task: _Task, arrays: dict[str, NDArray[Any]]) -> TrainedArchitecture:
-    layers = range(len(task.hidden_units) + 1)
-    normalizers = tuple(
-        LearnedNormalizer(
-            [arrays[f"weights_{layer}"][run] for layer in layers],
-            [arrays[f"biases_{layer}"][run] for layer in layers],
-        )
-        for run in range(task.runs)
-    )
-    measures = {name: arrays[name] for name in TrainedArchitecture._fields[1:]}
     return TrainedArchitecture(normalizers, **measures)

@@ -6,9 +6,8 @@
     OUT/EXPERIMENT/result.json      rows, captions and points, of which the report is made
     OUT/networks/*.npz              trained networks, from which an interrupted run goes on
 
-The report covers every experiment whose result is in the folder and was made with the same
-settings, so that experiments may be run one by one.  A result that is damaged, or of another
-version of the package, is made anew.
+The report covers every experiment whose result in the folder has the same settings, so that
+experiments may be run one by one.  A damaged result, or one of another version, is made anew.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import base64
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -94,7 +93,7 @@ _POINT_COLUMNS = {"": 1, "subject": 8, "paper": 8, "its data": 8, "ours": 8}
 
 @dataclass(frozen=True)
 class Identity:
-    """Settings, and version of the package, that a result depends on."""
+    """Settings that a result depends on, and version of the package."""
 
     quick: bool
     seed: int
@@ -217,11 +216,11 @@ def read_section(folder: Path, settings: Settings) -> Section | None:
         section = _SECTION.validate_json(path.read_bytes())
     except (OSError, ValueError):  # pydantic's errors are ValueErrors
         raise StaleResult(f"{path} is damaged") from None
-    found = section.settings
-    if replace(found, version=wanted.version) != wanted:
+    version = section.settings.version
+    if replace(section.settings, version=wanted.version) != wanted:
         return None
-    if found != wanted:
-        raise StaleResult(f"{path} was made by version {found.version}")
+    if version != wanted.version:
+        raise StaleResult(f"{path} was made by version {version}")
     for stem in section.captions:
         if not (folder / f"{stem}.png").exists():
             raise StaleResult(f"{folder / stem}.png is missing")
@@ -233,7 +232,7 @@ def _identity(settings: Settings) -> Identity:
 
 
 class _Part(NamedTuple):
-    """A table of the report, and the figures below it: file stems and captions."""
+    """A table of the report, and the captions of the figures below it, by file stem."""
 
     heading: str
     columns: Mapping[str, int]
@@ -265,16 +264,15 @@ def to_markdown(sections: Mapping[str, Section], quick: bool) -> str:
     """Return the report as Markdown; figures are linked as `experiment/figure.png`."""
     blocks = [f"# {TITLE}", PAPER, *([f"**{QUICK}**"] if quick else []), LEGEND]
     for part in _parts(sections):
-        blocks += [f"## {part.heading}", _markdown_table(part.columns, part.rows)]
+        lines = [[*part.columns], ["---" for _ in part.columns]]
+        lines += [
+            [cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in part.rows
+        ]
+        table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        blocks += [f"## {part.heading}", table]
         for stem, caption in part.captions.items():
             blocks.append(f"![{caption}]({part.folder}/{stem}.png)\n\n*{caption}*")
     return "\n\n".join(blocks) + "\n"
-
-
-def _markdown_table(columns: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [[*columns], ["---" for _ in columns]]
-    lines += [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def to_html(sections: Mapping[str, Section], quick: bool, folder: Path) -> str:

@@ -22,7 +22,7 @@ from mmc_gym.paper.experiments.forward_and_mixed import (
     random_tasks,
 )
 from mmc_gym.paper.networks import TrainedArchitecture, architecture_name
-from mmc_gym.paper.protocol import OVERSHOOT, PAIRS, TARGETS, record_movements, shapes
+from mmc_gym.paper.protocol import OVERSHOOT, PAIRS, TARGETS
 from mmc_gym.paper.run import EXPERIMENTS
 
 ACCURATE = LearnedNormalizer.shipped("accurate")
@@ -181,33 +181,39 @@ def test_no_length_up_to_three_is_turned_the_wrong_way(results):
     assert 0.99 < float(shortest) < 1 < float(longest) < 1.01
 
 
+@pytest.fixture(scope="module")
+def shapes(results):
+    frame = results["bell-shaped"].data["bell_shape"].set_index(["name", "iterations"]).sort_index()
+    return lambda name, iterations: frame.loc[name, iterations]
+
+
 @pytest.mark.parametrize("iterations", [40, 100])
-@pytest.mark.parametrize("name", NORMALIZERS)
-def test_each_movement_is_bell_shaped_and_ends_as_near(name, iterations):
-    found = shapes(record_timed_movements(MMCNetwork(normalizer=NORMALIZERS[name]), iterations))
-    assert np.median(found["correlation"]) >= 0.98
-    assert 1.8 <= np.median(found["peak_to_mean"]) <= 2.0
-    assert 0.45 <= np.median(found["time_to_peak"]) <= 0.55
+@pytest.mark.parametrize("name", ["time base (Euclidean)", "time base (accurate [16, 16])"])
+def test_each_movement_is_bell_shaped_and_ends_as_near(name, iterations, shapes):
+    found = shapes(name, iterations)
+    assert found["correlation"].median() >= 0.98
+    assert 1.8 <= found["peak_to_mean"].median() <= 2.0
+    assert 0.45 <= found["time_to_peak"].median() <= 0.55
     assert (found["velocity_peaks"] == 1).mean() >= 0.95
     assert (found["overshoot"] > OVERSHOOT).sum() == 0
-    for schedule in ("synchronous", "delayed"):
-        classical = record_movements(MMCNetwork(schedule=schedule), iterations)
-        assert found["final"].mean() <= classical.distance[:, -1].mean()
+    for classical in ("kinematic (Euclidean)", "kinematic (Euclidean), synchronous"):
+        assert found["final"].mean() <= shapes(classical, iterations)["final"].mean()
 
 
-def test_the_paper_s_networks_are_bell_shaped_on_average_only():
-    for network in (MMCNetwork(schedule="delayed", dynamics="reference"), MMCNetwork()):
-        found = shapes(record_movements(network, 40))
-        assert np.median(found["correlation"]) < 0.1
-        assert np.median(found["peak_to_mean"]) > 2.5
-        assert found["peak_to_mean"].min() >= 1
-        assert np.median(found["time_to_peak"]) < 0.2
+@pytest.mark.parametrize(
+    "name", ["dynamic (Euclidean), decay 0.92", "kinematic (Euclidean), synchronous"]
+)
+def test_the_paper_s_networks_are_bell_shaped_on_average_only(name, shapes):
+    found = shapes(name, 40)
+    assert found["correlation"].median() < 0.1
+    assert found["peak_to_mean"].median() > 2.5
+    assert found["peak_to_mean"].min() >= 1
+    assert found["time_to_peak"].median() < 0.2
 
 
 @pytest.mark.parametrize("iterations", [40, 100])
-def test_minimum_jerk_passes_every_measure(iterations):
-    recording = minimum_jerk_movements(iterations)
-    found = shapes(recording)
+def test_minimum_jerk_passes_every_measure(iterations, shapes):
+    found, recording = shapes("minimum jerk", iterations), minimum_jerk_movements(iterations)
     np.testing.assert_allclose(found["correlation"], 1)
     np.testing.assert_allclose(found["peak_to_mean"], 15 / 8, rtol=2e-3)
     np.testing.assert_allclose(found["time_to_peak"], 0.5, atol=0.51 / iterations)

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import LearnedNormalizer
+from mmc_gym.network.fitting import PAPER
 from mmc_gym.paper import networks
 from mmc_gym.paper.experiment import Settings, write_result
 from mmc_gym.paper.experiments import normalization, population
 from mmc_gym.paper.experiments.population import DIRECTIONS, layer_tunings, tuning
-from mmc_gym.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES, architecture_name
+from mmc_gym.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES, RUNS, architecture_name
 from mmc_gym.paper.published import NORMALIZATION_PUBLISHED
 
 
-def test_every_architecture_has_published_errors():
+def test_the_paper_s_twelve_architectures_of_five_runs_have_published_errors():
+    assert (len(ARCHITECTURES), RUNS, PAPER.epochs) == (12, 5, 400)
     assert list(NORMALIZATION_PUBLISHED) == [architecture_name(units) for units in ARCHITECTURES]
     for published in NORMALIZATION_PUBLISHED.values():
         assert published.validation[0] == pytest.approx(

@@ -10,7 +10,7 @@ import pytest
 from mmc_gym.network import fitting as training
 from mmc_gym.paper import networks as normalizers
 from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.networks import ARCHITECTURES, RUNS, trained_architectures
+from mmc_gym.paper.networks import trained_architectures
 
 FEW = ((2,), (3, 2))
 
@@ -45,12 +45,6 @@ def assert_same(one, other):
         for m, n in zip(a.normalizers, b.normalizers, strict=True):
             np.testing.assert_array_equal(m.weights[0], n.weights[0])
             np.testing.assert_array_equal(m.biases[-1], n.biases[-1])
-
-
-def test_the_paper_has_twelve_architectures_of_five_runs():
-    assert len(ARCHITECTURES) == 12
-    assert RUNS == 5
-    assert training.PAPER.epochs == 400
 
 
 def test_trained_networks_are_measured():

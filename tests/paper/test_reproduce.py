@@ -51,17 +51,13 @@ def cells(page):
     return [html.unescape(cell) for cell in re.findall(r"<td>(.*?)</td>", page, re.DOTALL)]
 
 
-def test_everything_is_written_and_nothing_half(two_experiments, tmp_path):
+def test_the_report_has_every_number_unit_note_and_figure(two_experiments, tmp_path, capsys):
     reproduce(folder=tmp_path)
     written = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
     assert written == {
         *("table.md", "table.html", "first/bell.png", "first/bell.svg"),
         *("first/result.json", "second/result.json"),
     }
-
-
-def test_the_tables_have_every_number_unit_note_and_figure(two_experiments, tmp_path, capsys):
-    reproduce(folder=tmp_path)
     printed = capsys.readouterr().out
     for text in ("distance [m]", "7.123", "seed"):
         assert text in printed
@@ -145,17 +141,15 @@ def test_a_stale_result_is_named_and_made_anew(change, reason, two_experiments, 
     assert "anew" not in capsys.readouterr().err
 
 
-def test_the_report_is_printed_where_the_encoding_is_poor(two_experiments, tmp_path):
-    sections = reproduce(folder=tmp_path)
-    path = tmp_path / "ascii.txt"
-    with open(path, "w", encoding="ascii") as file:
+def test_a_quick_run_says_so_and_prints_where_the_encoding_is_poor(
+    two_experiments, tmp_path, capsys
+):
+    sections = reproduce(folder=tmp_path, quick=True)
+    with open(tmp_path / "ascii.txt", "w", encoding="ascii") as file:
         print_report(Console(file=file, width=120), sections, quick=True)
-    assert "2.0 +- 0.1" in path.read_text("ascii")
-
-
-def test_a_quick_run_says_so(two_experiments, tmp_path, capsys):
-    reproduce(folder=tmp_path, quick=True)
-    for text in (capsys.readouterr().out, (tmp_path / "table.md").read_text("utf-8")):
+    plain = (tmp_path / "ascii.txt").read_text("ascii")
+    assert "2.0 +- 0.1" in plain
+    for text in (capsys.readouterr().out, (tmp_path / "table.md").read_text("utf-8"), plain):
         assert "quick run" in text
 
 

@@ -82,7 +82,7 @@ def kinematic(settings: Settings) -> Result:
     normalizers = all_normalizers(settings)
     networks = (CLASSICAL, SYNCHRONOUS)
     table = summarize_networks(settings, networks, normalizers, KINEMATIC_ITERATIONS)
-    shown = [name for name in (EUCLIDEAN, "[16]", HIDDEN) if name in normalizers]
+    shown = (EUCLIDEAN, "[16]", HIDDEN)
     courses = {
         name: record_runs(CLASSICAL, normalizers[name], KINEMATIC_ITERATIONS).distance
         for name in shown
@@ -91,9 +91,7 @@ def kinematic(settings: Settings) -> Result:
     euclidean, accurate = finals.pop(EUCLIDEAN)[0], finals.pop(ACCURATE)
     longer = {name: longer_course(normalizers[name]) for name in (*shown, ACCURATE)}
     times = [
-        f"{name} {finals[name].mean() / euclidean.mean():.1f} times"
-        for name in (HIDDEN, "[16]")
-        if name in finals
+        f"{name} {finals[name].mean() / euclidean.mean():.1f} times" for name in (HIDDEN, "[16]")
     ]
     return Result(
         rows=[*_kinematic_rows(table), *_course_rows(table), *_longer_rows(longer)],
@@ -102,7 +100,7 @@ def kinematic(settings: Settings) -> Result:
                 draw_courses({DISTANCE: courses}),
                 "Normalized distance of the hand from the target over the 420 movements, kinematic "
                 "network, d = 10; learned normalizers: all "
-                f"{len(normalizers[shown[-1]])} trained networks together.",
+                f"{len(normalizers[HIDDEN])} trained networks together.",
             ),
             "final_distance": Captioned(
                 draw_final_distances(finals, euclidean),

@@ -105,9 +105,9 @@ def _rows(trained: Mapping[str, TrainedArchitecture], quick: str) -> list[Row]:
     validation, training, angles = [], [], []
     for name, found in trained.items():
         published = NORMALIZATION_PUBLISHED[name]
+        grid = f"over the dense grid ours is {mean_and_deviation(found.grid_mse, 5)}"
         row = _mse_row(f"{name}: validation MSE", found.validation_mse, published.validation, quick)
-        note = f"{row.note}; over the dense grid ours is {mean_and_deviation(found.grid_mse, 5)}"
-        validation.append(replace(row, paper=published.text, note=note))
+        validation.append(replace(row, paper=published.text, note=f"{row.note}; {grid}"))
         training.append(
             _mse_row(f"{name}: training MSE", found.training_mse, published.training, quick)
         )
