@@ -26,14 +26,22 @@ def play(arm, steps=40):
     return arm.joint_angles
 
 
-@pytest.mark.parametrize("parameters", [ArmParameters(), FIELD], ids=["free", "field"])
-def test_recording_changes_no_movement(parameters):
+free_or_in_a_field = pytest.mark.parametrize(
+    "parameters", [ArmParameters(), FIELD], ids=["free", "field"]
+)
+
+
+@free_or_in_a_field
+def test_recording_changes_no_movement_and_is_copied(parameters):
     alone, recorded = Arm(parameters), recording(Arm(parameters))
     assert play(recorded) == play(alone)
-    assert play(copy.deepcopy(recorded)) == play(copy.deepcopy(alone))
+    copied = copy.deepcopy(recorded)
+    assert copied.servo_work == recorded.servo_work
+    assert play(copied) == play(copy.deepcopy(alone)) == play(recorded)
+    assert copied.servo_work == recorded.servo_work and np.isfinite(copied.servo_work).all()
 
 
-@pytest.mark.parametrize("parameters", [ArmParameters(), FIELD], ids=["free", "field"])
+@free_or_in_a_field
 def test_arms_record_what_single_ones_do(parameters):
     arms, alone = recording(Arms(parameters, 70, threads=2)), Arms(parameters, 70)
     singles = [recording(Arm(parameters)) for _ in range(70)]
@@ -94,15 +102,6 @@ def test_nothing_is_recorded_unless_it_is_asked_for():
     arm.records_effort = False
     play(arm, 3)
     assert arm.servo_impulses is last
-
-
-def test_a_copy_records_as_its_original():
-    arm = recording(Arm())
-    play(arm, 3)
-    twin = copy.deepcopy(arm)
-    assert twin.servo_work == arm.servo_work
-    play(arm, 1), play(twin, 1)
-    assert twin.servo_work == arm.servo_work and np.isfinite(twin.servo_work).all()
 
 
 def test_the_analytic_engine_tells_no_effort():

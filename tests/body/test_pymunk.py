@@ -310,6 +310,13 @@ def any_arm(draw):
     )
 
 
+def assert_holds_together(arm, servo, play, posture, gap, seed=0, plays=3):
+    arm.reset(posture.tolist())
+    for _ in range(plays):
+        assert np.isfinite(play(arm, servo, seed, steps=3)).all()
+        assert arm.pivot_gap() < gap * sum(arm.parameters.segment_lengths)
+
+
 @given(parameters=any_arm(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, postures):
@@ -318,10 +325,8 @@ def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, post
     except UserError as refusal:
         assert "an arm that pymunk can hold together" in str(refusal)
         return
-    arm.reset(postures(parameters, np.random.default_rng(seed), 1)[0].tolist())
-    for _ in range(3):
-        assert np.isfinite(play(arm, servo, seed, steps=3)).all()
-        assert arm.pivot_gap() < 0.05 * sum(parameters.segment_lengths)
+    posture = postures(parameters, np.random.default_rng(seed), 1)[0]
+    assert_holds_together(arm, servo, play, posture, 0.05, seed)
 
 
 @pytest.mark.parametrize(
@@ -341,10 +346,8 @@ def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, post
 )
 def test_arms_that_are_not_refused(made, servo, play, postures):
     arm = Arm(ArmParameters(**made), servo)
-    arm.reset(postures(arm.parameters, np.random.default_rng(0), 1)[0].tolist())
-    for _ in range(5):
-        assert np.isfinite(play(arm, servo, seed=0, steps=3)).all()
-        assert arm.pivot_gap() < 0.01 * sum(arm.parameters.segment_lengths)
+    posture = postures(arm.parameters, np.random.default_rng(0), 1)[0]
+    assert_holds_together(arm, servo, play, posture, 0.01, plays=5)
 
 
 def test_an_arm_with_too_heavy_a_hand_for_the_solver_is_refused():
