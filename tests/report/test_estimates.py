@@ -21,7 +21,7 @@ from mmc_gym.measures.speed import (
     spectral_arc_length,
 )
 from mmc_gym.report import render, write_report
-from mmc_gym.report.figures import movements
+from mmc_gym.report.figures import degradation, movements
 from mmc_gym.report.panels import looks, spread
 from mmc_gym.report.results import read_results
 from mmc_gym.report.scores import (
@@ -121,6 +121,16 @@ def test_intervals_are_those_of_the_benchmark(statistic, agent, instances):
 
 def test_an_agent_that_hardly_ever_arrives_wins_no_race(estimates):
     assert estimates.compare("rotation-60", MEASURES["time_to_target"], "mmc", ["ppo"]) is None
+
+
+@pytest.mark.parametrize("rivals", [["ik-dls", "ppo"], ["ppo", "ik-dls"]])
+def test_of_equal_rivals_the_first_is_named(estimates, rivals):
+    assert estimates.compare("random", SUCCESS, "mmc", rivals).rival == rivals[0]
+
+
+def test_a_description_has_the_digits_of_the_tables(estimates):
+    said = [panel.description for panel in degradation(estimates, looks(["mmc"])).panels]
+    assert "Success at strengths 0, 15, 60 °: mmc 100.0 %, 0.0 %, 0.0 %" in said
 
 
 def test_wins_and_losses_are_told_in_the_same_form(estimates):
