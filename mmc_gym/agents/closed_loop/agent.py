@@ -79,7 +79,7 @@ class ClosedLoopAgent(InternalModelAgent[ClosedLoopState]):
         """Make an agent with these loops closed.
 
         Raises:
-            CannotActError: under torque control, which has no servo to hand joint targets to.
+            CannotActError: under torque control.
         """
         super().__init__(interface)
         self.observer = BodyObserver(interface, loops)
@@ -125,11 +125,7 @@ class ClosedLoopMMCAgent(ClosedLoopAgent):
     ) -> None:
         """Make the agent.
 
-        Args:
-            interface: of the environment.
-            loops: which are closed.
-            network: the internal model, synchronous; of the environment's segment lengths.
-            iterations_per_step: iterations of the network in a control step.
+        The network is synchronous, and of the environment's segment lengths.
 
         Raises:
             UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
