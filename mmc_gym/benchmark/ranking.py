@@ -100,16 +100,8 @@ def rank_agents(
             "not_played": lost[agent],
         }
         rows.append(row)
-    ordered = (
-        pd.DataFrame(rows)
-        .sort_values(
-            ["success", "time_to_target"],
-            ascending=[False, True],
-            na_position="last",
-            kind="stable",
-        )
-        .reset_index(drop=True)
-    )
+    by, ascending = ["success", "time_to_target"], [False, True]  # NaN is last
+    ordered = pd.DataFrame(rows).sort_values(by, ascending=ascending, ignore_index=True)
     scored = list(zip(ordered["success"], ordered["time_to_target"].fillna(math.inf)))
     ordered.insert(0, "rank", [1 + scored.index(one) for one in scored])  # 1, 2, 2, 4, …
     return ordered
@@ -269,7 +261,7 @@ def _reasons(manifest: Manifest) -> list[str]:
     counts = Counter((one.status, one.agent, one.reason) for one in manifest.not_played)
     return [
         f"{status}, {count} cell{'s' * (count != 1)}: {agent}: {reason}"
-        for (status, agent, reason), count in sorted(
-            counts.items(), key=lambda found: found[0][0], reverse=True
-        )
+        for shown in ("skipped", "failed")
+        for (status, agent, reason), count in counts.items()
+        if status == shown
     ]
