@@ -280,10 +280,17 @@ class ReachEnvironment:
 
     parameters = property(attrgetter("setup.told"), doc="The arm as agents are told it.")
     control = property(attrgetter("setup.control"), doc="The control mode.")
+    reward_type = property(attrgetter("setup.reward_type"), doc="The kind of reward.")
+    control_weight = property(attrgetter("setup.control_weight"), doc="Weight of the control cost.")
     success_distance = property(
         attrgetter("setup.success_distance"), doc="How near a target is reached, segment lengths."
     )
     reach = property(attrgetter("setup.reach"), doc="Sum of the told segment lengths.")
+
+    @property
+    def max_joint_delta(self) -> float:
+        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
+        return action_meaning("joint_delta", self.setup.told).scale
 
     @property
     def spec(self) -> EnvSpec | None:
