@@ -60,6 +60,15 @@ def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, caps
         main(["train", "--all"])
 
 
+def test_an_error_that_is_not_the_users_keeps_its_traceback(monkeypatch):
+    def fail(*arguments, **options):
+        raise ValueError("a defect")
+
+    monkeypatch.setattr("mmc_gym.report.write_report", fail)
+    with pytest.raises(ValueError, match="a defect"):
+        main(["report"])
+
+
 def test_an_interruption_is_one_line(monkeypatch, capsys):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt

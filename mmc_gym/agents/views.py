@@ -41,7 +41,7 @@ VIEWS: dict[View, str] = {
     "target, all seen as if the target lay straight ahead, whence its actions are turned back",
     "world": "all joint angles, joint speeds, target, and offset from hand to target",
 }
-"""What each view shows, in words for a table."""
+"""Descriptions of the views, for a table."""
 
 OFFSET_GAIN = 6.0
 
