@@ -228,7 +228,7 @@ def _cells(row: Mapping[Hashable, Any]) -> dict[str, str]:
 
 
 def _with_interval(row: Mapping[Hashable, Any], name: str) -> str:
-    return f"{number(row[name], 3)} {interval(row[f'{name}_low'], row[f'{name}_high'], 3)}"
+    return f"{number(row[name], 3)}\n{interval(row[f'{name}_low'], row[f'{name}_high'], 3)}"
 
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
