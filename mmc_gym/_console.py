@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -197,6 +198,13 @@ def print_shares(
 def encodable(console: Console, content: str) -> Text:
     """Return a text, in plain ASCII if the console's encoding lacks its signs."""
     return Text(content if _knows_signs(console) else _to_ascii(content))
+
+
+def print_written(console: Console, paths: Iterable[Path]) -> None:
+    """Print the files that were written, a line each, unbroken so that they can be copied."""
+    for path in paths:
+        name = str(path).encode(console.encoding, "replace").decode(console.encoding)
+        console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
 
 
 def text_for(console: Console, content: str) -> Text:

@@ -15,7 +15,7 @@ import gymnasium as gym
 import pandas as pd
 from rich.console import Console
 
-from mmc_gym._console import cell, make_console, print_columns, progress_bar
+from mmc_gym._console import cell, make_console, print_columns, print_written, progress_bar
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
@@ -183,9 +183,7 @@ def compare(
     console = console or make_console()
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
     _print_table(console, comparison)
-    for path in written:
-        name = str(path).encode(console.encoding, "replace").decode(console.encoding)
-        console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
+    print_written(console, written)
     return comparison
 
 

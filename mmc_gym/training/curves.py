@@ -31,7 +31,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from mmc_gym._console import cell, make_console, print_columns
+from mmc_gym._console import cell, make_console, print_columns, print_written
 from mmc_gym._errors import UserError
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._plotting import LINES, STYLE, save_figure
@@ -157,9 +157,7 @@ def learning_curves(folder: Path | None, out: Path) -> None:
     written += save_figure(figure, out / "learning_curves")
     console = make_console()
     print_columns(console, *_columns(rows, summary), NOTE)
-    for path in written:
-        name = str(path).encode(console.encoding, "replace").decode(console.encoding)
-        console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
+    print_written(console, written)
 
 
 def read_cards(folder: Path) -> dict[str, list[PolicyCard]]:
