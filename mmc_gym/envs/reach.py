@@ -29,8 +29,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     ## Description
     Three uniform rods of length 1 and mass 1 with continuous joints lie in a horizontal plane,
     simulated by pymunk in control steps of 0.02 s (four physics steps of 0.005 s).  A servo
-    at each joint follows the action with at most 2π rad/s and a torque of at most 400
-    (mass · length² / s²): the whole stretched arm turns by 90° in 0.36 s, to within 0.05 rad.
+    at each joint follows the action with at most 2π rad/s and a torque of at most 500
+    (mass · length² / s²): the whole stretched arm turns by 90° in 0.40 s, to within 0.05 rad.
 
     ## Action Space
     `Box(-1, 1, (3,), float32)`, from the base outward.  `control` says what it means:
@@ -40,7 +40,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     | `joint_position` (default) | the joint angle π·a, the short way round |
     | `joint_delta` | the present joint angle + (2π/12)·a: held, it turns at 0.85 · 2π·a rad/s |
     | `joint_velocity` | the joint velocity 2π·a, rad/s |
-    | `joint_torque` | the torque 400·a, until the joint turns at 2π rad/s |
+    | `joint_torque` | the torque 500·a, until the joint turns at 2π rad/s |
 
     Actions outside the Box are an error and are not clipped (stable-baselines3 clips by itself;
     `gymnasium.wrappers.ClipAction` does it for others).

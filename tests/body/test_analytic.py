@@ -16,7 +16,7 @@ from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArms
 
 
 def scale(parameters, servo):
-    return {"position": math.pi, "velocity": parameters.speed_limit, "torque": 30.0}[servo]
+    return {"position": math.pi, "velocity": parameters.speed_limit, "torque": 45.0}[servo]
 
 
 # The engines agree
@@ -70,7 +70,7 @@ class Bookkeeping:
         lengths, count = parameters.segment_lengths, len(parameters.segment_lengths)
         self.step = parameters.substep
         self.masses, self.inertias = np.array(parameters.masses), np.zeros(count)
-        self.inertias[:] = self.masses * np.square(lengths) / 12
+        self.inertias[:] = [rod.inertia for rod in parameters.rods]
         self.levers = np.tril(np.tile(lengths, (count, 1)), -1) + np.diag(lengths) / 2
         self.gravity = np.array(parameters.gravity)
 
@@ -151,14 +151,15 @@ def test_every_torque_is_the_one_that_gives_the_asked_speed_or_the_largest(servo
 def energy_and_momentum(arm):
     """Kinetic and potential energy, and angular momentum about the base, of rods of mass 1."""
     lengths = np.array(arm.parameters.segment_lengths)
+    inertias = np.array([rod.inertia for rod in arm.parameters.rods])
     angles, speeds = np.array(arm.segment_angles), np.cumsum(arm.joint_velocities)
     levers = np.tril(np.tile(lengths, (len(lengths), 1)), -1) + np.diag(lengths) / 2
     places = levers @ Bookkeeping.along(angles)
     velocities = levers @ (speeds[:, None] * Bookkeeping.across(angles))
     heights = places @ np.array(arm.parameters.gravity)
-    energy = np.sum(velocities**2) / 2 + np.sum((lengths * speeds) ** 2) / 24 - heights.sum()
+    energy = np.sum(velocities**2) / 2 + inertias @ speeds**2 / 2 - heights.sum()
     spins = places[:, 0] * velocities[:, 1] - places[:, 1] * velocities[:, 0]
-    return np.array([energy, np.sum(spins) + np.sum(lengths**2 * speeds) / 12])
+    return np.array([energy, np.sum(spins) + inertias @ speeds])
 
 
 def drifts(substeps):
@@ -185,7 +186,11 @@ def test_a_slack_arm_conserves_the_more_the_finer_the_substep():
 def test_a_rod_swings_with_the_period_of_a_physical_pendulum():
     length, gravity, amplitude = 1.3, 9.81, 0.1
     parameters = ArmParameters(
-        segment_lengths=(length,), gravity=(0.0, -gravity), substep=0.001, substeps=1
+        segment_lengths=(length,),
+        gravity=(0.0, -gravity),
+        substep=0.001,
+        substeps=1,
+        drive_inertia=0.0,
     )
     arm, crossings = AnalyticArm(parameters, "torque"), []
     arm.reset([-math.pi / 2 + amplitude])

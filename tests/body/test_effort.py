@@ -10,7 +10,7 @@ import pytest
 from mmc_gym.body import Arm, ArmParameters, Arms
 from mmc_gym.body.engines import make_arm, make_arms
 
-ROD = ArmParameters(segment_lengths=(1.0,))  # its moment of inertia about the joint is 1/3
+ROD = ArmParameters(segment_lengths=(1.0,), drive_inertia=0.0)  # 1/3 about the joint
 FIELD = ArmParameters(force_field=((0.0, 3.0), (-3.0, 0.0)))
 
 

@@ -35,6 +35,7 @@ from mmc_gym.body import ArmParameters
         ({"joint_limits": ((1.0, -1.0),) * 3}, "joint_limits must be 3 pairs low < high"),
         ({"joint_limits": ((-4.0, 1.0),) * 3}, "joint_limits must be .* within -pi and pi"),
         ({"joint_limits": ((-1.0, math.nan),) * 3}, "joint_limits must be"),
+        ({"drive_inertia": math.inf}, "drive_inertia must be finite and not negative, got inf"),
         ({"hand_mass": -1.0}, "hand_mass must be finite and not negative, got -1.0"),
         ({"force_field": ((1.0, 0.0),)}, "force_field must be two rows of two finite values"),
         ({"obstacles": ((0.0, 1.0, 0.0),)}, "obstacles must be discs .*of positive radius"),
@@ -56,6 +57,24 @@ def test_lengths_are_floats_whatever_they_were_given_as():
 
 
 def test_the_last_rod_carries_the_hand_mass():
-    *bare, last = ArmParameters(segment_masses=(2.0, 1.0, 1.0), hand_mass=1.0).rods
+    *bare, last = ArmParameters(
+        segment_masses=(2.0, 1.0, 1.0), hand_mass=1.0, drive_inertia=0.0
+    ).rods
     assert bare == [(2.0, 0.5, 2 / 12), (1.0, 0.5, 1 / 12)]
     assert last == pytest.approx((2.0, 0.75, 1 / 12 + 2 * 0.25**2))
+
+
+def test_a_drive_has_its_share_of_the_inertia_of_what_it_moves():
+    lengths, masses = (1.0, 0.8, 0.5), (1.0, 2.0, 0.7)
+    made = {"segment_lengths": lengths, "segment_masses": masses, "hand_mass": 3.0}
+    bare, driven = (ArmParameters(**made, drive_inertia=share).rods for share in (0.0, 0.2))
+    for joint in range(3):
+        stretched = start = 0.0
+        for length, mass in zip(lengths[joint:], masses[joint:], strict=True):
+            stretched += mass * (length**2 / 12 + (start + length / 2) ** 2)
+            start += length
+        assert driven[joint].inertia - bare[joint].inertia == pytest.approx(0.2 * stretched)
+
+
+def test_whole_numbers_are_taken_for_floats():
+    assert ArmParameters(torque_limit=400).torque_limit.hex() == (400.0).hex()

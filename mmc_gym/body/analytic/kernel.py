@@ -62,14 +62,14 @@ def _record(names: str, lanes: tuple[int, ...] = (LANES,)) -> np.dtype[np.void]:
 
 # What an arm remembers, per segment and the joint before it: `lag` is the part of the velocity of
 # u_j that closes the pivots; `asked` is what the servo is to do, with at most the impulse `limit`;
-# `held` is the angle of a locked joint, or nan.
-STATE = _record("angle speed lag_x lag_y asked limit held")
+# `held` is the angle of a locked joint, or nan; `yields` is 1 where the servo gave all it could.
+STATE = _record("angle speed lag_x lag_y asked limit held yields")
 # What one physics step works with, per segment, and for all of them.
 WORK = _record(
     "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
     "needed bound moment_x moment_y inertia right inverse excess"
 )
-SUMS = _record("x y turn angle changed")
+SUMS = _record("x y turn angle changed mobility_xx mobility_xy mobility_yy velocity_x velocity_y")
 # The segments, each with the joint before it, and what is common to them.
 RODS = _record("length mass centre inertia lowest_angle highest_angle", lanes=())
 SCALARS = _record("substep speed_limit torque_limit gain stop_gain is_position is_torque", lanes=())
@@ -174,6 +174,7 @@ def place(state, output, rods, world, chosen, postures, speeds):
             a.lag_x[k] = 0.0
             a.lag_y[k] = 0.0
             a.held[k] = np.nan
+            a.yields[k] = 1.0
             a.limit[k] = 0.0 if is_torque else world[0].substep * world[0].torque_limit
             least, most = rods[i].lowest_angle, rods[i].highest_angle
             if not is_position:
@@ -231,6 +232,7 @@ def step_blocks(state, output, rods, world, substeps, first, last):
     matrix = np.zeros((segments, segments, LANES))
     factor = np.zeros((segments, segments, LANES))
     inward = np.arange(segments - 1, -1, -1)
+    has_field = np.abs(world[0].field).max() > 0.0
     for block in range(first, last):
         arms = state[block]
         lanes = min(LANES, count - block * LANES)
@@ -238,6 +240,12 @@ def step_blocks(state, output, rods, world, substeps, first, last):
         _release(work, lanes)
         for _ in range(substeps):
             _move(arms, work, sums[0], rods, world[0], lanes)
+            if has_field:
+                _weigh(work, sums[0], matrix, rods, inward, lanes)
+                _burden(arms, work, sums[0], rods, world[0], inward, lanes)
+                _push(arms, work, sums[0], matrix, factor, rods, world[0], inward, lanes)
+            else:
+                _push_nothing(sums[0], lanes)
             _ask(arms, work, sums[0], rods, world[0], lanes)
             if _need(arms, work, sums[0], rods, world[0], inward, lanes):
                 _guess(arms, work, sums[0], world[0], lanes)
@@ -259,44 +267,126 @@ def _look(arms, work, lanes):
 
 @inner
 def _move(arms, work, sums, rods, world, lanes):
-    """Turn the segments; the field's impulse on the hand goes to `sums` x, y and turn."""
+    """Turn the segments; `sums` velocity is what brings the last centre from where its rod was."""
     h = world.substep
     rate = 1.0 / h
     segments = arms.shape[0]
-    sums.x[:lanes] = 0.0
-    sums.y[:lanes] = 0.0
+    sums.velocity_x[:lanes] = 0.0
+    sums.velocity_y[:lanes] = 0.0
     for i in range(segments):
         a, w = arms[i], work[i]
-        length = rods[i].length
-        carried = rods[i].centre if i == segments - 1 else length
+        carried = rods[i].centre if i == segments - 1 else rods[i].length
         for k in range(lanes):
             speed, sine, cosine = a.speed[k], w.sine[k], w.cosine[k]
             lag_x, lag_y = a.lag_x[k], a.lag_y[k]
-            sums.x[k] += carried * lag_x - length * sine * speed
-            sums.y[k] += carried * lag_y + length * cosine * speed
             angle = a.angle[k] + h * speed
             new_sine, new_cosine = _sine_cosine(angle)
             new_lag_x = (new_cosine - cosine) * rate + speed * sine
             new_lag_y = (new_sine - sine) * rate - speed * cosine
             w.free_x[k] = lag_x - new_lag_x - sine * speed
             w.free_y[k] = lag_y - new_lag_y + cosine * speed
+            sums.velocity_x[k] += carried * ((new_cosine - cosine) * rate + lag_x)
+            sums.velocity_y[k] += carried * ((new_sine - sine) * rate + lag_y)
             a.lag_x[k] = new_lag_x
             a.lag_y[k] = new_lag_y
             a.angle[k] = angle
-            w.load_x[k] = cosine
-            w.load_y[k] = sine
             w.sine[k] = new_sine
             w.cosine[k] = new_cosine
-    w = work[segments - 1]
-    reach = rods[segments - 1].length - rods[segments - 1].centre
-    xx, xy = h * world.field[0, 0], h * world.field[0, 1]
-    yx, yy = h * world.field[1, 0], h * world.field[1, 1]
+
+
+@inner
+def _push_nothing(sums, lanes):
     for k in range(lanes):
-        x, y = sums.x[k], sums.y[k]
-        push_x, push_y = xx * x + xy * y, yx * x + yy * y
-        sums.turn[k] = reach * (w.load_x[k] * push_y - w.load_y[k] * push_x)
-        sums.x[k] = push_x
-        sums.y[k] = push_y
+        sums.x[k] = 0.0
+        sums.y[k] = 0.0
+        sums.turn[k] = 0.0
+
+
+@inner
+def _burden(arms, work, sums, rods, world, inward, lanes):
+    """Find the impulse that each joint must give, for its speed to stay as it is: `needed`."""
+    _push_nothing(sums, lanes)
+    for i in range(arms.shape[0]):
+        a, w = arms[i], work[i]
+        for k in range(lanes):
+            w.wanted[k] = a.speed[k] - sums.turn[k]
+            sums.turn[k] = a.speed[k]
+    _push_nothing(sums, lanes)
+    _need(arms, work, sums, rods, world, inward, lanes)
+
+
+@inner
+def _push(arms, work, sums, matrix, factor, rods, world, inward, lanes):
+    """Find the field's impulse on the hand, `sums` x and y, and its moment, turn.
+
+    `mmc_gym.body.force_field` says how.
+    """
+    segments = arms.shape[0]
+    sums.x[:lanes] = 0.0
+    sums.y[:lanes] = 0.0
+    for i in inward:
+        w = work[i]
+        length = rods[i].length
+        for k in range(lanes):
+            sums.x[k] += length * w.cosine[k]
+            sums.y[k] += length * w.sine[k]
+            w.load_x[k] = -sums.y[k]  # the way of the hand per angle of the joint
+            w.load_y[k] = sums.x[k]
+    for k in range(lanes):
+        sums.mobility_xx[k] = 0.0
+        sums.mobility_xy[k] = 0.0
+        sums.mobility_yy[k] = 0.0
+    for axis in range(2):
+        for i in range(segments):
+            a, w = arms[i], work[i]
+            for k in range(lanes):
+                way = w.load_x[k] if axis == 0 else w.load_y[k]
+                w.right[k] = way * a.yields[k]
+            for j in range(segments):
+                b = arms[j]
+                same = 1.0 if i == j else 0.0
+                for k in range(lanes):
+                    both = a.yields[k] * b.yields[k] > 0.0
+                    factor[i, j, k] = matrix[i, j, k] if both else same
+        _solve(work, sums, factor, inward, lanes)
+        for i in range(segments):
+            a, w = arms[i], work[i]
+            for k in range(lanes):
+                along_x = w.load_x[k] * w.excess[k]
+                along_y = w.load_y[k] * w.excess[k]
+                sums.mobility_xx[k] += along_x if axis == 0 else 0.0
+                sums.mobility_xy[k] += along_y if axis == 0 else 0.0
+                sums.mobility_yy[k] += 0.0 if axis == 0 else along_y
+                change = w.needed[k] * w.excess[k]
+                sums.velocity_x[k] -= change if axis == 0 else 0.0
+                sums.velocity_y[k] -= 0.0 if axis == 0 else change
+    sums.turn[:lanes] = 0.0
+    for i in range(segments):
+        a, w = arms[i], work[i]
+        for k in range(lanes):
+            speed = a.speed[k] - sums.turn[k]
+            sums.turn[k] = a.speed[k]
+            sums.velocity_x[k] += speed * w.load_x[k]
+            sums.velocity_y[k] += speed * w.load_y[k]
+    w, speeds = work[segments - 1], arms[segments - 1].speed
+    reach = rods[segments - 1].length - rods[segments - 1].centre
+    half = 0.5 * world.substep
+    xx, xy, yx, yy = world.field[0, 0], world.field[0, 1], world.field[1, 0], world.field[1, 1]
+    for k in range(lanes):
+        along, across, other = sums.mobility_xx[k], sums.mobility_xy[k], sums.mobility_yy[k]
+        a = 1.0 - half * (xx * along + xy * across)
+        b = -half * (xx * across + xy * other)
+        c = -half * (yx * along + yy * across)
+        d = 1.0 - half * (yx * across + yy * other)
+        # Twice the mean velocity: the rod's before, and the rigid rods' and their pivots' after.
+        x = sums.velocity_x[k] - reach * w.sine[k] * speeds[k]
+        y = sums.velocity_y[k] + reach * w.cosine[k] * speeds[k]
+        push_x = half * (xx * x + xy * y)
+        push_y = half * (yx * x + yy * y)
+        scale = 1.0 / (a * d - b * c)
+        sums.x[k] = scale * (d * push_x - b * push_y)
+        sums.y[k] = scale * (a * push_y - c * push_x)
+        sums.turn[k] = reach * (w.cosine[k] * sums.y[k] - w.sine[k] * sums.x[k])
 
 
 @inner
@@ -392,6 +482,7 @@ def _turn(arms, work, sums, lanes):
             speed = sums.turn[k] + (w.wanted[k] + w.excess[k])
             sums.turn[k] = speed
             a.speed[k] = speed
+            a.yields[k] = 1.0 if abs(w.bound[k]) == 1.0 else 0.0
 
 
 @inner

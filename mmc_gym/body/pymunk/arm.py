@@ -28,6 +28,7 @@ from pymunk._chipmunk_cffi import lib as chipmunk
 from typing_extensions import override
 
 from mmc_gym.body.base import SingleArm, wrong_count
+from mmc_gym.body.force_field import field_impulse
 from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
 
@@ -58,6 +59,7 @@ class Arm(SingleArm):
     _history: _History  # for every step since the reset, the command before it, if there was one
     _new_command: tuple[float, ...] | None
     _steps_to_lock: int | None
+    _yields: list[float]  # see `Linkage.yields`; used where there is a force field
 
     @override
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
@@ -82,6 +84,7 @@ class Arm(SingleArm):
         else:
             forget_impulses(self._space, [self._linkage], self.parameters.substep)
         self._linkage.place(joint_angles, joint_velocities)
+        self._yields = [1.0] * len(joint_angles)
         self._read()
         self.command(joint_angles if self._servo == "position" else [0.0] * len(joint_angles))
         self._start = tuple(joint_angles), tuple(joint_velocities)
@@ -137,6 +140,8 @@ class Arm(SingleArm):
             if self._pushes_hand:
                 self._push_hand()
             chipmunk.cpSpaceStep(space, substep)
+            if self._pushes_hand:
+                self._yields = self._linkage.yields(substep)
             if records:
                 after = self._velocities()
                 for joint, servo in enumerate(servos):
@@ -158,14 +163,22 @@ class Arm(SingleArm):
 
     def _push_hand(self) -> None:
         """Let the force field act on the hand in the next physics step."""
-        assert self.parameters.force_field is not None
-        (xx, xy), (yx, yy) = self.parameters.force_field
-        x, y = self._linkage.hand_velocity()
-        force_x, force_y = xx * x + xy * y, yx * x + yy * y
-        body, reach = self._linkage.hand
-        angle = chipmunk.cpBodyGetAngle(body)
-        chipmunk.cpBodySetForce(body, (force_x, force_y))
-        chipmunk.cpBodySetTorque(body, reach * (cos(angle) * force_y - sin(angle) * force_x))
+        substep = self.parameters.substep
+        bodies = [body for body, _ in self._handles]
+        speeds = [*map(chipmunk.cpBodyGetAngularVelocity, bodies)]
+        turned = [
+            angle + substep * speed
+            for angle, speed in zip(map(chipmunk.cpBodyGetAngle, bodies), speeds)
+        ]
+        centres = [(at.x, at.y) for at in map(chipmunk.cpBodyGetPosition, bodies)]
+        velocities = [(v.x, v.y) for v in map(chipmunk.cpBodyGetVelocity, bodies)]
+        cosines, sines, yields = [*map(cos, turned)], [*map(sin, turned)], self._yields
+        x, y, turn = field_impulse(
+            self.parameters, cosines, sines, speeds, yields, centres, velocities
+        )
+        body = bodies[-1]
+        chipmunk.cpBodySetForce(body, (x / substep, y / substep))
+        chipmunk.cpBodySetTorque(body, turn / substep)
 
     def _read(self) -> None:
         get_angle, get_velocity = chipmunk.cpBodyGetAngle, chipmunk.cpBodyGetAngularVelocity

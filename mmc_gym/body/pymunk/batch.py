@@ -22,6 +22,7 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from typing_extensions import override
 
 from mmc_gym.body.base import ArmBatch, Floats, Indices
+from mmc_gym.body.force_field import field_impulse
 from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
 
@@ -36,6 +37,7 @@ class SharedSpace:
         bodies = count * len(parameters.segment_lengths) + bool(parameters.obstacles)
         self._pushes = np.zeros((bodies, 3))  # force x, y and torque; the obstacles are one body
         self._push_buffer.set_float_buf(self._pushes)
+        self._yields = np.ones((count, len(parameters.segment_lengths)))
         self._build()
 
     def _build(self) -> None:
@@ -67,6 +69,8 @@ class SharedSpace:
             if p.force_field is not None:
                 self._push_hands()
             chipmunk.cpSpaceStep(space, p.substep)
+            if p.force_field is not None:
+                self._yields[:] = [linkage.yields(p.substep) for linkage in self.linkages]
             if effort:
                 after = self._joint_velocities()
                 sizes = list(map(chipmunk.cpConstraintGetImpulse, self._servo_handles))
@@ -95,18 +99,22 @@ class SharedSpace:
 
     def _push_hands(self) -> None:
         """Let the force field act on the hands in the next physics step."""
-        assert self._parameters.force_field is not None
-        (xx, xy), (yx, yy) = self._parameters.force_field
-        fields = BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
-        angle, centre_x, centre_y, speed = self._get(fields)[:, -1].T
-        along_x, along_y = cosine(angle), sine(angle)
-        _, reach = self.linkages[0].hand
-        x, y = centre_x - reach * speed * along_y, centre_y + reach * speed * along_x
-        force_x, force_y = xx * x + xy * y, yx * x + yy * y
-        joints = len(self._parameters.segment_lengths)
+        p, joints = self._parameters, len(self._parameters.segment_lengths)
+        every = BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
+        state = self._get(BodyFields.POSITION | BodyFields.ANGLE | every).T  # (6, N, count)
+        centres, angles, velocities, speeds = state[:2], state[2], state[3:5], state[5]
+        angles = angles + p.substep * speeds
+        pushes = field_impulse(
+            p,
+            cosine(angles),
+            sine(angles),
+            speeds,
+            list(self._yields.T),
+            list(zip(*centres)),
+            list(zip(*velocities)),
+        )
         last = self._pushes[joints - 1 : self.count * joints : joints]
-        last[:, 0], last[:, 1] = force_x, force_y
-        last[:, 2] = reach * (along_x * force_y - along_y * force_x)
+        last[:] = np.transpose(pushes) / p.substep
         set_space_bodies(self._space, BodyFields.FORCE | BodyFields.TORQUE, self._push_buffer)
 
     def reset(
@@ -132,6 +140,7 @@ class SharedSpace:
                 linkage.move_joints(scratch, self._space)
         for linkage, posture, speeds in zip(linkages, joint_angles, joint_velocities):
             linkage.place(posture, speeds)
+        self._yields[members] = 1.0
 
 
 def _for_each(function: Callable[[Any, float], None], handles: Sequence[Any], x: Floats) -> None:

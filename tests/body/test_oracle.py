@@ -1,0 +1,158 @@
+"""Both engines against the equations of motion, derived on their own and solved by SciPy.
+
+With the absolute angles θ of the segments as coordinates, the Lagrangian of a chain of rods is
+
+    L = ½ Σ_ij c_ij cos(θ_i − θ_j) θ̇_i θ̇_j + Σ_i b_i (g_x cos θ_i + g_y sin θ_i)
+
+and from it follows Σ_j c_ij (cos(θ_i − θ_j) θ̈_j + sin(θ_i − θ_j) θ̇_j²) = Q_i.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mmc_gym.body import ArmParameters
+from mmc_gym.body.engines import make_arm, make_arms
+
+START, SPEEDS, DURATION = [0.4, 1.0, -0.7], [0.9, -1.4, 0.8], 0.5
+
+
+class Lagrangian:
+    """Three rods with drives and a point mass at the hand, from the parameters alone."""
+
+    def __init__(self, p, torques, held=None):
+        lengths, masses = np.array(p.segment_lengths), np.array(p.masses)
+        count = len(lengths)
+        # How far each mass, of the rods and of the hand, moves with each segment.
+        levers = np.tril(np.tile(lengths, (count, 1)), -1) + np.diag(lengths / 2)
+        levers, masses = np.vstack([levers, lengths]), np.append(masses, p.hand_mass)
+        rods = p.masses * lengths**2 / 12
+        drives = [self.stretched(p, joint) * p.drive_inertia for joint in range(count)]
+        self.c = np.einsum("k,ki,kj->ij", masses, levers, levers) + np.diag(rods + drives)
+        self.b = masses @ levers
+        self.lengths, self.gravity = lengths, p.gravity
+        self.field = np.zeros((2, 2)) if p.force_field is None else np.array(p.force_field)
+        self.pull = np.array(torques) - np.append(torques[1:], 0.0)
+        self.hold = np.zeros((0, count))
+        if held is not None:
+            row = np.zeros(count)
+            row[held] = 1.0
+            if held > 0:
+                row[held - 1] = -1.0
+            self.hold = row[None]
+
+    @staticmethod
+    def stretched(p, joint):
+        """Inertia of the stretched arm about a joint, by cutting it into small pieces."""
+        lengths, masses = p.segment_lengths[joint:], p.masses[joint:]
+        total = start = 0.0
+        for length, mass in zip(lengths, masses, strict=True):
+            total += mass * np.mean(np.linspace(start, start + length, 100_001) ** 2)
+            start += length
+        return total
+
+    def __call__(self, time, state):
+        angles, speeds = np.split(state, 2)
+        difference = angles[:, None] - angles
+        across = np.stack([-np.sin(angles), np.cos(angles)], axis=-1) * self.lengths[:, None]
+        x, y = self.gravity
+        forces = self.pull + self.b * (y * np.cos(angles) - x * np.sin(angles))
+        forces = forces + across @ (self.field @ (speeds @ across))
+        forces = forces - (self.c * np.sin(difference)) @ speeds**2
+        rows = len(self.hold)
+        matrix = np.block(
+            [[self.c * np.cos(difference), self.hold.T], [self.hold, np.zeros((rows, rows))]]
+        )
+        solution = np.linalg.solve(matrix, np.append(forces, np.zeros(rows)))
+        return np.append(speeds, solution[: len(angles)])
+
+    def joint_angles(self, speeds):
+        start = np.append(np.cumsum(START), np.cumsum(speeds))
+        end = solve_ivp(self, (0, DURATION), start, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+        return np.diff(end[: len(START)], prepend=0.0)
+
+
+CASES = {
+    "free": ({}, [0.0, 0.0, 0.0], SPEEDS, None),
+    "driven": ({}, [12.0, -7.0, 2.0], SPEEDS, None),
+    "bare rods": ({"drive_inertia": 0.0}, [3.0, -2.0, 0.5], SPEEDS, None),
+    "limited": (
+        {"joint_limits": ((-3, 3), (-3, 1.0), (-3, 3))},
+        [2.0, 30.0, 0.5],
+        [0.3, 0, 0.4],
+        1,
+    ),
+    "locked": ({"lockable_joints": (1,)}, [12.0, -7.0, 2.0], [0.9, 0.0, 0.8], 1),
+    "loaded": ({"hand_mass": 3.0}, [12.0, -7.0, 2.0], SPEEDS, None),
+    "hanging": ({"gravity": (0.3, -9.81)}, [12.0, -7.0, 2.0], SPEEDS, None),
+    "in the field": ({"force_field": ((0.0, 20.0), (-20.0, 0.0))}, [12.0, -7.0, 2.0], SPEEDS, None),
+    "in honey": ({"force_field": ((-6.0, 0.0), (0.0, -6.0))}, [12.0, -7.0, 2.0], SPEEDS, None),
+}
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize("case", CASES)
+def test_an_arm_obeys_the_equations_of_motion(engine, case):
+    made, torques, speeds, held = CASES[case]
+    errors = []
+    for substep in (0.002, 0.0005):
+        steps = round(DURATION / substep)
+        p = ArmParameters(**made, speed_limit=100.0, substep=substep, substeps=steps)
+        arm = make_arm(engine, p, "torque")
+        arm.reset(START, speeds)
+        arm.lock()
+        arm.command(torques)
+        arm.step()
+        exact = Lagrangian(p, torques, held).joint_angles(speeds)
+        errors.append(np.abs(arm.joint_angles - exact).max())
+    assert errors[0] < 0.02
+    assert errors[1] < max(0.4 * errors[0], 1e-6)  # of first order: a quarter
+
+
+def turns(difference):
+    return np.abs(np.remainder(difference + math.pi, 2 * math.pi) - math.pi).max(axis=-1)
+
+
+LIMITS = ((-2.0, 2.0),) * 3
+CONVERGED = {
+    "plain": ({}, "position"),
+    "longer": ({"segment_lengths": (1.0, 1.0, 1.5)}, "position"),
+    "limits": ({"joint_limits": LIMITS}, "position"),
+    "locks": ({"lockable_joints": (1,)}, "position"),
+    "gravity": ({"gravity": (0.0, -60.0)}, "position"),
+    "hand mass 1": ({"hand_mass": 1.0}, "position"),
+    "hand mass 3": ({"hand_mass": 3.0}, "position"),
+    "hand mass 10": ({"hand_mass": 10.0}, "position"),
+    "velocity": ({}, "velocity"),
+    "torque": ({}, "torque"),
+    "torque, locks": ({"lockable_joints": (1,)}, "torque"),
+    "field": ({"force_field": ((0.0, 60.0), (-60.0, 0.0))}, "position"),
+}
+
+
+@pytest.mark.parametrize("case", CONVERGED)
+def test_pymunk_has_converged_to_the_exact_engine(case):
+    """After 2 s of random commands, at the same substep."""
+    made, servo = CONVERGED[case]
+    p, count = ArmParameters(**made), 64
+    largest = {"position": 0.5, "velocity": p.speed_limit, "torque": 50.0}[servo]
+    ends = []
+    for engine in ("pymunk", "analytic"):
+        random = np.random.default_rng(0)
+        arms = make_arms(engine, p, count, servo)
+        arms.reset(random.uniform(-1.9, 1.9, (count, 3)))
+        for step in range(100):
+            if step == 25:
+                arms.lock(np.arange(count))
+            if step % 4 == 0:
+                values = random.normal(0.0, largest, (count, 3))
+                if servo == "position":
+                    values += arms.joint_angles
+            arms.command(values)
+            arms.step()
+        ends.append(arms.joint_angles.copy())
+    errors = turns(ends[1] - ends[0])
+    assert np.median(errors) < 0.005
+    assert errors.max() < 0.05
