@@ -1,0 +1,266 @@
+"""What learners that nobody tuned reach in a reaching environment, each with its own defaults.
+
+stable-baselines3's PPO (eight environments), SAC and TD3 (one), and PPO as CleanRL sets it up (one,
+see `cleanrl_ppo.py`).  Each training is what a stranger types,
+
+    PPO("MlpPolicy", make_vec_env("MMCReach-v0", 8, seed=seed), seed=seed, device="cpu")
+
+on one thread.  Where it passes one of the step counts `--at`, its policy plays 200 episodes without
+exploration, the same for all, on pymunk: so a policy of PPO has learned from the rollouts that were
+complete before.  Success is a hand within the success distance when the episode ends; the table has
+its median over seeds, the worst and the best.  Minutes are wall time, without the evaluations, of
+as many trainings at once as `--jobs` says; the files have processor time, too.
+
+    python benchmarks/plain_learners.py --learners ppo cleanrl --out runs/plain-learners
+    python benchmarks/plain_learners.py --learners sac td3 --steps 200000
+    python benchmarks/plain_learners.py --learners --plot plain.png   # only shows what is there
+
+A training that is interrupted begins anew, but what was evaluated is kept.  One that is finished is
+not run again: after a change of the environment's code choose another folder.
+"""
+
+from __future__ import annotations
+
+import io
+import time
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import tyro
+import yaml
+from cleanrl_ppo import CleanRLPPO
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, NullLocator, PercentFormatter
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.env_util import make_vec_env
+
+from mmc_gym._console import interval, make_console, number, print_rows, print_written
+from mmc_gym._errors import UserError, require
+from mmc_gym._files import check_folder, write_atomically
+from mmc_gym._grid import run_grid
+from mmc_gym._plotting import COLOURS, LINES, STYLE
+from mmc_gym.measures.reaching import final_distance, success
+from mmc_gym.measures.rollout import run_episodes
+
+Learner = Literal["ppo", "sac", "td3", "cleanrl"]
+
+LABELS = {"ppo": "PPO, sb3", "sac": "SAC, sb3", "td3": "TD3, sb3", "cleanrl": "PPO, CleanRL's"}
+ENVIRONMENTS = {"ppo": 8}  # the others have one
+MARKERS = "osD^"
+EPISODES = 200
+EVALUATION_SEED = 2_000_000  # far from those of trainings
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Train and evaluate, then print all that the folder holds.
+
+    Attributes:
+        learners: to train; none of them to show only what is there.
+        seeds: of the trainings, for each learner.
+        steps: environment steps of a training, at most: it ends where it is last evaluated.
+        at: environment steps after which the policy is evaluated.
+        jobs: trainings at once.
+        env: id of the environment.
+        env_kwargs: its arguments, as NAME=VALUE.
+        out: folder for the results.
+        plot: PNG to draw success against steps into.
+        markdown: print the table as Markdown.
+    """
+
+    learners: tuple[Learner, ...] = ("ppo", "sac", "td3", "cleanrl")
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    steps: int = 1_000_000
+    at: tuple[int, ...] = (50_000, 100_000, 200_000, 500_000, 1_000_000)
+    jobs: int = 2
+    env: str = "MMCReach-v0"
+    env_kwargs: tuple[str, ...] = ()
+    out: Path = Path("runs/plain-learners")
+    plot: Path | None = None
+    markdown: bool = False
+
+
+@dataclass(frozen=True)
+class Training:
+    """One training: who learns, from which seed, evaluated after which steps, and where."""
+
+    learner: Learner
+    seed: int
+    marks: tuple[int, ...]
+    env: str
+    env_kwargs: tuple[str, ...]
+    file: Path
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The arguments of the environment."""
+        return {
+            name: yaml.safe_load(value)
+            for name, _, value in (text.partition("=") for text in self.env_kwargs)
+        }
+
+    def rows(self) -> dict[int, dict[str, Any]]:
+        """Return what is there already, by environment steps.
+
+        Raises:
+            UserError: if it is of another environment.
+        """
+        if not self.file.exists():
+            return {}
+        rows = pd.read_csv(self.file, keep_default_na=False).to_dict("records")
+        here = {"env": self.env, "env_kwargs": " ".join(self.env_kwargs)}
+        for name, value in here.items():
+            require(rows[0][name] == value, name, value, f"{rows[0][name]!r} as in {self.file}")
+        return {row["steps"]: row for row in rows}
+
+    def run(self) -> None:
+        """Train, and write a row after each evaluation."""
+        rows, left = self.rows(), list(self.marks)
+        learner: Any = self.make_learner()
+        begun = self._now()
+
+        def evaluate(*_: Any) -> bool:
+            nonlocal begun
+            if learner.num_timesteps >= left[0]:
+                paused = self._now()
+                found: dict[str, Any] = {"learner": self.learner, "seed": self.seed}
+                found |= {"env": self.env, "env_kwargs": " ".join(self.env_kwargs)}
+                found |= {"steps": left.pop(0), **self.evaluate(learner)}
+                found |= dict(zip(("seconds", "cpu_seconds"), np.round(paused - begun, 1)))
+                rows[found["steps"]] = found
+                table = pd.DataFrame([rows[steps] for steps in sorted(rows)])
+                write_atomically(self.file, table.to_csv(index=False, lineterminator="\n"))
+                line = "{learner}-{seed}: success {success:.3f} after {steps:,} steps, {seconds} s"
+                print(line.format_map(found), flush=True)
+                begun += self._now() - paused
+            return bool(left)
+
+        learner.learn(self.marks[-1], callback=evaluate)
+
+    def make_learner(self) -> PPO | SAC | TD3 | CleanRLPPO:
+        """Return the learner as it comes."""
+        if self.learner == "cleanrl":
+            return CleanRLPPO(gym.make(self.env, **self.settings), self.seed)
+        algorithm = {"ppo": PPO, "sac": SAC, "td3": TD3}[self.learner]
+        count = ENVIRONMENTS.get(self.learner, 1)
+        env = make_vec_env(self.env, count, seed=self.seed, env_kwargs=self.settings)
+        return algorithm("MlpPolicy", env, seed=self.seed, device="cpu")
+
+    def evaluate(self, learner: Any) -> dict[str, float]:
+        """Return success, and the median final distance in segment lengths.
+
+        It draws no random numbers but those of its own environment, and changes no training.
+        """
+        settings = {**self.settings, "engine": "pymunk", "autoreset_mode": "Disabled"}
+        with closing(gym.make_vec(self.env, EPISODES, **settings)) as env:
+            seeds = range(EVALUATION_SEED, EVALUATION_SEED + EPISODES)
+            episodes = run_episodes(learner, env, seeds, records_effort=False)
+        return {
+            "success": float(np.mean([success(one) for one in episodes])),
+            "final_distance": float(np.median([final_distance(one) for one in episodes])),
+        }
+
+    @staticmethod
+    def _now() -> np.ndarray:
+        return np.array([time.perf_counter(), time.process_time()])
+
+
+def trainings(arguments: Arguments) -> list[Training]:
+    """Return the trainings that are not finished, seed by seed."""
+    marks = tuple(sorted(mark for mark in set(arguments.at) if mark <= arguments.steps))
+    require(bool(marks) and marks[0] > 0, "at", arguments.at, f"from 1 to {arguments.steps:,}")
+    for text in arguments.env_kwargs:
+        require(text.partition("=")[1] == "=", "env_kwargs", text, "NAME=VALUE")
+    found = []
+    for seed, learner in product(arguments.seeds, arguments.learners):
+        file = arguments.out / f"{learner}-{seed}.csv"
+        one = Training(learner, seed, marks, arguments.env, arguments.env_kwargs, file)
+        if not one.rows().keys() >= set(marks):
+            found.append(one)
+    return found
+
+
+def read_results(folder: Path) -> pd.DataFrame:
+    """Return all rows of a folder, learners in the order of `LABELS`.
+
+    Raises:
+        UserError: if there are none.
+    """
+    tables = [pd.read_csv(path, keep_default_na=False) for path in sorted(folder.glob("*-*.csv"))]
+    if not tables:
+        raise UserError(f"out must hold results, found none in {str(folder)!r}")
+    return pd.concat(tables).sort_values("learner", key=lambda names: names.map([*LABELS].index))
+
+
+def cells(results: pd.DataFrame) -> list[dict[str, str]]:
+    """Return a row for each learner: success after so many steps, seeds, and wall time."""
+    rows = []
+    for learner, group in results.groupby("learner", sort=False):
+        row = {"learner": LABELS[str(learner)], "seeds": str(group["seed"].nunique())}
+        for steps in sorted(results["steps"].unique()):
+            values = group.loc[group["steps"] == steps, "success"]
+            ends = interval(values.min(), values.max(), 3)
+            text = f"{number(values.median(), 3)}\n{ends}" if len(values) else "–"
+            is_all = len(values) in (0, group["seed"].nunique())
+            row[f"{steps:,} steps"] = text if is_all else f"{text}\n{len(values)} seeds"
+        last = group[group["steps"] == group["steps"].max()]
+        row["minutes"] = number(last["seconds"].median() / 60, 1)
+        rows.append(row)
+    return rows
+
+
+def to_markdown(rows: list[dict[str, str]]) -> str:
+    """Return the table as Markdown."""
+    lines = [[*rows[0]], ["---"] * len(rows[0]), *([*row.values()] for row in rows)]
+    return "\n".join("| " + " | ".join(line).replace("\n", " ") + " |" for line in lines)
+
+
+def draw(results: pd.DataFrame) -> Figure:
+    """Draw success against steps: the median over seeds, and a band from the worst to the best."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(5.0, 3.4), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        for place, (learner, group) in enumerate(results.groupby("learner", sort=False)):
+            seeds = group.groupby("steps")["success"]
+            median, colour, line = seeds.median(), COLOURS[place], LINES[place]
+            label = f"{LABELS[str(learner)]} ({group['seed'].nunique()} seeds)"
+            axes.fill_between(median.index, seeds.min(), seeds.max(), color=colour, alpha=0.15)
+            axes.plot(median, color=colour, linestyle=line, marker=MARKERS[place], label=label)
+        axes.set(xscale="log", ylim=(-0.02, 1.02))
+        axes.set(xlabel="environment steps of training", ylabel="success [% of 200 episodes]")
+        axes.set_xticks(sorted(results["steps"].unique()))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
+        axes.legend(frameon=False, handlelength=4)
+        axes.set_title("Median over seeds; band: worst to best", loc="left")
+    return figure
+
+
+def main(arguments: Arguments) -> None:
+    """Train what is not finished; print the table of all that is there."""
+    check_folder(arguments.out, "out")
+    run_grid(Training.run, trainings(arguments), jobs=arguments.jobs)
+    results, console = read_results(arguments.out), make_console()
+    if arguments.markdown:
+        print(to_markdown(cells(results)))
+    else:
+        print_rows(console, cells(results), "learner")
+    if arguments.plot is not None:
+        picture = io.BytesIO()
+        with rc_context(STYLE):
+            draw(results).savefig(picture, format="png", dpi=150)
+        print_written(console, [write_atomically(arguments.plot, picture.getvalue())])
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
