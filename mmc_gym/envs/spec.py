@@ -32,7 +32,7 @@ from mmc_gym.envs.perturbations import (
 )
 from mmc_gym.envs.scenarios import environment_id, find_perturbation, find_task
 from mmc_gym.envs.tasks import Request, Task, Trial
-from mmc_gym.envs.workspace import REACH_TOLERANCE, Point, Workspace
+from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace
 from mmc_gym.interface import (
     CONTROLS,
     Control,
@@ -42,6 +42,7 @@ from mmc_gym.interface import (
 )
 
 RewardType = Literal["dense", "sparse"]
+_MOST_TRIALS = 300
 
 
 class Options(NamedTuple):
@@ -122,6 +123,7 @@ class ReachSetup:
         self.frame_rate = round(1 / self.told.control_step)
         self.path_length = self.task.path_length(self.told.control_step)
         self.task.check(self.workspace)
+        self._draw(np.random.default_rng(0), Options())
 
     def _apply_perturbations(self, parameters: ArmParameters) -> None:
         changes, step = self.perturbations, parameters.control_step
@@ -185,27 +187,60 @@ class ReachSetup:
         """Return a trial of the task, with what the options decide.
 
         A target given as an option stands still.  Everything is drawn in any case, so that an
-        option for the one does not change the other.
+        option for the one does not change the other.  Where next to nothing can be drawn, this
+        may be one and the same trial time and again.
         """
-        trial = self.task.draw(Request(self.workspace, random, options.trial, options.joint_angles))
-        return trial if options.target is None else Trial(trial.joint_angles, [options.target])
+        try:
+            trial = self._draw(random, options)
+        except UserError:  # by bad luck: with this generator it is known to work
+            trial = self._draw(np.random.default_rng(0), options)
+        if options.target is None:
+            return trial
+        return Trial(options.joint_angles or trial.joint_angles, [options.target])
+
+    def _draw(self, random: np.random.Generator, options: Options) -> Trial:
+        """Return a trial of the task; a posture without a target in reach is drawn anew.
+
+        Raises:
+            UserError: if none is found.
+        """
+        posture = options.joint_angles if options.target is None else None
+        request = Request(self.workspace, random, options.trial, posture)
+        for _ in range(_MOST_TRIALS):
+            try:
+                return self.task.draw(request)
+            except NoTarget as error:
+                reason = error
+        raise reason
 
     def check_options(self, options: dict[str, Any] | None) -> Options:
         """Return the options of a reset.
 
         Raises:
             UserError: for an unknown option, or one of wrong shape, not finite, outside the
-                joint limits, out of reach, or in an obstacle.
+                joint limits, out of reach, or in an obstacle; or for a posture from which locked
+                joints leave no target in reach.
         """
         options = options or {}
         unknown = sorted(map(str, set(options) - set(Options._fields)))
         require(not unknown, "options", unknown, "'joint_angles', 'target' or 'trial'")
         posture, target, trial = map(options.get, Options._fields)
-        return Options(
+        checked = Options(
             None if posture is None else self._check_posture(posture),
             None if target is None else self.check_target("options['target']", target),
             None if trial is None else self._check_trial(trial),
         )
+        if self.workspace.locked and posture is not None:
+            self._check_start(checked)
+        return checked
+
+    def _check_start(self, options: Options) -> None:
+        """Raise a `UserError` if locked joints leave no target in reach of the posture given."""
+        try:
+            self._draw(np.random.default_rng(0), options)
+        except NoTarget as error:
+            name, accepted = "options['joint_angles']", "a posture with a target in reach"
+            raise UserError(f"{name} must be {accepted}, got {options.joint_angles}") from error
 
     def _check_posture(self, posture: ArrayLike) -> list[float]:
         name, body = "options['joint_angles']", self.body

@@ -21,9 +21,13 @@ if TYPE_CHECKING:
 # A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
 REACH_TOLERANCE = 1e-9
 _CELLS = 60  # grid cells across the reach, where joint limits shape the reachable set
-_MOST_DRAWS = 10_000
+_MOST_POSTURES, _MOST_TARGETS = 10_000, 100
 
 Point = tuple[float, float]
+
+
+class NoTarget(UserError):
+    """From a posture no target was found; there may be one from another."""
 
 
 class Workspace:
@@ -51,12 +55,17 @@ class Workspace:
             told: the arm that agents take it for, if it is another: the workspace is then what
                 both can reach.
             locked: indices of joints that are locked all the time.
+
+        Raises:
+            UserError: if there is nothing that both can reach.
         """
-        self.body = body
+        self.body, self.told = body, told or body
         self.locked = tuple(locked)
-        rings = [reachable_radii(arm.segment_lengths) for arm in (body, told or body)]
+        rings = [reachable_radii(arm.segment_lengths) for arm in (self.body, self.told)]
         self.inner = max(inner for inner, _ in rings)
         self.outer = min(outer for _, outer in rings)
+        if self.inner > self.outer * (1 + REACH_TOLERANCE):
+            raise self._no_target(UserError)
         limits = body.joint_limits
         self._limits = limits or ((-math.pi, math.pi),) * len(body.segment_lengths)
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
@@ -96,7 +105,7 @@ class Workspace:
         Raises:
             UserError: if the obstacles leave no room for the arm.
         """
-        for _ in range(_MOST_DRAWS):
+        for _ in range(_MOST_POSTURES):
             posture = [_uniform(low, high, random) for low, high in self._limits]
             if self.is_clear(posture):
                 return posture
@@ -110,16 +119,22 @@ class Workspace:
         uniformly, and not area-uniform.
 
         Raises:
-            UserError: if no such target is found.
+            NoTarget: if none is found.
         """
-        for _ in range(_MOST_DRAWS):
+        for _ in range(_MOST_TARGETS):
             hand = self._draw_hand(random, posture)
             target = hand if self.rotation is None else self.rotation.cursor(*hand)
             if self.contains(target):
                 return target
-        raise UserError(
-            "perturbations must leave targets in reach, got obstacles "
-            f"{self.body.obstacles} and rotation {self.rotation}"
+        raise self._no_target(NoTarget)
+
+    def _no_target(self, kind: type[UserError]) -> UserError:
+        body, told = self.body, self.told
+        return kind(
+            "perturbations must leave targets in reach, got segment_lengths "
+            f"{body.segment_lengths}, taken for {told.segment_lengths}, locked joints "
+            f"{self.locked}, joint_limits {body.joint_limits}, obstacles {body.obstacles} and "
+            f"rotation {self.rotation}"
         )
 
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:

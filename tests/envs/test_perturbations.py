@@ -25,9 +25,10 @@ from mmc_gym.envs.perturbations import (
     VisionNoise,
     VisuomotorRotation,
 )
-from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import find_perturbation
 from mmc_gym.envs.spec import Options
+from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 
 STILL = np.zeros(3, np.float32)
@@ -420,6 +421,7 @@ def test_perturbations_can_be_combined(names: list[str]) -> None:
         (None, "perturbations must be .*, got None$"),
         (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
         (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach, .*degrees=180.0"),
+        ("longer-500", r"must leave targets in reach, .*6\.0\), taken for \(1\.0, 1\.0, 1\.0\)"),
         (["rotation-30", "rotation-45"], "at most one rotation"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),
@@ -428,7 +430,70 @@ def test_perturbations_can_be_combined(names: list[str]) -> None:
 )
 def test_what_cannot_be_or_be_combined_is_refused(perturbations: Any, message: str) -> None:
     with pytest.raises(UserError, match=message):
-        MMCReachEnv(perturbations=perturbations).reset(seed=0)
+        MMCReachEnv(perturbations=perturbations)
+
+
+ENTANGLED: list[dict[str, Any]] = [
+    {"perturbations": [LockedJoint(1), LockedJoint(2), "longer-50"]},
+    {"perturbations": [LockedJoint(0), LockedJoint(1), LockedJoint(2), "longer-50"]},
+    {"perturbations": [LockedJoint(0), LockedJoint(2), "shorter-50", "obstacles-4"]},
+    {
+        "perturbations": [LockedJoint(1), "longer-50", "rotation-45"],
+        "joint_limits": ((0.0, 0.1), (-0.5, 0.5), (-2.5, 2.5)),
+    },
+    {  # few postures are clear of the disc
+        "perturbations": ["shorter-50", Obstacles(((1.7, 0.45, 0.3),))],
+        "joint_limits": ((0.0, 0.3), (-0.2, 0.2), (-0.2, 0.2)),
+    },
+]
+
+
+@pytest.mark.parametrize("arguments", ENTANGLED)
+@pytest.mark.parametrize("task", ["random", "double-step-100", "via-points", "pursuit"])
+def test_what_can_be_made_can_be_reset_with_any_seed(arguments: dict[str, Any], task: str) -> None:
+    env, vector = (make(task=task, **arguments) for make in (MMCReachEnv, MMCReachVectorEnv))
+    for seed in range(150):
+        observation, info = env.reset(seed=seed)
+        assert env.observation_space.contains(observation)
+        if task != "pursuit":  # which asks for places that locked joints may not reach
+            assert env.setup.workspace.contains(info["target"], env.arm.joint_angles)
+        np.testing.assert_array_equal(vector.reset(seed=seed)[0][0], observation)
+
+
+def test_a_posture_whose_locks_leave_no_target_is_refused_unless_there_is_one_already() -> None:
+    env = MMCReachEnv(perturbations=[LockedJoint(1), LockedJoint(2), "longer-50"])
+    env.reset(seed=0)
+    state, stretched = env.np_random.bit_generator.state, [1.0, 0.0, 0.0]
+    with pytest.raises(
+        UserError, match=r"joint_angles'\] must be a posture with a target in reach"
+    ):
+        env.reset(seed=1, options={"joint_angles": stretched})
+    assert env.np_random.bit_generator.state == state
+    env.reset(seed=1, options={"joint_angles": stretched, "target": (1.0, 2.0)})
+    assert env.arm.joint_angles == pytest.approx(stretched)
+
+
+@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("factor", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize("lengths", [(1.0,), (1.0, 0.4), (1.0, 1.0, 1.0)])
+@pytest.mark.parametrize("task", ["random", "pursuit"])
+def test_goals_of_an_arm_of_another_length_are_in_their_space_or_there_are_none(
+    lengths: tuple[float, ...], factor: float, told: bool, task: str
+) -> None:
+    arguments: dict[str, Any] = {
+        "segment_lengths": lengths,
+        "task": task,
+        "perturbations": [SegmentLength(factor, told=told), "rotation-45"],
+    }
+    if len(lengths) == 1 and factor != 1 and not told:
+        with pytest.raises(UserError, match="must leave targets in reach"):
+            MMCReachGoalEnv(**arguments)
+        return
+    for env in (MMCReachGoalEnv(**arguments), MMCReachGoalVectorEnv(2, **arguments)):
+        action = np.full(env.action_space.shape, 0.7, np.float32)
+        for seed in range(5):
+            assert env.observation_space.contains(env.reset(seed=seed)[0])
+            assert all(env.observation_space.contains(env.step(action)[0]) for _ in range(60))
 
 
 @pytest.mark.parametrize(
