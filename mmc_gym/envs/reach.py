@@ -14,7 +14,7 @@ from mmc_gym.body.base import SingleArm
 from mmc_gym.body.engines import make_arm
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import distances, goal_reward, reward_and_info
-from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, finite, require_one_of
+from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, as_numbers, finite, require_one_of
 from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
@@ -154,8 +154,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
                 within −1 and 1; the environment stays as it was.
         """
         arm, setup = self._arm, self.setup
-        scale = setup.action.scale
-        command = [scale * value for value in self._check_action(action)]
+        command = self._command(action)
         if setup.action.is_relative:
             command = [angle + delta for angle, delta in zip(arm.joint_angles, command)]
         arm.command(command)
@@ -291,15 +290,24 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             self._is_last_target = place == last
         self._target = self._targets[place]
 
-    def _check_action(self, action: ArrayLike) -> list[float]:
-        array = np.asarray(action)
+    def _command(self, action: ArrayLike) -> list[float]:
+        """Return the command to the servos, or raise a `ValueError` if the action is none."""
+        scale = self.setup.action.scale
+        try:
+            array = np.asarray(action)
+            if array.shape == self._action_shape:
+                values = array.tolist()
+                for value in values:
+                    if not -1.0 <= value <= 1.0:  # false for NaN too
+                        break
+                else:
+                    return [scale * value for value in values]
+        except (TypeError, ValueError):  # not numbers, or of uneven lengths
+            pass
+        array = as_numbers("action", action)
         if array.shape != self._action_shape:
             raise ValueError(f"action must have shape {self._action_shape}, got {array.shape}")
-        values: list[float] = array.tolist()
-        for value in values:
-            if not -1.0 <= value <= 1.0:  # false for NaN too
-                raise ValueError(f"action must lie within -1 and 1, got {values}")
-        return values
+        raise ValueError(f"action must lie within -1 and 1, got {array.tolist()}")
 
 
 def _distance(one: Point, other: Point) -> float:

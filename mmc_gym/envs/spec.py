@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, require_not_negative
@@ -358,6 +358,17 @@ class ReachEnvironment:
 def require_one_of(name: str, value: object, accepted: Sequence[object]) -> None:
     """Raise a `UserError` that names the argument unless `value` is one of `accepted`."""
     require(value in accepted, name, value, f"one of {tuple(accepted)}")
+
+
+def as_numbers(name: str, value: ArrayLike) -> NDArray[Any]:
+    """Return the value as an array of real numbers or bools, or raise a `UserError`."""
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "fiub":
+            return array
+    except ValueError:  # of uneven lengths
+        pass
+    raise UserError(f"{name} must be numbers within -1 and 1, got {value!r}")
 
 
 def finite(name: str, value: ArrayLike, count: int) -> list[float]:

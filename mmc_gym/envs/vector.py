@@ -23,7 +23,7 @@ from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import GoalEnvironment
 from mmc_gym.envs.rewards import distances, reward_and_info
-from mmc_gym.envs.spec import Options, ReachEnvironment, require_one_of
+from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, require_one_of
 from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
@@ -318,7 +318,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _commands(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.float64]:
         """Return the commands to the servos, (n, N); actions of waiting arms do not matter."""
-        values = np.array(actions, dtype=np.float64)
+        values = as_numbers("actions", actions).astype(np.float64)
         if values.shape != self.action_space.shape:
             raise ValueError(
                 f"actions must have shape {self.action_space.shape}, got {values.shape}"

@@ -1,7 +1,9 @@
 """Facts about MMCReach-v0 and MMCReachGoal-v0."""
 
 import math
+import re
 from collections.abc import Callable
+from decimal import Decimal
 from functools import partial
 from typing import Any, get_args
 
@@ -281,6 +283,11 @@ def stepping(*actions: Any) -> list[tuple[Callable[[MMCReachEnv], Any], str]]:
     return [(lambda env, a=a: env.step(a), message[np.shape(a) == (3,)]) for a in actions]
 
 
+def acting(*nonsense: Any) -> list[tuple[Callable[[MMCReachEnv], Any], str]]:
+    message = "action must be numbers within -1 and 1, got "
+    return [(lambda env, a=a: env.step(a), message + re.escape(repr(a))) for a in nonsense]
+
+
 def resetting(**options: Any) -> Callable[[MMCReachEnv], Any]:
     return lambda env: env.reset(seed=7, options=options)
 
@@ -292,6 +299,9 @@ def aiming(target: Any) -> Callable[[MMCReachEnv], Any]:
 REFUSED: list[tuple[Callable[[MMCReachEnv], Any], str]] = [
     *stepping([0.0, math.nan, 0.0], [0.0, 0.0, math.inf], np.array([0.0, 1.0001, 0.0], np.float32)),
     *stepping([-1.0001, 0.0, 0.0], [0.0, 0.0], [0.0] * 4, 0.0, np.zeros((1, 3))),
+    *acting(
+        "abc", None, {"a": 1}, ["0.5"] * 3, [None] * 3, [0.5j] * 3, [Decimal(0)] * 3, [[1], 2, 3]
+    ),
     (resetting(goal=(0, 0)), r"options must be 'joint_angles', 'target' or 'trial'.*\['goal'\]"),
     (resetting(target=(math.nan, 0)), r"options\['target'\] must be 2 finite numbers"),
     (resetting(target=(1, 1, 1)), r"options\['target'\] must be 2 finite .*\(1, 1, 1\)"),

@@ -185,6 +185,14 @@ REFUSED: dict[str, tuple[Callable[[VectorEnv], Any], str]] = {
         lambda env: env.step(np.where(np.arange(COUNT) == 3, np.nan, 0)[:, None] * np.ones(3)),
         "within -1 and 1.*arm 3",
     ),
+    **{
+        f"actions of {np.asarray(value).dtype}": (
+            lambda env, value=value: env.step(np.full((COUNT, 3), value)),
+            r"actions must be numbers within -1 and 1, got array\(",
+        )
+        for value in ("0.5", None, 0.5j, b"0")
+    },
+    "uneven actions": (lambda env: env.step([[0.0]] * 4 + [[]]), "numbers within -1 and 1"),
     "number of seeds": (lambda env: env.reset(seed=[1, 2]), "seed must be .*5 of them"),
     "seed that is no whole number": (
         lambda env: env.reset(seed=[1, 2.5, 3, 4, 5]),
