@@ -82,12 +82,14 @@ def action_meaning(control: Control, body: ArmParameters) -> ActionMeaning:
 class ObservationParts(NamedTuple):
     """The parts of observations, arrays of numpy or torch with the batch in front.
 
+    Target and offset are seen from the first segment, whose direction is the x axis.
+
     Attributes:
         cosines: of the joint angles, (..., N).
         sines: of the joint angles, (..., N).
         speeds: joint velocities as fractions of their limit, (..., N).
-        target: its position / reach, (..., 2).
-        offset: (target − hand) / (2 · reach), (..., 2).
+        target: its position, segment lengths, (..., 2).
+        offset: target − hand, segment lengths, (..., 2).
         rest: what else the observation ends with, (..., any number).
     """
 
@@ -105,10 +107,11 @@ class ObservationLayout:
 
     An observation of `MMCReach-v0` is (..., 3 N + 4)::
 
-        cos q, sin q, joint speeds / limit, target / reach, (target − hand) / (2 reach)
+        cos q, sin q, joint speeds / limit, R(−q_1) target, R(−q_1) (target − hand)
 
     One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
-    `achieved_goal` the hand and `desired_goal` the target, (..., 2), in segment lengths.
+    `achieved_goal` the hand and `desired_goal` the target, (..., 2).  Lengths are in segment
+    lengths.
     """
 
     joint_count: int
@@ -124,9 +127,16 @@ class ObservationLayout:
         """Number of values of an observation."""
         return self.posture_size + 4
 
+    @cached_property
+    def limits(self) -> NDArray[np.float32]:
+        """The largest size of each value of an observation of `MMCReach-v0`."""
+        limits = np.ones(self.size, np.float32)
+        limits[-4:] = self.reach, self.reach, 2 * self.reach, 2 * self.reach
+        return limits
+
     def space(self) -> spaces.Box:
         """Return the observation space of `MMCReach-v0`."""
-        return spaces.Box(-1.0, 1.0, (self.size,), np.float32)
+        return spaces.Box(-self.limits, self.limits, dtype=np.float32)
 
     def goal_space(self, farthest: float) -> spaces.Dict:
         """Return the observation space of `MMCReachGoal-v0`; no coordinate is beyond `farthest`."""
@@ -177,13 +187,15 @@ class ObservationLayout:
             joint_speeds: as fractions of their limit, (..., N), see `relative_speeds`.
             hand: where it is seen, segment lengths, (..., 2).
             target: segment lengths, (..., 2).
-            clip: to −1 and 1, where hand or target may be seen beyond the reach.
+            clip: to `limits`, where hand or target may be seen beyond the reach.
         """
         seen = self.encode_posture(joint_angles, joint_speeds, more=4)
-        seen[..., -4:-2] = target / self.reach
-        seen[..., -2:] = (target - hand) / (2 * self.reach)
+        first = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
+        offset = target - hand
+        seen[..., -4], seen[..., -3] = turned_back(target[..., 0], target[..., 1], *first)
+        seen[..., -2], seen[..., -1] = turned_back(offset[..., 0], offset[..., 1], *first)
         if clip:
-            np.clip(seen, -1.0, 1.0, out=seen)
+            np.clip(seen, -self.limits, self.limits, out=seen)
         return seen
 
     def encode_one(
@@ -196,17 +208,18 @@ class ObservationLayout:
         clip: bool = False,
     ) -> NDArray[np.float32]:
         """Return the observation of a single arm, as `encode` does, but four times as quickly."""
-        (x, y), (hand_x, hand_y), reach = target, hand, self.reach
+        (x, y), (hand_x, hand_y) = target, hand
+        posture = _posture_of_one(joint_angles, joint_speeds)
+        first = posture[0], posture[self.joint_count]
         values = [
-            *_posture_of_one(joint_angles, joint_speeds),
-            x / reach,
-            y / reach,
-            (x - hand_x) / (2 * reach),
-            (y - hand_y) / (2 * reach),
+            *posture,
+            *turned_back(x, y, *first),
+            *turned_back(x - hand_x, y - hand_y, *first),
         ]
+        seen = np.array(values, dtype=np.float32)
         if clip:
-            values = [min(max(value, -1.0), 1.0) for value in values]
-        return np.array(values, dtype=np.float32)
+            np.clip(seen, -self.limits, self.limits, out=seen)
+        return seen
 
     def encode_goals(
         self, joint_angles: Floats, joint_speeds: Floats, *, hand: Floats, target: Floats
@@ -234,16 +247,23 @@ class ObservationLayout:
             "desired_goal": np.array(target),
         }
 
-    def split(self, observation: Any) -> ObservationParts:
-        """Take observations of either kind apart; arrays of numpy or torch, (..., 3 N + 4).
+    def split(self, observation: Any, arrays: Any = np) -> ObservationParts:
+        """Take observations of either kind apart; arrays of the module numpy or torch.
 
         They may be longer; what follows is `rest`.
         """
         count, end = self.joint_count, self.posture_size
         if isinstance(observation, Mapping):
             posture, target = observation["observation"], observation["desired_goal"]
-            offset = (target - observation["achieved_goal"]) / (2 * self.reach)
-            target, rest = target / self.reach, posture[..., end:]
+            first, offset = (
+                (posture[..., 0], posture[..., count]),
+                target - observation["achieved_goal"],
+            )
+            target, offset = (
+                arrays.stack(turned_back(vector[..., 0], vector[..., 1], *first), -1)
+                for vector in (target, offset)
+            )
+            rest = posture[..., end:]
         else:
             posture, target = observation, observation[..., end : end + 2]
             offset, rest = observation[..., end + 2 : end + 4], observation[..., end + 4 :]
@@ -256,9 +276,20 @@ class ObservationLayout:
             rest=rest,
         )
 
+    def flatten(self, observation: Any, arrays: Any = np) -> Any:
+        """Return observations of either kind as those of `MMCReach-v0`; see `split`."""
+        if not isinstance(observation, Mapping):
+            return observation
+        return arrays.concatenate(self.split(observation, arrays), -1)
+
 
 def _posture_of_one(joint_angles: Sequence[float], joint_speeds: Sequence[float]) -> list[float]:
     return [*map(cos, joint_angles), *map(sin, joint_angles), *joint_speeds]
+
+
+def turned_back(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
+    """Return the components of vectors (x, y) in a frame whose x axis is (cosine, sine)."""
+    return cosine * x + sine * y, cosine * y - sine * x
 
 
 def relative_speeds(
@@ -351,28 +382,25 @@ class ReachInterface:
             UserError: if its last axis has another length.
         """
         layout = self.layout
-        count, end = layout.joint_count, layout.posture_size
-        if isinstance(observation, Mapping):
-            values = np.asarray(observation["observation"], dtype=np.float64)
-            target = np.asarray(observation["desired_goal"], dtype=np.float64)
-            expected = end
-        else:
-            values = np.asarray(observation, dtype=np.float64)
-            target = values[..., end : end + 2] * layout.reach
-            expected = layout.size
+        goals = observation if isinstance(observation, Mapping) else None
+        values = np.asarray(goals["observation"] if goals else observation, dtype=np.float64)
+        expected = layout.posture_size if goals else layout.size
         if values.shape[-1:] != (expected,):
             raise UserError(f"observation must have shape (..., {expected}), got {values.shape}")
+        count = layout.joint_count
         joint_angles = np.arctan2(values[..., count : 2 * count], values[..., :count])
+        if goals:
+            target: Floats = np.asarray(goals["desired_goal"], dtype=np.float64)
+        else:
+            target = _in_the_world(values[..., -4:-2], joint_angles)
         return Sensed(self.within_limits(joint_angles), target)
 
     def seen_hand(self, observation: Observation) -> Floats:
         """Return where observations show the hand, or its cursor, segment lengths, (..., 2)."""
         if isinstance(observation, Mapping):
             return np.asarray(observation["achieved_goal"], dtype=np.float64)
-        reach = self.layout.reach
-        parts = self.layout.split(np.asarray(observation, dtype=np.float64))
-        hand: Floats = parts.target * reach - 2 * reach * parts.offset
-        return hand
+        seen = self.layout.split(np.asarray(observation, dtype=np.float64))
+        return _in_the_world(seen.target - seen.offset, np.arctan2(seen.sines, seen.cosines))
 
     def checked(self, observation: Observation) -> Observation:
         """Return the observation as arrays.
@@ -450,6 +478,12 @@ class ReachInterface:
         """Raise a `CannotActError` under torque control, which has no servo to hand targets to."""
         rest = np.zeros(len(self.segment_lengths))
         self.act(rest, Sensed(rest, np.zeros(2)))
+
+
+def _in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
+    """Return vectors (..., 2) as the world sees them, that the first segment sees so."""
+    cosine, sine = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
+    return np.stack(turned_back(vectors[..., 0], vectors[..., 1], cosine, -sine), axis=-1)
 
 
 def told_by(env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any] | Any, name: str) -> Any:

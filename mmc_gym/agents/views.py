@@ -1,28 +1,17 @@
 """The views that learned policies have of an observation, in numpy and in torch alike.
 
-"world", with the offset from hand to target enlarged, for success is decided in its last few
-hundredths:
-
-    cos q, sin q, joint speeds, target / reach, GAIN · (target − hand) / (2 reach)
+"arm" is the observation as it is: target and offset are seen from the arm's first segment.  A goal
+environment's is brought into the same form.
 
 The task has no preferred direction: turn arm and target about the base, and the same joint speeds
-do.  The other two views turn the world, which makes one number superfluous.  In "arm" the arm's
-first segment lies on the x axis:
-
-    cos q_2…q_N, sin q_2…q_N, joint speeds,
-    R(−q_1) target / reach, GAIN · R(−q_1) (target − hand) / (2 reach)
-
-In "target" the target does, which is in direction φ from the base:
+do.  But joint positions mean a direction.  For them there is "target", in which the world is turned
+until the target, at φ from the base, lies straight ahead:
 
     cos (q_1 − φ), sin (q_1 − φ), cos q_2…q_N, sin q_2…q_N, joint speeds,
-    |target| / reach, GAIN · R(−φ) (target − hand) / (2 reach)
+    |target|, R(−φ) (target − hand)
 
-It is for joint positions, which mean a direction as well: a policy with this view gives them in
-the turned world, where the posture 0 points at the target, and `turned_actions` turns them back.
-The arm's view has nothing to say of the first one.
-
-Where there is a preferred direction (gravity, obstacles, a turned cursor), only the world's view
-shows it.
+A policy with this view gives joint positions in the turned world, where the posture 0 points at the
+target, and `turned_actions` turns them back.
 """
 
 from __future__ import annotations
@@ -30,20 +19,16 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from mmc_gym.interface import ObservationLayout
+from mmc_gym.interface import ObservationLayout, turned_back
 
-View = Literal["arm", "target", "world"]
+View = Literal["arm", "target"]
 
 VIEWS: dict[View, str] = {
-    "arm": "joint angles but the first, joint speeds, target, and offset from hand to target, all "
-    "seen from the arm's first segment",
+    "arm": "posture, joint speeds, target, and offset from hand to target, as observed",
     "target": "all joint angles, joint speeds, the target's distance, and offset from hand to "
     "target, all seen as if the target lay straight ahead, whence its actions are turned back",
-    "world": "all joint angles, joint speeds, target, and offset from hand to target",
 }
 """Descriptions of the views, for a table."""
-
-OFFSET_GAIN = 6.0
 
 
 def features(arrays: Any, view: View, observation: Any, layout: ObservationLayout) -> Any:
@@ -52,28 +37,21 @@ def features(arrays: Any, view: View, observation: Any, layout: ObservationLayou
     The observations are `arrays` of the module numpy or torch: of MMCReach-v0, (..., 3N + 4) or
     longer, or of MMCReachGoal-v0, a mapping.
     """
-    cosines, sines, speeds, target, offset, rest = layout.split(observation)
-    offset = OFFSET_GAIN * offset
-    parts: tuple[Any, ...]
-    if view == "world":
-        return arrays.concatenate((cosines, sines, speeds, target, offset, rest), -1)
-    first = cosines[..., :1], sines[..., :1]
-    others = cosines[..., 1:], sines[..., 1:], speeds
-    goal = target[..., :1], target[..., 1:]
-    left = offset[..., :1], offset[..., 1:]
     if view == "arm":
-        parts = (*others, *_turned_back(*goal, *first), *_turned_back(*left, *first), rest)
-        return arrays.concatenate(parts, -1)
-    distance = arrays.hypot(*goal)
+        return layout.flatten(observation, arrays)
+    seen = layout.split(observation, arrays)
+    target, offset = ((of[..., :1], of[..., 1:]) for of in (seen.target, seen.offset))
+    distance = arrays.hypot(*target)
     # At the base it has no direction; any will do.
-    direction = tuple(x / (distance + (distance == 0)) for x in goal)
-    parts = (*_turned_back(*first, *direction), *others, distance)
-    return arrays.concatenate((*parts, *_turned_back(*left, *direction), rest), -1)
+    cosine, sine = (x / (distance + (distance == 0)) for x in target)
+    others = seen.cosines[..., 1:], seen.sines[..., 1:]
+    parts = (cosine, -sine, *others, seen.speeds, distance, *turned_back(*offset, cosine, sine))
+    return arrays.concatenate((*parts, seen.rest), -1)
 
 
 def feature_count(view: View, layout: ObservationLayout) -> int:
     """Return how many features an observation without additions has."""
-    return layout.size + {"arm": -2, "target": -1, "world": 0}[view]
+    return layout.size - (view == "target")
 
 
 def turned_actions(
@@ -84,12 +62,8 @@ def turned_actions(
     They are joint angles / π, (..., N).  The first is wrapped to the range from −1 to 1, the others
     stay as they were.  The other arguments are those of `features`.
     """
-    target = layout.split(observation).target
-    turn = arrays.arctan2(target[..., 1:], target[..., :1]) / math.pi
+    seen = layout.split(observation, arrays)
+    first = arrays.arctan2(seen.sines[..., :1], seen.cosines[..., :1])
+    turn = (first + arrays.arctan2(seen.target[..., 1:], seen.target[..., :1])) / math.pi
     first = (actions[..., :1].clip(-1, 1) + (-turn if back else turn) + 1) % 2 - 1
     return arrays.concatenate((first, actions[..., 1:]), -1)
-
-
-def _turned_back(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
-    """Return the components of vectors (x, y) in a frame whose x axis is (cosine, sine)."""
-    return cosine * x + sine * y, cosine * y - sine * x

@@ -28,7 +28,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     ## Description
     Three uniform rods of length 1 and mass 1 with continuous joints lie in a horizontal plane,
-    simulated by pymunk in control steps of 0.02 s (four physics steps of 0.005 s).  A servo
+    simulated by pymunk in control steps of 0.02 s (four physics steps of 0.005 s).  With each
+    segment turns the rotor of its drive, which has a quarter of the inertia of what it moves: so
+    it is in real arms, and so the solver comes near the exact movement in a few sweeps.  A servo
     at each joint follows the action with at most 2π rad/s and a torque of at most 500
     (mass · length² / s²): the whole stretched arm turns by 90° in 0.40 s, to within 0.05 rad.
 
@@ -37,8 +39,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     | control | an action a asks for |
     | --- | --- |
-    | `joint_position` (default) | the joint angle π·a, the short way round |
-    | `joint_delta` | the present joint angle + (2π/12)·a: held, it turns at 0.85 · 2π·a rad/s |
+    | `joint_delta` (default) | the present joint angle + (2π/12)·a: turns at 0.85 · 2π·a rad/s |
+    | `joint_position` | the joint angle π·a, the short way round |
     | `joint_velocity` | the joint velocity 2π·a, rad/s |
     | `joint_torque` | the torque 500·a, until the joint turns at 2π rad/s |
 
@@ -46,20 +48,24 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `gymnasium.wrappers.ClipAction` does it for others).
 
     ## Observation Space
-    `Box(-1, 1, (13,), float32)`:
+    `Box((13,), float32)`:
 
-    | index | observation |
-    | --- | --- |
-    | 0–2 | cos of the joint angles |
-    | 3–5 | sin of the joint angles |
-    | 6–8 | joint velocities / 2π rad/s, clipped to ±1 |
-    | 9–10 | target (x, y) / reach |
-    | 11–12 | (target − hand) / (2 · reach) |
+    | index | observation | within |
+    | --- | --- | --- |
+    | 0–2 | cos of the joint angles | ±1 |
+    | 3–5 | sin of the joint angles | ±1 |
+    | 6–8 | joint velocities / 2π rad/s, clipped | ±1 |
+    | 9–10 | target (x, y), segment lengths | ±3 |
+    | 11–12 | target − hand, segment lengths | ±6 |
+
+    Target and offset are seen from the first segment, as if it lay on the x axis: reaching is the
+    same in every direction, and a learner need not find that out.
 
     ## Rewards
-    Dense (default): −distance − 0.1 · mean((joint velocity / 2π)²); the distance is that from hand
-    to target in segment lengths.  A `smoothness_weight` w adds −w · mean(change of joint velocity
-    / 2π over the step, squared).  Sparse: 0 within 0.05 of the target, −1 elsewhere.
+    Dense (default): −distance + 0.05 / (0.05 + distance) − 0.1 · mean((joint velocity / 2π)²); the
+    distance is that from hand to target in segment lengths.  A `smoothness_weight` w adds
+    −w · mean(change of joint velocity / 2π over the step, squared).  Sparse: 0 within 0.05 of the
+    target, −1 elsewhere.
 
     ## Starting State
     Joint angles are uniform on the circle, at rest; the target is area-uniform over the disc (for
@@ -74,9 +80,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     ## Information
     `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05; with via points only at
     the last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance`,
-    `reward_control` and, if it has a weight, `reward_smoothness`.  All are true, whatever is
-    observed.  Under a visuomotor rotation a `cursor` stands for the hand; distance, success and
-    reward are the cursor's.
+    `reward_precision`, `reward_control` and, if it has a weight, `reward_smoothness`.  All are
+    true, whatever is observed.  Under a visuomotor rotation a `cursor` stands for the hand;
+    distance, success and reward are the cursor's.
 
     ## Tasks and Perturbations
     `task` says where the target is and how it moves; every task has an id, such as
@@ -86,13 +92,14 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `env.unwrapped.parameters` is the arm that agents are told of.
 
     ## Arguments
-    `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `smoothness_weight` (0),
-    `success_distance` (0.05), `render_mode` ("human", "rgb_array"), `task` (a name or a `Task`; by
-    name only tasks with the id's number of steps), `perturbations` (names or `Perturbation`s),
-    `engine` ("pymunk", "analytic"), and any field of `mmc_gym.body.ArmParameters` by name:
-    `segment_lengths`, `segment_masses`, `speed_limit`, `torque_limit`, `servo_gain`,
-    `joint_limits`, `gravity`, `substep`, `substeps`, and those that perturbations set.  The arm
-    has as many joints as `segment_lengths`; action and observation grow with it.
+    `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `precision_weight` (1),
+    `smoothness_weight` (0), `success_distance` (0.05), `render_mode` ("human", "rgb_array"), `task`
+    (a name or a `Task`; by name only tasks with the id's number of steps), `perturbations` (names
+    or `Perturbation`s), `engine` ("pymunk", "analytic"), and any field of
+    `mmc_gym.body.ArmParameters` by name: `segment_lengths`, `segment_masses`, `speed_limit`,
+    `torque_limit`, `servo_gain`, `joint_limits`, `gravity`, `drive_inertia`, `substep`, `substeps`,
+    and those that perturbations set.  The arm has as many joints as `segment_lengths`; action and
+    observation grow with it.
 
     A pickled or deep-copied environment goes on from where it is, bit for bit as the original
     does; it has no window.  Far into an endless episode it refuses, see `mmc_gym.body.Arm`.

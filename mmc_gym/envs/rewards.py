@@ -17,6 +17,7 @@ from mmc_gym.envs.spec import ReachSetup
 
 Floats = NDArray[np.float64]
 Speeds: TypeAlias = "Sequence[Any] | Floats"
+HALF_PRECISE = 0.05  # segment lengths
 
 
 def distances(hands: Floats, targets: Floats) -> Floats:
@@ -37,11 +38,16 @@ def control_cost(speeds: Speeds, weight: float) -> Any:
     return -weight * squares / len(speeds)
 
 
+def precision(setup: ReachSetup, distance: Any) -> Any:
+    """Return the reward for precision: its weight on the target, and half of it 0.05 away."""
+    return setup.precision_weight * (HALF_PRECISE / (HALF_PRECISE + distance))
+
+
 def goal_reward(setup: ReachSetup, distance: Any) -> Any:
-    """Return the reward without costs: minus the distance, or 0 at the target and −1 elsewhere."""
+    """Return the reward without costs, as dense as set up, or 0 at the target and −1 elsewhere."""
     if setup.reward_type == "sparse":
         return (distance <= setup.success_distance) - 1.0
-    return -distance
+    return -distance + precision(setup, distance)
 
 
 def reward_and_info(
@@ -58,11 +64,14 @@ def reward_and_info(
     """
     reward_control = control_cost(speeds, setup.control_weight)
     is_sparse = setup.reward_type == "sparse"
-    reward = is_success - 1.0 if is_sparse else -distance + reward_control
+    reward_precision = precision(setup, distance)
+    dense = -distance + reward_precision + reward_control
+    reward = is_success - 1.0 if is_sparse else dense
     info = {
         "distance": distance,
         "is_success": is_success,
         "reward_distance": -distance,
+        "reward_precision": reward_precision,
         "reward_control": reward_control,
     }
     if setup.smoothness_weight:

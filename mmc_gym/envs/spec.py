@@ -77,9 +77,10 @@ class ReachSetup:
     def __init__(
         self,
         *,
-        control: Control = "joint_position",
+        control: Control = "joint_delta",
         reward_type: RewardType = "dense",
         control_weight: float = 0.1,
+        precision_weight: float = 1.0,
         smoothness_weight: float = 0.0,
         success_distance: float = 0.05,
         task: str | Task = "random",
@@ -97,12 +98,14 @@ class ReachSetup:
         require_one_of("reward_type", reward_type, get_args(RewardType))
         require_not_negative(
             control_weight=control_weight,
+            precision_weight=precision_weight,
             smoothness_weight=smoothness_weight,
             success_distance=success_distance,
         )
         self.control: Control = control
         self.reward_type: RewardType = reward_type
         self.control_weight = float(control_weight)
+        self.precision_weight = float(precision_weight)
         self.smoothness_weight = float(smoothness_weight)
         self.success_distance = float(success_distance)
         self.engine: Engine = engine

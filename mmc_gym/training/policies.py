@@ -79,12 +79,6 @@ class PPOPolicy(_HasView, ActorCriticPolicy):
     """`ActorCriticPolicy` with the arm's view."""
 
 
-class PPOWorldPolicy(PPOPolicy):
-    """`ActorCriticPolicy` with the world's view."""
-
-    view = "world"
-
-
 class PPOTargetPolicy(PPOPolicy):
     """`ActorCriticPolicy` with the target's view, for joint positions.
 
@@ -129,7 +123,7 @@ class TQCPolicy(_HasView, tqc.TQCPolicy):
 
 POLICIES: dict[str, type[BasePolicy]] = {
     f"{__name__}.{policy.__name__}": policy
-    for policy in (PPOPolicy, PPOTargetPolicy, PPOWorldPolicy, SACPolicy, TQCPolicy)
+    for policy in (PPOPolicy, PPOTargetPolicy, SACPolicy, TQCPolicy)
 }
 
 

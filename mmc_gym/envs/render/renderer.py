@@ -20,6 +20,7 @@ from mmc_gym.envs.perturbations import SegmentLength
 from mmc_gym.envs.render import shapes
 from mmc_gym.envs.render.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
+from mmc_gym.interface import turned_back
 
 TRACE_SECONDS = 1.0
 _OVERSAMPLING = 2
@@ -149,11 +150,14 @@ class Renderer:
         """Paint the arm as an observation of `MMCReach-v0` tells it."""
         setup = self._setup
         seen = setup.layout.split(observation.astype(float))
-        angles = np.cumsum(np.arctan2(seen.sines, seen.cosines)).tolist()
-        target, offset = seen.target * setup.reach, seen.offset * 2 * setup.reach
-        nodes = shapes.node_positions(angles, setup.told.segment_lengths)
-        hand_and_target = [(float(x), float(y)) for x, y in (target - offset, target)]
-        self._canvas.draw_sensed(nodes, *hand_and_target)
+        relative = np.arctan2(seen.sines, seen.cosines)
+        nodes = shapes.node_positions(np.cumsum(relative).tolist(), setup.told.segment_lengths)
+        cosine, sine = math.cos(relative[0]), math.sin(relative[0])
+        hand, target = (
+            turned_back(x, y, cosine, -sine)
+            for x, y in ((seen.target - seen.offset).tolist(), seen.target.tolist())
+        )
+        self._canvas.draw_sensed(nodes, hand, target)
 
 
 def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
