@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, sin
+from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 import gymnasium as gym
@@ -90,6 +90,7 @@ class ObservationParts(NamedTuple):
         speeds: joint velocities as fractions of their limit, (..., N).
         target: its position, segment lengths, (..., 2).
         offset: target − hand, segment lengths, (..., 2).
+        near: the same, enlarged near 0: offset / (NEAR + |offset|), (..., 2).
         rest: what else the observation ends with, (..., any number).
     """
 
@@ -98,16 +99,20 @@ class ObservationParts(NamedTuple):
     speeds: Any
     target: Any
     offset: Any
+    near: Any
     rest: Any
+
+
+NEAR = 0.1  # segment lengths
 
 
 @dataclass(frozen=True)
 class ObservationLayout:
     """The place of each number of an observation, for an arm of `joint_count` joints, N.
 
-    An observation of `MMCReach-v0` is (..., 3 N + 4)::
+    An observation of `MMCReach-v0` is (..., 3 N + 6), with e = R(−q_1) (target − hand)::
 
-        cos q, sin q, joint speeds / limit, R(−q_1) target, R(−q_1) (target − hand)
+        cos q, sin q, joint speeds / limit, R(−q_1) target, e, e / (NEAR + |e|)
 
     One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
     `achieved_goal` the hand and `desired_goal` the target, (..., 2).  Lengths are in segment
@@ -125,13 +130,13 @@ class ObservationLayout:
     @cached_property
     def size(self) -> int:
         """Number of values of an observation."""
-        return self.posture_size + 4
+        return self.posture_size + 6
 
     @cached_property
     def limits(self) -> NDArray[np.float32]:
         """The largest size of each value of an observation of `MMCReach-v0`."""
         limits = np.ones(self.size, np.float32)
-        limits[-4:] = self.reach, self.reach, 2 * self.reach, 2 * self.reach
+        limits[-6:-2] = self.reach, self.reach, 2 * self.reach, 2 * self.reach
         return limits
 
     def space(self) -> spaces.Box:
@@ -180,7 +185,7 @@ class ObservationLayout:
         target: Floats,
         clip: bool = False,
     ) -> NDArray[np.float32]:
-        """Return observations of `MMCReach-v0`, (..., 3 N + 4).
+        """Return observations of `MMCReach-v0`, (..., 3 N + 6).
 
         Args:
             joint_angles: radians, (..., N).
@@ -189,11 +194,14 @@ class ObservationLayout:
             target: segment lengths, (..., 2).
             clip: to `limits`, where hand or target may be seen beyond the reach.
         """
-        seen = self.encode_posture(joint_angles, joint_speeds, more=4)
+        seen = self.encode_posture(joint_angles, joint_speeds, more=6)
         first = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
         offset = target - hand
-        seen[..., -4], seen[..., -3] = turned_back(target[..., 0], target[..., 1], *first)
-        seen[..., -2], seen[..., -1] = turned_back(offset[..., 0], offset[..., 1], *first)
+        x, y = turned_back(offset[..., 0], offset[..., 1], *first)
+        scale = NEAR + np.sqrt(x * x + y * y)
+        seen[..., -6], seen[..., -5] = turned_back(target[..., 0], target[..., 1], *first)
+        seen[..., -4], seen[..., -3] = x, y
+        seen[..., -2], seen[..., -1] = x / scale, y / scale
         if clip:
             np.clip(seen, -self.limits, self.limits, out=seen)
         return seen
@@ -208,14 +216,12 @@ class ObservationLayout:
         clip: bool = False,
     ) -> NDArray[np.float32]:
         """Return the observation of a single arm, as `encode` does, but four times as quickly."""
-        (x, y), (hand_x, hand_y) = target, hand
-        posture = _posture_of_one(joint_angles, joint_speeds)
-        first = posture[0], posture[self.joint_count]
-        values = [
-            *posture,
-            *turned_back(x, y, *first),
-            *turned_back(x - hand_x, y - hand_y, *first),
-        ]
+        values = _posture_of_one(joint_angles, joint_speeds)
+        first = values[0], values[self.joint_count]
+        values += turned_back(*target, *first)
+        x, y = turned_back(target[0] - hand[0], target[1] - hand[1], *first)
+        scale = NEAR + sqrt(x * x + y * y)
+        values += x, y, x / scale, y / scale
         seen = np.array(values, dtype=np.float32)
         if clip:
             np.clip(seen, -self.limits, self.limits, out=seen)
@@ -255,24 +261,24 @@ class ObservationLayout:
         count, end = self.joint_count, self.posture_size
         if isinstance(observation, Mapping):
             posture, target = observation["observation"], observation["desired_goal"]
-            first, offset = (
-                (posture[..., 0], posture[..., count]),
-                target - observation["achieved_goal"],
-            )
+            first = posture[..., 0], posture[..., count]
             target, offset = (
                 arrays.stack(turned_back(vector[..., 0], vector[..., 1], *first), -1)
-                for vector in (target, offset)
+                for vector in (target, target - observation["achieved_goal"])
             )
+            near = offset / (NEAR + arrays.sqrt((offset**2).sum(-1))[..., None])
             rest = posture[..., end:]
         else:
             posture, target = observation, observation[..., end : end + 2]
-            offset, rest = observation[..., end + 2 : end + 4], observation[..., end + 4 :]
+            offset, near = observation[..., end + 2 : end + 4], observation[..., end + 4 : end + 6]
+            rest = observation[..., end + 6 :]
         return ObservationParts(
             cosines=posture[..., :count],
             sines=posture[..., count : 2 * count],
             speeds=posture[..., 2 * count : end],
             target=target,
             offset=offset,
+            near=near,
             rest=rest,
         )
 
@@ -376,7 +382,7 @@ class ReachInterface:
         """Return posture and target of observations.
 
         Args:
-            observation: of MMCReach-v0, (..., 13) at N = 3, or of MMCReachGoal-v0, a mapping.
+            observation: of MMCReach-v0, (..., 15) at N = 3, or of MMCReachGoal-v0, a mapping.
 
         Raises:
             UserError: if its last axis has another length.
@@ -392,7 +398,7 @@ class ReachInterface:
         if goals:
             target: Floats = np.asarray(goals["desired_goal"], dtype=np.float64)
         else:
-            target = _in_the_world(values[..., -4:-2], joint_angles)
+            target = _in_the_world(layout.split(values).target, joint_angles)
         return Sensed(self.within_limits(joint_angles), target)
 
     def seen_hand(self, observation: Observation) -> Floats:

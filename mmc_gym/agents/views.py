@@ -8,7 +8,7 @@ do.  But joint positions mean a direction.  For them there is "target", in which
 until the target, at φ from the base, lies straight ahead:
 
     cos (q_1 − φ), sin (q_1 − φ), cos q_2…q_N, sin q_2…q_N, joint speeds,
-    |target|, R(−φ) (target − hand)
+    |target|, e = R(−φ) (target − hand), e / (NEAR + |e|)
 
 A policy with this view gives joint positions in the turned world, where the posture 0 points at the
 target, and `turned_actions` turns them back.
@@ -34,7 +34,7 @@ VIEWS: dict[View, str] = {
 def features(arrays: Any, view: View, observation: Any, layout: ObservationLayout) -> Any:
     """Return the features of observations, (..., `feature_count`), and what they end with.
 
-    The observations are `arrays` of the module numpy or torch: of MMCReach-v0, (..., 3N + 4) or
+    The observations are `arrays` of the module numpy or torch: of MMCReach-v0, (..., 3N + 6) or
     longer, or of MMCReachGoal-v0, a mapping.
     """
     if view == "arm":
@@ -44,9 +44,10 @@ def features(arrays: Any, view: View, observation: Any, layout: ObservationLayou
     distance = arrays.hypot(*target)
     # At the base it has no direction; any will do.
     cosine, sine = (x / (distance + (distance == 0)) for x in target)
+    near = seen.near[..., :1], seen.near[..., 1:]
     others = seen.cosines[..., 1:], seen.sines[..., 1:]
     parts = (cosine, -sine, *others, seen.speeds, distance, *turned_back(*offset, cosine, sine))
-    return arrays.concatenate((*parts, seen.rest), -1)
+    return arrays.concatenate((*parts, *turned_back(*near, cosine, sine), seen.rest), -1)
 
 
 def feature_count(view: View, layout: ObservationLayout) -> int:

@@ -48,7 +48,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `gymnasium.wrappers.ClipAction` does it for others).
 
     ## Observation Space
-    `Box((13,), float32)`:
+    `Box((15,), float32)`:
 
     | index | observation | within |
     | --- | --- | --- |
@@ -57,9 +57,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     | 6–8 | joint velocities / 2π rad/s, clipped | ±1 |
     | 9–10 | target (x, y), segment lengths | ±3 |
     | 11–12 | target − hand, segment lengths | ±6 |
+    | 13–14 | (target − hand) / (0.1 + distance) | ±1 |
 
-    Target and offset are seen from the first segment, as if it lay on the x axis: reaching is the
-    same in every direction, and a learner need not find that out.
+    From 9 on all is seen from the first segment, as if it lay on the x axis: reaching is the same
+    in every direction, and a learner need not find that out.  The last two show the last hundredths
+    large, in which success is decided.
 
     ## Rewards
     Dense (default): −distance + 0.05 / (0.05 + distance) − 0.1 · mean((joint velocity / 2π)²); the

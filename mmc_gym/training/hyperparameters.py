@@ -34,12 +34,13 @@ from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain, require
 from mmc_gym.agents.policy import Algorithm
-from mmc_gym.training.policies import POLICIES
+from mmc_gym.training.policies import ACTIVATIONS, POLICIES
 from mmc_gym.training.vec_env import Residual
 
 
@@ -150,8 +151,7 @@ def _normalized(value: Any) -> Any:
     arguments = {} if value is True else _mapping(value)
     if isinstance(arguments, dict) and arguments.get("norm_obs", True) is not False:
         raise ValueError(
-            "must have norm_obs: false, for observations lie within -1 and 1, and a policy is kept "
-            "without statistics of them"
+            "must have norm_obs: false, for a policy is kept without statistics of observations"
         )
     return arguments
 
@@ -237,7 +237,7 @@ class PolicyOptions(_Keys, extra="allow"):
     """Arguments of a policy; any others are checked by the policy itself."""
 
     net_arch: Annotated[Any, PlainValidator(_layers)] = None
-    activation_fn: Literal["relu", "tanh"] = "relu"
+    activation_fn: Literal["relu", "tanh"] | None = None
     log_std_init: Real = 0.0
     n_critics: Count = 2
     n_quantiles: Count = 25
@@ -276,9 +276,14 @@ class Settings(_Keys):
     @field_validator("policy")
     @classmethod
     def _known(cls, name: str) -> str:
-        base = cls.algorithm.policy_aliases["MlpPolicy"]
-        _looked_up(name, {key: kind for key, kind in POLICIES.items() if issubclass(kind, base)})
+        _looked_up(name, cls._policies())
         return name
+
+    @classmethod
+    def _policies(cls) -> dict[str, type[BasePolicy]]:
+        plain = cls.algorithm.policy_aliases["MlpPolicy"]
+        ours = {name: kind for name, kind in POLICIES.items() if issubclass(kind, plain)}
+        return {"MlpPolicy": plain, **ours}
 
     @abstractmethod
     def rollout(self, episode_steps: int) -> int:
@@ -307,8 +312,10 @@ class Settings(_Keys):
             env = VecNormalize(env, **{"gamma": self.gamma, **_given(self.normalize)})
         options = {key: value for key, value in _given(self).items() if key not in _OWN}
         options |= {"seed": seed, "device": device, "tensorboard_log": tensorboard}
+        if activation := options.get("policy_kwargs", {}).get("activation_fn"):
+            options["policy_kwargs"]["activation_fn"] = ACTIVATIONS[activation]
         try:
-            return self.algorithm(POLICIES[self.policy], env, **options)
+            return self.algorithm(self._policies()[self.policy], env, **options)
         except (TypeError, AssertionError) as error:
             name = self.algorithm.__name__
             raise UserError(f"{name} does not take these hyperparameters: {error}") from error

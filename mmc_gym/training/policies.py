@@ -1,7 +1,7 @@
-"""Policies of stable-baselines3 and sb3-contrib that see through one of our `views`.
+"""Policies of stable-baselines3 and sb3-contrib, and as plain arrays.
 
-YAML files give their full names, so that rl_zoo3 finds them too.  Layers are rectified linear,
-unless `policy_kwargs` says otherwise.
+Most are "MlpPolicy", as everyone else's.  Those that see through one of our `views` have full names
+in YAML files, so that rl_zoo3 finds them too.
 """
 
 from __future__ import annotations
@@ -11,11 +11,10 @@ from typing import Any
 
 import torch
 from gymnasium import spaces
-from sb3_contrib.tqc import policies as tqc
+from sb3_contrib.tqc.policies import TQCPolicy
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
-from stable_baselines3.sac import policies as sac
 from typing_extensions import override
 
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
@@ -37,9 +36,7 @@ class ViewLayer(BaseFeaturesExtractor):
         Raises:
             ValueError: if the observations are those of no such arm.
         """
-        goals = getattr(observation_space, "spaces", None)  # of a goal environment
-        reach = float(goals["desired_goal"].high[0]) if goals else 1.0
-        layout = ObservationLayout(joint_count, reach)
+        layout = ObservationLayout(joint_count, reach=1.0)  # features have no need of it
         additions = layout.additions(observation_space)
         super().__init__(observation_space, feature_count(view, layout) + additions)
         self.view: View = view
@@ -63,23 +60,14 @@ class _HasView(BasePolicy):
         lr_schedule: Schedule,
         **options: Any,
     ) -> None:
-        """Make a policy with the options of its base class.
-
-        `activation_fn` may be a key of `ACTIVATIONS`, because YAML has no classes.
-        """
-        activation = options.get("activation_fn", "relu")
-        options["activation_fn"] = ACTIVATIONS.get(activation, activation)
+        """Make a policy with the options of its base class."""
         options["features_extractor_class"] = ViewLayer
         seen = {"view": self.view, "joint_count": action_space.shape[0]}
         options["features_extractor_kwargs"] = seen
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
 
-class PPOPolicy(_HasView, ActorCriticPolicy):
-    """`ActorCriticPolicy` with the arm's view."""
-
-
-class PPOTargetPolicy(PPOPolicy):
+class PPOTargetPolicy(_HasView, ActorCriticPolicy):
     """`ActorCriticPolicy` with the target's view, for joint positions.
 
     Its distribution is over actions in this view.  They are turned as they go out, and turned back
@@ -113,17 +101,12 @@ class PPOTargetPolicy(PPOPolicy):
         return turned
 
 
-class SACPolicy(_HasView, sac.SACPolicy):
-    """`SACPolicy` with the arm's view."""
-
-
-class TQCPolicy(_HasView, tqc.TQCPolicy):
-    """`TQCPolicy` with the arm's view."""
+class TQCGoalPolicy(_HasView, TQCPolicy):
+    """`TQCPolicy` that sees a goal environment as `MMCReach-v0` shows itself."""
 
 
 POLICIES: dict[str, type[BasePolicy]] = {
-    f"{__name__}.{policy.__name__}": policy
-    for policy in (PPOPolicy, PPOTargetPolicy, SACPolicy, TQCPolicy)
+    f"{__name__}.{policy.__name__}": policy for policy in (PPOTargetPolicy, TQCGoalPolicy)
 }
 
 
@@ -146,8 +129,8 @@ def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
         layer, hidden = actor.features_extractor, actor.latent_pi
         parts = {"mean": actor.mu, "log_std": actor.log_std}
         distribution = "squashed"
-    if not isinstance(layer, ViewLayer):
-        raise ValueError(f"policy must have one of the views here, got {layer}")
+    if not isinstance(layer, (FlattenExtractor, ViewLayer)):
+        raise ValueError(f"policy must see the observation or one of our views, got {layer}")
     linear = [part for part in hidden if isinstance(part, torch.nn.Linear)]
     parts |= {f"hidden.{index}": part for index, part in enumerate(linear)}
     kinds = {type(part) for part in hidden} - {torch.nn.Linear}
@@ -163,7 +146,8 @@ def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
         else:
             kind = type(part).__name__
             raise ValueError(f"policy must have linear layers, got {kind} for {name}")
-    return PolicyNetwork(tensors, activation, distribution), layer.view
+    view = layer.view if isinstance(layer, ViewLayer) else "arm"
+    return PolicyNetwork(tensors, activation, distribution), view
 
 
 def _array(parameter: torch.Tensor) -> Float32:

@@ -330,6 +330,7 @@ def library_versions() -> dict[str, str]:
 
 
 def evaluate_policy(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
-    """Evaluate a policy in the environment that it is trained in."""
-    arguments = card.hyperparameters.get("env_kwargs", {})
+    """Evaluate a policy in the environment that it is trained in, but always on pymunk."""
+    given = card.hyperparameters.get("env_kwargs", {})
+    arguments = {name: value for name, value in given.items() if name != "engine"}
     return evaluate(partial(PolicyAgent, network, card), card.env_id, arguments, episodes)
