@@ -36,7 +36,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 class Oracle:
     """Knows a posture for every target: three unit segments along an arc, q = (β − φ, φ, φ).
 
-    Its hand is at the distance |1 + e^{iφ} + e^{2iφ}| = 1 + 2 cos φ from the base.
+    Its hand is at the distance |1 + e^{iφ} + e^{2iφ}| = 1 + 2 cos φ from the base.  Its actions are
+    those of `joint_delta`, the default.
     """
 
     def predict(
@@ -46,10 +47,12 @@ class Oracle:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        x, y = 3.0 * observation[9:11].astype(np.float64)
+        values = observation.astype(np.float64)
+        _, second, third = np.arctan2(values[3:6], values[:3])
+        x, y = values[9:11]  # seen from the first segment
         bend = math.acos(np.clip((math.hypot(x, y) - 1) / 2, -1, 1))
-        posture = (math.atan2(y, x) - bend, bend, bend)
-        action = [math.remainder(angle, math.tau) / math.pi for angle in posture]
+        turns = (math.atan2(y, x) - bend, bend - second, bend - third)
+        action = [math.remainder(turn, math.tau) * 12 / math.tau for turn in turns]
         return np.array(action, np.float32).clip(-1, 1), None
 
 
@@ -63,8 +66,7 @@ class Frozen:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        sines, cosines = observation[..., 3:6], observation[..., :3]
-        return np.arctan2(sines, cosines) / np.float32(math.pi), None
+        return np.zeros_like(observation[..., :3]), None
 
 
 @pytest.fixture

@@ -25,6 +25,12 @@ from mmc_gym.interface import (
 LAYOUT = ObservationLayout(joint_count=3, reach=3.0)
 
 
+def seen_along(joint_angles, vectors):
+    """World vectors (..., 2) as they are seen from the first segment: by complex numbers."""
+    seen = (vectors[..., 0] + 1j * vectors[..., 1]) * np.exp(-1j * joint_angles[..., 0])
+    return np.stack([seen.real, seen.imag], axis=-1)
+
+
 def arms(seed, count=5, joints=3):
     """Joint angles, relative speeds, hands and targets, some of these beyond the reach."""
     random = np.random.default_rng(seed)
@@ -44,7 +50,7 @@ def test_one_arm_is_encoded_as_many_are(seed, joints, clip):
     goals = layout.encode_goals(angles, speeds, hand=hands, target=targets)
     assert many.shape == (5, layout.size)
     assert many.dtype == np.float32
-    assert (np.abs(many).max() <= 1.0) or not clip
+    assert (np.abs(many) <= layout.limits).all() or not clip
     for index, (angle, speed) in enumerate(zip(angles.tolist(), speeds.tolist())):
         place = {"hand": tuple(hands[index]), "target": tuple(targets[index])}
         one = layout.encode_one(angle, speed, clip=clip, **place)
@@ -65,10 +71,52 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(arrays):
         ({name: arrays(value) for name, value in goals.items()}, 0),
     ):
         parts = LAYOUT.split(observation)
-        expected = (np.cos(angles), np.sin(angles), speeds, targets / 3, (targets - hands) / 6)
+        expected = (
+            *(np.cos(angles), np.sin(angles), speeds),
+            *(seen_along(angles, vectors) for vectors in (targets, targets - hands)),
+        )
         for part, values in zip(parts, expected):
-            np.testing.assert_allclose(part, values, atol=1e-6)
+            np.testing.assert_allclose(part, values, atol=2e-6)
         assert parts.rest.shape == (5, rest)
+
+
+@pytest.mark.parametrize("arrays", [np.asarray, torch.from_numpy])
+def test_observations_of_goal_environments_are_brought_into_the_form_of_the_others(arrays):
+    angles, speeds, hands, targets = arms(1)
+    module = np if arrays is np.asarray else torch
+    flat = arrays(LAYOUT.encode(angles, speeds, hand=hands, target=targets))
+    goals = LAYOUT.encode_goals(angles, speeds, hand=hands, target=targets)
+    found = LAYOUT.flatten({name: arrays(value) for name, value in goals.items()}, module)
+    np.testing.assert_allclose(found, flat, atol=2e-6)
+    assert LAYOUT.flatten(flat, module) is flat
+
+
+@given(st.integers(0, 2**31), st.integers(1, 5), st.floats(-10, 10))
+def test_a_turned_world_looks_the_same_but_for_the_first_joint(seed, joints, turn):
+    layout = ObservationLayout(joints, float(joints))
+    angles, speeds, hands, targets = arms(seed, joints=joints)
+    cosine, sine = np.cos(turn), np.sin(turn)
+    turned_angles = angles + turn * (np.arange(joints) == 0)
+    there = [points @ [[cosine, sine], [-sine, cosine]] for points in (hands, targets)]
+    here = layout.encode(angles, speeds, hand=hands, target=targets)
+    turned = layout.encode(turned_angles, speeds, hand=there[0], target=there[1])
+    first = [0, joints]  # cos and sin of the first joint angle
+    same = np.delete(np.arange(layout.size), first)
+    np.testing.assert_allclose(turned[:, same], here[:, same], atol=1e-5)
+    expected = np.stack([np.cos(turned_angles[:, 0]), np.sin(turned_angles[:, 0])], axis=-1)
+    np.testing.assert_allclose(turned[:, first], expected, atol=1e-6)
+
+
+@given(st.integers(0, 2**31), st.integers(1, 5))
+def test_the_world_is_recovered_from_observations_of_either_kind(seed, joints):
+    interface = ReachInterface((1.0,) * joints, "joint_delta", 6.0, 12.0, 0.02)
+    angles, speeds, hands, targets = arms(seed, joints=joints)
+    for encode in (interface.layout.encode, interface.layout.encode_goals):
+        observation = encode(angles, speeds, hand=hands, target=targets)
+        sensed = interface.sense(observation)
+        np.testing.assert_allclose(sensed.joint_angles, angles, atol=1e-6)
+        np.testing.assert_allclose(sensed.target, targets, atol=1e-5)
+        np.testing.assert_allclose(interface.seen_hand(observation), hands, atol=1e-5)
 
 
 @pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
@@ -84,16 +132,42 @@ def test_the_layout_knows_the_spaces_of_the_environments(env_id):
         ObservationLayout(4, 4.0).additions(space)
 
 
+@pytest.mark.parametrize("perturbations", ["longer-20", "rotation-45"])
 @pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
-def test_posture_target_and_hand_are_read_off_an_observation(env_id):
-    env = gym.make(env_id, perturbations="longer-20")
+def test_posture_target_and_hand_are_read_off_an_observation(env_id, perturbations):
+    env = gym.make(env_id, perturbations=perturbations)
     options = {"joint_angles": [0.3, 0.6, -0.6], "target": [-1.0, 1.5]}
     observation, info = env.reset(seed=0, options=options)
     interface = ReachInterface.of(env)
-    sensed = interface.sense(observation)
-    np.testing.assert_allclose(sensed.joint_angles, options["joint_angles"], atol=1e-6)
-    np.testing.assert_allclose(sensed.target, options["target"], atol=1e-6)
-    np.testing.assert_allclose(interface.seen_hand(observation), info["end_effector"], atol=1e-6)
+    for _ in range(20):
+        sensed = interface.sense(observation)
+        seen = info.get("cursor", info["end_effector"])
+        angles = env.unwrapped.arm.joint_angles
+        np.testing.assert_allclose(np.exp(1j * sensed.joint_angles), np.exp(1j * np.array(angles)))
+        np.testing.assert_allclose(sensed.target, options["target"], atol=1e-6)
+        np.testing.assert_allclose(interface.seen_hand(observation), seen, atol=1e-6)
+        observation, _, _, _, info = env.step(np.array([0.9, -0.5, 0.2], np.float32))
+
+
+@pytest.mark.parametrize("noise", ["joint-noise", "vision-noise"])
+def test_noise_of_joints_does_not_move_what_is_seen_nor_noise_of_vision_the_joints(noise):
+    env = gym.make("MMCReach-v0", perturbations=noise)
+    target = [-1.0, 1.5]
+    observation, info = env.reset(seed=0, options={"target": target})
+    interface, errors = ReachInterface.of(env), []
+    for _ in range(20):
+        sensed, angles = interface.sense(observation), np.array(env.unwrapped.arm.joint_angles)
+        turned = np.angle(np.exp(1j * (sensed.joint_angles - angles)))
+        places = sensed.target - target, interface.seen_hand(observation) - info["end_effector"]
+        errors.append([np.abs(turned).max(), *(np.abs(place).max() for place in places)])
+        observation, _, _, _, info = env.step(np.array([0.9, -0.5, 0.2], np.float32))
+    joints, *places = np.max(errors, axis=0)
+    if noise == "joint-noise":
+        assert joints > 0.03
+        assert max(places) < 1e-5
+    else:
+        assert joints < 1e-5
+        assert min(places) > 0.03
 
 
 def test_speeds_are_told_as_fractions_of_their_limit():

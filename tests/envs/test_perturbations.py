@@ -28,7 +28,7 @@ from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import find_perturbation
 from mmc_gym.envs.spec import Options
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
-from mmc_gym.interface import Control
+from mmc_gym.interface import Control, ReachInterface
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 
 DISC = Obstacles().discs[0]
@@ -221,6 +221,12 @@ def observed(perturbations: Perturbed, steps: int = 4000) -> tuple[np.ndarray, M
     return np.array([env.step(STILL)[0] for _ in range(steps)], np.float64), env
 
 
+def seen(env: MMCReachEnv, observations: np.ndarray) -> np.ndarray:
+    """Where targets and hands are seen in the world, (steps, 4)."""
+    interface = ReachInterface.of(env)
+    return np.hstack([interface.sense(observations).target, interface.seen_hand(observations)])
+
+
 def assert_white(errors: np.ndarray, std: float) -> None:
     """Zero mean, the stated spread, and no memory, within four standard errors."""
     count = len(errors)
@@ -231,21 +237,19 @@ def assert_white(errors: np.ndarray, std: float) -> None:
 
 
 def test_joint_noise_is_as_large_as_stated_and_white() -> None:
-    observations, _ = observed([JointNoise(std=0.03)])
+    observations, env = observed([JointNoise(std=0.03)])
     errors = np.arctan2(observations[:, 3:6], observations[:, :3]) - (0.3, 0.5, -0.4)
     assert_white(errors, 0.03)
     assert_white(observations[:, 6:9] * math.tau, 0.3)
-    np.testing.assert_allclose(observations[:, 9:], observations[:1, 9:].repeat(4000, 0), atol=1e-6)
+    places = seen(env, observations)
+    np.testing.assert_allclose(places, places[:1].repeat(4000, 0), atol=2e-6)
     assert np.abs(np.corrcoef(errors.T)[np.triu_indices(3, 1)]).max() < 0.07
 
 
 def test_vision_noise_is_as_large_as_stated_and_white() -> None:
     observations, env = observed([VisionNoise(std=0.05)])
-    targets = observations[:, 9:11] * 3
-    seen_hands = targets - observations[:, 11:13] * 6
-    assert_white(targets - (-1.0, 1.5), 0.05)
-    assert_white(seen_hands - env.arm.end_effector, 0.05)
-    both = np.concatenate([targets, seen_hands], axis=1)
+    both = seen(env, observations)
+    assert_white(both - (-1.0, 1.5, *env.arm.end_effector), 0.05)
     assert np.abs(np.corrcoef(both.T)[np.triu_indices(4, 1)]).max() < 0.07
     np.testing.assert_allclose(observations[:, :9], observations[:1, :9].repeat(4000, 0), atol=1e-6)
 
@@ -308,7 +312,7 @@ def test_delays_add_and_no_delay_is_none() -> None:
 def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(
     rotation: VisuomotorRotation,
 ) -> None:
-    env = MMCReachEnv(perturbations=rotation, control_weight=0.0)
+    env = MMCReachEnv(perturbations=rotation, control_weight=0.0, precision_weight=0.0)
     env.reset(seed=0)
     turn = np.exp(1j * math.radians(rotation.degrees))
     centre = complex(*(rotation.centre or (0.0, 0.0)))
@@ -318,8 +322,10 @@ def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(
         assert complex(*info["cursor"]) == pytest.approx(cursor)
         assert info["distance"] == pytest.approx(math.dist(info["cursor"], info["target"]))
         assert reward == -info["distance"]
-        offset = np.clip((info["target"] - info["cursor"]) / 6, -1, 1)
-        np.testing.assert_allclose(observation[11:13], offset, atol=1e-6)
+        offset = complex(*(info["target"] - info["cursor"])) * np.exp(-1j * joint_angles(env)[0])
+        limits = env.setup.layout.limits[-2:]
+        expected = np.clip([offset.real, offset.imag], -limits, limits)
+        np.testing.assert_allclose(observation[11:13], expected, atol=1e-6)
         assert rotation.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
 
 

@@ -14,7 +14,9 @@ from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
 from mmc_gym._errors import UserError
+from mmc_gym.body.engines import Engine
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
+from mmc_gym.envs.rewards import precision
 from mmc_gym.interface import Control, ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
 
@@ -130,7 +132,7 @@ def test_observation_and_info_tell_the_state(
     lengths: tuple[float, ...], control: Control, weight: float
 ) -> None:
     env = MMCReachEnv(segment_lengths=lengths, control=control, control_weight=weight)
-    count, reach = len(lengths), sum(lengths)
+    count = len(lengths)
     env.reset(seed=0)
     env.action_space.seed(0)
     for _ in range(60):
@@ -138,20 +140,63 @@ def test_observation_and_info_tell_the_state(
         assert observation.shape == (3 * count + 4,)
         assert (terminated, truncated) == (False, False)
         assert set(info) == {
-            "distance", "is_success", "end_effector", "target", "reward_distance", "reward_control",
-        }  # fmt: skip
+            *("distance", "is_success", "end_effector", "target"),
+            *("reward_distance", "reward_precision", "reward_control"),
+        }
         angles = np.arctan2(observation[count : 2 * count], observation[:count])
         hand = hand_of(angles, lengths)
         np.testing.assert_allclose(info["end_effector"], hand, atol=1e-5)
         target = info["target"]
-        np.testing.assert_allclose(observation[-4:-2] * reach, target, atol=1e-6)
-        np.testing.assert_allclose(observation[-2:] * 2 * reach, target - hand, atol=1e-5)
+        for seen, vector in ((observation[-4:-2], target), (observation[-2:], target - hand)):
+            from_first = complex(*vector) * np.exp(-1j * angles[0])
+            np.testing.assert_allclose(seen, [from_first.real, from_first.imag], atol=1e-5)
         assert info["distance"] == pytest.approx(math.dist(info["end_effector"], target))
         assert info["is_success"] == (info["distance"] <= 0.05)
         speeds = observation[2 * count : 3 * count]
         assert info["reward_distance"] == -info["distance"]
         assert info["reward_control"] == pytest.approx(-weight * np.mean(speeds**2), abs=1e-6)
-        assert reward == info["reward_distance"] + info["reward_control"]
+        assert info["reward_precision"] == precision(env.setup, info["distance"])
+        terms = (info[f"reward_{name}"] for name in ("distance", "precision", "control"))
+        assert reward == sum(terms)
+
+
+@pytest.mark.parametrize("turn", [0.7, -2.0, math.pi])
+@pytest.mark.parametrize("engine", get_args(Engine))
+@pytest.mark.parametrize("control", ["joint_delta", "joint_velocity", "joint_torque"])
+def test_an_arm_and_its_target_turned_about_the_base_live_the_same_life(
+    control: Control, engine: Engine, turn: float
+) -> None:
+    posture, target, way = [0.3, 0.6, -0.6], complex(-1.0, 1.5), np.exp(1j * turn)
+    env, other = (MMCReachEnv(control=control, engine=engine) for _ in range(2))
+    seen, _ = env.reset(options={"joint_angles": posture, "target": (target.real, target.imag)})
+    place = ((target * way).real, (target * way).imag)
+    options = {"joint_angles": [posture[0] + turn, *posture[1:]], "target": place}
+    turned, _ = other.reset(options=options)
+    for action in np.random.default_rng(0).uniform(-1, 1, (20, 3)).astype(np.float32):
+        np.testing.assert_allclose(np.delete(turned, [0, 3]), np.delete(seen, [0, 3]), atol=1e-5)
+        first, other_first = (complex(values[0], values[3]) for values in (seen, turned))
+        assert other_first == pytest.approx(first * way, abs=1e-5)
+        seen, reward, *_ = env.step(action)
+        turned, other_reward, *_ = other.step(action)
+        assert other_reward == pytest.approx(reward, abs=1e-5)
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0, 2.5])
+def test_precision_pays_most_at_the_target_less_with_distance_and_in_proportion_to_its_weight(
+    weight: float,
+) -> None:
+    setup, distances = MMCReachEnv(precision_weight=weight).setup, np.linspace(0, 6, 601)
+    rewards = precision(setup, distances)
+    assert ((rewards >= 0) & (rewards <= weight)).all()
+    assert (np.diff(rewards) <= 0).all()
+    assert (np.diff(rewards[:20]) < 0).all() == (weight > 0)
+    np.testing.assert_allclose(rewards, weight * precision(MMCReachEnv().setup, distances))
+    assert [precision(setup, distance) for distance in distances.tolist()] == rewards.tolist()
+    env = MMCReachGoalEnv(reward_type="dense", precision_weight=weight)
+    observation, _ = env.reset(seed=0)
+    goals = observation["achieved_goal"], observation["desired_goal"]
+    distance = math.dist(*goals)
+    assert env.compute_reward(*goals, {}) == pytest.approx(precision(setup, distance) - distance)
 
 
 def test_observed_speeds_are_those_of_the_angles() -> None:
@@ -167,8 +212,8 @@ def test_observed_speeds_are_those_of_the_angles() -> None:
 
 def test_the_sparse_reward_is_zero_at_the_target_and_minus_one_elsewhere() -> None:
     env = MMCReachEnv(reward_type="sparse", success_distance=0.2)
-    hold = np.array([0.1, 0.1, 0.1], np.float32)
-    posture = (math.pi * hold.astype(float)).tolist()
+    hold = np.zeros(3, np.float32)
+    posture = [0.3, 0.3, 0.3]
     hand = hand_of(posture)
     for offset, reward in ((0.199, 0.0), (0.201, -1.0)):
         target = hand * (1 - offset / np.linalg.norm(hand))
@@ -181,14 +226,14 @@ def test_the_sparse_reward_is_zero_at_the_target_and_minus_one_elsewhere() -> No
 
 
 def test_joints_go_to_pi_times_the_action_and_standing_at_the_target_is_never_the_end() -> None:
-    env = MMCReachEnv()
+    env = MMCReachEnv(control="joint_position")
     action = np.array([0.25, -0.5, 0.75], np.float32)
     env.reset(seed=0, options={"target": hand_of(math.pi * action.astype(float))})
     ends = [env.step(action) for _ in range(300)]
     np.testing.assert_allclose(joint_angles(ends[99][0]), math.pi * action, atol=1e-4)
     assert not any(terminated or truncated for _, _, terminated, truncated, _ in ends)
     assert all(info["is_success"] for *_, info in ends[100:])
-    assert ends[-1][1] == pytest.approx(0.0, abs=1e-4)
+    assert ends[-1][1] == pytest.approx(precision(env.setup, 0.0), abs=3e-3)
 
 
 def test_the_smoothness_cost_is_that_of_the_changes_of_joint_speed() -> None:
@@ -201,7 +246,8 @@ def test_the_smoothness_cost_is_that_of_the_changes_of_joint_speed() -> None:
         speeds.append(observation[6:9])
         cost = -2.0 * np.mean((speeds[-1] - speeds[-2]) ** 2)
         assert info["reward_smoothness"] == pytest.approx(cost, rel=1e-5)
-        terms = (info[f"reward_{name}"] for name in ("distance", "control", "smoothness"))
+        names = ("distance", "precision", "control", "smoothness")
+        terms = (info[f"reward_{name}"] for name in names)
         assert reward == pytest.approx(sum(terms), rel=1e-12)
     assert "reward_smoothness" not in MMCReachEnv().reset(seed=0)[1]
 
@@ -239,7 +285,7 @@ def test_joint_torque_gives_the_documented_torque() -> None:
 
 
 def test_the_servo_reaches_across_plus_minus_pi() -> None:
-    env = MMCReachEnv(segment_lengths=(1.0,))
+    env = MMCReachEnv(control="joint_position", segment_lengths=(1.0,))
     env.reset(options={"joint_angles": [3.0]})
     angles = []
     for _ in range(40):
@@ -269,9 +315,11 @@ def test_a_moved_target_is_seen_and_rewarded_at_the_next_step_and_nothing_else_c
             assert observation["desired_goal"].tolist() == [1.0, -2.0]
             np.testing.assert_array_equal(observation["observation"], seen["observation"])
         else:
-            np.testing.assert_allclose(observation[9:11] * 3, [1.0, -2.0], rtol=1e-6)
+            sensed = ReachInterface.of(moved).sense(observation)
+            np.testing.assert_allclose(sensed.target, [1.0, -2.0], atol=1e-6)
             np.testing.assert_array_equal(observation[:9], seen[:9])
-            assert reward == info["reward_distance"] + info["reward_control"]
+            terms = (info[f"reward_{name}"] for name in ("distance", "precision", "control"))
+            assert reward == sum(terms)
     assert same(moved.reset(), other.reset())
 
 
@@ -353,6 +401,7 @@ def test_the_hole_in_the_middle_is_out_of_reach() -> None:
         ({"render_mode": "ansi"}, "render_mode must be one of .*'rgb_array'.*got 'ansi'"),
         ({"smoothness_weight": -1.0}, "smoothness_weight must be finite and not negative"),
         ({"control_weight": -1.0}, "control_weight must be finite and not negative, got -1.0"),
+        ({"precision_weight": math.inf}, "precision_weight must be finite and not negative"),
         ({"success_distance": math.nan}, "success_distance must be finite and not negative"),
         ({"segment_lengths": (1.0, -1.0)}, "segment_lengths must be positive"),
         ({"segment_length": (1.0,)}, "unexpected keyword argument 'segment_length'"),
