@@ -14,7 +14,14 @@ from mmc_gym.agents.closed_loop.agent import (
     ClosedLoopInverseKinematicsAgent,
     closed_loop_mmc,
 )
-from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks, expected_turn
+from mmc_gym.agents.closed_loop.identification import (
+    Delay,
+    Lengths,
+    Locks,
+    command_of,
+    commanded_turn,
+    expected_turn,
+)
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.envs.perturbations import LockedJoint, VisuomotorRotation
@@ -22,7 +29,7 @@ from mmc_gym.envs.scenarios import environment_id
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
 
-EPISODES = 100
+EPISODES = 300
 CLOSED = (*(f"mmc-{name}" for name in LOOPS), "ik-dls-feedback")
 
 
@@ -103,7 +110,7 @@ def test_inverse_kinematics_with_all_loops_open_is_ik_dls():
 @pytest.mark.parametrize("name", CLOSED)
 def test_on_a_body_as_told_closing_the_loop_costs_next_to_nothing(name):
     assert success(name) >= success(open_loop(name)) - 0.01
-    assert median_time(name) <= 1.05 * median_time(open_loop(name))
+    assert median_time(name) <= median_time(open_loop(name)) + 2  # control steps
 
 
 @pytest.mark.parametrize(
@@ -112,7 +119,7 @@ def test_on_a_body_as_told_closing_the_loop_costs_next_to_nothing(name):
         *((name, "longer-50", 0.97) for name in ("mmc-feedback", "mmc-lengths", "mmc-closed")),
         *((name, "shorter-20", 0.97) for name in ("mmc-feedback", "mmc-lengths", "mmc-closed")),
         *((name, "rotation-30", 0.95) for name in ("mmc-feedback", "mmc-closed")),
-        *((name, "rotation-45", 0.88) for name in ("mmc-feedback", "mmc-closed")),
+        *(("mmc-feedback", "rotation-45", 0.88), ("mmc-closed", "rotation-45", 0.85)),
         *((name, "locked", 0.9) for name in ("mmc-lock", "mmc-closed")),
         *((name, "locks", 0.5) for name in ("mmc-lock", "mmc-closed")),
         ("mmc-feedback", "locked", 0.4),
@@ -126,6 +133,13 @@ def test_reaches_what_it_does_not_reach_in_open_loop(name, perturbation, at_leas
     assert success(name, perturbations=perturbation) >= at_least
 
 
+@pytest.mark.parametrize("name", ["mmc-feedback", "mmc-closed"])
+def test_a_cursor_that_is_turned_far_only_takes_longer(name):
+    options = {"perturbations": "rotation-45"}
+    agent = make_agent(name, gym.make("MMCReach-v0", **options))
+    assert play(agent, steps=150, **options)[0][-1].mean() >= 0.98
+
+
 @pytest.mark.parametrize(
     "perturbation",
     ["force-field", "hand-mass", "joint-noise", "vision-noise", "delay-200", "longer-50-told"],
@@ -137,13 +151,21 @@ def test_what_is_reached_in_open_loop_is_reached_still(name, perturbation):
 
 
 def test_what_feedback_loses_in_time_to_a_delay_is_won_back_by_bridging_it():
-    late = {"perturbations": "delay-200"}
+    late = {"perturbations": "delay-200", "control": "joint_position"}
     assert median_time("mmc-feedback", **late) > 1.3 * median_time("mmc", **late)
     assert median_time("mmc-delay", **late) < 1.1 * median_time("mmc", **late)
 
 
-def test_velocity_control_under_delay_needs_the_delay_bridged():
-    late = {"perturbations": "delay-100", "control": "joint_velocity"}
+@pytest.mark.parametrize(
+    ("control", "delay"),
+    [
+        ("joint_velocity", "delay-100"),
+        ("joint_velocity", "delay-200"),
+        ("joint_delta", "delay-200"),
+    ],
+)
+def test_control_relative_to_the_joints_needs_a_long_delay_bridged(control, delay):
+    late = {"perturbations": delay, "control": control}
     assert success("mmc", **late) <= 0.2
     assert success("mmc-delay", **late) >= 0.95
     assert success("mmc-closed", **late) >= 0.95
@@ -306,7 +328,7 @@ def test_the_delay_is_found(perturbation, steps):
     assert (np.abs(found - steps) <= 1).mean() >= 0.9
 
 
-@pytest.mark.parametrize("control", ["joint_position", "joint_velocity"])
+@pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
 def test_the_servo_model_foretells_where_the_joints_are(control):
     env = gym.make("MMCReach-v0", control=control)
     interface = ReachInterface.of(env)
@@ -321,15 +343,26 @@ def test_the_servo_model_foretells_where_the_joints_are(control):
     np.testing.assert_allclose(now, foretold, atol=0.02)
 
 
-def test_an_old_posture_is_run_forward_with_the_commands_since():
-    interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
+@pytest.mark.parametrize("control", ["joint_delta", "joint_velocity"])
+def test_a_relative_command_turns_a_joint_alike_wherever_it_is(control):
+    interface = ReachInterface((1.0, 1.0), control, 6.0, 12.0, 0.02)
+    believed, goal = np.array([0.1, -0.4]), np.array([0.3, -1.5])
+    command = command_of(interface, believed, goal)
+    turns = [commanded_turn(interface, believed + error, command) for error in (0.0, 0.2)]
+    np.testing.assert_array_equal(*turns)
+    np.testing.assert_allclose(turns[0], expected_turn(interface, believed, goal))
+
+
+@pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
+def test_an_old_posture_is_run_forward_with_the_commands_since(control):
+    interface = ReachInterface((1.0, 1.0), control, 6.0, 12.0, 0.02)
     random = np.random.default_rng(0)
     posture = random.uniform(-1, 1, (3, 2))
-    delay, path = Delay.unknown(posture), [posture]
+    delay, path = Delay.unknown(interface, posture), [posture]
     for _ in range(10):
-        command = random.uniform(-1, 1, (3, 2))
+        command = command_of(interface, path[-1], random.uniform(-1, 1, (3, 2)))
         delay = delay.sent(command)
-        path.append(path[-1] + expected_turn(interface, path[-1], command))
+        path.append(path[-1] + commanded_turn(interface, path[-1], command))
     steps = np.array([0, 4, 10])
     old = np.stack([path[10 - late][index] for index, late in enumerate(steps)])
     now = delay.run_forward(interface, old, steps)

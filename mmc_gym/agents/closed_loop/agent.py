@@ -109,7 +109,7 @@ class ClosedLoopAgent(InternalModelAgent[ClosedLoopState]):
         model, memory = self.resumed(state, sensed, episode_start)
         belief, memory = self.observer.observe(memory, sensed, hand)
         joint_targets, model = self.advance(model, belief)
-        memory = self.observer.sent(memory, joint_targets)
+        memory = self.observer.sent(memory, belief.sensed.joint_angles, joint_targets)
         return self.interface.act(joint_targets, belief.sensed), ClosedLoopState(model, memory)
 
 

@@ -85,15 +85,45 @@ def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets
         Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt)
 
     the short way round, or the way that joint limits leave.  Inertia and torque limits are left
-    out: an arm that is heavy, or loaded, lags behind this.
+    out: an arm that is heavy, or loaded, lags behind this.  Under `joint_delta` the target is never
+    far ahead, and at full speed a joint turns by less; under `joint_velocity` it keeps the speed
+    that it began the step with.
 
     >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
     >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
     [0.021, 0.12]
     """
-    step = interface.control_step
-    share, most = 1 - math.exp(-interface.servo_gain * step), interface.speed_limit * step
-    turn: Floats = np.clip(share * interface.turn(joint_angles, joint_targets), -most, most)
+    return _turn_of(interface, interface.turn(joint_angles, joint_targets))
+
+
+def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
+    """Return what servos get that are to turn joints, believed to be at these angles, to targets.
+
+    Position control gets the targets.  Delta and velocity control get the turn that is left, and
+    know nothing of the target: where they turn a joint to depends on where it is, not on where it
+    was believed to be.
+    """
+    if interface.control == "joint_position":
+        return joint_targets
+    return interface.turn(joint_angles, joint_targets)
+
+
+def commanded_turn(interface: ReachInterface, joint_angles: Floats, commands: Floats) -> Floats:
+    """Return by how much servos with these commands turn joints in a control step, (..., N)."""
+    if interface.control == "joint_position":
+        return expected_turn(interface, joint_angles, commands)
+    return _turn_of(interface, commands)
+
+
+def _turn_of(interface: ReachInterface, left: Floats) -> Floats:
+    """Return the turn in a control step of joints that are to turn by what is left, (..., N)."""
+    gain, step, most = interface.servo_gain, interface.control_step, interface.max_joint_delta
+    share = 1 - math.exp(-gain * step)
+    if interface.control == "joint_position":
+        most = interface.speed_limit * step / share
+    elif interface.control == "joint_velocity":
+        share = gain * step
+    turn: Floats = share * np.clip(left, -most, most)
     return turn
 
 
@@ -101,7 +131,8 @@ class Delay(NamedTuple):
     """The memory that tells the delay, and bridges it.
 
     Attributes:
-        commands: joint targets sent, the latest last, radians, (..., LONGEST_DELAY + 1, N).
+        commands: those sent, see `command_of`, the latest last, radians,
+            (..., LONGEST_DELAY + 1, N).
         start: posture of the first observation, radians, (..., N).
         waited: control steps since each joint should have moved, 0 if it need not yet, (..., N).
         late: how late each joint was, or is by now if it has not moved, (..., N).
@@ -115,15 +146,16 @@ class Delay(NamedTuple):
     has_moved: Floats
 
     @classmethod
-    def unknown(cls, joint_angles: Floats) -> Delay:
+    def unknown(cls, interface: ReachInterface, joint_angles: Floats) -> Delay:
         """Return the memory of arms that servos hold where they are, (..., N)."""
-        held = np.repeat(joint_angles[..., None, :], LONGEST_DELAY + 1, axis=-2)
+        hold = command_of(interface, joint_angles, joint_angles)
+        held = np.repeat(hold[..., None, :], LONGEST_DELAY + 1, axis=-2)
         zero = np.zeros_like(joint_angles)
         return cls(held, joint_angles, zero, zero, zero)
 
-    def sent(self, joint_targets: Floats) -> Delay:
-        """Return the memory after the joints were sent to these targets (..., N), radians."""
-        latest = joint_targets[..., None, :]
+    def sent(self, command: Floats) -> Delay:
+        """Return the memory after the joints were sent these commands (..., N), radians."""
+        latest = command[..., None, :]
         commands = np.concatenate([self.commands[..., 1:, :], latest], axis=-2)
         return self._replace(commands=commands)
 
@@ -142,7 +174,7 @@ class Delay(NamedTuple):
         return np.clip(np.where(np.isfinite(late), late, 0.0), 0, LONGEST_DELAY).astype(np.intp)
 
     def command_before(self, steps: NDArray[np.intp]) -> Floats:
-        """Return the joint targets (..., N) sent `steps` (...) control steps before the latest."""
+        """Return the commands (..., N) sent `steps` (...) control steps before the latest."""
         index = (LONGEST_DELAY - steps)[..., None, None]
         command: Floats = np.take_along_axis(self.commands, index, axis=-2)[..., 0, :]
         return command
@@ -152,7 +184,7 @@ class Delay(NamedTuple):
     ) -> Floats:
         """Return where joints should be now that were at these angles `steps` ago, (..., N)."""
         for back in range(int(steps.max(initial=0)), 0, -1):
-            turn = expected_turn(interface, joint_angles, self.commands[..., -back, :])
+            turn = commanded_turn(interface, joint_angles, self.commands[..., -back, :])
             joint_angles = joint_angles + np.where((back <= steps)[..., None], turn, 0.0)
         return joint_angles
 

@@ -44,7 +44,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._errors import require
-from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks, expected_turn
+from mmc_gym.agents.closed_loop.identification import (
+    Delay,
+    Lengths,
+    Locks,
+    command_of,
+    commanded_turn,
+    expected_turn,
+)
 from mmc_gym.agents.ik.agent import hand_position
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network.chain import Floats, wrap_angle
@@ -128,7 +135,7 @@ class BodyObserver:
         return Memory(
             joint_angles,
             np.zeros_like(sensed.target),
-            Delay.unknown(joint_angles),
+            Delay.unknown(self.interface, joint_angles),
             Lengths.told(self.interface.segment_lengths, joint_angles.shape[:-1]),
             Locks.none(joint_angles),
         )
@@ -144,7 +151,7 @@ class BodyObserver:
             steps = delay.steps
         now = delay.run_forward(interface, seen, steps)
         if loops.detects_locks:
-            turn = expected_turn(interface, locks.last, delay.command_before(steps))
+            turn = commanded_turn(interface, locks.last, delay.command_before(steps))
             locks = locks.observed(seen, turn, interface.lockable_joints)
             now = np.where(locks.is_locked > 0, locks.place, now)
             expected = np.where(locks.is_locked > 0, locks.place, expected)
@@ -164,8 +171,8 @@ class BodyObserver:
         )
         return belief, Memory(expected, offset, delay, lengths, locks)
 
-    def sent(self, memory: Memory, joint_targets: Floats) -> Memory:
-        """Return the memory once the joints were sent to these targets (..., N)."""
+    def sent(self, memory: Memory, believed: Floats, joint_targets: Floats) -> Memory:
+        """Return the memory once joints believed at these angles were sent to targets (..., N)."""
         turn = expected_turn(self.interface, memory.expected, joint_targets)
-        delay = memory.delay.sent(joint_targets)
+        delay = memory.delay.sent(command_of(self.interface, believed, joint_targets))
         return memory._replace(expected=memory.expected + turn, delay=delay)
