@@ -66,6 +66,8 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(arrays):
     flat = LAYOUT.encode(angles, speeds, hand=hands, target=targets)
     longer = np.concatenate([flat, np.ones((5, 2), np.float32)], axis=-1)
     goals = LAYOUT.encode_goals(angles, speeds, hand=hands, target=targets)
+    offsets = targets - hands
+    large = offsets / (0.1 + np.linalg.norm(offsets, axis=-1, keepdims=True))
     for observation, rest in (
         (arrays(longer), 2),
         ({name: arrays(value) for name, value in goals.items()}, 0),
@@ -73,7 +75,7 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(arrays):
         parts = LAYOUT.split(observation)
         expected = (
             *(np.cos(angles), np.sin(angles), speeds),
-            *(seen_along(angles, vectors) for vectors in (targets, targets - hands)),
+            *(seen_along(angles, vectors) for vectors in (targets, offsets, large)),
         )
         for part, values in zip(parts, expected):
             np.testing.assert_allclose(part, values, atol=2e-6)
@@ -168,6 +170,19 @@ def test_noise_of_joints_does_not_move_what_is_seen_nor_noise_of_vision_the_join
     else:
         assert joints < 1e-5
         assert min(places) > 0.03
+
+
+def test_the_last_hundredths_are_observed_large_and_all_of_them_within_one():
+    angles, speeds, _, targets = arms(2, count=200)
+    sizes = np.append(0.0, np.geomspace(1e-4, 6, 199))
+    ways = np.stack([np.cos(np.arange(200)), np.sin(np.arange(200))], axis=-1)
+    hands = targets - sizes[:, None] * ways
+    seen = LAYOUT.encode(angles, speeds, hand=hands, target=targets)
+    shown = np.linalg.norm(seen[:, -2:], axis=-1)
+    assert shown.max() <= 1
+    assert (np.diff(shown) > 0).all()
+    assert shown[0] == 0
+    np.testing.assert_allclose(shown[1:20] / sizes[1:20], 10, rtol=0.02)
 
 
 def test_speeds_are_told_as_fractions_of_their_limit():

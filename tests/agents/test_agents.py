@@ -318,9 +318,9 @@ def test_vectors_of_any_kind_tell_what_their_environments_do():
 def test_a_wrong_observation_is_an_error(name):
     agent = make_agent(name, gym.make("MMCReach-v0"))
     for size in (12, 14):
-        with pytest.raises(ValueError, match=rf"must have shape \(\.\.\., 13\), got \({size},\)"):
+        with pytest.raises(ValueError, match=rf"must have shape \(\.\.\., 15\), got \({size},\)"):
             agent.predict(np.zeros(size, dtype=np.float32))
-    assert agent.predict([0.0] * 13)[0].shape == (3,)
+    assert agent.predict([0.0] * 15)[0].shape == (3,)
 
 
 @pytest.mark.parametrize(

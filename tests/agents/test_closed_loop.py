@@ -212,7 +212,7 @@ def test_actions_are_valid_whatever_is_observed(count, seed, name):
     env = gym.make("MMCReach-v0", segment_lengths=(1.0,) * count)
     agent, random, state = make_agent(name, env), np.random.default_rng(seed), None
     for _ in range(30):
-        observation = random.uniform(-1, 1, 3 * count + 4).astype(np.float32)
+        observation = random.uniform(-1, 1, 3 * count + 6).astype(np.float32)
         if random.random() < 0.2:
             observation[:] = 0.0
         action, state = agent.predict(observation, state)

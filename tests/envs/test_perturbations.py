@@ -216,7 +216,7 @@ def test_a_joint_locks_at_its_time_and_for_the_episode(name: str, step: int, eng
 
 
 def observed(perturbations: Perturbed, steps: int = 4000) -> tuple[np.ndarray, MMCReachEnv]:
-    """Observations (steps, 13) of an arm that hangs limp, at rest."""
+    """Observations (steps, 15) of an arm that hangs limp, at rest."""
     env = MMCReachEnv(control="joint_torque", perturbations=perturbations)
     env.reset(seed=0, options={"joint_angles": [0.3, 0.5, -0.4], "target": (-1.0, 1.5)})
     return np.array([env.step(STILL)[0] for _ in range(steps)], np.float64), env
@@ -324,7 +324,7 @@ def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(
         assert info["distance"] == pytest.approx(math.dist(info["cursor"], info["target"]))
         assert reward == -info["distance"]
         offset = complex(*(info["target"] - info["cursor"])) * np.exp(-1j * joint_angles(env)[0])
-        limits = env.setup.layout.limits[-2:]
+        limits = env.setup.layout.limits[11:13]
         expected = np.clip([offset.real, offset.imag], -limits, limits)
         np.testing.assert_allclose(observation[11:13], expected, atol=1e-6)
         assert rotation.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))

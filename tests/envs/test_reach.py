@@ -137,7 +137,7 @@ def test_observation_and_info_tell_the_state(
     env.action_space.seed(0)
     for _ in range(60):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        assert observation.shape == (3 * count + 4,)
+        assert observation.shape == (3 * count + 6,)
         assert (terminated, truncated) == (False, False)
         assert set(info) == {
             *("distance", "is_success", "end_effector", "target"),
@@ -147,9 +147,12 @@ def test_observation_and_info_tell_the_state(
         hand = hand_of(angles, lengths)
         np.testing.assert_allclose(info["end_effector"], hand, atol=1e-5)
         target = info["target"]
-        for seen, vector in ((observation[-4:-2], target), (observation[-2:], target - hand)):
+        large = (target - hand) / (0.1 + math.dist(target, hand))
+        for seen, vector in zip(
+            np.split(observation[-6:], 3), (target, target - hand, large), strict=True
+        ):
             from_first = complex(*vector) * np.exp(-1j * angles[0])
-            np.testing.assert_allclose(seen, [from_first.real, from_first.imag], atol=1e-5)
+            np.testing.assert_allclose(seen, [from_first.real, from_first.imag], atol=1e-4)
         assert info["distance"] == pytest.approx(math.dist(info["end_effector"], target))
         assert info["is_success"] == (info["distance"] <= 0.05)
         speeds = observation[2 * count : 3 * count]
