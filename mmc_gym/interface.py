@@ -103,7 +103,7 @@ class ObservationParts(NamedTuple):
     rest: Any
 
 
-NEAR = 0.1  # segment lengths
+NEAR = 0.05  # segment lengths
 
 
 @dataclass(frozen=True)

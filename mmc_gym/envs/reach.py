@@ -57,7 +57,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     | 6–8 | joint velocities / 2π rad/s, clipped | ±1 |
     | 9–10 | target (x, y), segment lengths | ±3 |
     | 11–12 | target − hand, segment lengths | ±6 |
-    | 13–14 | (target − hand) / (0.1 + distance) | ±1 |
+    | 13–14 | (target − hand) / (0.05 + distance) | ±1 |
 
     From 9 on all is seen from the first segment, as if it lay on the x axis: reaching is the same
     in every direction, and a learner need not find that out.  The last two show the last hundredths
