@@ -5,7 +5,11 @@ mean of the hand's velocity before and after it,
 
     p = h F (v + Λ p / 2),     Λ = J M⁻¹ Jᵀ the mobility of the hand,
 
-so that a field across the velocity turns it and does no work, however strong: the midpoint rule.
+so that a field across the velocity turns it and does no work: the midpoint rule.  How far the arm
+moves in a substep is left out.  At joint speeds of 0.5 rad/s a slack arm in a curl field of 120
+keeps its energy for 2 s to within 2 % in the median and 10 % at worst; at 500 it may gain several
+times as much.
+
 v is the mean without the field, in which the joints come to q̇ − M⁻¹ c, with what inertia and
 gravity ask of them, c; the velocities are those of the rods, which go straight on in a substep and
 then close the pivots.  The inverse is over the joints that yield, which are those whose servo gave

@@ -37,8 +37,8 @@ class ArmParameters:
     Each segment turns the rotor of a geared drive with it, as where motors at the base drive the
     segments by belts.  Drives are chosen to fit what they move; here the inertia of the stretched
     arm from the joint on, without a hand's load, is four times the drive's.  Bare rods are an
-    ill-conditioned chain: with as many sweeps, pymunk leaves them seven times farther from the
-    exact movement.
+    ill-conditioned chain: with as many sweeps, pymunk leaves them forty times farther from the
+    exact movement, or more.
 
     Attributes:
         segment_lengths: N positive lengths.

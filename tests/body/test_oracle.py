@@ -111,6 +111,45 @@ def test_an_arm_obeys_the_equations_of_motion(engine, case):
     assert errors[1] < max(0.4 * errors[0], 1e-6)  # of first order: a quarter
 
 
+def energy_changes(engine, curl, speed, substep=0.005):
+    """Largest relative change of kinetic energy of 32 slack arms in a curl field, in 2 s."""
+    field = ((0.0, curl), (-curl, 0.0))
+    p = ArmParameters(force_field=field, substep=substep, substeps=round(0.02 / substep))
+    arm, inertias = make_arm(engine, p, "torque"), Lagrangian(p, [0.0, 0.0, 0.0]).c
+    random, changes = np.random.default_rng(0), []
+    for _ in range(32):
+        posture, speeds = random.uniform(-math.pi, math.pi, 3), random.normal(0.0, speed, 3)
+        arm.reset(posture.tolist(), speeds.tolist())
+        energies = []
+        for step in range(101):
+            if step:
+                arm.step()
+            angles, turning = np.array(arm.segment_angles), np.cumsum(arm.joint_velocities)
+            energies.append(turning @ (inertias * np.cos(angles[:, None] - angles)) @ turning / 2)
+        changes.append(np.abs(np.divide(energies, energies[0]) - 1).max())
+    return np.array(changes)
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize(("speed", "median", "largest"), [(0.05, 0.005, 0.03), (0.5, 0.025, 0.1)])
+def test_a_strong_curl_field_leaves_a_slack_arm_its_energy(engine, speed, median, largest):
+    changes = energy_changes(engine, 120.0, speed)
+    assert np.median(changes) < median
+    assert changes.max() < largest
+    finer = energy_changes(engine, 120.0, speed, substep=0.00125)
+    assert np.median(finer) < 0.5 * np.median(changes)
+    assert finer.max() < 0.5 * changes.max()
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+def test_no_curl_field_makes_an_arm_fly_apart(engine):
+    """Fields are solved for implicitly, however far too strong for the substep."""
+    for speed in (0.05, 0.5):
+        changes = energy_changes(engine, 500.0, speed)
+        assert np.median(changes) < 0.3
+        assert changes.max() < 10
+
+
 def turns(difference):
     return np.abs(np.remainder(difference + math.pi, 2 * math.pi) - math.pi).max(axis=-1)
 

@@ -121,7 +121,7 @@ def test_no_servo_gives_more_than_the_torque_limit(servo, scale):
 
 def test_other_joints_throw_a_joint_no_further_beyond_its_speed_limit_than_stated():
     speeds = [max(map(abs, arm.joint_velocities)) for arm in random_movements(Arm(), 10)]
-    assert max(speeds) < 1.35 * 2 * math.pi
+    assert max(speeds) < 1.01 * 2 * math.pi
 
 
 def momentum_and_energy(arm):
@@ -135,7 +135,7 @@ def momentum_and_energy(arm):
     return momentum, energy
 
 
-@pytest.mark.parametrize(("substeps", "drift", "loss"), [(4, 0.03, 0.12), (80, 0.002, 0.01)])
+@pytest.mark.parametrize(("substeps", "drift", "loss"), [(4, 1e-4, 1e-3), (80, 1e-6, 1e-5)])
 def test_a_slack_arm_conserves_momentum_and_gains_no_energy(substeps, drift, loss):
     arm = Arm(ArmParameters(substep=0.02 / substeps, substeps=substeps), "torque")
     for seed in range(10):
@@ -146,7 +146,7 @@ def test_a_slack_arm_conserves_momentum_and_gains_no_energy(substeps, drift, los
             arm.step()
             now = momentum_and_energy(arm)
             assert abs(now[0] - momentum) / max(abs(momentum), 1.0) < drift
-            assert -loss < now[1] / energy - 1 < 1e-3
+            assert -loss < now[1] / energy - 1 < 1e-9
 
 
 def test_a_curl_field_pushes_a_movement_aside_and_does_no_work():
@@ -224,15 +224,15 @@ def integration_errors(substeps, movements):
 
 def test_the_default_substep_is_fine_enough():
     default = integration_errors(substeps=4, movements=30)
-    assert np.median(default) < 0.033
-    assert max(default) < 0.2
-    assert np.median(integration_errors(substeps=20, movements=15)) < 0.0065
+    assert np.median(default) < 0.02
+    assert max(default) < 0.035
+    assert np.median(integration_errors(substeps=20, movements=15)) < 0.003
 
 
 def test_pivots_gape_little():
     gaps = [arm.pivot_gap() for arm in random_movements(Arm(), 20)]
-    assert np.median(gaps) < 1e-3
-    assert max(gaps) < 0.005
+    assert np.median(gaps) < 1e-5
+    assert max(gaps) < 0.003
 
 
 # A long life
@@ -265,9 +265,9 @@ def largest_gap_of_random_commands(arm, largest_command, resets):
 @pytest.mark.parametrize(
     ("servo", "resets", "gap"),
     [
-        ("position", 10_000, 0.01),
-        ("velocity", 500, 0.01),
-        ("torque", 500, 0.015),  # the full torque for 0.4 s whips joints round at 35 rad/s
+        ("position", 10_000, 0.004),
+        ("velocity", 500, 0.003),
+        ("torque", 500, 0.008),  # the full torque for 0.4 s whips joints round at 30 rad/s
     ],
 )
 def test_a_long_life_leaves_the_pivots_tight_and_the_memory_as_it_was(servo, resets, gap, scale):
