@@ -36,7 +36,7 @@ def test_train_takes_a_file_of_ones_own(tmp_path, capsys):
         "CartPole-v1: {n_timesteps: 1, policy: MlpPolicy}\n"
         "MMCReach-v0:\n"
         "  n_timesteps: 1\n"
-        "  policy: mmc_gym.training.policies.PPOPolicy\n"
+        "  policy: MlpPolicy\n"
         "  policy_kwargs: dict(net_arch=[8])\n"
         "  n_steps: 64\n"
     )

@@ -13,6 +13,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import (
     CONTROLS,
+    NEAR,
     CannotActError,
     ControlError,
     ObservationLayout,
@@ -67,7 +68,7 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(arrays):
     longer = np.concatenate([flat, np.ones((5, 2), np.float32)], axis=-1)
     goals = LAYOUT.encode_goals(angles, speeds, hand=hands, target=targets)
     offsets = targets - hands
-    large = offsets / (0.1 + np.linalg.norm(offsets, axis=-1, keepdims=True))
+    large = offsets / (NEAR + np.linalg.norm(offsets, axis=-1, keepdims=True))
     for observation, rest in (
         (arrays(longer), 2),
         ({name: arrays(value) for name, value in goals.items()}, 0),
@@ -182,7 +183,7 @@ def test_the_last_hundredths_are_observed_large_and_all_of_them_within_one():
     assert shown.max() <= 1
     assert (np.diff(shown) > 0).all()
     assert shown[0] == 0
-    np.testing.assert_allclose(shown[1:20] / sizes[1:20], 10, rtol=0.02)
+    np.testing.assert_allclose(shown[1:20] / sizes[1:20], 1 / NEAR, rtol=0.03)
 
 
 def test_speeds_are_told_as_fractions_of_their_limit():

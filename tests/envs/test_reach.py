@@ -17,7 +17,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.body.engines import Engine
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.rewards import precision
-from mmc_gym.interface import Control, ReachInterface
+from mmc_gym.interface import NEAR, Control, ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)
@@ -147,7 +147,7 @@ def test_observation_and_info_tell_the_state(
         hand = hand_of(angles, lengths)
         np.testing.assert_allclose(info["end_effector"], hand, atol=1e-5)
         target = info["target"]
-        large = (target - hand) / (0.1 + math.dist(target, hand))
+        large = (target - hand) / (NEAR + math.dist(target, hand))
         for seen, vector in zip(
             np.split(observation[-6:], 3), (target, target - hand, large), strict=True
         ):

@@ -221,20 +221,20 @@ def test_without_a_correction_it_is_the_base_agent():
     seen, (observed, _) = residual.reset(), envs.reset(seed=3)
     started = np.ones(ARMS, dtype=bool)
     for step in range(205):  # over two ends of episodes
-        np.testing.assert_array_equal(seen[:, :13], observed)
+        np.testing.assert_array_equal(seen[:, :15], observed)
         action, state = agent.predict(observed, state, started)
-        np.testing.assert_array_equal(seen[:, 13:], action)
+        np.testing.assert_array_equal(seen[:, 15:], action)
         seen, _, dones, infos = residual.step(np.zeros((ARMS, 3), np.float32))
         observed, _, _, started, vector_infos = envs.step(action)
         np.testing.assert_array_equal(dones, started)
         if step % 100 == 99:
             for index, info in enumerate(infos):
                 final = vector_infos["final_obs"][index]
-                np.testing.assert_array_equal(info["terminal_observation"][:13], final)
+                np.testing.assert_array_equal(info["terminal_observation"][:15], final)
             # The proposal at the end is that of the agent that goes on, not of one that starts.
             stacked = np.stack(vector_infos["final_obs"])
             proposal, _ = agent.predict(stacked, state)
-            ends = np.stack([info["terminal_observation"][13:] for info in infos])
+            ends = np.stack([info["terminal_observation"][15:] for info in infos])
             np.testing.assert_array_equal(ends, proposal)
 
 
@@ -246,7 +246,7 @@ def test_a_correction_is_added_and_bounded():
 
 def test_the_observation_space_has_room_for_the_proposal():
     space = wrapped().observation_space
-    assert space.shape == (16,)
+    assert space.shape == (18,)
     assert space.contains(wrapped().reset()[0])
 
 
