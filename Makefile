@@ -70,7 +70,7 @@ $(VENV_READY):
 
 $(PACKAGE_READY): $(VENV_READY) pyproject.toml constraints.txt
 	@echo "Installing mmc-gym (PyTorch is large: the first time can take minutes)"
-	@$(PIP_INSTALL) -e .
+	@$(PIP_INSTALL) -e '.[analytic]'
 	@touch $@
 
 $(DEV_READY): $(PACKAGE_READY)
