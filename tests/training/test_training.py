@@ -221,7 +221,7 @@ def test_nothing_is_overwritten_unasked(trained, tmp_path, file):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"gamma": 0.5, "n_epochs": 3}, r"gamma 0.8 \(here 0.5\), n_epochs 2 \(here 3\): resume"),
+        ({"gamma": 0.5, "n_epochs": 3}, r"gamma 0.9 \(here 0.5\), n_epochs 2 \(here 3\): resume"),
         ({"n_timesteps": 800}, r"with n_timesteps 1600 \(here 800, see --steps\): "),
         ({}, r"with seed 3 \(here 4\): .* delete "),
     ],

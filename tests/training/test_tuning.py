@@ -175,9 +175,10 @@ def test_what_is_printed_is_what_was_trained(name, tmp_path, tried):
     assert result["best"] == tried[-1]
     assert result["in_use"] == tried[0]
     assert all(one["learning_rate"].startswith("lin_") for one in tried)
-    hyperparameters = read_recipe(name).hyperparameters
+    recipe = read_recipe(name)
     for constant, value in result["in_use"].items():
-        expected = hyperparameters[constant]
+        default = getattr(recipe.settings, constant)
+        expected = recipe.hyperparameters.get(constant, default)
         if constant == "learning_rate":
             value, expected = (float(v.removeprefix("lin_")) for v in (value, expected))
         assert value == expected
