@@ -71,9 +71,9 @@ def solved(setting: str) -> Any:
 def success(name: str, setting: str, episodes: int) -> str:
     """Return the success of an agent in a setting, in per cent."""
     entry = AGENTS[name]
-    control = {"control": entry.control} if entry.control else {}
     with solved(setting):
-        scores = evaluate(entry.build, ENV, {**SETTINGS[setting], **control}, episodes)
+        arguments = {**SETTINGS[setting], "control": entry.control or "joint_position"}
+        scores = evaluate(entry.build, ENV, arguments, episodes)
     return f"{100 * scores['success']:.1f}"
 
 

@@ -45,7 +45,7 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
         arguments: dict[str, Any] = {} if control is None else {"control": control}
         return make_environment(env, render_mode="rgb_array", max_episode_steps=-1, **arguments)
 
-    world, _ = make_for(factory, make_world)
+    world, _ = make_for(entry.agent, make_world)
     try:
         makers: dict[str, Callable[[], Predictor]]
         makers = {name: partial(entry.make, world) for name, entry in AGENTS.items()}

@@ -77,14 +77,15 @@ class AgentEntry:
         description: a line.
         build: makes it from what it is told; of trained agents, the one of training seed 0.
         knowledge: its kind, what it is told, and what it senses.
-        control: the control mode that it acts by; None for any that has a servo.
+        control: the control mode in which it is compared.  What gives joint targets acts in every
+            mode that has a servo, but joint positions alone do not depend on late senses.
         training_seeds: how many trainings of it ship with the package; 0: it is not trained.
     """
 
     description: str
     build: Callable[[ReachInterface], Agent[Any]]
     knowledge: Knowledge
-    control: Control | None = None
+    control: Control = "joint_position"
     training_seeds: int = 0
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:

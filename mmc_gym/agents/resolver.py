@@ -29,7 +29,7 @@ from mmc_gym.agents.registry import (
     learned_knowledge,
     policy_agent,
 )
-from mmc_gym.interface import ReachInterface
+from mmc_gym.interface import Control, ReachInterface
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -96,6 +96,13 @@ class ResolvedAgent:
     def entry(self) -> AgentEntry | None:
         """Its entry in `AGENTS`; None if it does not ship with the package."""
         return AGENTS.get(self.name)
+
+    @property
+    def control(self) -> Control | None:
+        """The control mode in which it is compared; None for that of the environment."""
+        if self.card is not None:
+            return self.card.control
+        return self.entry.control if self.entry else None
 
     @property
     def knowledge(self) -> Knowledge:

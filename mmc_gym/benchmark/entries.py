@@ -113,19 +113,19 @@ def default_agents() -> tuple[str, ...]:
 
 
 def make_for(
-    factory: Factory, make_env: Callable[[str | None], gym.Env[Any, Any]]
+    agent: ResolvedAgent, make_env: Callable[[str | None], gym.Env[Any, Any]]
 ) -> tuple[gym.Env[Any, Any], Predictor]:
-    """Make an environment, and an agent for it; under the agent's control if it knows no other.
+    """Make an environment, and an agent for it, under the agent's control.
 
     Args:
-        factory: makes the agent.
+        agent: makes the agent, and tells its control mode, or finds out.
         make_env: makes the environment of a control mode; of its own one for None.
     """
     try:
-        return _made(factory, make_env(None))
+        return _made(agent.factory, make_env(agent.control))
     except ControlError as refusal:
         control = refusal.control
-    return _made(factory, make_env(control))
+    return _made(agent.factory, make_env(control))
 
 
 def _made(factory: Factory, env: gym.Env[Any, Any]) -> tuple[gym.Env[Any, Any], Predictor]:

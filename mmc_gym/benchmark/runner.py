@@ -175,7 +175,7 @@ def _play(cell: Cell) -> _Recorded:
     if cell.entry.is_reference:
         return _play_reference(cell, seeds, instances)
     factory = cell.entry.agent.factory
-    env, agent = make_for(factory, cell.scenario.make)
+    env, agent = make_for(cell.entry.agent, cell.scenario.make)
     control, joints = env.unwrapped.control, env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
     timed = run_episodes(agent, env, seeds[:TIMED], options=instances[:TIMED])
     together: tuple[Episode, ...] = ()

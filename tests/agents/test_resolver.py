@@ -46,7 +46,7 @@ def test_every_name_is_resolved_with_all_that_is_known_of_it(name):
     assert found.training_seed == (0 if entry.training_seeds else None)
     assert found.knowledge == entry.knowledge  # of policies, as the card has it
     assert entry.knowledge.kind != "yours"
-    assert entry.control == (found.card.control if found.card else None)
+    assert entry.control == found.control == (found.card or entry).control
     assert shipped_seeds(name) == list(range(entry.training_seeds))
     assert len(found.fingerprint) == 64
     assert found.acts_on_batches
