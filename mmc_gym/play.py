@@ -42,8 +42,7 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
     label, factory = entry.label, entry.agent.factory
 
     def make_world(control: str | None) -> gym.Env[Any, Any]:
-        arguments: dict[str, Any] = {} if control is None else {"control": control}
-        return make_environment(env, render_mode="rgb_array", max_episode_steps=-1, **arguments)
+        return make_environment(env, control, render_mode="rgb_array", max_episode_steps=-1)
 
     world, _ = make_for(entry.agent, make_world)
     try:

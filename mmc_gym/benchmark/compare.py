@@ -19,7 +19,7 @@ from mmc_gym._console import cell, make_console, print_columns, print_written, p
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
-from mmc_gym.benchmark.entries import single_entries, training_steps
+from mmc_gym.benchmark.entries import make_for, single_entries, training_steps
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
 from mmc_gym.benchmark.store import episode_columns
@@ -160,13 +160,19 @@ def compare(
     seeds = episode_seeds(seed, episodes)
     if out is not None:
         check_folder(out, "out")
-    envs = {entry.label: make_environment(env) for entry in entries}
-    world = next(iter(envs.values()))
+    envs: dict[str, gym.Env[Any, Any]] = {}
+    players: dict[str, Predictor] = {}
+
+    def make_world(control: str | None) -> gym.Env[Any, Any]:
+        made = make_environment(env, control)
+        check_environment(made)
+        return made
+
     try:
-        for made in envs.values():
-            check_environment(made)
         # All are made before the first one plays: a missing file should not cost the others' work.
-        players = {entry.label: entry.agent.factory(envs[entry.label]) for entry in entries}
+        for entry in entries:
+            envs[entry.label], players[entry.label] = make_for(entry.agent, make_world)
+        world = next(iter(envs.values()))
         recorded = _play(players, envs, seeds)
         if REFERENCE not in recorded and has_reference(world):
             recorded[REFERENCE] = minimum_jerk_episodes(next(iter(recorded.values())))

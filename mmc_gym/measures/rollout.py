@@ -52,11 +52,19 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
     return [int(word) for word in np.random.SeedSequence(seed).generate_state(episodes)]
 
 
-def make_environment(env_id: str, **arguments: Any) -> gym.Env[Any, Any]:
-    """Make an environment; raise a `UserError` if there is none of this id."""
+def make_environment(
+    env_id: str, control: str | None = None, **arguments: Any
+) -> gym.Env[Any, Any]:
+    """Make an environment, in its own control mode for None.
+
+    Raises:
+        UserError: if there is none of this id, or it is none of this package.
+    """
+    if control is not None:
+        arguments["control"] = control
     try:
         made: gym.Env[Any, Any] = gym.make(env_id, **arguments)
-    except (gym.error.Error, ImportError) as error:
+    except (gym.error.Error, ImportError, TypeError) as error:
         raise UserError(
             f"env must be a reaching environment such as 'MMCReach-v0', got {env_id!r}: {error}"
         ) from error

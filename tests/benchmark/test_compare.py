@@ -172,7 +172,8 @@ def test_a_cell_tells_of_missing_and_of_small_values():
         ({"agents": ["mmc"], "seed": -1}, "seed must not be negative"),
         ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
         ({"agents": ["mmc"], "env": "no_such_module:Env-v0"}, "env must be .*no_such_module"),
-        ({"agents": ["mmc"], "env": "CartPole-v1"}, r"info\['end_effector'\]"),
+        ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be a reaching .*'CartPole-v1'"),
+        ({"agents": {"mine": len}, "env": "CartPole-v1"}, r"info\['end_effector'\]"),
     ],
 )
 def test_mistakes_are_told_before_anything_runs(arguments, message, monkeypatch):
