@@ -114,7 +114,8 @@ def _network_target(
     def judge(constants: Constants, steps: int) -> float:
         make, each = partial(make_network_agent, constants), episodes(steps) // len(scenarios)
         found = find_scenarios(scenarios).values()
-        return float(np.mean([_time_at_target(make, s.env_id, s.arguments, each) for s in found]))
+        worlds = [(one.env_id, {**one.arguments, "control": "joint_position"}) for one in found]
+        return float(np.mean([_time_at_target(make, *world, each) for world in worlds]))
 
     return Target(in_use, space, judge, episodes)
 
