@@ -163,9 +163,10 @@ def test_a_policy_of_joint_deltas_moves_the_arm_alike_under_position_control():
     hands = []
     for control in ("joint_delta", "joint_position"):
         env = gym.make("MMCReach-v0", control=control)
-        agent, (observation, info) = make_agent("ppo", env), env.reset(seed=5)
-        for _ in range(100):
+        agent, (observation, _) = make_agent("ppo", env), env.reset(seed=5)
+        for _ in range(12):  # later rounding grows, where the hand dances about the target
             action, _ = agent.predict(observation, deterministic=True)
             observation, *_, info = env.step(action)
-        hands.append(info["end_effector"])
-    np.testing.assert_allclose(hands[0], hands[1], atol=0.02)
+            hands.append(info["end_effector"])
+    np.testing.assert_allclose(hands[:12], hands[12:], atol=1e-3)
+    assert np.linalg.norm(hands[11] - hands[0]) > 0.5
