@@ -156,7 +156,7 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None)
 def tuned_mmc(interface: ReachInterface) -> MMCAgent:
     """Return the network of `mmc` with constants from `mmc-gym tune mmc`: 20 trials, 200,000 steps.
 
-    They bring 77.4 % of the time at the target, those of `mmc` 75.7 %.  d is just above
+    They bring 77.2 % of the time at the target, those of `mmc` 75.5 %.  d is just above
     (N + 1) / 2, where the network no longer converges.
     """
     network = network_of_arm(

@@ -163,7 +163,7 @@ AGENTS: dict[str, AgentEntry] = {
         lambda told: dynamic_mmc(told, LearnedNormalizer.shipped()),
     ),
     "mmc-tuned": _mmc(
-        "as mmc, with constants tuned as those of the trained policies were", tuned_mmc
+        "as mmc, with constants that Optuna found (`mmc-gym tune mmc`)", tuned_mmc
     ),
     "ik-dls": _ik("inverse kinematics by damped least squares", damped_least_squares),
     "ppo": _trained("ppo", "PPO of stable-baselines3", training_seeds=10),
