@@ -20,12 +20,12 @@ a row for every perturbation, and the times):
 body                               mmc       mmc-feedback  mmc-lengths  mmc-lock  mmc-closed
 =================================  ========  ============  ===========  ========  ==========
 as told                            100 %     99.5 %        100 %        100 %     99.5 %
-last segment longer by half        0 %       99 %          100 %        0 %       98.5 %
+last segment longer by half        0 %       99.5 %        100 %        0 %       98 %
 cursor turned by 30°               0 %       100 %         0.5 %        0 %       99.5 %
-cursor turned by 45°               0 %       95.5 %        0 %          0 %       94.5 %
-second joint locked                7.5 %     57 %          7.5 %        99.5 %    99.5 %
-it locks on the way                12.5 %    48 %          12.5 %       67 %      67 %
-force field                        98.5 %    99.5 %        98.5 %       97 %      96.5 %
+cursor turned by 45°               0 %       95.5 %        0 %          0 %       94 %
+second joint locked                7.5 %     55.5 %        7.5 %        99.5 %    99 %
+it locks on the way                12 %      47.5 %        12 %         66.5 %    66.5 %
+force field                        100 %     100 %         100 %        96.5 %    95.5 %
 =================================  ========  ============  ===========  ========  ==========
 
 Position servos reach what they are sent to whatever the agent sees, so in open loop delays and
