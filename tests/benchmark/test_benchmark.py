@@ -74,13 +74,16 @@ class Forgetful(OneByOne):
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         if np.all(episode_start):
             self.first = observation if observation.ndim == 1 else observation[0]
-        action = np.arctan2(self.first[3:6], self.first[:3]) / np.pi
-        return np.broadcast_to(action, (*observation.shape[:-1], 3)).astype(np.float32), None
+        now = np.arctan2(observation[..., 3:6], observation[..., :3])
+        turn = np.arctan2(self.first[3:6], self.first[:3]) - now
+        deltas = (turn + np.pi) % (2 * np.pi) - np.pi
+        return np.clip(deltas * 6 / np.pi, -1, 1).astype(np.float32), None
 
 def raising(env): return Raising()
 def constant(env): return Constant()
 def one_by_one(env): return OneByOne(env)
 def forgetful(env): return Forgetful(env)
+def batched(env): return mmc_gym.make_agent("mmc", env)
 def cannot(env): raise CannotActError("env is not for me")
 def picky(env): raise ValueError("no such file")
 def crashing(env): raise ZeroDivisionError("oh")
@@ -125,7 +128,7 @@ def test_a_store_holds_the_episodes_of_rollouts(played):
     assert frame.loc[("mmc", "random")].shape[0] == 4
     assert frame.loc[("mmc", "centre-out")].shape[0] == 8  # all its trials, once each
     assert frame.loc[(REFERENCE, "random"), "success"].tolist() == [1.0] * 4
-    env = gym.make("MMCReach-v0")
+    env = gym.make("MMCReach-v0", control="joint_position")
     for number, alone in enumerate(
         run_episodes(mmc_gym.make_agent("mmc", env), env, episode_seeds(0, 4))
     ):
@@ -365,13 +368,13 @@ def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
 
 @pytest.mark.parametrize("name", ["one_by_one", "forgetful"])
 def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside, name):
-    play([f"alone={outside}:{name}", "mmc"], tmp_path, ["random"])
+    play([f"alone={outside}:{name}", f"many={outside}:batched"], tmp_path, ["random"])
     together = {stem: kept.facts["together"] for stem, kept in kept_cells(tmp_path).items()}
-    assert together == {"alone--random": False, "mmc--random": True}
+    assert together == {"alone--random": False, "many--random": True}
     frame = read_episodes(tmp_path).set_index("agent").drop(columns=TIMES)
     if name == "one_by_one":
         distances = frame["final_distance"]
-        np.testing.assert_allclose(distances["alone"], distances["mmc"], atol=1e-9)
+        np.testing.assert_allclose(distances["alone"], distances["many"], atol=1e-9)
     else:  # it stays where it starts
         assert (frame.loc["alone", "peak_speed"] < 1e-3).all()
 

@@ -57,7 +57,7 @@ def test_who_an_agent_is_follows_from_what_it_was_made_of(sources, name, kind, l
 
 
 def test_a_policy_given_by_its_file_is_known_by_its_card(make_policy, tmp_path):
-    one = identify([make_policy(tmp_path, view="world", training_steps=480_000)])
+    one = identify([make_policy(tmp_path, view="target", training_steps=480_000)])
     assert (one.name, one.knowledge.kind) == ("", "yours")
     assert one.knowledge.lengths.startswith("not told")
     assert one.knowledge.senses.startswith("all joint angles")
