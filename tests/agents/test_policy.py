@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -13,9 +14,11 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     PRETRAINED,
+    PolicyAgent,
     load_policy,
     save_policy,
 )
+from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.grid import shipped_policies
 from mmc_gym.training.hyperparameters import read_recipe
 from mmc_gym.training.training import evaluate_policy
@@ -68,6 +71,19 @@ def test_what_ships_does_as_well_as_its_card_says(name):
     for measure in ("success", "final_distance", "episode_return"):
         # Another machine's arithmetic may end a few episodes otherwise.
         assert scores[measure] == pytest.approx(last[measure], rel=0.05, abs=0.02)
+
+
+@pytest.mark.parametrize(("name", "seed"), SHIPPED)
+def test_what_ships_reaches_alike_on_both_engines(name, seed):
+    network, card = load_policy(PRETRAINED / f"{name}-{seed}.json")
+    arguments = {**card.hyperparameters["env_kwargs"], "control": card.control}
+    make = partial(PolicyAgent, network, card)
+    solved, exact = (
+        evaluate(make, card.env_id, arguments | {"engine": engine}, 300)["success"]
+        for engine in ("pymunk", "analytic")
+    )
+    assert min(solved, exact) >= 0.96
+    assert solved == pytest.approx(exact, abs=0.02)
 
 
 def test_nothing_else_ships():
