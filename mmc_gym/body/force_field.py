@@ -54,9 +54,10 @@ def field_impulse(
     ways, mass_matrix = _ways_and_masses(parameters, cosines, sines)
     # Before: the last rod's own velocity.  After: that of rigid rods, and what closes the pivots.
     reach = parameters.segment_lengths[-1] - parameters.rods[-1].centre
-    (hand_y, hand_x), (x, y) = ways[0], centres[-1]
+    hand_x, hand_y = ways[0][1], -ways[0][0]
+    x, y = centres[-1]
     velocity_x = (hand_x - reach * cosines[-1] - x) / h - reach * sines[-1] * speeds[-1]
-    velocity_y = (-hand_y - reach * sines[-1] - y) / h + reach * cosines[-1] * speeds[-1]
+    velocity_y = (hand_y - reach * sines[-1] - y) / h + reach * cosines[-1] * speeds[-1]
     parent = 0.0
     for (x, y), speed in zip(ways, speeds):
         velocity_x = velocity_x + (speed - parent) * x
