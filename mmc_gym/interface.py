@@ -398,7 +398,7 @@ class ReachInterface:
         if goals:
             target: Floats = np.asarray(goals["desired_goal"], dtype=np.float64)
         else:
-            target = _in_the_world(layout.split(values).target, joint_angles)
+            target = in_the_world(layout.split(values).target, joint_angles)
         return Sensed(self.within_limits(joint_angles), target)
 
     def seen_hand(self, observation: Observation) -> Floats:
@@ -406,7 +406,7 @@ class ReachInterface:
         if isinstance(observation, Mapping):
             return np.asarray(observation["achieved_goal"], dtype=np.float64)
         seen = self.layout.split(np.asarray(observation, dtype=np.float64))
-        return _in_the_world(seen.target - seen.offset, np.arctan2(seen.sines, seen.cosines))
+        return in_the_world(seen.target - seen.offset, np.arctan2(seen.sines, seen.cosines))
 
     def checked(self, observation: Observation) -> Observation:
         """Return the observation as arrays.
@@ -486,7 +486,7 @@ class ReachInterface:
         self.act(rest, Sensed(rest, np.zeros(2)))
 
 
-def _in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
+def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
     """Return vectors (..., 2) as the world sees them, that the first segment sees so."""
     cosine, sine = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
     return np.stack(turned_back(vectors[..., 0], vectors[..., 1], cosine, -sine), axis=-1)

@@ -20,7 +20,7 @@ from mmc_gym.envs.perturbations import SegmentLength
 from mmc_gym.envs.render import shapes
 from mmc_gym.envs.render.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
-from mmc_gym.interface import turned_back
+from mmc_gym.interface import in_the_world
 
 TRACE_SECONDS = 1.0
 _OVERSAMPLING = 2
@@ -152,11 +152,8 @@ class Renderer:
         seen = setup.layout.split(observation.astype(float))
         relative = np.arctan2(seen.sines, seen.cosines)
         nodes = shapes.node_positions(np.cumsum(relative).tolist(), setup.told.segment_lengths)
-        cosine, sine = math.cos(relative[0]), math.sin(relative[0])
-        hand, target = (
-            turned_back(x, y, cosine, -sine)
-            for x, y in ((seen.target - seen.offset).tolist(), seen.target.tolist())
-        )
+        points = np.stack((seen.target - seen.offset, seen.target))
+        hand, target = ((x, y) for x, y in in_the_world(points, relative).tolist())
         self._canvas.draw_sensed(nodes, hand, target)
 
 
