@@ -17,6 +17,10 @@ class UserError(ValueError):
     """
 
 
+class MismatchWarning(UserWarning):
+    """What was made for one environment acts in another; the command line prints it in one line."""
+
+
 def require(fine: bool, name: str, value: object, accepted: str) -> None:
     """Raise a `UserError` that names the argument, what is accepted and the value, unless `fine`.
 

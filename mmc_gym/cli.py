@@ -12,6 +12,9 @@ from __future__ import annotations
 import inspect
 import os
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +22,7 @@ import tyro
 from tyro.conf import Positional
 
 from mmc_gym._console import make_console, progress_bar
-from mmc_gym._errors import UserError
+from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._grid import CellError
 
 if TYPE_CHECKING:
@@ -330,7 +333,8 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command."""
     try:
-        _app.cli(prog="mmc-gym", args=arguments)
+        with _warnings_in_one_line():
+            _app.cli(prog="mmc-gym", args=arguments)
     except KeyboardInterrupt:
         if os.environ.get(TRACEBACK):
             raise
@@ -344,6 +348,29 @@ def main(arguments: list[str] | None = None) -> None:
             message, status = f"{message.splitlines()[0]} (where, tells {TRACEBACK}=1)", 1
         print(f"mmc-gym: {message}", file=sys.stderr)
         raise SystemExit(status) from error
+
+
+@contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """Print a `MismatchWarning` as errors are printed: without the place in the code."""
+    usual = warnings.formatwarning
+
+    def in_one_line(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        line: str | None = None,
+    ) -> str:
+        if issubclass(category, MismatchWarning):
+            return f"mmc-gym: {message}\n"
+        return usual(message, category, filename, lineno, line)
+
+    warnings.formatwarning = in_one_line
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual
 
 
 if __name__ == "__main__":

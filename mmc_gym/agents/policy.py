@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
-from dataclasses import asdict, replace
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, fields, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -26,13 +27,21 @@ from pydantic.dataclasses import dataclass
 from safetensors import SafetensorError
 from typing_extensions import Self, override
 
-from mmc_gym._errors import UserError, explain
+from mmc_gym._errors import MismatchWarning, UserError, explain
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent, Started
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
-from mmc_gym.interface import CannotActError, Control, ControlError, Observation, ReachInterface
+from mmc_gym.body import ArmParameters
+from mmc_gym.interface import (
+    CannotActError,
+    Control,
+    ControlError,
+    Observation,
+    ReachInterface,
+    told_by,
+)
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
@@ -72,6 +81,7 @@ class PolicyCard:
     Attributes:
         name: of the hyperparameters, such as "ppo".
         env_id: the environment that it was trained in.
+        control: the control mode that its actions are of.
         view: see `views`.
         activation: see `PolicyNetwork`.
         distribution: see `PolicyNetwork`.
@@ -84,6 +94,8 @@ class PolicyCard:
         scores: of the evaluation after training.
         learning_curve: one row per evaluation during training, with `CURVE_COLUMNS` and more.
         sha256: of the weights file.
+        engine: that it was trained on; None if the card does not say.
+        body: the arm that it was trained with, without perturbations; None if it does not say.
     """
 
     name: str
@@ -104,6 +116,8 @@ class PolicyCard:
     scores: Row
     learning_curve: list[Row]
     sha256: str = ""
+    engine: str | None = None
+    body: ArmParameters | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -111,6 +125,8 @@ class PolicyCard:
             raise ValueError(f"base_agent must be one of {list(BASE_AGENTS)} or empty")
         if self.distribution != ("gaussian" if self.algorithm == "ppo" else "squashed"):
             raise ValueError(f"distribution must be that of {self.algorithm!r}")
+        if self.body is not None and len(self.body.segment_lengths) != self.segment_count:
+            raise ValueError(f"body must have {self.segment_count} segments")
         for row in self.learning_curve:
             if any(row.get(name) is None for name in CURVE_COLUMNS):
                 raise ValueError(f"learning_curve must have {CURVE_COLUMNS} in every row")
@@ -169,6 +185,42 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
         reason = f"its card: {explain(error)}" if isinstance(error, ValidationError) else error
         raise UserError(f"{path.with_suffix('')} does not hold a policy: {reason}") from error
     return network, card
+
+
+def load_agent(path: str | Path, env: Any) -> PolicyAgent:
+    """Make the agent of a policy for an environment, wrapped or not, or a vector of equal ones.
+
+    A `MismatchWarning` tells of an arm that differs from the one on the card.  Another engine is
+    no such difference: engines simulate the same arm.  Nor are perturbations: they are meant.
+
+    Args:
+        path: of either of its two files.
+        env: a reaching environment.
+
+    Raises:
+        FileNotFoundError: if one of the files is missing.
+        UserError: if they hold no policy, or `env` is none of this package's; as `CannotActError`,
+            if the policy cannot act in it.
+    """
+    network, card = load_policy(path)
+    agent = PolicyAgent(network, card, ReachInterface.of(env))
+    here = told_by(env, "unperturbed")
+    if card.body is not None and here is not None:
+        differences = "; ".join(_differences(card.body, here))
+        if differences:
+            message = f"{card.file_stem} was trained with another arm than that of env: "
+            warnings.warn(message + differences, MismatchWarning, stacklevel=3)
+    return agent
+
+
+def _differences(trained: ArmParameters, here: ArmParameters) -> Iterator[str]:
+    """Name the parameters in which arms differ; the same control step may have other substeps."""
+    solved = ("segment_masses", "substep", "substeps")
+    names = [each.name for each in fields(ArmParameters) if each.name not in solved]
+    for name in (*names, "masses", "control_step"):
+        one, other = getattr(trained, name), getattr(here, name)
+        if one != other:
+            yield f"{name} {one} in training, {other} here"
 
 
 class PolicyAgent(Agent[Any]):

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -121,14 +120,6 @@ def _ik(
     )
 
 
-def policy_agent(path: Path, interface: ReachInterface) -> Agent[Any]:
-    """Make the agent of a policy's file."""
-    # Not at the top: pydantic, which checks the card, takes a while to load.
-    from mmc_gym.agents.policy import PolicyAgent, load_policy
-
-    return PolicyAgent(*load_policy(path), interface)
-
-
 def _trained(
     name: str,
     description: str,
@@ -139,9 +130,10 @@ def _trained(
     base_agent: str = "",
 ) -> AgentEntry:
     def build(interface: ReachInterface) -> Agent[Any]:
-        from mmc_gym.agents.policy import shipped_file
+        # Not at the top: pydantic, which checks the card, takes a while to load.
+        from mmc_gym.agents.policy import PolicyAgent, load_policy, shipped_file
 
-        return policy_agent(shipped_file(name, 0), interface)
+        return PolicyAgent(*load_policy(shipped_file(name, 0)), interface)
 
     return AgentEntry(
         f"{description}, trained by `mmc-gym train {name}`",

@@ -10,7 +10,7 @@ import importlib
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,9 +27,8 @@ from mmc_gym.agents.registry import (
     Kind,
     Knowledge,
     learned_knowledge,
-    policy_agent,
 )
-from mmc_gym.interface import Control, ReachInterface
+from mmc_gym.interface import Control
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -69,8 +68,9 @@ class ResolvedAgent:
         if self.given is not None:
             return self.given
         if self.policy is not None:
-            path = self.policy
-            return lambda env: policy_agent(path, ReachInterface.of(env))
+            from mmc_gym.agents.policy import load_agent
+
+            return partial(load_agent, self.policy)
         return AGENTS[self.name].make if self.name else _imported(self.source)
 
     @cached_property

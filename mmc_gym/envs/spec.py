@@ -57,7 +57,8 @@ class ReachSetup:
     """The arguments of `MMCReachEnv`, and what follows from them.
 
     Attributes:
-        told: physical parameters of the arm, as agents are told them.
+        unperturbed: physical parameters of the arm, as the arguments give them.
+        told: those that agents are told: with the perturbations that they are told of.
         body: those of the arm that is simulated; perturbations make the difference.
         task_name: the name that the task was given by, if any.
         caption: task and perturbations, for a picture; empty if they are the plain ones.
@@ -116,7 +117,8 @@ class ReachSetup:
         self.perturbations = tuple(map(find_perturbation, perturbations))
         named = [*([] if task == "random" else [task]), *perturbations]
         self.caption = ", ".join(n if isinstance(n, str) else type(n).__name__ for n in named)
-        self._apply_perturbations(ArmParameters(**arm_parameters))
+        self.unperturbed = ArmParameters(**arm_parameters)
+        self._apply_perturbations(self.unperturbed)
         self.action = action_meaning(control, self.told)
         lengths = self.told.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
@@ -317,6 +319,8 @@ class ReachEnvironment:
     _spec: EnvSpec | None = None
 
     parameters = property(attrgetter("setup.told"), doc="The arm as agents are told it.")
+    unperturbed = property(attrgetter("setup.unperturbed"), doc="The arm without perturbations.")
+    engine = property(attrgetter("setup.engine"), doc="The engine that moves the arm.")
     control = property(attrgetter("setup.control"), doc="The control mode.")
     reward_type = property(attrgetter("setup.reward_type"), doc="The kind of reward.")
     control_weight = property(attrgetter("setup.control_weight"), doc="Weight of the control cost.")

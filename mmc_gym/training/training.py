@@ -37,7 +37,7 @@ from mmc_gym.agents.policy import (
     save_policy,
 )
 from mmc_gym.agents.policy_network import PolicyNetwork
-from mmc_gym.interface import ReachInterface
+from mmc_gym.interface import ReachInterface, told_by
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.checkpoints import load_checkpoint, read_head, save_checkpoint
 from mmc_gym.training.hyperparameters import Recipe
@@ -118,7 +118,8 @@ class Training:
         head = self._prepare(resume)
         with one_torch_thread():
             env = make_vec_env(self.recipe.env_id, self.settings.n_envs, self.settings.env_kwargs)
-            self._interface = ReachInterface.of(env.vector_env)
+            self._world = env.vector_env
+            self._interface = ReachInterface.of(self._world)
             logs = str(self.tensorboard) if self.tensorboard else None
             # The monitor shows TensorBoard the rewards before `VecNormalize` scales them.
             model = self.settings.make_model(VecMonitor(env), self.seed, self.device, logs)
@@ -244,6 +245,8 @@ class Training:
             versions=library_versions(),
             scores={},
             learning_curve=[],
+            engine=told_by(self._world, "engine"),
+            body=told_by(self._world, "unperturbed"),
         )
         return network, card
 

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import warnings
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from mmc_gym import make_agent
+from mmc_gym._errors import MismatchWarning
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
@@ -18,6 +21,7 @@ from mmc_gym.agents.policy import (
     load_policy,
     save_policy,
 )
+from mmc_gym.body import ArmParameters
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.grid import shipped_policies
 from mmc_gym.training.hyperparameters import read_recipe
@@ -147,6 +151,9 @@ def test_damaged_weights_are_an_error(copy):
         ({"base_agent": "pmp"}, "base_agent must be one of \\['mmc'\\] or empty"),
         ({"control": "thought"}, "control must be 'joint_position', 'joint_delta', "),
         ({"distribution": "squashed"}, "distribution must be that of 'ppo'"),
+        ({"body": {"gravitas": [0, 1]}}, "body.gravitas is not known"),
+        ({"body": {"segment_lengths": [1, -1, 1]}}, "body segment_lengths must be positive"),
+        ({"body": {"segment_lengths": [1, 1]}}, "body must have 3 segments"),
     ],
 )
 def test_a_card_that_does_not_fit_is_an_error(copy, changes, message):
@@ -186,3 +193,45 @@ def test_a_policy_of_joint_deltas_moves_the_arm_alike_under_position_control():
             hands.append(info["end_effector"])
     np.testing.assert_allclose(hands[:12], hands[12:], atol=1e-3)
     assert np.linalg.norm(hands[11] - hands[0]) > 0.1
+
+
+@pytest.fixture
+def with_body(copy):
+    """The path of a policy whose card has the arm that it was trained with: the default one."""
+    network, card = load_policy(copy)
+    save_policy(network, replace(card, engine="analytic", body=ArmParameters()), copy.parent)
+    assert load_policy(copy)[1].body == ArmParameters()
+    return str(copy)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            {"segment_lengths": (1, 1, 2)},
+            r"lengths \(1.0, 1.0, 1.0\) in training, \(1.0, 1.0, 2.0\)",
+        ),
+        ({"segment_masses": (1, 1, 2)}, "masses .* in training, .* here"),
+        ({"gravity": (0, -9), "hand_mass": 1}, "gravity .* here; hand_mass 0.0 in training, 1.0"),
+        ({"substeps": 8}, "control_step 0.02 in training, 0.04 here"),
+    ],
+)
+def test_a_policy_on_another_arm_than_in_training_is_told(with_body, arguments, told):
+    for env in (gym.make("MMCReach-v0", **arguments), gym.make_vec("MMCReach-v0", 2, **arguments)):
+        with pytest.warns(MismatchWarning, match=f"ppo-0 was trained with another arm.*{told}"):
+            make_agent(with_body, env)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"engine": "analytic"},
+        {"substep": 0.0025, "substeps": 8},
+        {"segment_masses": (1, 1, 1)},
+        {"perturbations": ["longer-20-told", "hand-mass"]},
+    ],
+)
+def test_another_way_to_simulate_the_arm_and_a_perturbation_are_no_mismatch(with_body, arguments):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make_agent(with_body, gym.make("MMCReach-v0", **arguments))

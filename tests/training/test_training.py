@@ -20,6 +20,7 @@ import torch
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import PolicyAgent, load_policy
+from mmc_gym.body import ArmParameters
 from mmc_gym.interface import ReachInterface
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
@@ -170,6 +171,7 @@ def test_the_card_tells_the_whole_training(trained, trained_by_name):
     assert (card.hyperparameters, card.seed) == (recipe.hyperparameters, 3)
     _, residual = load_policy(trained_by_name("ppo-residual") / "ppo-residual-3.json")
     assert (card.base_agent, residual.base_agent) == ("", "mmc")
+    assert (card.engine, card.body, card.control) == ("analytic", ArmParameters(), "joint_delta")
     assert [row["steps"] for row in card.learning_curve] == [400, 800, 1200, 1600]
     assert min(card.training_seconds, card.training_cpu_seconds) > 0
     assert {"success", "final_distance", "episode_return"} <= set(card.scores)
