@@ -64,7 +64,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     large, in which success is decided.
 
     ## Rewards
-    Dense (default): −distance + 0.05 / (0.05 + distance) − 0.1 · mean((joint velocity / 2π)²); the
+    Dense (default): −distance + 0.05 / (0.05 + distance) − mean((joint velocity / 2π)²); the
     distance is that from hand to target in segment lengths.  A `smoothness_weight` w adds
     −w · mean(change of joint velocity / 2π over the step, squared).  Sparse: 0 within 0.05 of the
     target, −1 elsewhere.
@@ -94,7 +94,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `env.unwrapped.parameters` is the arm that agents are told of.
 
     ## Arguments
-    `control`, `reward_type` ("dense", "sparse"), `control_weight` (0.1), `precision_weight` (1),
+    `control`, `reward_type` ("dense", "sparse"), `control_weight` (1), `precision_weight` (1),
     `smoothness_weight` (0), `success_distance` (0.05), `render_mode` ("human", "rgb_array"), `task`
     (a name or a `Task`; by name only tasks with the id's number of steps), `perturbations` (names
     or `Perturbation`s), `engine` ("pymunk", "analytic"), and any field of

@@ -80,7 +80,7 @@ class ReachSetup:
         *,
         control: Control = "joint_delta",
         reward_type: RewardType = "dense",
-        control_weight: float = 0.1,
+        control_weight: float = 1.0,
         precision_weight: float = 1.0,
         smoothness_weight: float = 0.0,
         success_distance: float = 0.05,
