@@ -10,13 +10,13 @@ import ast
 import inspect
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, cast
+from typing import Annotated, Any, ClassVar, Literal
 
 import yaml
 from pydantic import (
@@ -33,7 +33,6 @@ from pydantic import (
 from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from typing_extensions import override
@@ -42,20 +41,6 @@ from mmc_gym._errors import UserError, explain, require
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES
 from mmc_gym.training.vec_env import Residual
-
-
-class EntropyDecay(BaseCallback):
-    """Let PPO's entropy bonus fall linearly, from `ent_coef` to 0 at the end of the training."""
-
-    def _on_training_start(self) -> None:
-        self._start = float(cast(PPO, self.model).ent_coef)
-
-    def _on_rollout_start(self) -> None:
-        model = cast(PPO, self.model)
-        model.ent_coef = self._start * (1 - model.num_timesteps / model._total_timesteps)
-
-    def _on_step(self) -> bool:
-        return True
 
 
 @dataclass(frozen=True)
@@ -170,29 +155,21 @@ def _looked_up(name: Any, table: Mapping[str, Any]) -> Any:
     return table[name]
 
 
-def _named(table: Mapping[str, Callable[..., Any]], value: Any, *given: None) -> list[partial[Any]]:
-    """Read names of a table, or mappings of a name to its arguments, one or a list.
-
-    `given` stands for the arguments that are given when it is called.
-    """
-    found = []
-    for part in value if isinstance(value, list) else [] if value is None else [value]:
-        has_arguments = isinstance(part, dict) and len(part) == 1
-        name, arguments = next(iter(part.items())) if has_arguments else (part, None)
-        make, arguments = _looked_up(name, table), arguments or {}
-        try:
-            inspect.signature(make).bind(*given, **arguments)
-        except TypeError as error:
-            raise ValueError(f"must have arguments that {name} takes: {error}") from error
-        found.append(partial(make, **arguments))
-    return found
-
-
 def _wrapper(value: Any) -> partial[VecEnvWrapper] | None:
-    wrappers = _named(_WRAPPERS, value, None)
-    if len(wrappers) > 1:
+    """Read the name of a wrapper, a mapping of it to its arguments, or a list of one of them."""
+    parts = value if isinstance(value, list) else [] if value is None else [value]
+    if not parts:
+        return None
+    if len(parts) > 1:
         raise ValueError("must be one at most")
-    return wrappers[0] if wrappers else None
+    has_arguments = isinstance(parts[0], dict) and len(parts[0]) == 1
+    name, arguments = next(iter(parts[0].items())) if has_arguments else (parts[0], None)
+    make, arguments = _looked_up(name, _WRAPPERS), arguments or {}
+    try:
+        inspect.signature(make).bind(None, **arguments)
+    except TypeError as error:
+        raise ValueError(f"must have arguments that {name} takes: {error}") from error
+    return partial(make, **arguments)
 
 
 def _replay_buffer(name: Any) -> Any:
@@ -213,7 +190,6 @@ Count = Annotated[Whole, Field(ge=1)]
 AnyRate = Annotated[Rate, PlainValidator(_rate)]
 
 _WRAPPERS: dict[str, type[VecEnvWrapper]] = {f"{Residual.__module__}.Residual": Residual}
-_CALLBACKS: dict[str, type[BaseCallback]] = {f"{__name__}.EntropyDecay": EntropyDecay}
 
 
 class _Keys(BaseModel):
@@ -261,9 +237,6 @@ class Settings(_Keys):
     env_kwargs: Annotated[dict[str, Any], AfterValidator(_limited)] = {}
     vec_env_wrapper: Annotated[partial[VecEnvWrapper] | None, PlainValidator(_wrapper)] = None
     normalize: Annotated[Normalization | None, BeforeValidator(_normalized)] = None
-    callback: Annotated[
-        list[partial[BaseCallback]], PlainValidator(lambda value: _named(_CALLBACKS, value))
-    ] = []
 
     learning_rate: AnyRate = Rate(3e-4)
     gamma: Share = 0.99
@@ -322,7 +295,7 @@ class Settings(_Keys):
 
 
 # Keys that are not arguments of the algorithm.
-_OWN = ("n_timesteps", "n_envs", "env_kwargs", "vec_env_wrapper", "normalize", "callback", "policy")
+_OWN = ("n_timesteps", "n_envs", "env_kwargs", "vec_env_wrapper", "normalize", "policy")
 
 
 def _given(keys: BaseModel) -> dict[str, Any]:

@@ -135,7 +135,7 @@ class Training:
             if (remaining := self.total_steps - model.num_timesteps) > 0:
                 model.learn(
                     remaining,
-                    callback=[_Legs(self), *(make() for make in self.settings.callback)],
+                    callback=_Legs(self),
                     reset_num_timesteps=False,
                     tb_log_name=file_stem(self.recipe.name, self.seed),
                 )
