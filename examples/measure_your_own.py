@@ -12,4 +12,4 @@ def half_way_time(episode: Episode) -> float:
 
 
 if __name__ == "__main__":
-    compare(["mmc", "ik-dls"], episodes=20)
+    print(compare(["mmc", "ik-dls"], episodes=20))

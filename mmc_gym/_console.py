@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-WIDTH = 120  # columns, where there is no terminal to ask
+WIDTH = 120  # columns, where there is no terminal to ask and COLUMNS is not set
 _GAP = 2
 _NAME_WIDTH = 16  # of a column's heading; longer ones continue on the next line
 _ASCII = str.maketrans(
@@ -30,9 +31,10 @@ _ASCII = str.maketrans(
 
 
 def make_console() -> Console:
-    """Return standard output, as wide as the terminal, or 120 columns where there is none."""
+    """Return standard output, as wide as the terminal or COLUMNS says, 120 columns otherwise."""
     console = Console()
-    return console if console.is_terminal else Console(width=WIDTH)
+    is_told = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+    return console if is_told else Console(width=WIDTH)
 
 
 def progress_bar(*, auto_refresh: bool = True) -> Progress:

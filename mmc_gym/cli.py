@@ -67,7 +67,7 @@ def compare(
     from mmc_gym.measures.catalogue import import_measures
 
     import_measures(measures)
-    compare.compare(agents, env, episodes, seed, out)
+    compare.compare(agents, env, episodes, seed, out, console=make_console())
 
 
 @_app.command

@@ -10,9 +10,10 @@ import pytest
 from rich.console import Console
 
 from mmc_gym._console import cell
+from mmc_gym._errors import UserError
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.measures.catalogue import MEASURES
+from mmc_gym.measures.catalogue import MEASURES, shown_measures
 
 FIGURES = {"paths_and_profiles.png", "paths_and_profiles.svg"}
 FILES = {"episodes.csv", "summary.csv", "summary.json", *FIGURES}
@@ -109,18 +110,69 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path, frozen, monk
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_the_table_is_ascii_and_fits_120_columns_where_there_is_no_terminal(capsys):
-    # The default agents without ppo, which needs its weights.
+@pytest.mark.parametrize("columns", [None, 80])
+def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(capsys, monkeypatch, columns):
+    if columns:
+        monkeypatch.setenv("COLUMNS", str(columns))
+    else:
+        monkeypatch.delenv("COLUMNS", raising=False)
     agents = ["mmc", "mmc-classical", "mmc-neural", "ik-dls", "random"]
-    compare(agents, episodes=5)
+    comparison = compare(agents, episodes=5)
+    assert capsys.readouterr().out == ""
+    print(comparison)
     out = capsys.readouterr().out
     assert out.isascii()
-    assert max(map(len, out.splitlines())) <= 120
-    header = next(line for line in out.splitlines() if "mmc-classical" in line)
-    assert header.split()[:3] == ["best", *agents[:2]]
+    assert max(map(len, out.splitlines())) <= (columns or 120)
+    assert " ".join(out.split()).startswith(comparison.headline)
+    header = next(line for line in out.splitlines() if line.split()[:1] == ["best"])
+    assert header.split()[1:3] == agents[:2]
     assert all(agent in out for agent in agents)
     assert "time per action" in out and "[us]" in out
     assert "NOT" in out and "training seeds" in out.replace("\n", " ")
+
+
+def test_the_headline_says_who_reaches_soonest_and_who_does_not(oracle, frozen):
+    found = compare({"ideal": oracle, "mmc": "mmc", "frozen": frozen}, episodes=5)
+    times = found.to_frame()["time_to_target"]
+    soonest = times.idxmin()
+    assert found.headline == (
+        f"ideal and mmc end at the target in all 5 episodes ({soonest} soonest, after "
+        f"{times[soonest]:.2f} s in the median); frozen in none of 5."
+    )
+    alone = compare({"frozen": frozen}, episodes=3)
+    assert alone.headline == "frozen ends at the target in none of 3 episodes."
+
+
+def test_a_comparison_is_short_in_a_shell_a_table_in_a_notebook_and_booktabs_in_latex(frozen):
+    found = compare({"mmc": "mmc", "50 % <b>_still": frozen}, episodes=3)
+    assert len(repr(found)) < 100
+    html = found._repr_html_()
+    assert html.count("<th>") > len(shown_measures())
+    assert "50 % &lt;b&gt;_still" in html and "<b>_still" not in html
+    assert len(html) < 20_000
+    latex = found.to_latex(["success", "action_time"])
+    assert latex.startswith("\\begin{tabular}{lrrr}\n\\toprule\n")
+    assert "mmc & 50 \\% <b>\\_still" in latex
+    (row,) = [line for line in latex.splitlines() if line.startswith("success at the end")]
+    assert "1.000 [1.000, 1.000] & 0.000 [0.000, 0.000] &" in row
+    assert "[" not in found.to_latex(["sparc"], intervals=False).replace("[SPARC]", "")
+    with pytest.raises(UserError, match=r"measures must be of success, .* got 'sucess'"):
+        found.to_latex(["sucess"])
+
+
+def test_its_frame_has_a_row_for_each_agent_and_its_figure_a_column(oracle, frozen):
+    found = compare({"oracle": oracle, "frozen": frozen}, episodes=4)
+    frame = found.to_frame()
+    assert list(frame.index) == ["oracle", "frozen", REFERENCE]
+    assert list(frame.columns) == list(MEASURES)
+    means = found.episodes.groupby("agent")["success"].mean()
+    assert frame["success"].to_dict() == means.to_dict()
+    assert (found.to_frame("low") <= found.to_frame("high")).loc["oracle", "path_ratio"]
+    assert found.to_frame("missing").loc["frozen", "path_ratio"] == 4
+    with pytest.raises(UserError, match="value must be one of estimate, "):
+        found.to_frame("mean")
+    titles = [axes.get_title() for axes in found.plot().axes[:3]]
+    assert titles == list(frame.index)
 
 
 @pytest.mark.parametrize(("encoding", "unit"), [("utf-8", "[µs]"), ("latin-1", "[us]")])
@@ -145,7 +197,7 @@ def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
     assert max(map(len, lines)) <= 64
     assert sum("success at the end " in line for line in lines) > 1
     for agent in agents:
-        assert sum(agent in line for line in lines) == 1
+        assert sum(line.startswith(" ") and agent in line for line in lines) == 1
 
 
 def test_a_cell_tells_of_missing_and_of_small_values():

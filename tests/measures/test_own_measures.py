@@ -65,7 +65,7 @@ def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys, monkeypatc
     def energy(episode):
         return float((episode.speeds**2).sum())
 
-    compare(["random"], episodes=2, out=tmp_path)
+    print(compare(["random"], episodes=2, out=tmp_path))
     assert pd.read_csv(tmp_path / "episodes.csv")["energy"].gt(0).all()
     assert set(pd.read_csv(tmp_path / "summary.csv").query("measure == 'energy'")["unit"]) == {"J"}
     assert "kinetic energy" in capsys.readouterr().out

@@ -1,0 +1,263 @@
+"""What a comparison found: shown as a table, a figure, a frame, LaTeX, or in a notebook."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+from rich.console import Console
+
+from mmc_gym._console import cell, make_console, print_columns, text_for
+from mmc_gym._errors import UserError
+from mmc_gym._files import write_atomically
+from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES
+from mmc_gym.measures import MEASURES, Episode
+from mmc_gym.measures.catalogue import Measure, shown_measures
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
+
+# Signs that pdfLaTeX does not know as they are.
+_LATEX = {"−": "$-$", "≤": r"$\leq$", "½": r"$\frac{1}{2}$", "µ": r"\textmu{}"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """The result of a comparison.
+
+    `print` it for the table; the last line of a notebook's cell shows it as HTML.
+
+    Attributes:
+        env: id of the environment.
+        seed: of the starts, the targets and the resampling.
+        reach: of the arm, segment lengths.
+        recorded: the episodes of each agent, and of `REFERENCE` if there are any; the i-th of each
+            have the same start and target.
+        training_steps: environment steps spent in training each agent; None if unknown.
+        episodes: one row per agent and episode: agent, episode, seed, start, target, measures.
+        summary: one row per agent and measure, see `statistics.summarize`; of the episodes that
+            ended at the target, for measures of `successes_only`.
+    """
+
+    env: str
+    seed: int
+    reach: float
+    recorded: Mapping[str, tuple[Episode, ...]]
+    training_steps: Mapping[str, int | None]
+    episodes: pd.DataFrame
+    summary: pd.DataFrame
+
+    @property
+    def agents(self) -> list[str]:
+        """The labels of the agents, without the ideal hand unless it is alone."""
+        return [label for label in self.recorded if label != REFERENCE] or [REFERENCE]
+
+    @property
+    def headline(self) -> str:
+        """The result in a sentence: who ends at the target most often, soonest, and least often."""
+        total = len(next(iter(self.recorded.values())))
+        successes = self.episodes.groupby("agent")["success"].sum()[self.agents]
+        best, worst = successes.max(), successes.min()
+        leaders = list(successes.index[successes == best])
+        ends = "ends" if len(leaders) == 1 else "end"
+        sentence = f"{_listed(leaders)} {ends} at the target in {_of_all(best, total)} episodes"
+        times = self.to_frame().loc[leaders, "time_to_target"].dropna()
+        if len(times):
+            soonest = f"{times.idxmin()} soonest, " if len(leaders) > 1 else ""
+            sentence += f" ({soonest}after {times.min():.2f} s in the median)"
+        if worst < best:
+            losers = list(successes.index[successes == worst])
+            sentence += f"; {_listed(losers)} in {_of_all(worst, total)}"
+        return f"{sentence}."
+
+    @property
+    def note(self) -> str:
+        """The lines below the table, and in summary.json, that tell how to read the numbers."""
+        one, shown = next(iter(self.recorded.values())), shown_measures()
+        means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
+        all_told = ", ".join(measure.label for measure in shown if not measure.successes_only)
+        reference = (
+            f"{REFERENCE}: a hand without an arm, through the same measures. "
+            if REFERENCE in self.recorded
+            else ""
+        )
+        return (
+            f"{self.env}, {len(one)} episodes, the same starts and targets for all agents. "
+            f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
+            f"segment lengths; at the target: within {one[0].tolerance:g}. "
+            f"{all_told}: of all episodes; the others: of those that ended at the target, and k of "
+            f"{len(one)} have a value (none where the hand started there). {reference}"
+            f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
+            "The intervals replicate over episodes (starts and targets), NOT over training seeds: "
+            "each agent is the result of one training, or of none."
+        )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything that the comparison was made with, ready for JSON."""
+        one = next(iter(self.recorded.values()))
+        return {
+            "environment": self.env,
+            "agents": [agent for agent in self.recorded if agent != REFERENCE],
+            "reference": REFERENCE if REFERENCE in self.recorded else None,
+            "training_steps": {
+                agent: steps for agent, steps in self.training_steps.items() if agent != REFERENCE
+            },
+            "training_seeds_per_agent": 1,
+            "episodes": len(one),
+            "seed": self.seed,
+            "control_step": one[0].control_step,
+            "tolerance": one[0].tolerance,
+            "confidence": CONFIDENCE,
+            "bootstrap_resamples": RESAMPLES,
+            "bootstrap_method": "percentile, over episodes",
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            "versions": {package: version(package) for package in _PACKAGES},
+            "note": self.note,
+        }
+
+    def to_frame(self, value: str = "estimate") -> pd.DataFrame:
+        """Return a row for each agent and a column for each measure.
+
+        `episodes` and `summary` hold the same in long form.
+
+        Args:
+            value: "estimate", an end of its interval ("low", "high"), or of how many episodes it is
+                ("count", "missing").
+
+        Raises:
+            UserError: for another value.
+        """
+        accepted = ("estimate", "low", "high", "count", "missing")
+        if value not in accepted:
+            raise UserError(f"value must be one of {', '.join(accepted)}, got {value!r}")
+        frame = self.summary.pivot(index="agent", columns="measure", values=value)
+        return frame.loc[list(self.recorded), list(self.summary["measure"].unique())]
+
+    def to_latex(self, measures: Sequence[str] | None = None, *, intervals: bool = True) -> str:
+        r"""Return the table for LaTeX: a row for each measure, a column for each agent.
+
+        It needs `\\usepackage{booktabs}`.
+
+        Args:
+            measures: their names, in this order; by default those that the table shows.
+            intervals: whether they stand beside the estimates.
+
+        Raises:
+            UserError: for an unknown measure.
+        """
+        table = self._table(self._measures(measures), intervals=intervals, with_training=False)
+        table = table.rename(index=_in_a_line).map(_in_a_line)
+        columns = "l" + "r" * len(table.columns)
+        text = table.to_latex(escape=True, column_format=columns)
+        for sign, latex in _LATEX.items():
+            text = text.replace(sign, latex)
+        return text
+
+    def plot(self) -> Figure:
+        """Return a figure: hand paths above, speed profiles below, a column for each agent."""
+        from mmc_gym._plotting import Movement, paths_and_profiles
+
+        movements = {
+            agent: [Movement(one.seen_hands, one.target, one.speeds) for one in episodes]
+            for agent, episodes in self.recorded.items()
+        }
+        one = next(iter(self.recorded.values()))[0]
+        return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step)
+
+    def print(self, console: Console | None = None) -> None:
+        """Print headline, table and note; to standard output by default."""
+        console = console or make_console()
+        table = self._table(shown_measures())
+        best = [MEASURES[one.name].best.replace("neither", "") for one in shown_measures()]
+        labels = {"": list(table.index), "best": [*best, ""]}
+        console.print(text_for(console, self.headline))
+        columns = {str(agent): list(cells) for agent, cells in table.items()}
+        print_columns(console, labels, columns, self.note)
+
+    def write(self, out: Path) -> list[Path]:
+        """Write episodes.csv, summary.csv, summary.json and the figure into the folder `out`."""
+        from mmc_gym._plotting import save_figure
+
+        summary = self.summary.assign(
+            training_steps=self.summary["agent"].map(self.training_steps).astype("Int64")
+        )
+        # Of an interrupted run, either the old file or the new one is left, never half of it.
+        written = [
+            write_atomically(out / "episodes.csv", _csv(self.episodes)),
+            write_atomically(out / "summary.csv", _csv(summary)),
+            write_atomically(out / "summary.json", json.dumps(self.settings, indent=2) + "\n"),
+        ]
+        return written + save_figure(self.plot(), out / "paths_and_profiles")
+
+    def __repr__(self) -> str:
+        count = len(next(iter(self.recorded.values())))
+        return f"<Comparison of {', '.join(self.agents)} in {self.env}, {count} episodes each>"
+
+    def __str__(self) -> str:
+        console = Console(file=io.StringIO(), width=make_console().width)
+        self.print(console)
+        text: str = console.file.getvalue()  # type: ignore[attr-defined]
+        return text.rstrip()
+
+    def _repr_html_(self) -> str:
+        table = self._table(shown_measures()).to_html(border=0)
+        return f"<p><b>{escape(self.headline)}</b></p>{table}<p>{escape(self.note)}</p>"
+
+    def _measures(self, names: Sequence[str] | None) -> tuple[Measure, ...]:
+        for name in names or ():
+            if name not in MEASURES:
+                raise UserError(f"measures must be of {', '.join(MEASURES)}, got {name!r}")
+        return shown_measures() if names is None else tuple(MEASURES[name] for name in names)
+
+    def _table(
+        self, measures: Sequence[Measure], *, intervals: bool = True, with_training: bool = True
+    ) -> pd.DataFrame:
+        """Return the table as it is printed, all text: a row a measure, a column an agent."""
+        summary = self.summary if intervals else self.summary.assign(low=math.nan, missing=0)
+        rows: dict[Any, Any] = {
+            (row["agent"], row["measure"]): row for row in summary.to_dict("records")
+        }
+        columns = {
+            agent: [cell(rows[agent, one.name], one.decimals) for one in measures]
+            for agent in self.recorded
+        }
+        headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in measures]
+        if with_training:
+            headings.append("training\n[env steps]")
+            for agent, steps in self.training_steps.items():
+                columns[agent].append("unknown" if steps is None else f"{steps:,}")
+        return pd.DataFrame(columns, index=headings)
+
+
+def _in_a_line(text: str) -> str:
+    return text.replace("\n", " ")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as in a sentence: "mmc, ppo and sac"."""
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _of_all(successes: float, total: int) -> str:
+    """Return how many of all episodes, as in a sentence."""
+    words = {0: f"none of {total}", total: f"all {total}"}
+    return words.get(int(successes), f"{successes:.0f} of {total}")
+
+
+def _csv(frame: pd.DataFrame) -> str:
+    return frame.to_csv(index=False, lineterminator="\n")
