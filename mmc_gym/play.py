@@ -113,7 +113,6 @@ class Game:
         changed = [self._heed(event) for event in pygame.event.get()]
         if not self.paused:
             self._step()
-        # A picture adds to the hand's trace, so that none is drawn while nothing changes.
         if any(changed) or not self.paused:
             self._show()
 

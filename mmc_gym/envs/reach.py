@@ -131,6 +131,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._renderer: Renderer | None = None
+        self._trace: deque[Point] = deque(maxlen=setup.trace_length)
         self._ghost: list[float] | None = None
         self._place([0.0] * setup.joint_count, [(self.reach, 0.0)])
 
@@ -168,6 +169,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             command = [angle + delta for angle, delta in zip(arm.joint_angles, command)]
         arm.command(command)
         arm.step()
+        if self.render_mode is not None:
+            self._trace.append(arm.end_effector)
         if self._has_events:
             self._advance_events()
         observation, reward, info = self._outcome()
@@ -219,6 +222,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         scene = Scene(
             self._arm.segment_angles,
             self._target,
+            trace=self._trace,
             path=self._targets,
             ghost=self._ghost,
             steps=self._steps,
@@ -282,8 +286,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._is_last_target = self.setup.task.advance == "time" or len(targets) == 1
         if self.setup.lock_step == 0:
             self._arm.lock()
-        if self._renderer is not None:
-            self._renderer.clear_trace()
+        self._trace.clear()
+        self._trace.append(self._arm.end_effector)
 
     def _advance_events(self) -> None:
         """Let the rest of a step happen: the target moves on, and joints lock."""

@@ -67,6 +67,7 @@ class ReachSetup:
         lock_step: after how many control steps the lockable joints lock; None: never.
         path_length: places on the path of the target.
         frame_rate: pictures a second, one each control step.
+        trace_length: places on the trace of the hand that a picture shows, a second's.
         action_space, observation_space: of one arm.
         layout: of the observations; its `reach` is the sum of the told lengths.
         farthest: distance from the base within which the hand, or its cursor, always is.
@@ -126,6 +127,7 @@ class ReachSetup:
         self.observation_space = self.layout.space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         self.frame_rate = round(1 / self.told.control_step)
+        self.trace_length = max(2, self.frame_rate)
         self.path_length = self.task.path_length(self.told.control_step)
         self.task.check(self.workspace)
         self._draw(np.random.default_rng(0), Options())

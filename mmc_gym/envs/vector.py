@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
@@ -24,6 +25,7 @@ from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import GoalEnvironment
 from mmc_gym.envs.rewards import distances, reward_and_info
 from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, require_one_of
+from mmc_gym.envs.workspace import Point
 from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
@@ -106,6 +108,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         # Observations on their way, oldest first: that one is shown.
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
         self._renderers: list[Renderer] = []
+        traced = self._all if render_mode is not None else ()
+        self._traces: list[deque[Point]] = [deque(maxlen=setup.trace_length) for _ in traced]
 
     def reset(
         self,
@@ -150,6 +154,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._body.command(self._commands(actions, waiting))
         self._body.step()
         self._steps += 1
+        for trace, (x, y) in zip(self._traces, self._body.end_effectors.tolist()):
+            trace.append((x, y))
         self._advance_events()
         if len(waiting):
             self._place(waiting, Options())
@@ -185,6 +191,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             Scene(
                 self._body.segment_angles[arm].tolist(),
                 self._targets[arm].tolist(),
+                trace=self._traces[arm],
                 path=self._paths[arm, : self._last_places[arm] + 1].tolist(),
                 steps=int(self._steps[arm]),
                 observation=pick(self._late[0], arm),
@@ -239,8 +246,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps[arms] = self._places[arms] = 0
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
-        for arm in arms if self._renderers else ():
-            self._renderers[arm].clear_trace()
+        for arm in arms if self._traces else ():
+            self._traces[arm].clear()
+            self._traces[arm].append(tuple(self._body.end_effectors[arm].tolist()))
 
     def _advance_events(self) -> None:
         """Let the rest of a step happen: targets move on, and joints lock."""

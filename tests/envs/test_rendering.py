@@ -4,6 +4,7 @@ import math
 import re
 import subprocess
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -130,16 +131,29 @@ def test_reaching_the_target_shows_without_colour() -> None:
     assert dark[1] > dark[0] + 50
 
 
-def test_the_hand_leaves_a_trace_that_fades_and_can_be_cleared() -> None:
-    renderer = Renderer(ReachSetup(), "rgb_array")
-    clean = picture([1.0] * 3)
+@pytest.mark.parametrize("vectorized", [False, True])
+def test_the_trace_is_the_hands_path_whatever_frames_are_drawn(vectorized: bool) -> None:
+    """It fades within a second, and a reset clears it."""
+    make = partial(gym.make_vec, num_envs=2) if vectorized else gym.make
+    often, once, resting = (make("MMCReach-v0", render_mode="rgb_array") for _ in range(3))
+    posture = [0.5, 0.5, 0.5]
+    start = tuple(np.cumsum([(math.cos(a), math.sin(a)) for a in (0.5, 1.0, 1.5)], axis=0)[-1])
+
+    def seen(env: gym.Env) -> np.ndarray:
+        return np.array(env.render()[0] if vectorized else env.render())
+
     darkness = []
-    for step in range(70):
-        frame = renderer.draw(Scene([min(1.0, 0.1 * step)] * 3, FAR))
-        darkness.append(255 - gray(frame, (3 * math.cos(0.2), 3 * math.sin(0.2)), 2).min())
-    assert darkness[12] > darkness[30] > darkness[50] > 0
-    renderer.clear_trace()
-    np.testing.assert_array_equal(renderer.draw(Scene([1.0] * 3, FAR)), clean)
+    for env in (often, once, resting):
+        env.reset(seed=0, options={"joint_angles": posture, "target": FAR})
+    for step in range(60):
+        for env in (often, once):
+            action = np.float32([1, 0, 0] if step < 20 else [0, 0, 0])
+            env.step(np.tile(action, (2, 1)) if vectorized else action)
+        darkness.append(255 - gray(seen(often), start, 2).min())
+    assert darkness[10] > darkness[30] > darkness[45] > darkness[55]
+    np.testing.assert_array_equal(seen(often), seen(once))
+    once.reset(seed=0, options={"joint_angles": posture, "target": FAR})
+    np.testing.assert_array_equal(seen(once), seen(resting))
 
 
 def test_edges_are_smooth() -> None:

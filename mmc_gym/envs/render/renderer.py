@@ -6,7 +6,6 @@ A picture is painted larger than it is shown and then averaged down, which smoot
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +21,6 @@ from mmc_gym.envs.render.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import in_the_world
 
-TRACE_SECONDS = 1.0
 _OVERSAMPLING = 2
 
 
@@ -33,6 +31,7 @@ class Scene:
     Attributes:
         segment_angles: N absolute angles, radians.
         target: (x, y), segment lengths.
+        trace: where the hand has been, a place for each control step, the last one now.
         path: all places of the target in this trial, in order, or nothing if it stands still.
         ghost: N joint angles of an internal model, radians, or None.
         steps: control steps since the reset.
@@ -41,6 +40,7 @@ class Scene:
 
     segment_angles: Sequence[float]
     target: Sequence[float]
+    trace: Sequence[Point] = ()
     path: Sequence[Sequence[float]] = ()
     ghost: Sequence[float] | None = None
     steps: int = 0
@@ -61,7 +61,6 @@ class Renderer:
         self._setup = setup
         self._lengths = setup.body.segment_lengths
         self._old_lengths = old_lengths(setup)
-        self._trace: deque[Point] = deque(maxlen=max(2, round(TRACE_SECONDS * setup.frame_rate)))
         large = View(setup.farthest, _OVERSAMPLING * SIZE)
         self._canvas = Canvas(pygame.Surface((large.size,) * 2, depth=32), large)
         self._scenery = Canvas(self._canvas.surface.copy(), large)
@@ -76,10 +75,9 @@ class Renderer:
             The picture (height, width, 3) in a new array, or None if it is shown in a window.
         """
         nodes = shapes.node_positions(scene.segment_angles, self._lengths)
-        self._trace.append(nodes[-1])
         self._canvas.surface.blit(self._scenery.surface, (0, 0))
         self._paint_path(scene)
-        self._canvas.draw_trace(self._trace)
+        self._canvas.draw_trace(scene.trace)
         self._paint_arm(scene, nodes)
         if scene.observation is not None and self._setup.are_senses_disturbed:
             self._paint_sensed(scene.observation)
@@ -89,10 +87,6 @@ class Renderer:
             self._window.show(self._picture)
             return None
         return np.ascontiguousarray(pygame.surfarray.pixels3d(self._picture).swapaxes(0, 1))
-
-    def clear_trace(self) -> None:
-        """Forget where the hand has been."""
-        self._trace.clear()
 
     def close(self) -> None:
         """Close the window, if there is one."""
