@@ -54,10 +54,10 @@ clean: ## remove .venv, build outputs and caches
 
 $(VENV_READY):
 	@command -v "$(PYTHON)" >/dev/null 2>&1 || { \
-	  echo "mmc-gym needs Python 3.10 or newer, but '$(PYTHON)' was not found." \
+	  echo "mmc-gym needs Python 3.11 or newer, but '$(PYTHON)' was not found." \
 	       "Name one with: make PYTHON=/path/to/python3 ..." >&2; exit 1; }
-	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
-	  echo "mmc-gym needs Python 3.10 or newer, but '$(PYTHON)' is `"$(PYTHON)" --version 2>&1`." \
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "mmc-gym needs Python 3.11 or newer, but '$(PYTHON)' is `"$(PYTHON)" --version 2>&1`." \
 	       "Name another with: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
 	  echo "'$(PYTHON)' cannot make virtual environments: its venv or ensurepip module is missing." \

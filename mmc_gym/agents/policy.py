@@ -16,7 +16,7 @@ from dataclasses import asdict, fields, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 import safetensors.numpy
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 from safetensors import SafetensorError
-from typing_extensions import Self, override
+from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError, explain
 from mmc_gym._files import write_atomically
