@@ -285,7 +285,7 @@ def test_arrows_turn_as_the_field_bends() -> None:
     fields = [ReachSetup(perturbations=[ForceField(curl)]) for curl in (9.0, -9.0)]
     one, other = (drawn(setup, scene)[60:-60] for setup in fields)  # the caption is above
     assert np.abs(one - other).max() > 30
-    assert np.abs(one - other[::-1]).mean() < 0.2 * np.abs(one - other).mean()
+    assert np.abs(one - other[::-1]).mean() < 0.5 * np.abs(one - other).mean()
 
 
 def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target() -> None:
