@@ -325,6 +325,9 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
         env: Environment id.
         seed: Seed of the first posture.
     """
+    from mmc_gym.envs.render.renderer import open_display
+
+    open_display()  # at once: what follows takes a while to load
     from mmc_gym import play
 
     play.play(agent, env, seed)

@@ -17,6 +17,7 @@ from mmc_gym.agents.base import Predictor
 from mmc_gym.benchmark.entries import make_for, single_entries
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import shapes as drawing
+from mmc_gym.envs.render.renderer import open_display
 from mmc_gym.measures.rollout import make_environment
 
 HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
@@ -36,8 +37,16 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
         seed: of the postures, or None for others each time.
 
     Raises:
-        UserError: for an unknown agent or another environment.
+        UserError: without a display, for an unknown agent or another environment.
     """
+    open_display()
+    try:
+        _play(agent, env, seed)
+    finally:
+        pygame.display.quit()
+
+
+def _play(agent: str, env: str, seed: int | None) -> None:
     (entry,) = single_entries([agent])
     label, factory = entry.label, entry.agent.factory
 
@@ -52,7 +61,6 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
         Game(world, makers, label, seed).run()
     finally:
         world.close()
-        pygame.display.quit()
 
 
 class Label(NamedTuple):
@@ -180,7 +188,7 @@ class Game:
             self.choose(names[key - pygame.K_1])
 
     def _open_window(self) -> None:
-        pygame.display.init()
+        open_display()
         pygame.font.init()
         pygame.display.set_caption("mmc-gym play")
         size = self._view.size

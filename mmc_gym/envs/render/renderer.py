@@ -6,6 +6,8 @@ A picture is painted larger than it is shown and then averaged down, which smoot
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +17,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from mmc_gym._errors import UserError
 from mmc_gym.envs.perturbations import SegmentLength
 from mmc_gym.envs.render import shapes
 from mmc_gym.envs.render.shapes import SIZE, Canvas, Point, View
@@ -160,12 +163,42 @@ def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
     return tuple(lengths)
 
 
+def open_display() -> None:
+    """Open the display for a window.
+
+    Raises:
+        UserError: if there is none.
+    """
+    asked = os.environ.get("SDL_VIDEODRIVER")
+    reason = "neither DISPLAY nor WAYLAND_DISPLAY is set"
+    is_told = any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+    if asked or is_told or not sys.platform.startswith("linux"):
+        try:
+            pygame.display.init()
+        except pygame.error as error:
+            reason = str(error)
+        else:
+            driver = pygame.display.get_driver()
+            if asked or driver not in ("offscreen", "dummy"):
+                return
+            pygame.display.quit()  # SDL would draw where nobody sees it
+            reason = "SDL finds no screen"
+    raise UserError(
+        f"a window needs a display, and there is none: {reason}. Without one, `mmc-gym record "
+        '--agent mmc movement.gif` makes a film, and render_mode="rgb_array" gives pictures'
+    )
+
+
 class Window:
     """A window that shows pictures at a steady rate, until its user closes it."""
 
     def __init__(self, frame_rate: int) -> None:
-        """Open the window; it shows at most `frame_rate` pictures a second."""
-        pygame.display.init()
+        """Open the window; it shows at most `frame_rate` pictures a second.
+
+        Raises:
+            UserError: if there is no display.
+        """
+        open_display()
         pygame.display.set_caption("mmc-gym")
         self._surface = pygame.display.set_mode((SIZE, SIZE))
         self._frame_rate = frame_rate
