@@ -1,13 +1,70 @@
 """mmc-gym: the Mean-of-Multiple-Computations body model and its reaching environment.
 
-Importing it registers the environments with Gymnasium.
+Importing it registers the environments with Gymnasium.  All else is loaded when it is asked for.
 """
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from mmc_gym import envs as _envs  # registers the environments
+from mmc_gym import envs as envs  # registers the environments
 from mmc_gym.agents import make_agent
 
+if TYPE_CHECKING:
+    from mmc_gym import agents, benchmark, body, measures, network, paper, report, training
+    from mmc_gym.benchmark.compare import compare
+    from mmc_gym.listing import (
+        list_agents,
+        list_measures,
+        list_perturbations,
+        list_scenarios,
+        list_tasks,
+    )
+    from mmc_gym.measures import run_episodes
+    from mmc_gym.training.training import train
+
 __version__ = version("mmc-gym")
-__all__ = ["__version__", "make_agent"]
-del _envs
+__all__ = [
+    "__version__",
+    "agents",
+    "benchmark",
+    "body",
+    "compare",
+    "envs",
+    "list_agents",
+    "list_measures",
+    "list_perturbations",
+    "list_scenarios",
+    "list_tasks",
+    "make_agent",
+    "measures",
+    "network",
+    "paper",
+    "report",
+    "run_episodes",
+    "train",
+    "training",
+]
+
+_HOMES = {
+    "compare": "benchmark.compare",
+    "list_agents": "listing",
+    "list_measures": "listing",
+    "list_perturbations": "listing",
+    "list_scenarios": "listing",
+    "list_tasks": "listing",
+    "run_episodes": "measures",
+    "train": "training.training",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(f"{__name__}.{_HOMES.get(name, name)}")
+    found = globals()[name] = getattr(module, name) if name in _HOMES else module
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__

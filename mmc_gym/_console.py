@@ -134,6 +134,22 @@ def print_rows(console: Console, rows: Sequence[Mapping[str, str]], left: str) -
     console.print(Padding(table, (1, 0)))
 
 
+def print_list(
+    console: Console, rows: Iterable[Sequence[str]], headings: Sequence[str] = ()
+) -> None:
+    """Print rows of text, as wide as the console; what comes first in each is not broken.
+
+    Its signs are kept wherever they can be encoded, a pipe included.
+    """
+    table = _table()
+    table.show_header = bool(headings)
+    for number, row in enumerate(rows):
+        for column, heading in enumerate(headings or row) if number == 0 else ():
+            table.add_column(encodable(console, heading), no_wrap=column == 0, overflow="fold")
+        table.add_row(*(encodable(console, content) for content in row))
+    console.print(table)
+
+
 def print_columns(
     console: Console,
     labels: Mapping[str, Sequence[str]],

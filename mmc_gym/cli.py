@@ -1,6 +1,7 @@
 """The command line: one function for each command.
 
-    mmc-gym compare | benchmark | report | train | tune | curves | reproduce | play
+    mmc-gym compare | benchmark | report | train | tune | curves | reproduce
+            | play | record | list | show | completion
 
 A mistake of the user's ends with one line on stderr and status 2, a cell of a grid that failed with
 one line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
@@ -15,13 +16,14 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 from tyro.conf import Positional
 
-from mmc_gym._console import make_console, progress_bar
+from mmc_gym._console import make_console, print_list, progress_bar
 from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._grid import CellError
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from mmc_gym.benchmark.runner import Progress as BenchmarkProgress
     from mmc_gym.training.training import TrainingProgress
 
+DESCRIPTION = "Agents that reach with a planar arm, compared.  --version alone prints the version."
 TRACEBACK = "MMC_GYM_TRACEBACK"
 
 _app = tyro.extras.SubcommandApp()
@@ -333,11 +336,82 @@ def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) 
     play.play(agent, env, seed)
 
 
+@_app.command(name="list")
+def list_(
+    what: Positional[Literal["agents", "tasks", "perturbations", "scenarios", "measures"]],
+) -> None:
+    """List what there is, a line each: its name, what it is, and what it needs.
+
+    Args:
+        what: The things to list.
+    """
+    from mmc_gym import listing
+
+    found: listing.Listing = getattr(listing, f"list_{what}")()
+    print_list(make_console(), found.rows, found.headings)
+
+
+@_app.command
+def show(scenario: Positional[str], out: Path | None = None) -> None:
+    """Say all about a scenario: how to make it, what goes on in it, and what agents are told.
+
+    Args:
+        scenario: Name of a task, of a perturbation with any strength (delay-150), or an id.
+        out: File to write a picture of it to, .png.
+    """
+    from mmc_gym import listing
+
+    print_list(make_console(), listing.describe(scenario))
+    if out is not None:
+        print(f"wrote {listing.write_picture(scenario, out)}")
+
+
+@_app.command
+def record(
+    out: Positional[Path],
+    agent: str = "mmc",
+    env: str = "MMCReach-v0",
+    episodes: int = 1,
+    seed: int = 0,
+) -> None:
+    """Write a film of an agent at work, as .gif or .mp4; it takes no display.
+
+    Args:
+        out: The file to write; .mp4 takes the extra "video".
+        agent: Name of an agent, path of a policy, or module:function.
+        env: Environment id.
+        episodes: How many episodes follow each other.
+        seed: Seed of the starts and targets; the episodes are those of compare.
+    """
+    from mmc_gym.record import record
+
+    with progress_bar() as bar:
+        task = bar.add_task("episodes", total=episodes)
+        record(out, agent, env, episodes, seed, lambda _: bar.advance(task))
+    print(f"wrote {out}")
+
+
+@_app.command
+def completion(shell: Positional[Literal["bash", "zsh", "fish"]]) -> None:
+    """Print what makes a shell complete commands and options: source <(mmc-gym completion bash).
+
+    Args:
+        shell: The shell.
+    """
+    _app.cli(prog="mmc-gym", args=["--tyro-print-completion", shell])
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run a command."""
+    if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+        print(f"mmc-gym {version('mmc-gym')}")
+        return
     try:
         with _warnings_in_one_line():
-            _app.cli(prog="mmc-gym", args=arguments)
+            _app.cli(prog="mmc-gym", args=arguments, description=DESCRIPTION)
+    except BrokenPipeError:  # whoever reads has had enough, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
     except KeyboardInterrupt:
         if os.environ.get(TRACEBACK):
             raise

@@ -1,7 +1,9 @@
 """The commands, as a user types them."""
 
+import shutil
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -114,6 +116,31 @@ def test_mistakes_end_with_one_line_that_names_them(arguments, message, capsys):
     error = capsys.readouterr().err
     assert message in error
     assert "Traceback" not in error
+
+
+def test_the_version_is_printed_and_help_says_so(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out == f"mmc-gym {version('mmc-gym')}\n"
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "--version" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not shutil.which("bash"), reason="no bash")
+def test_bash_completes_commands_and_options(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["completion", "bash"])
+    assert not stop.value.code
+    script = tmp_path / "completion.bash"
+    script.write_text(capsys.readouterr().out)
+    ask = (
+        f"source {script}; COMP_WORDS=(mmc-gym {{}}); COMP_CWORD={{}}; "
+        "$(complete -p mmc-gym | sed 's/.* -F \\([^ ]*\\) .*/\\1/'); echo ${{COMPREPLY[*]}}"
+    )
+    for words, expected in (("rec", "record"), ("record --epi", "--episodes")):
+        command = ask.format(words, len(words.split()))
+        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+        assert done.stdout.split() == [expected], done.stderr
 
 
 def test_help_does_not_import_torch():

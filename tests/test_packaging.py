@@ -88,6 +88,21 @@ def test_import_loads_no_heavy_library():
     assert HEAVY.isdisjoint(loaded.split())
 
 
+def test_all_that_people_reach_for_is_at_the_top_and_loaded_when_it_is_asked_for():
+    shown = run_python(
+        "import sys, mmc_gym\n"
+        "assert set(mmc_gym.__all__) <= set(dir(mmc_gym))\n"
+        "assert 'mmc_gym.measures' not in sys.modules\n"
+        "from mmc_gym import *\n"
+        "from mmc_gym.benchmark.compare import compare as original\n"
+        "assert mmc_gym.compare is compare is original\n"
+        "print(len(mmc_gym.measures.MEASURES) > 20, callable(train), list_tasks()[0])\n"
+        "try: mmc_gym.compar\n"
+        "except AttributeError as error: print(error)"
+    )
+    assert shown == "True True random\nmodule 'mmc_gym' has no attribute 'compar'\n"
+
+
 def test_gymnasium_finds_the_environment_by_module_and_name():
     run_python("import gymnasium; gymnasium.make('mmc_gym:MMCReach-v0').close()")
 

@@ -269,6 +269,11 @@ class PolicyAgent(Agent[Any]):
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
 
+    def save(self, folder: Path | str) -> Path:
+        """Write the policy's two files, NAME-SEED, into `folder`; return the path of its card."""
+        save_policy(self._network, self.card, Path(folder))
+        return Path(folder) / f"{self.card.file_stem}.json"
+
     @override
     def predict(
         self,

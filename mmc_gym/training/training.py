@@ -9,6 +9,7 @@ the same policy as one that was not.
 from __future__ import annotations
 
 import platform
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -34,13 +35,14 @@ from mmc_gym.agents.policy import (
     PolicyAgent,
     PolicyCard,
     file_stem,
+    load_policy,
     save_policy,
 )
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.interface import ReachInterface, told_by
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.checkpoints import load_checkpoint, read_head, save_checkpoint
-from mmc_gym.training.hyperparameters import Recipe
+from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.policies import export_policy
 from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
@@ -68,6 +70,7 @@ class Training:
         device: that torch computes on.
         tensorboard: folder for TensorBoard's logs; None for none.
         curve: a row for each evaluation.
+        interface: what its agent is told; known once it runs.
     """
 
     recipe: Recipe
@@ -119,12 +122,12 @@ class Training:
         with one_torch_thread():
             env = make_vec_env(self.recipe.env_id, self.settings.n_envs, self.settings.env_kwargs)
             self._world = env.vector_env
-            self._interface = ReachInterface.of(self._world)
+            self.interface = ReachInterface.of(self._world)
             logs = str(self.tensorboard) if self.tensorboard else None
             # The monitor shows TensorBoard the rewards before `VecNormalize` scales them.
             model = self.settings.make_model(VecMonitor(env), self.seed, self.device, logs)
             try:
-                PolicyAgent(*self._policy(model), self._interface)
+                PolicyAgent(*self._policy(model), self.interface)
             except ValueError as error:
                 raise UserError(f"hyperparameters must give a policy that acts: {error}") from error
             self._started = _now()
@@ -231,8 +234,8 @@ class Training:
             name=self.recipe.name,
             algorithm=self.recipe.algorithm,
             env_id=self.recipe.env_id,
-            control=self._interface.control,
-            segment_count=len(self._interface.segment_lengths),
+            control=self.interface.control,
+            segment_count=len(self.interface.segment_lengths),
             view=view,
             activation=network.activation,
             distribution=network.distribution,
@@ -249,6 +252,48 @@ class Training:
             body=told_by(self._world, "unperturbed"),
         )
         return network, card
+
+
+def train(
+    name: str | Path,
+    *,
+    env: str | None = None,
+    seed: int = 0,
+    steps: int | None = None,
+    out: Path | str | None = None,
+    resume: bool = False,
+    tensorboard: Path | str | None = None,
+    device: str = "cpu",
+    on_progress: Callable[[TrainingProgress], None] = lambda progress: None,
+) -> PolicyAgent:
+    """Train an agent, as `mmc-gym train` does.
+
+    Args:
+        name: of hyperparameters that ship, such as "ppo"; or the path of your own YAML file.
+        env: id of an environment, of those in the file; the first if None.
+        seed: of everything random.
+        steps: environment steps, in place of those in the file.
+        out: folder for checkpoint and policy; None writes none, and `agent.save` does later.
+        resume: whether to go on from the checkpoint in the folder.
+        tensorboard: folder for TensorBoard's logs.
+        device: that torch computes on.
+        on_progress: called after every rollout and every evaluation.
+
+    Returns:
+        The trained agent, with its `card`; it acts without torch.
+
+    Raises:
+        FileExistsError: if the folder holds a training, and `resume` is not set.
+        UserError: if an argument is not accepted.
+    """
+    recipe = read_recipe(str(name), env, steps)
+    logs = None if tensorboard is None else Path(tensorboard)
+    with tempfile.TemporaryDirectory() as nowhere:
+        training = Training(
+            recipe, seed, Path(out or nowhere), on_progress, device=device, tensorboard=logs
+        )
+        training.run(resume)
+        return PolicyAgent(*load_policy(training.policy_files[0]), training.interface)
 
 
 def _now() -> dict[str, float]:

@@ -18,13 +18,14 @@ import pytest
 import safetensors.numpy
 import torch
 
+import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import ReachInterface
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
-from mmc_gym.training.training import CHECKPOINT, Training, library_versions
+from mmc_gym.training.training import CHECKPOINT, Training, library_versions, train
 
 LEGS = 4
 RESIDUAL = "mmc_gym.training.vec_env.Residual"
@@ -318,3 +319,19 @@ def test_mistakes_in_hyperparameters_are_told_before_anything_is_trained(
 def test_a_short_training_with_the_shipped_hyperparameters_reaches(tmp_path):
     card = Training(read_recipe("ppo", steps=250_000), 0, tmp_path).run()
     assert card.scores["success"] > 0.6
+
+
+def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    agent = train("ppo", seed=3, steps=1)
+    assert not list(tmp_path.iterdir())
+    env = gym.make("MMCReach-v0")
+    observation, _ = env.reset(seed=0)
+    action, _ = agent.predict(observation, deterministic=True)
+    saved = agent.save("mine")
+    assert saved == Path("mine/ppo-3.json")
+    again = mmc_gym.make_agent(str(saved), env)
+    np.testing.assert_array_equal(action, again.predict(observation, deterministic=True)[0])
+    kept = train("ppo", seed=3, steps=1, out="kept")
+    np.testing.assert_array_equal(action, kept.predict(observation, deterministic=True)[0])
+    assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}

@@ -1,0 +1,266 @@
+"""What there is to choose from, a line each; and one scenario, looked at closely."""
+
+from __future__ import annotations
+
+import inspect
+import io
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym._errors import UserError
+from mmc_gym._files import write_atomically
+from mmc_gym.agents import AGENTS, AgentEntry, make_agent
+from mmc_gym.envs.scenarios import (
+    FAMILIES,
+    PERTURBATION_NAMES,
+    TASK_SCENARIOS,
+    Family,
+    Scenario,
+    environment_id,
+    find_task,
+    scenario,
+)
+from mmc_gym.envs.tasks import TASKS, Task
+
+if TYPE_CHECKING:
+    from mmc_gym.measures import Measure
+
+
+class Listed(NamedTuple):
+    """A line of a list: the name of a thing, what it is, and what it needs or comes in."""
+
+    name: str
+    what: str
+    needs: str
+
+
+class Listing(list[str]):
+    """Names; a notebook shows them as a table.
+
+    Attributes:
+        headings: of the table's columns.
+        rows: a line on each.
+    """
+
+    def __init__(self, headings: Listed, rows: Iterable[Listed]) -> None:
+        """Make the list of the names in `rows`."""
+        self.headings, self.rows = headings, tuple(rows)
+        super().__init__(row.name for row in self.rows)
+
+    def _repr_html_(self) -> str:
+        heading = "".join(f"<th>{name}</th>" for name in self.headings)
+        body = "".join(
+            "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
+            for row in self.rows
+        )
+        return f"<table><tr>{heading}</tr>{body}</table>"
+
+
+def list_agents() -> Listing:
+    """Return the names of all agents.
+
+    >>> list_agents()[:3]
+    ['mmc', 'mmc-classical', 'mmc-neural']
+    """
+    return Listing(
+        Listed("agent", "what it is", "needs"),
+        (Listed(name, one.description, _needs_of_agent(one)) for name, one in AGENTS.items()),
+    )
+
+
+def _needs_of_agent(entry: AgentEntry) -> str:
+    if entry.training_seeds:
+        return f"{entry.control}, 3 joints"
+    return "lengths, servo" if entry.knowledge.lengths.startswith("told") else "nothing"
+
+
+def list_tasks() -> Listing:
+    """Return the names of all tasks; `task=NAME` of an environment takes them."""
+    rows = (Listed(name, TASK_SCENARIOS[name].description, _trials(TASKS[name])) for name in TASKS)
+    return Listing(Listed("task", "what it is", "episodes"), rows)
+
+
+def _trials(task: Task) -> str:
+    count = "drawn" if task.trial_count is None else f"{task.trial_count} trials"
+    return f"{task.episode_steps} steps, {count}"
+
+
+def list_perturbations() -> Listing:
+    """Return the names of all perturbations; `perturbations=[NAME]` takes them, of any strength.
+
+    >>> list_perturbations().rows[1]
+    Listed(name='rotation', what='cursor turned by 30° about the base', needs='°')
+    """
+    rows = (
+        Listed(name, one.description.format(f"{one.default:g}"), _strength(one))
+        for name, one in FAMILIES.items()
+    )
+    return Listing(Listed("perturbation", "what it is", "strength in"), rows)
+
+
+def _strength(family: Family) -> str:
+    return f"{family.unit}{', or -told' * (family.told is not None)}"
+
+
+def list_scenarios() -> Listing:
+    """Return the names of the benchmark's scenarios; others differ in strength."""
+    from mmc_gym.benchmark.suite import SCENARIOS
+
+    rows = (
+        Listed(name, one.description, _trials(find_task(one.task)))
+        for name, one in SCENARIOS.items()
+    )
+    return Listing(Listed("scenario", "what it is", "episodes"), rows)
+
+
+def list_measures() -> Listing:
+    """Return the names of all measures of an episode, yours included."""
+    from mmc_gym.measures import MEASURES
+
+    rows = (Listed(name, one.full_label, _unit(one)) for name, one in MEASURES.items())
+    return Listing(Listed("measure", "what it is", "unit"), rows)
+
+
+def _unit(measure: Measure) -> str:
+    unit = "" if measure.full_label != measure.label else measure.shown_unit
+    best = "" if measure.best == "neither" else f"{measure.best} is good"
+    arrived = "successes" if measure.successes_only else ""
+    return ", ".join(filter(None, (unit, best, arrived)))
+
+
+def find_scenario(name: str) -> Scenario:
+    """Return the scenario of a name, or of an environment's id.
+
+    Raises:
+        UserError: for an unknown one.
+    """
+    named = {environment_id(one): one for one in (*TASKS, *PERTURBATION_NAMES)}
+    return scenario(named.get(name.partition(":")[2] or name, name))
+
+
+def describe(name: str) -> Iterator[tuple[str, str]]:
+    """Yield headings and texts that say all about a scenario.
+
+    Args:
+        name: of a task or a perturbation with any strength; or the id of an environment.
+
+    Raises:
+        UserError: for an unknown name.
+    """
+    found = find_scenario(name)
+    env = found.make()
+    setup: Any = env.get_wrapper_attr("setup")
+    task = find_task(found.task)
+    yield found.name, found.description
+    yield "make it", "\n".join(_ways_to_make(found))
+    yield "task", f"{found.task if isinstance(found.task, str) else found.name}: {_about(task)}"
+    for one in found.perturbations:
+        yield "perturbation", f"{one}: {_about(one)}"
+    yield "agents", "\n".join(_told(found, setup))
+    trials = "are drawn" if task.trial_count is None else f"are those of {task.trial_count} trials"
+    seconds = task.episode_steps * setup.told.control_step
+    length = f"{task.episode_steps} steps of {setup.told.control_step:g} s ({seconds:g} s)"
+    yield "episodes", f"{length}; starts and targets {trials}"
+    for kind in ("action", "observation"):
+        space = getattr(env, f"{kind}_space")
+        low, high = space.low.min(), space.high.max()
+        yield f"{kind}s", f"{space.shape[0]} numbers, {space.dtype}, within {low:g} and {high:g}"
+    env.close()
+
+
+def _about(thing: object) -> str:
+    """Return what a docstring says before it comes to arguments."""
+    text = inspect.getdoc(type(thing)) or ""
+    return " ".join(text.partition("Attributes:")[0].split())
+
+
+def _ways_to_make(found: Scenario) -> Iterator[str]:
+    own = environment_id(found.name)
+    default = environment_id(found.family + "-told" * found.told)
+    is_default = found.family and found.strength == FAMILIES[found.family].default
+    for env_id in (own, *([default] if is_default else [])):
+        if env_id in gym.registry:
+            yield f'gym.make("{env_id}")'
+            break
+    if found.family:
+        yield f'gym.make("MMCReach-v0", perturbations=["{found.name}"])'
+    yield f"mmc-gym benchmark --environments {found.name}"
+
+
+def _told(found: Scenario, setup: Any) -> Iterator[str]:
+    """Say what agents are told, and what differs from the arm that is simulated."""
+    if not found.family:
+        yield "are told the arm as it is"
+        return
+    if all(one.told for one in found.perturbations):
+        yield "are told"
+    elif FAMILIES[found.family].told is None:
+        yield "are not told"
+    else:
+        yield f"are not told; with {found.name}-told they are"
+    for one in fields(setup.told):
+        told, true = getattr(setup.told, one.name), getattr(setup.body, one.name)
+        if told != true:
+            yield f"{one.name}: {_short(true)}, told {_short(told)}"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_short, value))})"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def picture(
+    name: str, steps: int = 11, options: dict[str, Any] | None = None, seed: int = 6
+) -> NDArray[np.uint8]:
+    """Return a picture (height, width, 3) of a scenario: the MMC network's arm on its way.
+
+    The thin arm is the network's own, ahead of the body.
+
+    Args:
+        name: as in `describe`.
+        steps: control steps since the start.
+        options: of the environment's reset; a bent posture by default, where trials are drawn.
+        seed: of the start and the target.
+
+    Raises:
+        UserError: for an unknown name.
+    """
+    found = find_scenario(name)
+    if options is None and find_task(found.task).trial_count is None:
+        options = {"joint_angles": [0.2, 0.4, 0.4]}
+    named = {"perturbations": [found.name]} if found.family else {}  # for the caption
+    env = gym.make(found.env_id, **{**found.arguments, **named}, render_mode="rgb_array")
+    agent = make_agent("mmc", env)
+    state: Any = None
+    observation, _ = env.reset(seed=seed, options=options)
+    for _ in range(steps):
+        action, state = agent.predict(observation, state)
+        observation, *_ = env.step(action)
+        env.get_wrapper_attr("show_posture")(state.joint_angles)
+    frame: Any = env.render()
+    env.close()
+    return np.asarray(frame)
+
+
+def write_picture(name: str, out: Path | str) -> Path:
+    """Write the `picture` of a scenario as PNG, and return the file's path.
+
+    Raises:
+        UserError: for an unknown name, or if the file's name does not end in .png.
+    """
+    from PIL import Image
+
+    out = Path(out)
+    if out.suffix != ".png":
+        raise UserError(f"out must be a file that ends in .png, got {str(out)!r}")
+    png = io.BytesIO()
+    Image.fromarray(picture(name)).save(png, format="PNG")
+    return write_atomically(out, png.getvalue())

@@ -1,0 +1,138 @@
+"""Record: a film of an agent at work, as GIF or MP4, without a display."""
+
+from __future__ import annotations
+
+import io
+import math
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.wrappers import RenderCollection
+from numpy.typing import NDArray
+
+from mmc_gym._errors import UserError
+from mmc_gym._files import write_atomically
+from mmc_gym.agents.base import Predictor
+from mmc_gym.agents.resolver import AgentLike
+from mmc_gym.benchmark.entries import make_for, single_entries
+from mmc_gym.measures import Episode, episode_seeds, run_episodes
+from mmc_gym.measures.rollout import make_environment
+
+Picture = NDArray[np.uint8]
+_SHORTEST = 0.02  # seconds that a picture of a GIF is shown: browsers slow shorter ones down
+
+
+def record(
+    out: Path | str,
+    agent: AgentLike = "mmc",
+    env: str = "MMCReach-v0",
+    episodes: int = 1,
+    seed: int = 0,
+    on_episode: Callable[[Episode], None] | None = None,
+) -> Path:
+    """Let an agent play the first episodes that `compare` plays, and write them as one film.
+
+    Args:
+        out: file to write: .gif, or .mp4, which takes the extra `video`.
+        agent: as in `mmc_gym.compare`.
+        env: id of a reaching environment.
+        episodes: how many follow each other in the film.
+        seed: of the starts and targets.
+        on_episode: is handed each episode when it is over.
+
+    Returns:
+        The path of the film.
+
+    Raises:
+        UserError: if an argument is not accepted, or the extra is missing.
+    """
+    out = Path(out)
+    films = {".gif": gif, ".mp4": mp4}
+    if out.suffix not in films or out.is_dir():
+        raise UserError(f"out must be a file that ends in .gif or .mp4, got {str(out)!r}")
+    if out.suffix == ".mp4":
+        _require_ffmpeg()
+    (entry,) = single_entries([agent])
+    seeds = episode_seeds(seed, episodes)
+
+    def make_world(control: str | None) -> gym.Env[Any, Any]:
+        return make_environment(env, control, render_mode="rgb_array")
+
+    world, player = make_for(entry.agent, make_world)
+    try:
+        pictures = _pictures(player, RenderCollection(world), seeds, on_episode)
+        film = films[out.suffix](pictures, world.metadata["render_fps"])
+    finally:
+        world.close()
+    return write_atomically(out, film)
+
+
+def _pictures(
+    player: Predictor,
+    world: RenderCollection[Any, Any],
+    seeds: Sequence[int],
+    on_episode: Callable[[Episode], None] | None,
+) -> Iterator[Picture]:
+    """Play one episode after the other, and hand on its pictures: the start, and one each step."""
+    for seed in seeds:
+        run_episodes(player, world, [seed], on_episode, records_effort=False)
+        frames: Any = world.render()
+        yield from frames
+
+
+def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
+    """Return pictures (height, width, 3) as a GIF that repeats; it leaves some out above 50 Hz."""
+    from PIL import Image
+
+    every = math.ceil(_SHORTEST * frame_rate)
+    images = (
+        Image.fromarray(picture).quantize()
+        for number, picture in enumerate(pictures)
+        if number % every == 0
+    )
+    film = io.BytesIO()
+    next(images).save(
+        film,
+        format="GIF",
+        save_all=True,
+        append_images=images,
+        duration=round(1000 * every / frame_rate),
+        loop=0,
+    )
+    return film.getvalue()
+
+
+def mp4(pictures: Iterable[Picture], frame_rate: int) -> bytes:
+    """Return pictures (height, width, 3) as an MP4 of H.264.
+
+    Raises:
+        UserError: if the extra `video` is missing.
+    """
+    write_frames = _require_ffmpeg()
+    with tempfile.TemporaryDirectory() as folder:
+        path, writer = Path(folder) / "film.mp4", None
+        for picture in pictures:
+            if writer is None:
+                height, width, _ = picture.shape
+                writer = write_frames(path, (width, height), fps=frame_rate, quality=7)
+                writer.send(None)
+            writer.send(picture)
+        if writer is not None:
+            writer.close()
+        return path.read_bytes()
+
+
+def _require_ffmpeg() -> Any:
+    """Return what writes films, or raise a `UserError` that names the extra."""
+    try:
+        from imageio_ffmpeg import write_frames
+    except ImportError as error:
+        raise UserError(
+            'a film that ends in .mp4 takes the extra "video": pip install "mmc-gym[video]"; '
+            ".gif takes nothing more"
+        ) from error
+    return write_frames

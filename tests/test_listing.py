@@ -1,0 +1,84 @@
+"""What is listed, and what is said of a scenario."""
+
+import re
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from PIL import Image
+
+import mmc_gym
+from mmc_gym.agents import AGENTS
+from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.cli import main
+from mmc_gym.envs.scenarios import FAMILIES, scenario
+from mmc_gym.envs.tasks import TASKS
+from mmc_gym.listing import describe, picture
+from mmc_gym.measures import MEASURES
+
+NAMES = {
+    "agents": AGENTS,
+    "tasks": TASKS,
+    "perturbations": FAMILIES,
+    "scenarios": SCENARIOS,
+    "measures": MEASURES,
+}
+
+
+@pytest.mark.parametrize("what", NAMES)
+def test_each_list_has_a_line_on_everything_and_fits_80_columns(what, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    main(["list", what])
+    out = capsys.readouterr().out
+    assert "\x1b" not in out
+    heading, *lines = out.splitlines()
+    assert heading.split()[0] == what[:-1]
+    assert max(map(len, lines)) <= 80
+    assert [line.split()[0] for line in lines if not line.startswith(" ")] == list(NAMES[what])
+    found = getattr(mmc_gym, f"list_{what}")()
+    assert found == list(NAMES[what])
+    assert found._repr_html_().count("<tr>") == len(found) + 1
+
+
+@pytest.mark.parametrize(
+    "name", ["random", "pursuit", "paper", "rotation-30", "delay-150", "longer-35-told", "locked"]
+)
+def test_what_it_says_makes_a_scenario_does_make_it(name):
+    meant = scenario(name)
+    expected = meant.make().unwrapped.setup
+    said = dict(describe(name))
+    ways = re.findall(r"gym\.make\(.*\)", said["make it"])
+    assert ways
+    for way in ways:
+        made = eval(way, {"gym": gym}).unwrapped.setup
+        assert (made.body, made.told) == (expected.body, expected.told)
+        assert (made.task, made.perturbations) == (expected.task, expected.perturbations)
+
+
+def test_an_id_is_as_good_as_a_name():
+    assert list(describe("MMCReachLonger20-v0")) == list(describe("longer"))
+
+
+def test_it_says_what_agents_are_not_told_of_the_arm(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    main(["show", "longer-35"])
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 80
+    assert "agents        are not told; with longer-35-told they are" in out
+    assert "segment_lengths: (1, 1, 1.35), told (1, 1, 1)" in out
+    assert "segment_lengths" not in str(dict(describe("longer-35-told"))["agents"])
+    assert dict(describe("gravity"))["agents"] == "are told"
+
+
+def test_a_scenario_is_drawn_into_a_file(tmp_path, capsys):
+    path = tmp_path / "rotated.png"
+    main(["show", "rotation-30", "--out", str(path)])
+    assert f"wrote {path}" in capsys.readouterr().out
+    np.testing.assert_array_equal(np.asarray(Image.open(path)), picture("rotation-30"))
+    for arguments, message in (
+        (["rotation-30", "--out", "rotated.jpg"], "out must be a file that ends in .png"),
+        (["rotatoin-30"], "did you mean 'rotation-30'?"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["show", *arguments])
+        assert message in capsys.readouterr().err

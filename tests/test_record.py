@@ -1,0 +1,102 @@
+"""Films of an agent at work."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from mmc_gym._errors import UserError
+from mmc_gym.cli import main
+from mmc_gym.measures import episode_seeds
+from mmc_gym.record import record
+
+
+class Turner:
+    """An agent that turns its first joint."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.array([0.3, 0, 0], np.float32), None
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """What is to be seen of the first two episodes that `compare` plays."""
+    env = gym.make("MMCReach-v0", render_mode="rgb_array")
+    shown = []
+    for seed in episode_seeds(3, 2):
+        observation, _ = env.reset(seed=seed)
+        shown.append(env.render())
+        for _ in range(100):
+            env.step(Turner().predict(observation)[0])
+            shown.append(env.render())
+    return shown
+
+
+def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
+    path = record(tmp_path / "film.gif", Turner(), episodes=2, seed=3)
+    film = Image.open(path)
+    assert film.info["loop"] == 0  # for ever
+    frames, ends = [], []
+    for frame in ImageSequence.Iterator(film):  # alike ones are one, shown for longer
+        frames.append(np.asarray(frame.convert("RGB"), int))
+        ends.append((ends or [0])[-1] + frame.info["duration"])
+    assert ends[-1] == 20 * len(pictures)
+    for number in (0, 60, 101, 201):
+        shown = frames[np.searchsorted(ends, 20 * number, side="right")]
+        assert np.abs(shown - pictures[number]).mean() < 1.0  # of 256; it has but 256 colours
+
+
+def test_an_mp4_has_the_rate_of_the_environment(tmp_path, pictures):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    frames = ffmpeg.read_frames(str(record(tmp_path / "film.mp4", Turner(), seed=3)))
+    told = next(frames)
+    assert (told["fps"], told["size"], told["codec"]) == (50, (640, 640), "h264")
+    film = [np.frombuffer(one, np.uint8).reshape(640, 640, 3) for one in frames]
+    assert len(film) == 101
+    for number in (0, 60):
+        assert np.abs(film[number].astype(int) - pictures[number]).mean() < 4.0
+
+
+def test_a_film_that_fails_leaves_the_old_one(tmp_path):
+    class Fails(Turner):
+        calls = 0
+
+        def predict(self, *arguments, **options):
+            self.calls += 1
+            if self.calls == 30:
+                raise RuntimeError("lost")
+            return super().predict(*arguments, **options)
+
+    path = tmp_path / "film.gif"
+    path.write_bytes(b"the old one")
+    with pytest.raises(RuntimeError, match="lost"):
+        record(path, Fails())
+    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"the old one"]
+
+
+def test_the_command_names_the_file_the_agent_and_the_missing_extra(tmp_path, monkeypatch, capsys):
+    main(["record", "--agent", "ik-dls", str(tmp_path / "film.gif")])
+    assert capsys.readouterr() == (f"wrote {tmp_path / 'film.gif'}\n", "")
+    monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
+    for arguments, message in (
+        (["film.avi"], "out must be a file that ends in .gif or .mp4, got 'film.avi'"),
+        (["film.mp4"], 'pip install "mmc-gym[video]"'),
+        (["film.gif", "--agent", "mcc"], "mcc"),
+        (["film.gif", "--episodes", "0"], "episodes must be at least 1, got 0"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["record", *arguments])
+        assert message in capsys.readouterr().err
+
+
+def test_an_agent_acts_in_the_control_mode_of_its_own(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        "mmc_gym.record.run_episodes",
+        lambda agent, env, *_, **__: seen.append(env.unwrapped.setup.control) or env.reset(seed=0),
+    )
+    for agent in ("mmc", "ppo", "ppo-torque"):
+        record(tmp_path / "film.gif", agent)
+    assert seen == ["joint_position", "joint_delta", "joint_torque"]
+    with pytest.raises(UserError, match="env must be a reaching environment"):
+        record(tmp_path / "film.gif", "mmc", "CartPole-v1")
