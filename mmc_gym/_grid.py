@@ -33,7 +33,7 @@ import cloudpickle
 import loky
 from typing_extensions import override
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, missing, require, require_whole
 
 Cell = TypeVar("Cell")
 Value = TypeVar("Value")
@@ -150,17 +150,16 @@ def run_grid(
 
 def check_workers(jobs: int | None, cluster: str | None) -> None:
     """Raise a `UserError` unless `run_grid` takes these, as far as this machine knows."""
-    if jobs is not None and jobs < 1:
-        raise UserError(f"jobs must be at least 1, got {jobs}")
+    if jobs is not None:
+        require_whole("jobs", jobs)
     if cluster is None:
         return
+    require(isinstance(cluster, str), "cluster", cluster, "'ray' or 'ray://HOST:PORT'")
     host, _, port = cluster.removeprefix("ray://").rpartition(":")
     if cluster != "ray" and not (cluster.startswith("ray://") and host and port.isdecimal()):
         raise UserError(f"cluster must be 'ray' or 'ray://HOST:PORT', got {cluster!r}")
     if importlib.util.find_spec("ray") is None:
-        raise UserError(
-            f'cluster {cluster!r} needs Ray, which is not installed: pip install "mmc-gym[cluster]"'
-        )
+        raise missing(f"cluster {cluster!r}", "Ray", "cluster")
 
 
 @contextmanager

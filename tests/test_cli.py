@@ -99,7 +99,7 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
         (["train", "ppo", "--out", __file__], "out must be a folder, got the file"),
         (["train", "ppo", "--cluster", "ray"], "--cluster is for --all only, got ray"),
         (["train", "ppo", "--jobs", "-3"], "--jobs is for --all only, got -3"),
-        (["train", "--all", "--jobs", "-3"], "jobs must be at least 1, got -3"),
+        (["train", "--all", "--jobs", "-3"], "jobs must be a whole number of at least 1, got -3"),
         (["train", "--all", "--steps", "0"], "steps must be at least 1, got 0"),
         (["train", "--all", "--out", __file__], "out must be a folder, got the file"),
         (["train", "--all", "--seed", "3"], "--seed is for a single training only, got 3"),

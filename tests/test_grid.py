@@ -283,7 +283,7 @@ def test_other_clusters_are_refused(cluster):
 
 
 def test_no_jobs_are_refused():
-    with pytest.raises(ValueError, match="jobs must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="jobs must be a whole number of at least 1, got 0"):
         run_grid(square, [1], jobs=0)
 
 

@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import require
+from mmc_gym._errors import UserError, require_choice, require_whole
 from mmc_gym.body.parameters import ArmParameters, Servo
 
 Floats = NDArray[np.float64]
@@ -50,7 +50,7 @@ class SingleArm(ABC):
         Raises:
             UserError: for an unknown kind of servo, or an arm that the engine cannot simulate.
         """
-        require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
+        require_choice("servo", servo, get_args(Servo))
         self.parameters = parameters or ArmParameters()
         self._servo: Servo = servo
         self.servo_impulses = self.servo_work = [nan] * len(self.parameters.segment_lengths)
@@ -68,7 +68,7 @@ class SingleArm(ABC):
             joint_velocities: N relative angular velocities in rad/s, or None for rest.
 
         Raises:
-            ValueError: for another number of angles or velocities than N.
+            UserError: for another number of angles or velocities than N.
         """
         count = len(self.parameters.segment_lengths)
         velocities = [0.0] * count if joint_velocities is None else joint_velocities
@@ -88,7 +88,7 @@ class SingleArm(ABC):
         within the joint limits if there are any), joint velocities in rad/s, or torques.
 
         Raises:
-            ValueError: for another number of values.
+            UserError: for another number of values.
         """
 
     @abstractmethod
@@ -104,9 +104,9 @@ class SingleArm(ABC):
         """Return the largest distance between the two ends that a pivot should hold together."""
 
 
-def wrong_count(name: str, values: Sequence[float], count: int) -> ValueError:
+def wrong_count(name: str, values: Sequence[float], count: int) -> UserError:
     """Return the error about an argument that does not have one value per joint."""
-    return ValueError(f"{name} must be {count} values, got {values!r}")
+    return UserError(f"{name} must be {count} values, got {values!r}")
 
 
 class ArmBatch(ABC):
@@ -145,13 +145,11 @@ class ArmBatch(ABC):
             UserError: for an unknown kind of servo, less than one arm or thread, or an arm that
                 the engine cannot simulate.
         """
-        require(servo in get_args(Servo), "servo", servo, f"one of {get_args(Servo)}")
-        for name, value in ("count", count), ("threads", threads):
-            whole = isinstance(value, (int, np.integer)) and value >= 1
-            require(whole, name, value, "a whole number of at least 1")
+        require_choice("servo", servo, get_args(Servo))
+        self._count = require_whole("count", count)
+        self._threads = require_whole("threads", threads)
         self.parameters = parameters or ArmParameters()
         self._servo: Servo = servo
-        self._count, self._threads = int(count), int(threads)
         self._shape = self._count, len(self.parameters.segment_lengths)
         self.servo_impulses: Floats = np.full(self._shape, nan)
         self.servo_work: Floats = np.full(self._shape, nan)
@@ -233,7 +231,7 @@ class ArmBatch(ABC):
         fine = fine and bool(np.all((rows >= 0) & (rows < self._count)))
         fine = fine and len(np.unique(rows)) == len(rows)
         if not fine:
-            raise ValueError(
+            raise UserError(
                 f"arms must be different indices from 0 to {self._count - 1}, got {arms!r}"
             )
         return np.ascontiguousarray(rows, np.intp)
@@ -243,5 +241,5 @@ def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:
     """Return a copy of `values`; compiled functions are compiled for this kind of array."""
     table = np.array(values, dtype=np.float64, order="C")
     if table.shape != shape:
-        raise ValueError(f"{name} must be of shape {shape}, got {table.shape}")
+        raise UserError(f"{name} must be of shape {shape}, got {table.shape}")
     return table

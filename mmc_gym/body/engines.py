@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-from mmc_gym._errors import require
+from mmc_gym._errors import require_choice
 from mmc_gym.body.base import ArmBatch, SingleArm
 from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.arm import Arm
@@ -22,7 +22,7 @@ def make_arm(engine: Engine, parameters: ArmParameters, servo: Servo) -> SingleA
 
     Raises:
         UserError: for an unknown engine, or what it cannot simulate.
-        ImportError: if the engine needs numba and it is not installed.
+        MissingExtraError: if the engine needs numba and it is not installed.
     """
     single, _ = _classes(engine)
     return single(parameters, servo)
@@ -37,7 +37,7 @@ def make_arms(
 
 
 def _classes(engine: Engine) -> tuple[type[SingleArm], type[ArmBatch]]:
-    require(engine in get_args(Engine), "engine", engine, f"one of {get_args(Engine)}")
+    require_choice("engine", engine, get_args(Engine))
     if engine == "analytic":
         from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArms  # needs numba
 

@@ -5,12 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from numbers import Integral
+from functools import partial
 from typing import Literal, NamedTuple
 
-from mmc_gym._errors import require
+from mmc_gym._errors import (
+    is_disc,
+    is_point,
+    is_whole,
+    require,
+    require_not_negative,
+    require_numbers,
+    require_positive,
+    require_rows,
+    require_whole,
+    spelt,
+)
 
 Servo = Literal["position", "velocity", "torque"]
+_DEFAULT_INERTIA = 9.0  # of the default arm, stretched, about its base
 
 
 class Rod(NamedTuple):
@@ -27,6 +39,7 @@ class Rod(NamedTuple):
     inertia: float
 
 
+@spelt
 @dataclass(frozen=True)
 class ArmParameters:
     """Physical parameters of an arm, in segment lengths, segment masses, radians and seconds.
@@ -44,7 +57,10 @@ class ArmParameters:
         segment_lengths: N positive lengths.
         segment_masses: N positive masses of the uniform rods, or None for 1 each.
         speed_limit: largest joint speed that a servo asks for, rad/s.
-        torque_limit: largest torque of a servo, mass · length² / s².
+        torque_limit: largest torque of a servo, mass · length² / s².  None: 500, and for an arm
+            that is heavier to turn than the default one as much more as its inertia about the base
+            is larger, stretched; 18,519 for ten segments.  A changed arm (`dataclasses.replace`,
+            perturbations) keeps the limit that it had.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         joint_limits: lowest and highest angle of each joint, or None for continuous joints.
         gravity: acceleration (x, y), length / s².
@@ -66,7 +82,7 @@ class ArmParameters:
     segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)
     segment_masses: tuple[float, ...] | None = None
     speed_limit: float = 2 * math.pi
-    torque_limit: float = 500.0
+    torque_limit: float = None  # type: ignore[assignment]  # a number from `__post_init__` on
     servo_gain: float = 12.0
     joint_limits: tuple[tuple[float, float], ...] | None = None
     gravity: tuple[float, float] = (0.0, 0.0)
@@ -80,66 +96,47 @@ class ArmParameters:
     substeps: int = 4
 
     def __post_init__(self) -> None:
-        lengths = self._make_floats("segment_lengths")
+        # Fields are set to floats: arrays of whole numbers would round what is written to them.
+        write = partial(object.__setattr__, self)
+        accepted = "positive and finite lengths, one or more"
+        lengths = require_numbers("segment_lengths", self.segment_lengths, accepted, _are_positive)
+        write("segment_lengths", lengths)
         count = len(lengths)
-        require(count > 0, "segment_lengths", lengths, "at least one length")
         if self.segment_masses is not None:
-            masses = self._make_floats("segment_masses")
-            accepted = f"{count} masses, one per segment"
+            accepted = f"{count} positive and finite masses, one per segment"
+            masses = require_numbers("segment_masses", self.segment_masses, accepted, _are_positive)
             require(len(masses) == count, "segment_masses", masses, accepted)
-        for name in ("segment_lengths", "segment_masses"):
-            values = getattr(self, name) or ()
-            require(
-                all(0 < value < math.inf for value in values), name, values, "positive and finite"
+            write("segment_masses", masses)
+        if self.torque_limit is None:
+            write(
+                "torque_limit", 500.0 * max(1.0, self._stretched_inertias()[0] / _DEFAULT_INERTIA)
             )
         for name in ("speed_limit", "torque_limit", "servo_gain", "substep", "segment_radius"):
-            value = self._make_float(name)
-            require(0 < value < math.inf, name, value, "positive and finite")
-        for name in ("drive_inertia", "hand_mass"):
-            value = self._make_float(name)
-            require(0 <= value < math.inf, name, value, "finite and not negative")
-        whole = isinstance(self.substeps, Integral) and self.substeps >= 1
-        require(whole, "substeps", self.substeps, "a whole number of at least 1")
-        gravity = self._make_floats("gravity")
-        fine = len(gravity) == 2 and _are_finite(gravity)
-        require(fine, "gravity", gravity, "two finite values (x, y)")
+            write(name, require_positive(name, getattr(self, name)))
+        require_not_negative(drive_inertia=self.drive_inertia, hand_mass=self.hand_mass)
+        write("drive_inertia", float(self.drive_inertia))
+        write("hand_mass", float(self.hand_mass))
+        require_whole("substeps", self.substeps)
+        write(
+            "gravity",
+            require_numbers("gravity", self.gravity, "two finite values (x, y)", is_point),
+        )
         if self.joint_limits is not None:
-            limits = self._make_rows("joint_limits")
-            fine = len(limits) == count and all(
-                len(pair) == 2 and -math.pi <= pair[0] < pair[1] <= math.pi for pair in limits
-            )
-            accepted = f"{count} pairs low < high within -pi and pi"
-            require(fine, "joint_limits", limits, accepted)
-
+            accepted = f"{count} pairs low < high within -pi and pi, one per joint"
+            limits = require_rows("joint_limits", self.joint_limits, accepted, _is_range, (count,))
+            write("joint_limits", limits)
         if self.force_field is not None:
-            field = self._make_rows("force_field")
-            fine = [len(row) for row in field] == [2, 2] and all(map(_are_finite, field))
-            require(fine, "force_field", field, "two rows of two finite values")
-        discs = self._make_rows("obstacles")
-        fine = all(len(disc) == 3 and _are_finite(disc) and disc[2] > 0 for disc in discs)
-        require(fine, "obstacles", discs, "discs (x, y, radius), finite, of positive radius")
-        joints = tuple(self.lockable_joints)
-        object.__setattr__(self, "lockable_joints", joints)
-        fine = len(set(joints)) == len(joints) and set(joints) <= set(range(count))
-        require(fine, "lockable_joints", joints, f"different indices from 0 to {count - 1}")
-
-    def _make_float(self, name: str) -> float:
-        """Turn a field into a float, for arrays of whole numbers round what is written to them."""
-        value = float(getattr(self, name))
-        object.__setattr__(self, name, value)
-        return value
-
-    def _make_floats(self, name: str) -> tuple[float, ...]:
-        """Turn a field into a tuple of floats."""
-        values = tuple(map(float, getattr(self, name)))
-        object.__setattr__(self, name, values)
-        return values
-
-    def _make_rows(self, name: str) -> tuple[tuple[float, ...], ...]:
-        """Turn a field into a tuple of tuples of floats."""
-        rows = tuple(tuple(map(float, row)) for row in getattr(self, name))
-        object.__setattr__(self, name, rows)
-        return rows
+            accepted = "two rows of two finite values"
+            field = require_rows("force_field", self.force_field, accepted, is_point, (2,))
+            write("force_field", field)
+        accepted = "discs (x, y, radius), finite, of positive radius"
+        write("obstacles", require_rows("obstacles", self.obstacles, accepted, is_disc))
+        joints = self.lockable_joints
+        fine = isinstance(joints, Iterable) and all(map(is_whole, joints := tuple(joints)))
+        fine = fine and len(set(joints)) == len(joints) and set(joints) <= set(range(count))
+        accepted = f"a tuple of different indices from 0 to {count - 1}"
+        require(fine, "lockable_joints", self.lockable_joints, accepted)
+        write("lockable_joints", tuple(map(int, joints)))
 
     @property
     def masses(self) -> tuple[float, ...]:
@@ -150,18 +147,25 @@ class ArmParameters:
     def rods(self) -> tuple[Rod, ...]:
         """Inertia of each segment with its drive; the last one carries the hand's mass."""
         rods: list[Rod] = []
-        held, mass_beyond, moment, stretched = self.hand_mass, 0.0, 0.0, 0.0
+        held = (0.0,) * (len(self.masses) - 1) + (self.hand_mass,)
+        beyond = self._stretched_inertias()
+        for mass, length, load, moved in zip(self.masses, self.segment_lengths, held, beyond):
+            total = mass + load
+            centre = length / 2 * (1 + load / total)
+            inertia = mass * length**2 / 12 + mass * load / total * (length / 2) ** 2
+            rods.append(Rod(total, centre, inertia + self.drive_inertia * moved))
+        return tuple(rods)
+
+    def _stretched_inertias(self) -> list[float]:
+        """Return the inertia of the stretched arm, without a load, about each joint from it on."""
+        inertias: list[float] = []
+        mass_beyond, moment, inertia = 0.0, 0.0, 0.0
         for mass, length in zip(reversed(self.masses), reversed(self.segment_lengths)):
-            # Mass, first and second moment of the stretched arm about the joint, without a load.
-            stretched += 2 * length * moment + mass_beyond * length**2 + mass * length**2 / 3
+            inertia += 2 * length * moment + mass_beyond * length**2 + mass * length**2 / 3
             moment += mass_beyond * length + mass * length / 2
             mass_beyond += mass
-            total = mass + held
-            centre = length / 2 * (1 + held / total)
-            inertia = mass * length**2 / 12 + mass * held / total * (length / 2) ** 2
-            rods.insert(0, Rod(total, centre, inertia + self.drive_inertia * stretched))
-            held = 0.0
-        return tuple(rods)
+            inertias.insert(0, inertia)
+        return inertias
 
     @property
     def control_step(self) -> float:
@@ -169,5 +173,9 @@ class ArmParameters:
         return self.substep * self.substeps
 
 
-def _are_finite(values: Iterable[float]) -> bool:
-    return all(map(math.isfinite, values))
+def _are_positive(numbers: tuple[float, ...]) -> bool:
+    return len(numbers) > 0 and all(0 < number < math.inf for number in numbers)
+
+
+def _is_range(numbers: tuple[float, ...]) -> bool:
+    return len(numbers) == 2 and -math.pi <= numbers[0] < numbers[1] <= math.pi

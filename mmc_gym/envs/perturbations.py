@@ -17,7 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require, require_not_negative
+from mmc_gym._errors import (
+    is_disc,
+    is_point,
+    is_whole,
+    require,
+    require_finite,
+    require_not_negative,
+    require_numbers,
+    require_positive,
+    require_rows,
+    spelt,
+)
 
 if TYPE_CHECKING:  # names are registered without loading the physics
     from mmc_gym.body import ArmParameters
@@ -36,6 +47,7 @@ class Perturbation:
         return body
 
 
+@spelt
 @dataclass(frozen=True)
 class ForceField(Perturbation):
     """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
@@ -51,6 +63,9 @@ class ForceField(Perturbation):
 
     curl: float = 60.0
 
+    def __post_init__(self) -> None:
+        require_finite("curl", self.curl)
+
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
         old = body.force_field or ((0.0, 0.0), (0.0, 0.0))
@@ -59,6 +74,7 @@ class ForceField(Perturbation):
         return replace(body, force_field=field)
 
 
+@spelt
 @dataclass(frozen=True)
 class HandMass(Perturbation):
     """The hand carries a point mass; several add.
@@ -69,11 +85,15 @@ class HandMass(Perturbation):
 
     mass: float = 3.0
 
+    def __post_init__(self) -> None:
+        require_not_negative(mass=self.mass)
+
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
         return replace(body, hand_mass=body.hand_mass + self.mass)
 
 
+@spelt
 @dataclass(frozen=True)
 class Gravity(Perturbation):
     """The arm hangs in gravity, which pulls along −y.  Agents are told of it.
@@ -85,12 +105,16 @@ class Gravity(Perturbation):
     acceleration: float = 60.0
     told = True
 
+    def __post_init__(self) -> None:
+        require_finite("acceleration", self.acceleration)
+
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
         x, y = body.gravity
         return replace(body, gravity=(x, y - self.acceleration))
 
 
+@spelt
 @dataclass(frozen=True)
 class SegmentLength(Perturbation):
     """A segment is longer or shorter than it was: a tool, a growth, a cut.  Its mass stays.
@@ -106,7 +130,7 @@ class SegmentLength(Perturbation):
     told: bool = False
 
     def __post_init__(self) -> None:
-        require(0 < self.factor < math.inf, "factor", self.factor, "positive and finite")
+        require_positive("factor", self.factor)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -115,6 +139,7 @@ class SegmentLength(Perturbation):
         return replace(body, segment_lengths=tuple(lengths))
 
 
+@spelt
 @dataclass(frozen=True)
 class LockedJoint(Perturbation):
     """A joint becomes rigid at the angle that it has, and stays so until the next reset.
@@ -141,6 +166,7 @@ class LockedJoint(Perturbation):
         return replace(body, lockable_joints=(*body.lockable_joints, joint))
 
 
+@spelt
 @dataclass(frozen=True)
 class Obstacles(Perturbation):
     """Fixed discs in the plane stop the arm, without friction; several add.
@@ -158,6 +184,11 @@ class Obstacles(Perturbation):
 
     discs: tuple[tuple[float, float, float], ...] = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25))
     segment_radius: float = 0.05
+
+    def __post_init__(self) -> None:
+        accepted = "discs (x, y, radius), finite, of positive radius"
+        require_rows("discs", self.discs, accepted, is_disc)
+        require_positive("segment_radius", self.segment_radius)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -190,6 +221,7 @@ class Noise(Perturbation):
         raise NotImplementedError
 
 
+@spelt
 @dataclass(frozen=True)
 class VisuomotorRotation(Perturbation):
     """A cursor stands for the hand, turned about a centre; it is seen, measured and rewarded.
@@ -208,10 +240,9 @@ class VisuomotorRotation(Perturbation):
     centre: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        require(math.isfinite(self.degrees), "degrees", self.degrees, "finite")
-        centre = (0.0, 0.0) if self.centre is None else self.centre
-        fine = len(centre) == 2 and all(map(math.isfinite, centre))
-        require(fine, "centre", self.centre, "two finite values (x, y)")
+        require_finite("degrees", self.degrees)
+        if self.centre is not None:
+            require_numbers("centre", self.centre, "two finite values (x, y)", is_point)
 
     def cursor(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Return where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
@@ -225,6 +256,7 @@ class VisuomotorRotation(Perturbation):
         return replace(self, degrees=-self.degrees).cursor(x, y)
 
 
+@spelt
 @dataclass(frozen=True)
 class JointNoise(Noise):
     """Noise of joint angles and velocities.
@@ -259,6 +291,7 @@ class JointNoise(Noise):
         )
 
 
+@spelt
 @dataclass(frozen=True)
 class VisionNoise(Noise):
     """Noise of where hand and target are seen, in each coordinate.
@@ -291,6 +324,7 @@ class VisionNoise(Noise):
         )
 
 
+@spelt
 @dataclass(frozen=True)
 class SensoryDelay(Perturbation):
     """All is observed late; until the delay is over, the state at the start is shown.
@@ -310,5 +344,6 @@ class SensoryDelay(Perturbation):
 
 def _index(name: str, index: int, count: int) -> int:
     """Return the index from 0 on, of one that may count from the end."""
-    require(-count <= index < count, name, index, f"an index from {-count} to {count - 1}")
+    fine = is_whole(index) and -count <= index < count
+    require(fine, name, index, f"an index from {-count} to {count - 1}")
     return index % count

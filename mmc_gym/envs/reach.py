@@ -10,11 +10,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mmc_gym._errors import UserError, require_choice
 from mmc_gym.body.base import SingleArm
 from mmc_gym.body.engines import make_arm
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.rewards import distances, goal_reward, reward_and_info
-from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, as_numbers, finite, require_one_of
+from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, as_numbers, check_names, finite
 from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     it is in real arms, and so the solver comes near the exact movement in a few sweeps.  A servo
     at each joint follows the action with at most 2π rad/s and a torque of at most 500
     (mass · length² / s²): the whole stretched arm turns by 90° in 0.40 s, to within 0.05 rad.
+    Arms that are heavier to turn get stronger servos (`ArmParameters.torque_limit`).
 
     ## Action Space
     `Box(-1, 1, (3,), float32)`, from the base outward.  `control` says what it means:
@@ -116,10 +118,10 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         """Make the environment; the arguments are listed in the class docstring.
 
         Raises:
-            UserError: a `ValueError`, if an argument is outside what it accepts.
-            TypeError: if one is unknown.
+            UserError: a `ValueError`, if an argument is unknown, or outside what it accepts.
         """
-        require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        check_names(arguments, "render_mode")
+        require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = self.make_setup(**arguments)
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": setup.frame_rate}
@@ -160,7 +162,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         """Hand the action to the servos and simulate one control step.
 
         Raises:
-            ValueError: if the action has the wrong shape or an element that is not a number
+            UserError: if the action has the wrong shape or an element that is not a number
                 within −1 and 1; the environment stays as it was.
         """
         arm, setup = self._arm, self.setup
@@ -304,7 +306,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._target = self._targets[place]
 
     def _command(self, action: ArrayLike) -> list[float]:
-        """Return the command to the servos, or raise a `ValueError` if the action is none."""
+        """Return the command to the servos, or raise a `UserError` if the action is none."""
         scale = self.setup.action.scale
         try:
             array = np.asarray(action)
@@ -319,8 +321,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             pass
         array = as_numbers("action", action)
         if array.shape != self._action_shape:
-            raise ValueError(f"action must have shape {self._action_shape}, got {array.shape}")
-        raise ValueError(f"action must lie within -1 and 1, got {array.tolist()}")
+            raise UserError(f"action must have shape {self._action_shape}, got {array.shape}")
+        raise UserError(f"action must lie within -1 and 1, got {array.tolist()}")
 
 
 def _distance(one: Point, other: Point) -> float:

@@ -18,14 +18,13 @@ import json
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
-from difflib import get_close_matches
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from mmc_gym._errors import UserError, require
+from mmc_gym._errors import UserError, nearest, require, unknown
 from mmc_gym.envs.perturbations import (
     ForceField,
     Gravity,
@@ -200,9 +199,7 @@ def find_task(value: object) -> Task:
     if isinstance(value, Task):
         return value
     if not isinstance(value, str) or value not in TASKS:
-        near = get_close_matches(str(value), TASKS, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise UserError(f"task must be a Task or one of {', '.join(TASKS)}, got {value!r}{hint}")
+        raise unknown("task", value, TASKS, "a Task", guess=_object_of(value, Task))
     return TASKS[value]
 
 
@@ -239,27 +236,29 @@ def _perturbed(argument: str, name: object) -> Scenario:
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     if match is None or match["family"] not in FAMILIES:
         tasks = tuple(TASK_SCENARIOS) if argument == "scenario" else ()
-        other = f"one of {', '.join(tasks)}" if tasks else "a Perturbation"
-        raise UserError(
-            f"{argument} must be {other}, or one of {', '.join(FAMILIES)}, with a strength if you "
-            f"like (delay-150), got {name!r}{_did_you_mean(name, tasks)}"
-        )
+        also = ["one with a strength (delay-150)", *([] if tasks else ["a Perturbation"])]
+        guess = _guess(name, tasks) if isinstance(name, str) else _object_of(name, Perturbation)
+        raise unknown(argument, name, (*tasks, *FAMILIES), *also, guess=guess)
     family = FAMILIES[match["family"]]
     strength = family.default if match["strength"] is None else float(match["strength"])
     return family.scenario(strength, told=match["told"] is not None)
 
 
-def _did_you_mean(name: object, tasks: Iterable[str]) -> str:
-    """Return a question for the task, or the perturbation, that a wrong name is close to."""
-    if not isinstance(name, str):
-        return ""
+def _guess(name: str, tasks: Iterable[str]) -> str:
+    """Return the task, or the perturbation, that a wrong name is close to, or is the id of."""
+    for known in (*tasks, *PERTURBATION_NAMES):
+        if name == environment_id(known):
+            return known
     words = [word for word in re.findall("[a-z]+", name.lower()) if word != "told"]
-    near = get_close_matches("-".join(words), FAMILIES, n=1)
-    if near:
-        near += re.findall(r"\d+(?:\.\d+)?", name)[:1] + ["told"] * ("told" in name)
-    else:
-        near = get_close_matches(name, tasks, n=1)
-    return f"; did you mean {'-'.join(near)!r}?" if near else ""
+    if not (family := nearest("-".join(words), FAMILIES)):
+        return nearest(name, tasks)
+    strength = re.findall(r"\d+(?:\.\d+)?", name)[:1]
+    return "-".join([family, *strength, *["told"] * ("told" in name)])
+
+
+def _object_of(value: object, base: type) -> str:
+    """Return how an object is made, if a class was given in its place; else ""."""
+    return f"{value.__name__}()" if isinstance(value, type) and issubclass(value, base) else ""
 
 
 def _with_name(value: Any) -> dict[str, Any]:

@@ -6,9 +6,10 @@ The single and the vector environment share it, and nothing in it changes while 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
+from inspect import signature
 from operator import attrgetter
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
@@ -19,7 +20,14 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require, require_not_negative
+from mmc_gym._errors import (
+    UserError,
+    is_whole,
+    require,
+    require_choice,
+    require_known,
+    require_not_negative,
+)
 from mmc_gym.body import ArmParameters
 from mmc_gym.body.engines import Engine
 from mmc_gym.envs.perturbations import (
@@ -93,11 +101,10 @@ class ReachSetup:
         """Check the arguments; they are listed in `MMCReachEnv`.
 
         Raises:
-            UserError: if one is outside what it accepts.
-            TypeError: if one is unknown.
+            UserError: if one is unknown, or outside what it accepts.
         """
-        require_one_of("control", control, CONTROLS)
-        require_one_of("reward_type", reward_type, get_args(RewardType))
+        require_choice("control", control, CONTROLS)
+        require_choice("reward_type", reward_type, get_args(RewardType))
         require_not_negative(
             control_weight=control_weight,
             precision_weight=precision_weight,
@@ -228,9 +235,11 @@ class ReachSetup:
                 joint limits, out of reach, or in an obstacle; or for a posture from which locked
                 joints leave no target in reach.
         """
-        options = options or {}
-        unknown = sorted(map(str, set(options) - set(Options._fields)))
-        require(not unknown, "options", unknown, "'joint_angles', 'target' or 'trial'")
+        options = {} if options is None else options
+        accepted = "a mapping with 'joint_angles', 'target' or 'trial'"
+        require(isinstance(options, Mapping), "options", options, accepted)
+        for name in options:
+            require_choice("options", name, Options._fields)
         posture, target, trial = map(options.get, Options._fields)
         checked = Options(
             None if posture is None else self._check_posture(posture),
@@ -274,8 +283,8 @@ class ReachSetup:
             accepted = f"left out, as {self.task} has no numbered trials"
         else:
             accepted = f"a whole number from 0 to {count - 1}"
-        whole = isinstance(trial, (int, np.integer)) and not isinstance(trial, bool)
-        require(whole and 0 <= trial < (count or 0), "options['trial']", trial, accepted)
+        fine = is_whole(trial) and 0 <= trial < (count or 0)
+        require(fine, "options['trial']", trial, accepted)
         return int(trial)
 
 
@@ -364,9 +373,11 @@ class ReachEnvironment:
             )
 
 
-def require_one_of(name: str, value: object, accepted: Sequence[object]) -> None:
-    """Raise a `UserError` that names the argument unless `value` is one of `accepted`."""
-    require(value in accepted, name, value, f"one of {tuple(accepted)}")
+def check_names(arguments: Iterable[str], *own: str) -> None:
+    """Raise a `UserError` for an argument of no setup, nor an environment's `own`."""
+    setup = [name for name in signature(ReachSetup).parameters if name != "arm_parameters"]
+    known = (*own, *setup, *signature(ArmParameters).parameters)
+    require_known("the environment", arguments, known)
 
 
 def as_numbers(name: str, value: ArrayLike) -> NDArray[Any]:

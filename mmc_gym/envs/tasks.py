@@ -17,7 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require, require_not_negative
+from mmc_gym._errors import (
+    UserError,
+    is_point,
+    is_whole,
+    require,
+    require_finite,
+    require_not_negative,
+    require_positive,
+    require_rows,
+    require_whole,
+    spelt,
+)
 from mmc_gym.envs.workspace import Point, Workspace
 
 
@@ -87,6 +98,7 @@ class Task(ABC):
         """Draw a trial."""
 
 
+@spelt
 @dataclass(frozen=True)
 class RandomTarget(Task):
     """From any posture to a target anywhere in reach.
@@ -104,6 +116,7 @@ class RandomTarget(Task):
         return Trial(start, [request.draw_target(start)])
 
 
+@spelt
 @dataclass(frozen=True)
 class DoubleStep(RandomTarget):
     """The target jumps to another place while the hand is on its way.
@@ -130,6 +143,7 @@ class DoubleStep(RandomTarget):
         return Trial(start, targets * steps + [request.draw_target(start)])
 
 
+@spelt
 @dataclass(frozen=True)
 class ViaPoints(RandomTarget):
     """Random targets one after the other: the next appears when the last has been reached.
@@ -145,8 +159,7 @@ class ViaPoints(RandomTarget):
     count: int = 3
 
     def __post_init__(self) -> None:
-        fine = isinstance(self.count, int) and self.count >= 1
-        require(fine, "count", self.count, "a whole number of at least 1")
+        require_whole("count", self.count)
 
     @override
     def path_length(self, control_step: float) -> int:
@@ -159,6 +172,7 @@ class ViaPoints(RandomTarget):
         return Trial(start, targets + more)
 
 
+@spelt
 @dataclass(frozen=True)
 class PointToPoint(Task):
     """From one of a list of points to another, starting at rest in the evenly bent posture.
@@ -172,9 +186,13 @@ class PointToPoint(Task):
     pairs: tuple[tuple[int, int], ...]
 
     def __post_init__(self) -> None:
-        count = len(self.points)
-        fine = bool(self.pairs) and all(0 <= index < count for pair in self.pairs for index in pair)
-        require(fine, "pairs", self.pairs, f"at least one pair of indices from 0 to {count - 1}")
+        require_rows("points", self.points, "points (x, y), finite", is_point)
+        accepted = f"at least one pair of indices from 0 to {len(self.points) - 1}"
+        require_rows("pairs", self.pairs, accepted, self._are_indices)
+        require(len(self.pairs) > 0, "pairs", self.pairs, accepted)
+
+    def _are_indices(self, pair: tuple[float, ...]) -> bool:
+        return len(pair) == 2 and set(pair) <= set(range(len(self.points)))
 
     @property
     @override
@@ -220,6 +238,7 @@ class PointToPoint(Task):
         return (start[0] * reach, start[1] * reach), (target[0] * reach, target[1] * reach)
 
 
+@spelt
 @dataclass(frozen=True)
 class Pursuit(Task):
     """The target moves along sums of sines, as in manual tracking (McRuer & Jex, 1967).
@@ -241,12 +260,13 @@ class Pursuit(Task):
     amplitude: float = 0.3
 
     def __post_init__(self) -> None:
-        require(0 < self.period < math.inf, "period", self.period, "positive and finite")
-        require(math.isfinite(self.amplitude), "amplitude", self.amplitude, "finite")
+        require_positive("period", self.period)
+        require_finite("amplitude", self.amplitude)
         for name in ("multiples_x", "multiples_y"):
             multiples = getattr(self, name)
-            fine = bool(multiples) and min(multiples) >= 1
-            require(fine, name, multiples, "at least one, of at least 1")
+            fine = isinstance(multiples, Sequence) and bool(multiples)
+            fine = fine and all(is_whole(multiple) and multiple >= 1 for multiple in multiples)
+            require(fine, name, multiples, "whole numbers of at least 1, one or more")
 
     @override
     def path_length(self, control_step: float) -> int:

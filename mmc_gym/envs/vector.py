@@ -18,13 +18,13 @@ from gymnasium.vector.utils import batch_space, create_empty_array
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require
+from mmc_gym._errors import UserError, is_whole, require, require_choice, require_whole
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import GoalEnvironment
 from mmc_gym.envs.rewards import distances, reward_and_info
-from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, require_one_of
+from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, check_names
 from mmc_gym.envs.workspace import Point
 from mmc_gym.interface import relative_speeds
 
@@ -72,18 +72,20 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Make the environment; the arguments are listed in the class docstring.
 
         Raises:
-            UserError: a `ValueError`, if an argument is outside what it accepts.
-            TypeError: if one is unknown.
+            UserError: a `ValueError`, if an argument is unknown, or outside what it accepts.
         """
-        require_one_of("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "render_mode")
+        check_names(arguments, *own)
+        require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = self.make_setup(**arguments)
         if max_episode_steps == "task":
             max_episode_steps = setup.task.episode_steps
-        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
-            fine = value is None or (isinstance(value, int) and value >= 1)
-            require(fine, name, value, "a whole number of at least 1")
-        self.num_envs = num_envs
+        if max_episode_steps is not None:
+            max_episode_steps = require_whole("max_episode_steps", max_episode_steps)
+        self.num_envs = num_envs = require_whole("num_envs", num_envs)
         self.max_episode_steps = max_episode_steps
+        if not isinstance(autoreset_mode, AutoresetMode):
+            require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.render_mode = render_mode
         self.metadata = {
@@ -144,7 +146,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Hand each arm its action, (n, N), and simulate one control step.
 
         Raises:
-            ValueError: if the actions are of wrong shape, or one is not within −1 and 1; nothing
+            UserError: if the actions are of wrong shape, or one is not within −1 and 1; nothing
                 has changed.
             gymnasium.error.ResetNeeded: if there was no reset yet; or, without autoreset, if an
                 episode is over.
@@ -328,13 +330,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Return the commands to the servos, (n, N); actions of waiting arms do not matter."""
         values = as_numbers("actions", actions).astype(np.float64)
         if values.shape != self.action_space.shape:
-            raise ValueError(
+            raise UserError(
                 f"actions must have shape {self.action_space.shape}, got {values.shape}"
             )
         values[waiting] = 0.0
         if not np.abs(values).max() <= 1.0:  # true for NaN too
             arm = int(np.argmin((np.abs(values) <= 1.0).all(axis=-1)))
-            raise ValueError(
+            raise UserError(
                 f"actions must lie within -1 and 1, got {values[arm].tolist()} for arm {arm}"
             )
         values *= self.setup.action.scale
@@ -391,11 +393,11 @@ def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int
     """Return a seed or None for each arm, or raise a `UserError`; one number starts a sequence."""
     if seed is None:
         return [None] * count
-    if isinstance(seed, (int, np.integer)):
+    if is_whole(seed):
         seeds: list[int | None] = [int(seed) + arm for arm in range(count)]
     else:
         seeds = list(seed) if np.iterable(seed) else []
-    whole = all(one is None or (isinstance(one, (int, np.integer)) and one >= 0) for one in seeds)
+    whole = all(one is None or (is_whole(one) and one >= 0) for one in seeds)
     accepted = f"a whole number of at least 0, or {count} of them"
     require(whole and len(seeds) == count, "seed", seed, accepted)
     return [None if one is None else int(one) for one in seeds]

@@ -64,6 +64,8 @@ def make_environment(
         arguments["control"] = control
     try:
         made: gym.Env[Any, Any] = gym.make(env_id, **arguments)
+    except UserError:
+        raise
     except (gym.error.Error, ImportError, TypeError) as error:
         raise UserError(
             f"env must be a reaching environment such as 'MMCReach-v0', got {env_id!r}: {error}"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmc_gym._errors import UserError, require
+from mmc_gym._errors import UserError, missing, require
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCAgent
@@ -290,7 +290,7 @@ def _open_study(name: str, steps: int, out: Path) -> optuna.Study:
         import optuna
         from optuna.storages.journal import JournalFileBackend
     except ImportError as error:
-        raise UserError('tune needs Optuna: pip install "mmc-gym[training]"') from error
+        raise missing("tune", "Optuna", "training") from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     out.mkdir(parents=True, exist_ok=True)
     journal = out / f"{name}.journal"

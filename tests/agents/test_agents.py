@@ -100,8 +100,7 @@ def test_an_agent_remembers_nothing_but_its_state(name):
 
 def reached_in_line(name: str, count: int, bearing: float) -> list[tuple[float, float]]:
     """Distances from the target at the start and the end, of arms in one line with it."""
-    torque = 500.0 * max(1.0, count / 3) ** 3  # with the default of 500, a long arm swings past
-    env = gym.make("MMCReach-v0", segment_lengths=(1.0,) * count, torque_limit=torque)
+    env = gym.make("MMCReach-v0", segment_lengths=(1.0,) * count)
     agent, direction = make_agent(name, env), np.array([np.cos(bearing), np.sin(bearing)])
     straight, folded = [0.0] * (count - 1), [np.pi] * (count - 1)
     distances = []

@@ -1,6 +1,7 @@
 """Facts about the physical parameters of arms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,22 +13,30 @@ from mmc_gym.body import ArmParameters
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"segment_lengths": ()}, r"segment_lengths must be at least one length, got \(\)"),
+        ({"segment_lengths": ()}, r"segment_lengths must be .* one or more, got \(\)"),
         (
             {"segment_lengths": (1.0, -0.5, 1.0)},
-            r"segment_lengths must be positive and finite, got \(1.0, -0.5, 1.0\)",
+            r"segment_lengths must be positive and finite .*, got \(1.0, -0.5, 1.0\)",
         ),
         ({"segment_lengths": (1.0, math.nan)}, "segment_lengths must be positive and finite"),
-        ({"segment_masses": (1.0, 1.0)}, r"segment_masses must be 3 masses.* got \(1.0, 1.0\)"),
-        ({"segment_masses": ()}, "segment_masses must be 3 masses"),
-        ({"segment_masses": (1.0, 0.0, 1.0)}, "segment_masses must be positive"),
+        ({"segment_lengths": 3}, "segment_lengths must be .*, got 3"),
+        ({"segment_lengths": "111"}, "segment_lengths must be .*, got '111'"),
+        ({"segment_lengths": np.ones((1, 2))}, "segment_lengths must be .*, got array"),
+        ({"segment_masses": (1.0, 1.0)}, r"segment_masses must be 3 .* masses.* got \(1.0, 1.0\)"),
+        ({"segment_masses": ()}, "segment_masses must be 3 .* masses"),
+        ({"segment_masses": (1.0, 0.0, 1.0)}, "segment_masses must be 3 positive"),
         ({"speed_limit": 0.0}, "speed_limit must be positive and finite, got 0.0"),
+        ({"speed_limit": "fast"}, "speed_limit must be positive and finite, got 'fast'"),
+        ({"speed_limit": None}, "speed_limit must be positive and finite, got None"),
         ({"torque_limit": math.inf}, "torque_limit must be positive and finite"),
+        ({"torque_limit": True}, "torque_limit must be positive and finite, got True"),
         ({"servo_gain": -1.0}, "servo_gain must be positive"),
         ({"substep": 0.0}, "substep must be positive"),
         ({"segment_radius": 0.0}, "segment_radius must be positive"),
         ({"substeps": 0}, "substeps must be a whole number of at least 1, got 0"),
         ({"substeps": 2.5}, "substeps must be a whole number"),
+        ({"substeps": True}, "substeps must be a whole number of at least 1, got True"),
+        ({"gravity": 9.81}, r"gravity must be two finite values \(x, y\), got 9.81"),
         ({"gravity": (1.0,)}, "gravity must be two finite values"),
         ({"gravity": (0.0, math.nan)}, "gravity must be two finite values"),
         ({"joint_limits": ((-1.0, 1.0),)}, "joint_limits must be 3 pairs"),
@@ -39,8 +48,12 @@ from mmc_gym.body import ArmParameters
         ({"hand_mass": -1.0}, "hand_mass must be finite and not negative, got -1.0"),
         ({"force_field": ((1.0, 0.0),)}, "force_field must be two rows of two finite values"),
         ({"obstacles": ((0.0, 1.0, 0.0),)}, "obstacles must be discs .*of positive radius"),
-        ({"lockable_joints": (0, 0)}, "lockable_joints must be different indices from 0 to 2"),
-        ({"lockable_joints": (3,)}, "lockable_joints must be different indices from 0 to 2"),
+        ({"obstacles": (1.0, 1.0, 0.2)}, "obstacles must be discs .*, got"),
+        ({"lockable_joints": (0, 0)}, "lockable_joints must be .*different indices from 0 to 2"),
+        ({"lockable_joints": (3,)}, "lockable_joints must be .*different indices from 0 to 2"),
+        ({"lockable_joints": 1}, "lockable_joints must be a tuple of .*, got 1"),
+        ({"segment_length": (1.0,)}, "'segment_length'; did you mean 'segment_lengths'"),
+        ({"colour": "red"}, "ArmParameters takes no argument 'colour'. It takes segment_lengths"),
     ],
 )
 def test_impossible_arms_are_refused(arguments, message):
@@ -78,3 +91,22 @@ def test_a_drive_has_its_share_of_the_inertia_of_what_it_moves():
 
 def test_whole_numbers_are_taken_for_floats():
     assert ArmParameters(torque_limit=400).torque_limit.hex() == (400.0).hex()
+
+
+@pytest.mark.parametrize(
+    ("arm", "torque_limit"),
+    [
+        ({}, 500.0),
+        ({"drive_inertia": 0.0, "hand_mass": 3.0}, 500.0),
+        ({"segment_lengths": (1.0,) * 6}, 500.0 * 2**3),
+        ({"segment_lengths": (0.1,) * 3}, 500.0),
+        ({"segment_masses": (4.0,) * 3}, 2000.0),
+        ({"segment_lengths": (1.0,) * 6, "torque_limit": 500}, 500.0),
+    ],
+)
+def test_servos_are_as_much_stronger_as_an_arm_is_heavier_to_turn(arm, torque_limit):
+    made = ArmParameters(**arm)
+    assert made.torque_limit == pytest.approx(torque_limit, rel=1e-12)
+    longer = replace(made, segment_lengths=(2.0, 1.0), segment_masses=None)
+    assert longer.torque_limit == made.torque_limit
+    assert ArmParameters().torque_limit == 500.0

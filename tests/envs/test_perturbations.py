@@ -13,6 +13,7 @@ from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import (
     ForceField,
+    Gravity,
     HandMass,
     JointNoise,
     LockedJoint,
@@ -82,7 +83,11 @@ def rough_actions(steps: int, seed: int) -> np.ndarray:
     [
         ([ForceField(3.0), ForceField(4.0)], {"force_field": ((1.0, 7.0), (-7.0, 1.0))}, False),
         ([HandMass(1.0), HandMass(2.0)], {"hand_mass": 3.5}, False),
-        ([SegmentLength(2.0, 0), SegmentLength(0.5, 1)], {"segment_lengths": (2, 0.5, 1)}, False),
+        (
+            [SegmentLength(2.0, 0), SegmentLength(0.5, 1)],
+            {"segment_lengths": (2, 0.5, 1), "torque_limit": 500.0},
+            False,
+        ),
         (
             ["obstacles", "obstacles-1"],
             {"obstacles": (*Obstacles().discs, DISC), "substep": 0.0025, "substeps": 8},
@@ -445,9 +450,9 @@ def test_perturbations_can_be_combined(names: list[str]) -> None:
 @pytest.mark.parametrize(
     ("perturbations", "message"),
     [
-        ("gremlins", r"perturbations must be a Perturbation, or one of .*locks"),
-        ([None], "perturbations must be"),
-        (None, "perturbations must be .*, got None$"),
+        ("gremlins", "perturbations 'gremlins' is not accepted. It may be force-field, .*locks"),
+        (ForceField, r"perturbations <class .*; did you mean 'ForceField\(\)'"),
+        (None, "perturbations None is not accepted. It may be .* or a Perturbation$"),
         (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
         (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach, .*degrees=180.0"),
         ("longer-500", r"must leave targets in reach, .*6\.0\), taken for \(1\.0, 1\.0, 1\.0\)"),
@@ -537,8 +542,13 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space_or_there_are_none(
         (lambda: VisionNoise(distance_std=-1.0), "distance_std"),
         (lambda: VisuomotorRotation(math.nan), "degrees"),
         (lambda: VisuomotorRotation(30.0, (0.0, math.inf)), "centre"),
-        (lambda: HandMass(-1.0).change_body(ArmParameters()), "hand_mass"),
-        (lambda: ForceField(math.nan).change_body(ArmParameters()), "force_field"),
+        (lambda: HandMass(-1.0), "mass"),
+        (lambda: ForceField(math.nan), "curl"),
+        *((lambda v=v: Gravity(v), "acceleration") for v in ("strong", None, [60.0], True)),
+        (lambda: LockedJoint(time="late"), "time"),
+        (lambda: LockedJoint(1.5).change_body(ArmParameters()), "joint"),
+        *((lambda d=d: Obstacles(d), "discs") for d in (3, (1, 1, 0.2), ((1, 1),), "disc")),
+        *((lambda c=c: VisuomotorRotation(30.0, c), "centre") for c in (3, "ab", (0, 0, 0))),
     ],
 )
 def test_values_that_make_no_sense_are_refused(make: Callable[[], object], name: str) -> None:

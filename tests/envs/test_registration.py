@@ -101,7 +101,7 @@ def test_a_family_without_strength_is_its_class_without_arguments() -> None:
         ("Delay-30", "did you mean 'delay-30'"),
         ("forcefield", "did you mean 'force-field'"),
         ("pursuits", "did you mean 'pursuit'"),
-        ("gremlins", "one of random.*, or one of force-field.*got 'gremlins'$"),
+        ("gremlins", "scenario 'gremlins' is not accepted. It may be random, .*force-field"),
         ("delay-40-told", "'-told' may follow longer, shorter, locked, locks only.*'delay'"),
         ("locked-0", "joint that locks must be a whole number from 1"),
         ("locks-1.5", "joint that locks must be a whole number from 1"),
@@ -109,7 +109,9 @@ def test_a_family_without_strength_is_its_class_without_arguments() -> None:
         ("delay--40", "seconds must be"),
         ("shorter-100", "factor must be"),
         ("delay-", "did you mean 'delay'"),
-        (None, "got None$"),
+        ("MMCReachLonger20Told-v0", "did you mean 'longer-20-told'"),
+        ("MMCReach-v0", "did you mean 'random'"),
+        (None, "scenario None is not accepted. It may be"),
     ],
 )
 def test_a_wrong_name_is_refused_with_a_hint(name: Any, hint: str) -> None:

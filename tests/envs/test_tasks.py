@@ -64,8 +64,8 @@ def test_trials_that_are_not_asked_for_are_drawn_from_all() -> None:
         ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "its 420 trials 60 sta"),
         ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
         ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
-        ("centre-in", {}, r"task must be a Task or one of .*; did you mean 'centre-out'"),
-        (3, {}, "task must be .*, got 3$"),
+        ("centre-in", {}, "task 'centre-in' is not accepted; did you mean 'centre-out'"),
+        (3, {}, "task 3 is not accepted. It may be random, .* or a Task$"),
     ],
 )
 def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(
@@ -247,7 +247,10 @@ def test_a_task_of_ones_own_is_a_few_lines() -> None:
     [
         (lambda: DoubleStep(delay=-0.1), "delay"),
         (lambda: ViaPoints(count=0), "count"),
+        *((lambda d=d: DoubleStep(delay=d), "delay") for d in ("late", None, [0.1])),
         (lambda: ViaPoints(count=2.5), "count"),  # type: ignore[arg-type]
+        *((lambda m=m: Pursuit(multiples_x=m), "multiples_x") for m in (3, ("a",), (2.5,))),
+        *((lambda p=p: PointToPoint(p, ((0, 1),)), "points") for p in (3, ((0,), (1,)), "ab")),
         (lambda: Pursuit(period=0.0), "period"),
         (lambda: Pursuit(amplitude=math.nan), "amplitude"),
         (lambda: Pursuit(multiples_y=()), "multiples_y"),

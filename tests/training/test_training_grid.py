@@ -73,7 +73,7 @@ def test_a_checkpoint_of_another_training_is_discarded(trained, tmp_path):
     [
         ({"steps": 0}, "steps must be at least 1, got 0"),
         ({"device": "foo"}, "device must be one that PyTorch can use"),
-        ({"jobs": 0}, "jobs must be at least 1"),
+        ({"jobs": 0}, "jobs must be a whole number of at least 1"),
     ],
 )
 def test_mistakes_are_told_before_anything_is_trained(tmp_path, options, message):

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from mmc_gym._errors import require
+from mmc_gym._errors import missing, require
 from mmc_gym.body.base import ArmBatch, Floats, Indices, SingleArm, wrong_count
 from mmc_gym.body.parameters import ArmParameters, Servo
 
@@ -31,9 +31,7 @@ try:
 except ModuleNotFoundError as error:
     if error.name != "numba":
         raise
-    raise ImportError(
-        'the analytic engine is compiled by numba: pip install "mmc-gym[analytic]"'
-    ) from error
+    raise missing("engine 'analytic'", "numba", "analytic") from error
 
 _WORTH_A_THREAD = 256  # arms; sharing out fewer takes longer than it saves
 
