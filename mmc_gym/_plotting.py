@@ -22,6 +22,7 @@ from mmc_gym._files import write_atomically
 Floats = NDArray[np.float64]
 
 EXAMPLES = 4  # paths shown per agent
+POSTURES = 16  # of a network, shown at most
 LINES = ("-", "--", "-.", (0, (1, 1)))  # so that episodes differ without colour too
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c")  # Okabe and Ito: safe for colour blindness
 STYLE: Any = {
@@ -60,6 +61,16 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     return written
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        picture = io.BytesIO()
+        with rc_context(STYLE):
+            self.savefig(picture, format="png", dpi=100)
+        return picture.getvalue()
+
+
 def paths_and_profiles(
     movements: Mapping[str, Sequence[Movement]], reach: float, tolerance: float, control_step: float
 ) -> Figure:
@@ -74,7 +85,7 @@ def paths_and_profiles(
     columns = len(movements)
     width = max(2.3 * columns, 5.0)
     with rc_context(STYLE):
-        figure = Figure(figsize=(width, 5.2), layout="constrained")
+        figure = ShownFigure(figsize=(width, 5.2), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots(
             2, columns, squeeze=False, sharex="row", sharey="row", height_ratios=(1.3, 1)
@@ -135,6 +146,37 @@ def write_number(
     axes.annotate(
         str(number), place, offset, textcoords="offset points", path_effects=effects, **style
     )
+
+
+def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = None) -> Figure:
+    """Draw the way of the first `EXAMPLES` arms from posture to posture, later ones darker.
+
+    Args:
+        nodes: base, joints and hand in each posture, (postures, arms, N + 1, 2).
+        ends: where a cross is drawn for each arm, (arms, 2).
+        axes: to draw on; of a new figure if None.
+    """
+    # The first steps are the largest.
+    count = len(nodes)
+    shown = np.unique(np.geomspace(1, count, min(count, POSTURES)).round().astype(int)) - 1
+    with rc_context(STYLE):
+        if axes is None:
+            figure = ShownFigure(figsize=(3.6, 3.6), layout="constrained")
+            FigureCanvasAgg(figure)
+            axes = figure.add_subplot()
+        arms = zip(nodes.swapaxes(0, 1)[:EXAMPLES], ends, COLOURS, strict=False)
+        for postures, (x, y), colour in arms:
+            for place, posture in enumerate(postures[shown], start=1):
+                share = place / len(shown)
+                axes.plot(*posture.T, color=colour, linewidth=0.6 + 1.4 * share, alpha=share**2)
+            axes.plot(*postures[-1].T, "o", color=colour, markersize=3, markerfacecolor="white")
+            axes.plot(*postures[:, -1].T, ".-", color="0.4", linewidth=0.7, markersize=2, zorder=3)
+            axes.plot(x, y, "+", color="black", markersize=9, markeredgewidth=0.8, zorder=4)
+        axes.plot(0, 0, "s", color="0.4", markersize=5)
+        axes.set(xlabel="x [segment lengths]", ylabel="y [segment lengths]", aspect="equal")
+    whole = axes.get_figure(root=True)
+    assert whole is not None
+    return whole
 
 
 def speed_quartiles(movements: Sequence[Movement]) -> Floats:

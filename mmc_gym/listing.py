@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import io
 from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from html import escape
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
+from mmc_gym._notebook import png
 from mmc_gym.agents import AGENTS, AgentEntry, make_agent
 from mmc_gym.envs.scenarios import (
     FAMILIES,
@@ -256,11 +256,7 @@ def write_picture(name: str, out: Path | str) -> Path:
     Raises:
         UserError: for an unknown name, or if the file's name does not end in .png.
     """
-    from PIL import Image
-
     out = Path(out)
     if out.suffix != ".png":
         raise UserError(f"out must be a file that ends in .png, got {str(out)!r}")
-    png = io.BytesIO()
-    Image.fromarray(picture(name)).save(png, format="PNG")
-    return write_atomically(out, png.getvalue())
+    return write_atomically(out, png(picture(name)))

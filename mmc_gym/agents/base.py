@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import UserError
+from mmc_gym._notebook import facts_table
 from mmc_gym.interface import Observation, ReachInterface, Sensed
 from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
@@ -43,6 +44,18 @@ class Agent(ABC, Generic[State]):
     """
 
     training_steps: int = 0
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is to know of the agent, by heading."""
+        return {}
+
+    def __repr__(self) -> str:
+        facts = [f"{heading} {fact}" for heading, fact in self.facts.items()]
+        return f"<{'; '.join([type(self).__name__, *facts])}>"
+
+    def _repr_html_(self) -> str:
+        return facts_table(self, self.facts)
 
     @abstractmethod
     def predict(
@@ -80,6 +93,12 @@ class InternalModelAgent(Agent[State]):
         """
         interface.check_takes_joint_targets()
         self.interface = interface
+
+    @property
+    @override
+    def facts(self) -> dict[str, str]:
+        lengths = ", ".join(f"{length:g}" for length in self.interface.segment_lengths)
+        return {"control": self.interface.control, "told segment lengths": lengths}
 
     @abstractmethod
     def start(self, sensed: Sensed) -> State:

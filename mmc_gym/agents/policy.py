@@ -269,6 +269,21 @@ class PolicyAgent(Agent[Any]):
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
 
+    @property
+    @override
+    def facts(self) -> dict[str, str]:
+        card = self.card
+        success = card.scores.get("success")
+        facts = {
+            "policy": card.file_stem,
+            "algorithm": card.algorithm,
+            "control": card.control,
+            "trained in": card.env_id,
+            "training": f"{card.training_steps:,} steps in {card.training_seconds:.0f} s",
+            "success after it": "unknown" if success is None else f"{success:.1%}",
+        }
+        return facts | ({"corrects": card.base_agent} if card.base_agent else {})
+
     def save(self, folder: Path | str) -> Path:
         """Write the policy's two files, NAME-SEED, into `folder`; return the path of its card."""
         save_policy(self._network, self.card, Path(folder))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, require_choice
+from mmc_gym._notebook import png
 from mmc_gym.body.base import SingleArm
 from mmc_gym.body.engines import make_arm
 from mmc_gym.envs.perturbations import Readings
@@ -19,7 +20,7 @@ from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, as_numbers, check_nam
 from mmc_gym.envs.workspace import Point
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.render.renderer import Renderer
+    from mmc_gym.envs.render.renderer import Renderer, Scene
 
 Info = dict[str, Any]
 
@@ -217,11 +218,23 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: gym.make(..., render_mode='rgb_array')")
             return None
-        from mmc_gym.envs.render.renderer import Renderer, Scene
+        from mmc_gym.envs.render.renderer import Renderer
 
         if self._renderer is None:
             self._renderer = Renderer(self.setup, self.render_mode)
-        scene = Scene(
+        return self._renderer.draw(self._scene())
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows, whatever the render mode."""
+        from mmc_gym.envs.render.renderer import Renderer
+
+        frame: Any = Renderer(self.setup, "rgb_array").draw(self._scene())
+        return png(frame, shrink=2)
+
+    def _scene(self) -> Scene:
+        from mmc_gym.envs.render.renderer import Scene
+
+        return Scene(
             self._arm.segment_angles,
             self._target,
             trace=self._trace,
@@ -230,7 +243,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             steps=self._steps,
             observation=self._late[0] if self._late else None,
         )
-        return self._renderer.draw(scene)
 
     def close(self) -> None:
         """Close the window, if there is one."""

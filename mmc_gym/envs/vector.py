@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, is_whole, require, require_choice, require_whole
+from mmc_gym._notebook import png
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
@@ -29,12 +30,13 @@ from mmc_gym.envs.workspace import Point
 from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.render.renderer import Renderer
+    from mmc_gym.envs.render.renderer import Renderer, Scene
 
 Info = dict[str, Any]
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _EVERY = slice(None)
+_SHOWN = 3  # arms in a notebook's picture
 
 
 class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -185,22 +187,31 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.render_mode is None:
             gym.logger.warn("render() needs render_mode='rgb_array'")
             return None
-        from mmc_gym.envs.render.renderer import Renderer, Scene
+        from mmc_gym.envs.render.renderer import Renderer
 
         if not self._renderers:
             self._renderers = [Renderer(self.setup, "rgb_array") for _ in self._all]
-        scenes = [
-            Scene(
-                self._body.segment_angles[arm].tolist(),
-                self._targets[arm].tolist(),
-                trace=self._traces[arm],
-                path=self._paths[arm, : self._last_places[arm] + 1].tolist(),
-                steps=int(self._steps[arm]),
-                observation=pick(self._late[0], arm),
-            )
-            for arm in self._all
-        ]
-        return tuple(map(Renderer.draw, self._renderers, scenes))
+        return tuple(map(Renderer.draw, self._renderers, map(self._scene, self._all)))
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows, of the first arms, whatever the render mode."""
+        from mmc_gym.envs.render.renderer import Renderer
+
+        renderer = Renderer(self.setup, "rgb_array")
+        pictures: list[Any] = [renderer.draw(self._scene(arm)) for arm in self._all[:_SHOWN]]
+        return png(np.concatenate(pictures, axis=1), shrink=2)
+
+    def _scene(self, arm: np.intp) -> Scene:
+        from mmc_gym.envs.render.renderer import Scene
+
+        return Scene(
+            self._body.segment_angles[arm].tolist(),
+            self._targets[arm].tolist(),
+            trace=self._traces[arm] if self._traces else (),
+            path=self._paths[arm, : self._last_places[arm] + 1].tolist(),
+            steps=int(self._steps[arm]),
+            observation=pick(self._late[0], arm),
+        )
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""

@@ -14,7 +14,7 @@ Floats: TypeAlias = NDArray[np.float64]
 MOVING = 0.05  # of the peak speed, from which on the hand counts as moving
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Episode:
     """One recorded episode of n steps, of an arm with N joints; N = 0 for a hand without an arm.
 
@@ -50,6 +50,10 @@ class Episode:
     tolerance: float
     reach: float
     cursors: Floats | None = None
+
+    def __repr__(self) -> str:
+        end = f"{self.distances[-1]:.3f} from the target at the end"
+        return f"<Episode of seed {self.seed}, {len(self.rewards)} steps, {end}>"
 
     @property
     def seen_hands(self) -> Floats:

@@ -28,17 +28,22 @@ variable is a row of the identity.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from typing import Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import require
+from mmc_gym._notebook import facts_table
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Floats, Pair
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
+
+if TYPE_CHECKING:  # numpy is all that the network needs
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Rows: TypeAlias = "slice | NDArray[np.intp]"
 Dynamics = Literal["kinematic", "paper", "reference"]
@@ -109,6 +114,32 @@ class Clamps:
 NO_CLAMPS = Clamps((), np.empty((0, 2)))
 
 
+class Trajectory(NamedTuple):
+    """What a network went through.
+
+    Attributes:
+        state: the last one.
+        segments: after every iteration, (iterations, ..., N, 2).
+    """
+
+    state: MMCState
+    segments: Floats
+
+    def plot(self, axes: Axes | None = None) -> Figure:
+        """Return a figure of the first arms, later iterations darker, and of their hands' paths.
+
+        A cross marks R, which an inverse task holds at the target.
+
+        Args:
+            axes: to draw on; of a new figure if None.
+        """
+        from mmc_gym._plotting import plot_postures
+
+        segments = self.segments.reshape(len(self.segments), -1, *self.segments.shape[-2:])
+        last = self.state.vectors[..., -1, :].reshape(-1, 2)
+        return plot_postures(chain.node_positions(segments), last, axes)
+
+
 @dataclass(frozen=True)
 class MMCNetwork:
     """Description of an MMC network for a planar arm of N ≥ 2 segments; it holds no state.
@@ -161,6 +192,14 @@ class MMCNetwork:
     def segment_count(self) -> int:
         """N."""
         return len(self.segment_lengths)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What is to know of the network, by heading."""
+        return {one.name.replace("_", " "): str(getattr(self, one.name)) for one in fields(self)}
+
+    def _repr_html_(self) -> str:
+        return facts_table(self, self.facts)
 
     # States
 
@@ -263,20 +302,25 @@ class MMCNetwork:
             out[:, :, block] = iteration.repeat(current, iterations)
         return MMCState(result, self.segment_count)
 
-    def trajectory(
-        self, state: MMCState, clamps: Clamps, iterations: int
-    ) -> tuple[MMCState, Floats]:
+    def trajectory(self, state: MMCState, clamps: Clamps, iterations: int) -> Trajectory:
         """Run, and record the segments after every iteration.
 
         Returns:
-            The last state, and the segments of all iterations, (iterations, ..., N, 2).
+            The last state, and the segments of all iterations, (iterations, ..., N, 2); its `plot`
+            draws them.
+
+        >>> network = MMCNetwork()
+        >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
+        >>> state, segments = network.trajectory(start, network.inverse([-1.0, 1.5]), 50)
+        >>> segments.shape
+        (50, 3, 2)
         """
         state = self.run(state, clamps, iterations=0)  # broadcasts state and clamps
         postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
         for iteration in range(iterations):
             state = self.step(state, clamps)
             postures[iteration] = state.segments
-        return state, postures
+        return Trajectory(state, postures)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,30 @@
+"""Show things in a notebook: facts as HTML, pictures as PNG."""
+
+from __future__ import annotations
+
+import inspect
+import io
+from collections.abc import Mapping
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def facts_table(thing: object, facts: Mapping[str, str]) -> str:
+    """Return HTML: the class of a thing, the first line of its docstring, and a row a fact."""
+    first = (inspect.getdoc(type(thing)) or "").partition("\n")[0]
+    rows = "".join(
+        f'<tr><th style="text-align: left">{escape(heading)}</th><td>{escape(fact)}</td></tr>'
+        for heading, fact in facts.items()
+    )
+    return f"<p><b>{type(thing).__name__}</b>: {escape(first)}</p><table>{rows}</table>"
+
+
+def png(picture: NDArray[np.uint8], shrink: int = 1) -> bytes:
+    """Return a picture (height, width, 3) as PNG, each side by a whole number smaller."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(picture).reduce(shrink).save(file, format="PNG")
+    return file.getvalue()

@@ -1,0 +1,96 @@
+"""What a notebook shows of environments, agents, networks and figures."""
+
+import io
+import sys
+from types import SimpleNamespace
+
+import gymnasium as gym
+import matplotlib.figure
+import numpy as np
+import pygame
+import pytest
+from PIL import Image
+
+import mmc_gym
+from mmc_gym import envs
+from mmc_gym.agents import AGENTS
+from mmc_gym.network import MMCNetwork
+
+
+def pixels(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), int)
+
+
+@pytest.mark.parametrize("vectorized", [False, True])
+def test_an_environment_is_shown_as_it_is_rendered_whatever_its_mode(vectorized):
+    pygame.display.quit()
+    shown = []
+    for mode in ("rgb_array", None):
+        make = gym.make_vec if vectorized else gym.make
+        env = make("MMCReachRotation30-v0", render_mode=mode)
+        env.reset(seed=1)
+        shown.append(pixels(env.unwrapped._repr_png_()))
+        if mode:
+            frame = env.render()[0] if vectorized else env.render()
+    np.testing.assert_array_equal(*shown)
+    small = np.asarray(Image.fromarray(frame).reduce(2), int)
+    np.testing.assert_array_equal(shown[0][:, :320], small)
+    assert not pygame.display.get_init()
+
+
+def test_a_notebook_that_runs_shows_the_environment_in_gymnasiums_wrappers(monkeypatch):
+    shown_by = {}
+    formatter = SimpleNamespace(for_type=shown_by.__setitem__)
+    shell = SimpleNamespace(display_formatter=SimpleNamespace(formatters={"image/png": formatter}))
+    ipython = SimpleNamespace(get_ipython=lambda: shell)
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    envs._show_wrapped_environments()
+    show = shown_by[gym.Wrapper]
+    env = gym.make("MMCReach-v0")
+    assert show(env) == env.unwrapped._repr_png_()
+    assert show(gym.make("CartPole-v1")) is None
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_an_agent_says_what_it_is_in_a_line_and_in_a_table(name, env):
+    made = gym.make("MMCReach-v0", control=AGENTS[name].control)
+    agent = mmc_gym.make_agent(name, made)
+    assert " object at " not in repr(agent) and len(repr(agent)) < 300
+    html = agent._repr_html_()
+    assert type(agent).__name__ in html
+    assert html.count("<tr>") == len(agent.facts)
+    if AGENTS[name].training_seeds:
+        assert agent.facts["policy"] == f"{name}-0"
+
+
+def test_a_network_and_an_episode_say_what_they_are(env):
+    html = MMCNetwork(damping=7.5)._repr_html_()
+    assert "7.5" in html and "EuclideanNormalizer" in html
+    (episode,) = mmc_gym.run_episodes(mmc_gym.make_agent("mmc", env), env, [5])
+    assert repr(episode) == "<Episode of seed 5, 100 steps, 0.000 from the target at the end>"
+
+
+def test_the_way_of_a_network_can_be_drawn():
+    network = MMCNetwork()
+    start = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    way = network.trajectory(start, network.inverse([-1.0, 1.5]), 60)
+    figure = way.plot()
+    (axes,) = figure.axes
+    lines = [line.get_xydata() for line in axes.lines]
+    first, last = np.cumsum(way.segments[0], axis=0), np.cumsum(way.segments[-1], axis=0)
+    np.testing.assert_allclose(lines[0][1:], first)
+    assert any(np.allclose(line[1:], last) for line in lines if line.shape == (4, 2))
+    assert any(len(line) == 60 and np.allclose(line, way.segments.sum(axis=1)) for line in lines)
+    assert any(np.array_equal(line, [[-1.0, 1.5]]) for line in lines)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_the_ways_of_many_networks_are_drawn_on_axes_that_are_given():
+    network = MMCNetwork()
+    start = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    targets = np.random.default_rng(0).uniform(-1, 1, (2, 3, 2))
+    axes = matplotlib.figure.Figure().add_subplot()
+    figure = network.trajectory(start, network.inverse(targets), 5).plot(axes)
+    assert figure is axes.figure
+    crosses = [line.get_xydata()[0] for line in axes.lines if line.get_marker() == "+"]
+    np.testing.assert_array_equal(crosses, targets.reshape(-1, 2)[:4])
