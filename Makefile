@@ -20,7 +20,7 @@ export PIP_NO_INPUT := 1
 PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint type imports format benchmark clean
+.PHONY: help demo test lint type imports format packages benchmark clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -44,6 +44,9 @@ imports: $(DEV_READY) ## the import rules between the packages
 format: $(DEV_READY) ## let ruff repair and format everything
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+
+packages: $(VENV_READY) ## build wheel and source archive, try each in an empty environment
+	$(BIN)/python .ci/packages.py $(ARGS)
 
 benchmark: $(BENCHMARK_READY) ## install the peers' packages, then time the environments beside them
 	$(BIN)/python benchmarks/environment_speed.py $(ARGS)

@@ -145,7 +145,8 @@ def test_wheel_holds_the_licence_and_nothing_beside_the_package(wheel):
 
 def test_sdist_holds_what_a_rebuild_and_its_tests_need(sdist):
     needed = {"LICENSE", "README.md", "pyproject.toml", "constraints.txt", "Makefile"}
-    assert needed | {"tests/test_packaging.py"} <= sdist
+    needed |= {"SECURITY.md", "tests/test_packaging.py", "docs/contact-sheet.png"}
+    assert needed <= sdist
 
 
 def test_every_requirement_is_pinned_exactly():
