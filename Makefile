@@ -5,6 +5,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
+# The last line of what sets up .venv, unless the shell has it on its path.
+NEXT = @[ "$$VIRTUAL_ENV" = "$(CURDIR)/$(VENV)" ] || \
+  echo "For mmc-gym and the other commands of the README type:  . $(VENV)/bin/activate"
+
 # A stamp is touched only after its step succeeded, so an interrupted step is done again.
 VENV_READY := $(VENV)/.stamp-venv
 PACKAGE_READY := $(VENV)/.stamp-package
@@ -27,9 +31,11 @@ help: ## list the targets
 
 demo: $(PACKAGE_READY) ## install mmc-gym into .venv and compare the shipped policies
 	$(BIN)/mmc-gym compare $(ARGS)
+	$(NEXT)
 
 test: lint type imports ## install the dev extra into .venv, then lint, types, import rules, all tests
 	$(BIN)/python -m pytest -n auto --dist worksteal $(ARGS)
+	$(NEXT)
 
 lint: $(DEV_READY) ## ruff: rules and format
 	$(BIN)/ruff check

@@ -8,41 +8,23 @@ import sys
 from math import ceil
 from pathlib import Path
 
-import gymnasium as gym
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-import mmc_gym
-from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
+from mmc_gym.envs.scenarios import PERTURBATION_NAMES
 from mmc_gym.envs.tasks import TASKS
+from mmc_gym.listing import picture
 
 COLUMNS = 6
 STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}
 OTHERS = 11  # steps until the picture is taken
-START = {"joint_angles": [0.2, 0.4, 0.4]}
 OPTIONS = {
-    "random": {**START, "target": (-1.5, 1.8)},
+    "random": {"joint_angles": [0.2, 0.4, 0.4], "target": (-1.5, 1.8)},
     "centre-out": {"trial": 3},
     "paper": {"trial": 130},
 }
-
-
-def picture(name):
-    """The arm in the environment of a task or perturbation, driven by the MMC network."""
-    env = gym.make(environment_id(name), render_mode="rgb_array")
-    agent = mmc_gym.make_agent("mmc", env)
-    observation, _ = env.reset(seed=6, options=OPTIONS.get(name, START))
-    state = None
-    for _ in range(STEPS.get(name, OTHERS)):
-        action, state = agent.predict(observation, state)
-        observation, *_ = env.step(action)
-        env.unwrapped.show_posture(state.joint_angles)
-        frame = env.render()
-    env.close()
-    return frame[28:-28, 28:-28]
-
 
 names = [*TASKS, *PERTURBATION_NAMES]
 rows = ceil(len(names) / COLUMNS)
@@ -50,7 +32,7 @@ figure, axes = plt.subplots(rows, COLUMNS, figsize=(1.6 * COLUMNS, 1.8 * rows), 
 for axis in axes.flat:
     axis.axis("off")
 for axis, name in zip(axes.flat, names):
-    axis.imshow(picture(name))
+    axis.imshow(picture(name, STEPS.get(name, OTHERS), OPTIONS.get(name))[28:-28, 28:-28])
     axis.set_title(name, fontsize=8)
 figure.tight_layout(pad=0.3)
 path = Path(sys.argv[1] if len(sys.argv) > 1 else "contact-sheet.png")

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, cast
 
@@ -86,10 +87,13 @@ class Training:
         """Check all that can be checked before anything is trained.
 
         Raises:
-            UserError: if a hyperparameter, the environment or the device is not accepted.
+            UserError: if a hyperparameter, the environment or the device is not accepted, or an
+                extra is missing.
         """
         require(self.evaluations >= 1, "evaluations", self.evaluations, "at least 1")
         require(0 <= self.seed < 2**32, "seed", self.seed, "from 0 to 2**32 - 1")
+        if self.tensorboard is not None and find_spec("tensorboard") is None:
+            raise UserError('logs for TensorBoard take an extra: pip install "mmc-gym[training]"')
         self.device = usable_device(self.device)
         self.settings = self.recipe.settings
         try:

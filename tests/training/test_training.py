@@ -273,6 +273,12 @@ def test_a_device_that_is_not_there_is_refused(tmp_path, device):
         Training(tiny("ppo"), 3, tmp_path, device=device)
 
 
+def test_logs_name_the_extra_that_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorboard", None)
+    with pytest.raises(UserError, match=r'pip install "mmc-gym\[training\]"'):
+        Training(tiny("ppo"), 3, tmp_path, tensorboard=tmp_path / "logs")
+
+
 def test_the_best_device_is_found(tmp_path):
     best = "cuda" if torch.cuda.is_available() else "cpu"
     assert Training(tiny("ppo"), 3, tmp_path, device="auto").device == best
