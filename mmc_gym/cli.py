@@ -18,14 +18,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+import yaml
 from tyro.conf import Positional
 
 from mmc_gym._console import make_console, print_list, progress_bar
-from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym._errors import MismatchWarning, UserError, require
 from mmc_gym._grid import CellError
+from mmc_gym._modules import import_modules
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = "Agents that reach with a planar arm, compared.  --version alone prints the version."
 TRACEBACK = "MMC_GYM_TRACEBACK"
+
+Imports = Annotated[tuple[str, ...], tyro.conf.arg(name="import")]
 
 _app = tyro.extras.SubcommandApp()
 
@@ -54,23 +58,39 @@ def compare(
     episodes: int = 200,
     seed: int = 0,
     out: Path = Path("runs/compare"),
-    measures: tuple[str, ...] = (),
+    env_kwargs: tuple[str, ...] = (),
+    imports: Imports = (),
+    allow_pickle: bool = False,
 ) -> None:
     """Let agents play the same starts and targets; print a table, write data and figure.
 
     Args:
-        agents: Names of agents, paths of policies, or module:function, called with the environment.
-        env: Environment id.
+        agents: Names, files or folders of policies, .zip files of stable-baselines3, module:name;
+            'runs/mine-*' for several trainings of one, LABEL=... for another name, and
+            ...@joint_velocity for the control mode.
+        env: Environment id, module:Id or module:function.
         episodes: Episodes per agent.
         seed: Seed of the starts and targets.
         out: Folder for episodes.csv, the summary and the figure.
-        measures: Modules that register measures of your own.
+        env_kwargs: Arguments of the environment: NAME=VALUE, values in YAML.
+        imports: Modules of yours to import first, which register environments, tasks,
+            perturbations or measures.
+        allow_pickle: Load files that hold pickles, as .zip files of stable-baselines3 do: that runs
+            whatever code they name.
     """
     from mmc_gym.benchmark import compare
-    from mmc_gym.measures.catalogue import import_measures
 
-    import_measures(measures)
-    compare.compare(agents, env, episodes, seed, out, console=make_console())
+    import_modules(imports)
+    compare.compare(
+        agents,
+        env,
+        episodes,
+        seed,
+        out,
+        make_console(),
+        env_kwargs=_values(env_kwargs),
+        allow_pickle=allow_pickle,
+    )
 
 
 @_app.command
@@ -82,25 +102,29 @@ def benchmark(
     out: Path = Path("runs/benchmark"),
     jobs: int | None = None,
     cluster: str | None = None,
-    measures: tuple[str, ...] = (),
+    env_kwargs: tuple[str, ...] = (),
+    imports: Imports = (),
+    allow_pickle: bool = False,
 ) -> None:
     """Let agents play many scenarios; keep all in a store, and print a ranking.
 
     Args:
-        agents: Names (ppo: all its training seeds; ppo-3: one), paths of policies, module:function,
-            or LABEL=NAME (default: most that ship).
-        environments: Names of scenarios, such as random or delay-100 (default: all).
+        agents: Names (ppo: all its training seeds; ppo-3: one), and all else that compare takes
+            (default: most that ship).
+        environments: Names of scenarios, such as random or delay-100, or environments of yours, by
+            id, module:Id or module:function (default: all scenarios).
         episodes: Episodes in each scenario; numbered trials are played once each.
         seed: Seed of the starts and targets.
         out: Folder of the store; a benchmark that is there goes on, or is added to.
         jobs: How many cells at once (default: one per core).
         cluster: Where, if not here: "ray", or "ray://HOST:PORT", to play on a Ray cluster.
-        measures: Modules that register measures of your own.
+        env_kwargs: Arguments of all environments, see compare.
+        imports: Modules of yours to import first, see compare.
+        allow_pickle: Load files that hold pickles, see compare.
     """
     from mmc_gym.benchmark import entries, ranking, runner
-    from mmc_gym.measures.catalogue import import_measures
 
-    import_measures(measures)
+    import_modules(imports)
     with progress_bar() as bar:
         task = bar.add_task("cells")
 
@@ -115,6 +139,8 @@ def benchmark(
             seed,
             jobs=jobs,
             cluster=cluster,
+            env_kwargs=_values(env_kwargs),
+            allow_pickle=allow_pickle,
             on_progress=report,
         )
     ranking.print_ranking(make_console(), out)
@@ -146,6 +172,8 @@ def train(
     device: str = "cpu",
     jobs: int | None = None,
     cluster: str | None = None,
+    env_kwargs: tuple[str, ...] = (),
+    imports: Imports = (),
 ) -> None:
     """Train an agent by its YAML hyperparameters; a killed training goes on with --resume.
 
@@ -161,7 +189,10 @@ def train(
         device: Device that PyTorch computes on: cpu, cuda, cuda:1, auto.
         jobs: With --all: how many trainings at once (default: one per core).
         cluster: With --all: "ray", or "ray://HOST:PORT", to train on a Ray cluster.
+        env_kwargs: Arguments of the environment, beside those in the YAML file, see compare.
+        imports: Modules of yours to import first, see compare.
     """
+    import_modules(imports)
     from mmc_gym.training.hyperparameters import names
 
     if all == bool(name):
@@ -170,11 +201,14 @@ def train(
             f"or else give --all, got {name!r}{' and --all' if all else ''}"
         )
     if all:
-        _only_for("a single training", env=env, seed=seed, tensorboard=tensorboard)
+        _only_for(
+            "a single training", env=env, seed=seed, tensorboard=tensorboard, env_kwargs=env_kwargs
+        )
         _train_all(out or Path("runs/train-all"), steps, device, jobs, cluster)
     else:
         _only_for("--all", jobs=jobs, cluster=cluster)
-        _train_one(name, env, seed, steps, out, resume, tensorboard, device)
+        given = _values(env_kwargs)
+        _train_one(name, env, seed, steps, out, resume, tensorboard, device, given)
 
 
 def _only_for(other: str, **options: Any) -> None:
@@ -182,7 +216,8 @@ def _only_for(other: str, **options: Any) -> None:
     parameters = inspect.signature(train).parameters
     for name, value in options.items():
         if value != parameters[name].default:
-            raise UserError(f"--{name} is for {other} only, got {value}")
+            shown = " ".join(value) if isinstance(value, tuple) else value
+            raise UserError(f"--{name.replace('_', '-')} is for {other} only, got {shown}")
 
 
 def _train_one(
@@ -194,12 +229,13 @@ def _train_one(
     resume: bool,
     tensorboard: Path | None,
     device: str,
+    env_kwargs: dict[str, Any],
 ) -> None:
     from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
     from mmc_gym.training.hyperparameters import read_recipe
     from mmc_gym.training.training import Training
 
-    recipe = read_recipe(name, env, steps)
+    recipe = read_recipe(name, env, steps, env_kwargs)
     folder = out or Path("runs") / file_stem(recipe.name, seed)
     with progress_bar() as bar:
         task = bar.add_task(f"{recipe.name}, seed {seed}")
@@ -320,47 +356,79 @@ def reproduce(
 
 
 @_app.command
-def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) -> None:
+def play(
+    agent: str = "mmc",
+    env: str = "MMCReach-v0",
+    seed: int | None = None,
+    env_kwargs: tuple[str, ...] = (),
+    imports: Imports = (),
+    allow_pickle: bool = False,
+) -> None:
     """Open a window in which the mouse is the target of an agent's arm.
 
     Args:
-        agent: Name of the agent to start with.
-        env: Environment id.
+        agent: The agent to start with, see compare.
+        env: Environment id, module:Id or module:function.
         seed: Seed of the first posture.
+        env_kwargs: Arguments of the environment, see compare.
+        imports: Modules of yours to import first, see compare.
+        allow_pickle: Load files that hold pickles, see compare.
     """
     from mmc_gym.envs.render.renderer import open_display
 
     open_display()  # at once: what follows takes a while to load
     from mmc_gym import play
 
-    play.play(agent, env, seed)
+    import_modules(imports)
+    play.play(agent, env, seed, env_kwargs=_values(env_kwargs), allow_pickle=allow_pickle)
+
+
+def _values(texts: tuple[str, ...]) -> dict[str, Any]:
+    """Read NAME=VALUE, where values are YAML: nothing in them is run."""
+    found = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            require(name.isidentifier() and bool(value), "env-kwargs", text, _PAIR)
+            found[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise UserError(f"env-kwargs must be {_PAIR}, got {text!r}") from error
+    return found
+
+
+_PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
 
 
 @_app.command(name="list")
 def list_(
     what: Positional[Literal["agents", "tasks", "perturbations", "scenarios", "measures"]],
+    imports: Imports = (),
 ) -> None:
     """List what there is, a line each: its name, what it is, and what it needs.
 
     Args:
         what: The things to list.
+        imports: Modules of yours to import first, see compare.
     """
     from mmc_gym import listing
 
+    import_modules(imports)
     found: listing.Listing = getattr(listing, f"list_{what}")()
     print_list(make_console(), found.rows, found.headings)
 
 
 @_app.command
-def show(scenario: Positional[str], out: Path | None = None) -> None:
+def show(scenario: Positional[str], out: Path | None = None, imports: Imports = ()) -> None:
     """Say all about a scenario: how to make it, what goes on in it, and what agents are told.
 
     Args:
         scenario: Name of a task, of a perturbation with any strength (delay-150), or an id.
         out: File to write a picture of it to, .png.
+        imports: Modules of yours to import first, see compare.
     """
     from mmc_gym import listing
 
+    import_modules(imports)
     print_list(make_console(), listing.describe(scenario))
     if out is not None:
         print(f"wrote {listing.write_picture(scenario, out)}")
@@ -373,21 +441,38 @@ def record(
     env: str = "MMCReach-v0",
     episodes: int = 1,
     seed: int = 0,
+    env_kwargs: tuple[str, ...] = (),
+    imports: Imports = (),
+    allow_pickle: bool = False,
 ) -> None:
     """Write a film of an agent at work, as .gif or .mp4; it takes no display.
 
     Args:
         out: The file to write; .mp4 takes the extra "video".
-        agent: Name of an agent, path of a policy, or module:function.
-        env: Environment id.
+        agent: The agent, see compare.
+        env: Environment id, module:Id or module:function.
         episodes: How many episodes follow each other.
         seed: Seed of the starts and targets; the episodes are those of compare.
+        env_kwargs: Arguments of the environment, see compare.
+        imports: Modules of yours to import first, see compare.
+        allow_pickle: Load files that hold pickles, see compare.
     """
     from mmc_gym.record import record
 
+    import_modules(imports)
+    given = _values(env_kwargs)
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes)
-        record(out, agent, env, episodes, seed, lambda _: bar.advance(task))
+        record(
+            out,
+            agent,
+            env,
+            episodes,
+            seed,
+            lambda _: bar.advance(task),
+            env_kwargs=given,
+            allow_pickle=allow_pickle,
+        )
     print(f"wrote {out}")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -115,7 +115,7 @@ def list_scenarios() -> Listing:
 
     rows = (
         Listed(name, one.description, _trials(find_task(one.task)))
-        for name, one in SCENARIOS.items()
+        for name, one in {**SCENARIOS, **TASK_SCENARIOS}.items()
     )
     return Listing(Listed("scenario", "what it is", "episodes"), rows)
 
@@ -157,10 +157,11 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     found = find_scenario(name)
     env = found.make()
     setup: Any = env.get_wrapper_attr("setup")
-    task = find_task(found.task)
+    task = setup.task
     yield found.name, found.description
     yield "make it", "\n".join(_ways_to_make(found))
-    yield "task", f"{found.task if isinstance(found.task, str) else found.name}: {_about(task)}"
+    task_name = setup.task_name or (type(task).__name__ if found.env else found.name)
+    yield "task", f"{task_name}: {_about(task)}"
     for one in found.perturbations:
         yield "perturbation", f"{one}: {_about(one)}"
     yield "agents", "\n".join(_told(found, setup))
@@ -182,7 +183,7 @@ def _about(thing: object) -> str:
 
 
 def _ways_to_make(found: Scenario) -> Iterator[str]:
-    own = environment_id(found.name)
+    own = found.env_id if found.env else environment_id(found.name)
     default = environment_id(found.family + "-told" * found.told)
     is_default = found.family and found.strength == FAMILIES[found.family].default
     for env_id in (own, *([default] if is_default else [])):
@@ -234,10 +235,10 @@ def picture(
         UserError: for an unknown name.
     """
     found = find_scenario(name)
-    if options is None and find_task(found.task).trial_count is None:
+    if options is None and found.trial_count is None:
         options = {"joint_angles": [0.2, 0.4, 0.4]}
     named = {"perturbations": [found.name]} if found.family else {}  # for the caption
-    env = gym.make(found.env_id, **{**found.arguments, **named}, render_mode="rgb_array")
+    env = replace(found, env_kwargs={**named, "render_mode": "rgb_array"}).make()
     agent = make_agent("mmc", env)
     state: Any = None
     observation, _ = env.reset(seed=seed, options=options)

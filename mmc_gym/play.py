@@ -14,11 +14,12 @@ import pygame
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
-from mmc_gym.benchmark.entries import make_for, single_entries
+from mmc_gym.agents.resolver import AgentLike
+from mmc_gym.benchmark.entries import Entry, make_together, one_entry
+from mmc_gym.envs.making import EnvLike
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import shapes as drawing
 from mmc_gym.envs.render.renderer import open_display
-from mmc_gym.measures.rollout import make_environment
 
 HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
 _LINE = 26  # height of a line of text, pixels
@@ -27,33 +28,40 @@ _FONT_SIZE = 20
 _GAP = 18  # between the names of agents
 
 
-def play(agent: str = "mmc", env: str = "MMCReach-v0", seed: int | None = None) -> None:
+def play(
+    agent: AgentLike = "mmc",
+    env: EnvLike = "MMCReach-v0",
+    seed: int | None = None,
+    *,
+    env_kwargs: Mapping[str, Any] | None = None,
+    allow_pickle: bool = False,
+) -> None:
     """Let the mouse move the target, and an agent the arm, until the window is closed.
 
     Args:
-        agent: the first agent: a name that `mmc_gym.make_agent` accepts, the path of a policy's
-            file, or "module:function"; keys choose among `mmc_gym.agents.AGENTS`.
-        env: id of a reaching environment; its time limit is lifted.
+        agent: the first agent, see `mmc_gym.agents.resolve`; keys choose among
+            `mmc_gym.agents.AGENTS`.
+        env: id of a reaching environment, "module:Id", "module:function", or a function that
+            returns one; its time limit is lifted.
         seed: of the postures, or None for others each time.
+        env_kwargs: arguments of the environment, see `compare`.
+        allow_pickle: whether files that hold pickles may be loaded, see `compare`.
 
     Raises:
         UserError: without a display, for an unknown agent or another environment.
     """
     open_display()
     try:
-        _play(agent, env, seed)
+        entry = one_entry(agent, allow_pickle=allow_pickle)
+        given = {**(env_kwargs or {}), "render_mode": "rgb_array", "max_episode_steps": -1}
+        _play(entry, env, given, seed)
     finally:
         pygame.display.quit()
 
 
-def _play(agent: str, env: str, seed: int | None) -> None:
-    (entry,) = single_entries([agent])
+def _play(entry: Entry, env: EnvLike, env_kwargs: dict[str, Any], seed: int | None) -> None:
     label, factory = entry.label, entry.agent.factory
-
-    def make_world(control: str | None) -> gym.Env[Any, Any]:
-        return make_environment(env, control, render_mode="rgb_array", max_episode_steps=-1)
-
-    world, _ = make_for(entry.agent, make_world)
+    world, _ = make_together(entry, env, env_kwargs)
     try:
         makers: dict[str, Callable[[], Predictor]]
         makers = {name: partial(entry.make, world) for name, entry in AGENTS.items()}

@@ -5,11 +5,10 @@ from __future__ import annotations
 import io
 import math
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
@@ -18,9 +17,9 @@ from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
-from mmc_gym.benchmark.entries import make_for, single_entries
+from mmc_gym.benchmark.entries import make_together, one_entry
+from mmc_gym.envs.making import EnvLike
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
-from mmc_gym.measures.rollout import make_environment
 
 Picture = NDArray[np.uint8]
 _SHORTEST = 0.02  # seconds that a picture of a GIF is shown: browsers slow shorter ones down
@@ -29,20 +28,25 @@ _SHORTEST = 0.02  # seconds that a picture of a GIF is shown: browsers slow shor
 def record(
     out: Path | str,
     agent: AgentLike = "mmc",
-    env: str = "MMCReach-v0",
+    env: EnvLike = "MMCReach-v0",
     episodes: int = 1,
     seed: int = 0,
     on_episode: Callable[[Episode], None] | None = None,
+    *,
+    env_kwargs: Mapping[str, Any] | None = None,
+    allow_pickle: bool = False,
 ) -> Path:
     """Let an agent play the first episodes that `compare` plays, and write them as one film.
 
     Args:
         out: file to write: .gif, or .mp4, which takes the extra `video`.
         agent: as in `mmc_gym.compare`.
-        env: id of a reaching environment.
+        env: a reaching environment, as in `mmc_gym.compare`.
         episodes: how many follow each other in the film.
         seed: of the starts and targets.
         on_episode: is handed each episode when it is over.
+        env_kwargs: arguments of the environment, as in `mmc_gym.compare`.
+        allow_pickle: whether files that hold pickles may be loaded, as in `mmc_gym.compare`.
 
     Returns:
         The path of the film.
@@ -56,13 +60,9 @@ def record(
         raise UserError(f"out must be a file that ends in .gif or .mp4, got {str(out)!r}")
     if out.suffix == ".mp4":
         _require_ffmpeg()
-    (entry,) = single_entries([agent])
+    entry = one_entry(agent, allow_pickle=allow_pickle)
     seeds = episode_seeds(seed, episodes)
-
-    def make_world(control: str | None) -> gym.Env[Any, Any]:
-        return make_environment(env, control, render_mode="rgb_array")
-
-    world, player = make_for(entry.agent, make_world)
+    world, player = make_together(entry, env, {**(env_kwargs or {}), "render_mode": "rgb_array"})
     try:
         pictures = _pictures(player, RenderCollection(world), seeds, on_episode)
         film = films[out.suffix](pictures, world.metadata["render_fps"])

@@ -5,19 +5,24 @@ An agent sees observations only; `ReachInterface` is what it is told besides.
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any, Generic, Protocol, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._notebook import facts_table
-from mmc_gym.interface import Observation, ReachInterface, Sensed
+from mmc_gym.interface import Observation, ReachInterface, Sensed, told_by
 from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
+
+if TYPE_CHECKING:  # `import mmc_gym` loads no physics
+    from mmc_gym.body import ArmParameters
 
 State = TypeVar("State")
 Started = Sequence[bool] | NDArray[np.bool_] | None
@@ -174,6 +179,31 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
         return type(yes)(*(_where(condition, *pair) for pair in zip(yes, no, strict=True)))
     trailing = (1,) * (np.ndim(yes) - np.ndim(condition))
     return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), yes, no)
+
+
+def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> None:
+    """Warn, by a `MismatchWarning`, if an agent was trained with another arm than that of `env`.
+
+    Another engine is no such difference: engines simulate the same arm.  Nor are perturbations:
+    they are meant.  Nothing is said where either arm is unknown.
+    """
+    here = told_by(env, "unperturbed")
+    if trained is None or here is None:
+        return
+    differences = "; ".join(_differences(trained, here))
+    if differences:
+        message = f"{label} was trained with another arm than that of env: {differences}"
+        warnings.warn(message, MismatchWarning, stacklevel=4)
+
+
+def _differences(trained: ArmParameters, here: ArmParameters) -> Iterator[str]:
+    """Name the parameters in which arms differ; the same control step may have other substeps."""
+    solved = ("segment_masses", "substep", "substeps")
+    names = [each.name for each in fields(trained) if each.name not in solved]
+    for name in (*names, "masses", "control_step"):
+        one, other = getattr(trained, name), getattr(here, name)
+        if one != other:
+            yield f"{name} {one} in training, {other} here"
 
 
 class RandomAgent(Agent[None]):

@@ -10,9 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, fields, replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -27,9 +26,9 @@ from pydantic.dataclasses import dataclass
 from safetensors import SafetensorError
 from typing_extensions import override
 
-from mmc_gym._errors import MismatchWarning, UserError, explain
+from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, Started
+from mmc_gym.agents.base import Agent, Started, warn_of_another_arm
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
@@ -40,7 +39,6 @@ from mmc_gym.interface import (
     ControlError,
     Observation,
     ReachInterface,
-    told_by,
 )
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
@@ -190,8 +188,7 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
 def load_agent(path: str | Path, env: Any) -> PolicyAgent:
     """Make the agent of a policy for an environment, wrapped or not, or a vector of equal ones.
 
-    A `MismatchWarning` tells of an arm that differs from the one on the card.  Another engine is
-    no such difference: engines simulate the same arm.  Nor are perturbations: they are meant.
+    A `MismatchWarning` tells of an arm that differs from the one on the card.
 
     Args:
         path: of either of its two files.
@@ -204,23 +201,8 @@ def load_agent(path: str | Path, env: Any) -> PolicyAgent:
     """
     network, card = load_policy(path)
     agent = PolicyAgent(network, card, ReachInterface.of(env))
-    here = told_by(env, "unperturbed")
-    if card.body is not None and here is not None:
-        differences = "; ".join(_differences(card.body, here))
-        if differences:
-            message = f"{card.file_stem} was trained with another arm than that of env: "
-            warnings.warn(message + differences, MismatchWarning, stacklevel=3)
+    warn_of_another_arm(card.file_stem, card.body, env)
     return agent
-
-
-def _differences(trained: ArmParameters, here: ArmParameters) -> Iterator[str]:
-    """Name the parameters in which arms differ; the same control step may have other substeps."""
-    solved = ("segment_masses", "substep", "substeps")
-    names = [each.name for each in fields(ArmParameters) if each.name not in solved]
-    for name in (*names, "masses", "control_step"):
-        one, other = getattr(trained, name), getattr(here, name)
-        if one != other:
-            yield f"{name} {one} in training, {other} here"
 
 
 class PolicyAgent(Agent[Any]):

@@ -14,25 +14,29 @@ from rich.console import Console
 from mmc_gym._console import print_written, progress_bar
 from mmc_gym._files import check_folder
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike
 from mmc_gym.benchmark.comparison import Comparison
-from mmc_gym.benchmark.entries import make_for, single_entries, training_steps
+from mmc_gym.benchmark.entries import Agents, Entry, find_entries, make_together, training_steps
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.statistics import summarize
 from mmc_gym.benchmark.store import episode_columns
+from mmc_gym.envs.making import EnvLike, name_of
+from mmc_gym.interface import told_by
 from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures, run_episodes
-from mmc_gym.measures.rollout import check_environment, make_environment
+from mmc_gym.measures.rollout import check_environment
 
 _REFRESH = 0.1  # seconds between two drawings of the progress bar
 
 
 def compare(
-    agents: Sequence[AgentLike] | Mapping[str, AgentLike],
-    env: str = "MMCReach-v0",
+    agents: Agents,
+    env: EnvLike = "MMCReach-v0",
     episodes: int = 200,
     seed: int = 0,
     out: Path | str | None = None,
     console: Console | None = None,
+    *,
+    env_kwargs: Mapping[str, Any] | None = None,
+    allow_pickle: bool = False,
 ) -> Comparison:
     """Let agents play the same episodes.
 
@@ -40,13 +44,19 @@ def compare(
     All arguments are checked, and the agents made, before the first episode.
 
     Args:
-        agents: names, `"module:function"`, factories or objects with `predict`, see
-            `entries.single_entries`; a mapping gives them labels.
-        env: id of a reaching environment.
+        agents: names, paths of files, functions, classes, models of stable-baselines3, or other
+            objects with `predict`, see `mmc_gym.agents.resolve`.  A mapping gives them labels; a
+            list in it is several trainings of one agent, and so is a pattern, "runs/mine-*".
+        env: id of a reaching environment, "module:Id", "module:function", or a function or class
+            that returns one.
         episodes: how many each agent plays.
         seed: of the starts and targets, see `episode_seeds`, and of the resampling.
         out: folder for data and figure; None writes none.
         console: to print the table to; None prints nothing.  `print(comparison)` does, too.
+        env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
+            several control modes, or do not tell theirs.
+        allow_pickle: whether files that hold pickles may be loaded, which runs whatever code they
+            name: those of stable-baselines3 do.
 
     Raises:
         UserError: if an argument is outside what it accepts.
@@ -60,37 +70,47 @@ def compare(
         >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
         {'random': 2, 'minimum jerk (ideal)': 2}
     """
-    entries = single_entries(agents)
+    given = dict(env_kwargs or {})
+    entries = find_entries(agents, allow_pickle=allow_pickle, every_training=False)
     seeds = episode_seeds(seed, episodes)
     if out is not None:
         out = Path(out)
         check_folder(out, "out")
-    envs: dict[str, gym.Env[Any, Any]] = {}
-    players: dict[str, Predictor] = {}
-
-    def make_world(control: str | None) -> gym.Env[Any, Any]:
-        made = make_environment(env, control)
-        check_environment(made)
-        return made
-
+    envs: list[gym.Env[Any, Any]] = []
+    players: list[Predictor] = []
     try:
         # All are made before the first one plays: a missing file should not cost the others' work.
         for entry in entries:
-            envs[entry.label], players[entry.label] = make_for(entry.agent, make_world)
-        world = next(iter(envs.values()))
-        recorded = _play(players, envs, seeds)
-        if REFERENCE not in recorded and has_reference(world):
-            recorded[REFERENCE] = minimum_jerk_episodes(next(iter(recorded.values())))
-        reach = float(world.get_wrapper_attr("reach"))
+            made, player = make_together(entry, env, given, check_environment)
+            envs.append(made)
+            players.append(player)
+        played = _play(entries, players, envs, seeds)
+        if has_reference(envs[0]):
+            entries.append(Entry(REFERENCE, None, REFERENCE))
+            played.append(minimum_jerk_episodes(played[0]))
+        reach = float(envs[0].get_wrapper_attr("reach"))
     finally:
-        for made in envs.values():
+        for made in envs:
             made.close()
-    table = _tidy(recorded)
-    steps = {label: training_steps(player) for label, player in players.items()}
+    table = _tidy(entries, played)
+    recorded: dict[str, tuple[Episode, ...]] = {}
+    for entry, one in zip(entries, played):
+        recorded[entry.label] = recorded.get(entry.label, ()) + one
+    steps = {entry.label: training_steps(player) for entry, player in zip(entries, players)}
     if REFERENCE in recorded:
         steps.setdefault(REFERENCE, 0)
     summary = summarize(leave_out_failures(table), tuple(MEASURES.values()), seed)
-    comparison = Comparison(env, seed, reach, recorded, steps, table, summary)
+    comparison = Comparison(
+        env=name_of(env),
+        seed=seed,
+        reach=reach,
+        recorded=recorded,
+        training_steps=steps,
+        episodes=table,
+        summary=summary,
+        env_kwargs=given,
+        controls={entry.label: str(told_by(made, "control")) for entry, made in zip(entries, envs)},
+    )
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
     if console is not None:
         comparison.print(console)
@@ -98,18 +118,22 @@ def compare(
     return comparison
 
 
-def _tidy(recorded: Mapping[str, Sequence[Episode]]) -> pd.DataFrame:
-    """Return a row per agent and episode."""
+def _tidy(entries: Sequence[Entry], played: Sequence[Sequence[Episode]]) -> pd.DataFrame:
+    """Return a row per agent, training and episode."""
     tables = []
-    for agent, episodes in recorded.items():
-        columns = {"agent": agent, "episode": range(len(episodes)), **episode_columns(episodes)}
+    for entry, episodes in zip(entries, played):
+        who = {"agent": entry.label, "training_seed": entry.training_seed}
+        columns = {**who, "episode": range(len(episodes)), **episode_columns(episodes)}
         tables.append(pd.DataFrame(columns).drop(columns="duration"))
-    return pd.concat(tables, ignore_index=True)
+    return pd.concat(tables, ignore_index=True).astype({"training_seed": "Int64"})
 
 
 def _play(
-    players: Mapping[str, Predictor], envs: Mapping[str, gym.Env[Any, Any]], seeds: Sequence[int]
-) -> dict[str, tuple[Episode, ...]]:
+    entries: Sequence[Entry],
+    players: Sequence[Predictor],
+    envs: Sequence[gym.Env[Any, Any]],
+    seeds: Sequence[int],
+) -> list[tuple[Episode, ...]]:
     # Drawn between episodes only: a drawing thread would disturb the times of the actions.
     with progress_bar(auto_refresh=False) as progress:
         task = progress.add_task("", total=len(players) * len(seeds))
@@ -122,8 +146,8 @@ def _play(
                 progress.refresh()
                 drawn = time.monotonic()
 
-        recorded = {}
-        for label, player in players.items():
-            progress.update(task, description=label)
-            recorded[label] = run_episodes(player, envs[label], seeds, advance)
-        return recorded
+        played = []
+        for entry, player, env in zip(entries, players, envs):
+            progress.update(task, description=entry.label)
+            played.append(run_episodes(player, env, seeds, advance))
+        return played

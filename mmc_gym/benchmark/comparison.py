@@ -7,7 +7,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
@@ -43,12 +43,15 @@ class Comparison:
         env: id of the environment.
         seed: of the starts, the targets and the resampling.
         reach: of the arm, segment lengths.
-        recorded: the episodes of each agent, and of `REFERENCE` if there are any; the i-th of each
-            have the same start and target.
+        recorded: the episodes of each agent, of one training after the other, and of `REFERENCE`
+            if there are any; the i-th of each training have the same start and target.
         training_steps: environment steps spent in training each agent; None if unknown.
-        episodes: one row per agent and episode: agent, episode, seed, start, target, measures.
+        episodes: one row per agent, training and episode: agent, training_seed, episode, seed,
+            start, target, measures.
         summary: one row per agent and measure, see `statistics.summarize`; of the episodes that
             ended at the target, for measures of `successes_only`.
+        env_kwargs: arguments of the environment.
+        controls: the control mode in which each agent acted.
     """
 
     env: str
@@ -58,6 +61,8 @@ class Comparison:
     training_steps: Mapping[str, int | None]
     episodes: pd.DataFrame
     summary: pd.DataFrame
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    controls: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def agents(self) -> list[str]:
@@ -65,22 +70,39 @@ class Comparison:
         return [label for label in self.recorded if label != REFERENCE] or [REFERENCE]
 
     @property
+    def trainings(self) -> dict[str, int]:
+        """The number of trainings of each agent; 1 for one without training, too."""
+        return {agent: len(of) // self._episodes for agent, of in self.recorded.items()}
+
+    @property
+    def _episodes(self) -> int:
+        """The number of episodes that each training of an agent played."""
+        return int(self.episodes["episode"].nunique())
+
+    @property
     def headline(self) -> str:
         """The result in a sentence: who ends at the target most often, soonest, and least often."""
-        total = len(next(iter(self.recorded.values())))
-        successes = self.episodes.groupby("agent")["success"].sum()[self.agents]
+        successes = self.episodes.groupby("agent")["success"].mean()[self.agents]
         best, worst = successes.max(), successes.min()
         leaders = list(successes.index[successes == best])
         ends = "ends" if len(leaders) == 1 else "end"
-        sentence = f"{_listed(leaders)} {ends} at the target in {_of_all(best, total)} episodes"
+        sentence = f"{_listed(leaders)} {ends} at the target in {self._share(leaders)} episodes"
         times = self.to_frame().loc[leaders, "time_to_target"].dropna()
         if len(times):
             soonest = f"{times.idxmin()} soonest, " if len(leaders) > 1 else ""
             sentence += f" ({soonest}after {times.min():.2f} s in the median)"
         if worst < best:
             losers = list(successes.index[successes == worst])
-            sentence += f"; {_listed(losers)} in {_of_all(worst, total)}"
+            sentence += f"; {_listed(losers)} in {self._share(losers).removesuffix(' of the')}"
         return f"{sentence}."
+
+    def _share(self, agents: Sequence[str]) -> str:
+        """Return in how many of all episodes these agents, which are alike in it, succeeded."""
+        played = self.episodes[self.episodes["agent"] == agents[0]]["success"]
+        if len({self.trainings[agent] for agent in agents}) > 1:
+            rate = float(played.mean())
+            return "none of the" if rate == 0 else "all" if rate == 1 else f"{rate:.1%} of the"
+        return _of_all(played.sum(), len(played))
 
     @property
     def note(self) -> str:
@@ -93,15 +115,30 @@ class Comparison:
             if REFERENCE in self.recorded
             else ""
         )
+        arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
+        where = f"{self.env} with {arguments}" if arguments else self.env
         return (
-            f"{self.env}, {len(one)} episodes, the same starts and targets for all agents. "
+            f"{where}, {self._episodes} episodes, the same starts and targets for all agents. "
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
             f"segment lengths; at the target: within {one[0].tolerance:g}. "
             f"{all_told}: of all episodes; the others: of those that ended at the target, and k of "
-            f"{len(one)} have a value (none where the hand started there). {reference}"
+            f"{self._episodes} have a value (none where the hand started there). {reference}"
             f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
-            "The intervals replicate over episodes (starts and targets), NOT over training seeds: "
-            "each agent is the result of one training, or of none."
+            f"{self._replication}"
+        )
+
+    @property
+    def _replication(self) -> str:
+        several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
+        over_both = (
+            f"The intervals of {_listed(several)} replicate over trainings (so many) and episodes. "
+            if several
+            else ""
+        )
+        others = "The intervals of the others" if several else "The intervals"
+        return (
+            f"{over_both}{others} replicate over episodes (starts and targets), NOT over training "
+            "seeds: each agent is the result of one training, or of none."
         )
 
     @property
@@ -110,19 +147,23 @@ class Comparison:
         one = next(iter(self.recorded.values()))
         return {
             "environment": self.env,
+            "env_kwargs": json.loads(json.dumps(dict(self.env_kwargs), default=repr)),
+            "controls": dict(self.controls),
             "agents": [agent for agent in self.recorded if agent != REFERENCE],
             "reference": REFERENCE if REFERENCE in self.recorded else None,
             "training_steps": {
                 agent: steps for agent, steps in self.training_steps.items() if agent != REFERENCE
             },
-            "training_seeds_per_agent": 1,
-            "episodes": len(one),
+            "trainings": {
+                agent: number for agent, number in self.trainings.items() if agent != REFERENCE
+            },
+            "episodes": self._episodes,
             "seed": self.seed,
             "control_step": one[0].control_step,
             "tolerance": one[0].tolerance,
             "confidence": CONFIDENCE,
             "bootstrap_resamples": RESAMPLES,
-            "bootstrap_method": "percentile, over episodes",
+            "bootstrap_method": "percentile, over episodes, and trainings if an agent has several",
             "python": platform.python_version(),
             "machine": f"{platform.system()} {platform.machine()}",
             "versions": {package: version(package) for package in _PACKAGES},
@@ -204,8 +245,8 @@ class Comparison:
         return written + save_figure(self.plot(), out / "paths_and_profiles")
 
     def __repr__(self) -> str:
-        count = len(next(iter(self.recorded.values())))
-        return f"<Comparison of {', '.join(self.agents)} in {self.env}, {count} episodes each>"
+        count = f"{self._episodes} episodes each"
+        return f"<Comparison of {', '.join(self.agents)} in {self.env}, {count}>"
 
     def __str__(self) -> str:
         console = Console(file=io.StringIO(), width=make_console().width)

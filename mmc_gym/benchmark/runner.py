@@ -13,20 +13,22 @@ from __future__ import annotations
 import platform
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym.agents.base import RandomAgent
-from mmc_gym.benchmark.entries import Entry, find_entries, make_for
+from mmc_gym.benchmark.entries import Agents, Entry, find_entries, make_for
 from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.store import (
     EPISODES,
@@ -44,7 +46,7 @@ from mmc_gym.benchmark.store import (
     update_manifest,
     write_cell,
 )
-from mmc_gym.benchmark.suite import find_scenarios
+from mmc_gym.benchmark.suite import Environments, find_scenarios
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.scenarios import scenario as find_scenario
 from mmc_gym.interface import CannotActError
@@ -79,6 +81,7 @@ class Cell:
     Attributes:
         episodes: how many, where the scenario does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
+        control: that the user asks for, see `make_for`.
         measures: the user's own, which a worker does not know.
     """
 
@@ -86,6 +89,7 @@ class Cell:
     scenario: Scenario
     episodes: int
     seed: int
+    control: str | None = None
     keeps_paths: bool = True
     measures: tuple[Measure | SetMeasure, ...] = ()
 
@@ -99,12 +103,13 @@ class Cell:
         """All that its results depend on, as far as is known; ready for JSON."""
         return {
             "recording": RECORDING,
-            "source": str(self.entry.source),
+            "source": self.entry.source_name,
             "fingerprint": self.entry.fingerprint,
             "environment": self.scenario.settings,
             "episodes": self.episodes,
             "seed": self.seed,
             "measures": {one.name: digest(one) for one in self.measures},
+            **({"control": self.control} if self.control else {}),
         }
 
 
@@ -175,19 +180,27 @@ def _play(cell: Cell) -> _Recorded:
     if cell.entry.is_reference:
         return _play_reference(cell, seeds, instances)
     factory = cell.entry.agent.factory
-    env, agent = make_for(cell.entry.agent, cell.scenario.make)
-    control, joints = env.unwrapped.control, env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
+    is_own = cell.scenario.env is not None
+
+    def make_env(control: str | None) -> gym.Env[Any, Any]:
+        return cell.scenario.make(control or cell.control)
+
+    env, agent = make_for(cell.entry, make_env, cell.control, is_own_env=is_own)
+    world: Any = env.unwrapped
+    control, joints = world.control, len(world.parameters.segment_lengths)
     timed = run_episodes(agent, env, seeds[:TIMED], options=instances[:TIMED])
     together: tuple[Episode, ...] = ()
     vector = cell.scenario.make_vec(len(seeds), control)
-    try:
-        together = run_episodes(factory(env), vector, seeds, options=instances)
-    except Exception:
-        if cell.entry.agent.acts_on_batches:
-            raise
-    finally:
-        vector.close()
-    if not cell.entry.agent.acts_on_batches and not _are_same(timed, together):
+    acts_on_batches = cell.entry.agent.acts_on_batches and vector is not None
+    if vector is not None:
+        try:
+            together = run_episodes(factory(env), vector, seeds, options=instances)
+        except Exception:
+            if acts_on_batches:
+                raise
+        finally:
+            vector.close()
+    if not acts_on_batches and not _are_same(timed, together):
         agent = factory(env)  # a new one: it may remember what it should not
         alone = run_episodes(agent, env, seeds, options=instances)
         return _Recorded(alone, control, False, joints)
@@ -215,10 +228,10 @@ def _play_reference(
     env = cell.scenario.make()
     if cell.scenario.family or not has_reference(env):
         raise CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
-    joints = env.unwrapped.setup.joint_count  # type: ignore[attr-defined]
+    joints = len(env.unwrapped.parameters.segment_lengths)  # type: ignore[attr-defined]
     vector = cell.scenario.make_vec(len(seeds))
-    anybody = run_episodes(RandomAgent(joints), vector, seeds, options=instances)
-    vector.close()
+    anybody = run_episodes(RandomAgent(joints), vector or env, seeds, options=instances)
+    (vector or env).close()
     return _Recorded(minimum_jerk_episodes(anybody), "", True, joints)
 
 
@@ -238,38 +251,49 @@ class Progress:
 
 
 def benchmark(
-    agents: Iterable[str],
+    agents: Agents,
     out: Path,
-    environments: Iterable[str] = (),
+    environments: Environments = (),
     episodes: int = 100,
     seed: int = 0,
     *,
     jobs: int | None = None,
     cluster: str | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
+    allow_pickle: bool = False,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Manifest:
     """Let agents play the benchmark's environments; keep all in a store, and return its manifest.
 
     Args:
-        agents: names, see `entries`.
+        agents: names, see `entries`; or functions, classes and objects, as in `compare`.
         out: folder of the store; one that is there is added to, also by several benchmarks at once.
-        environments: names of scenarios; all of the benchmark's by default.
+        environments: names of scenarios, or of your own environments, which a mapping gives
+            functions or classes, too; all of the benchmark's by default.
         episodes: in each environment; where trials are numbered each is played once instead.
         seed: decides on starts and targets, which are the same for all agents.
         jobs: how many cells are played at once, see `run_grid`.
         cluster: where, see `run_grid`.
+        env_kwargs: arguments of all environments.  A `control` among them is for agents that act
+            by several control modes, or do not tell theirs.
+        allow_pickle: whether files that hold pickles may be loaded, see `compare`.
         on_progress: called at the start, and whenever a cell is finished.
 
     Raises:
         UserError: if an argument is none of those, or the store was made with other settings.
     """
-    scenarios = find_scenarios(environments)
-    entries = find_entries(agents)
+    given = dict(env_kwargs or {})
+    asked = given.pop("control", None)
+    scenarios = find_scenarios(environments, given)
+    entries = find_entries(agents, allow_pickle=allow_pickle)
+    for entry in entries:
+        if not entry.is_reference:
+            _check_control(entry, scenarios, asked)
     episode_seeds(seed, episodes)
     check_workers(jobs, cluster)
     check_folder(out, "out")
     begun = update_manifest(out, partial(_joined, out, scenarios, entries, episodes, seed))
-    cells = _cells(scenarios, entries, episodes, seed)
+    cells = [replace(one, control=asked) for one in _cells(scenarios, entries, episodes, seed)]
     begin = time.perf_counter()
     missing: list[Cell] = []
     finished: dict[CellKey, NotPlayed | None] = {}
@@ -305,6 +329,14 @@ def benchmark(
     finally:
         manifest = update_manifest(out, updated)
     return manifest
+
+
+def _check_control(entry: Entry, scenarios: Mapping[str, Scenario], control: str | None) -> None:
+    """Raise a `UserError`, before anything is played, if nobody knows a model's control mode."""
+    ours = [scenario for scenario in scenarios.values() if scenario.env is None]
+    if ours and entry.agent.is_model:
+        with suppress(CannotActError):  # that is the result of a cell
+            make_for(entry, lambda mode: ours[0].make(mode or control), control)[0].close()
 
 
 def _cells(
@@ -357,7 +389,7 @@ def _joined(
     agents = {name: list(policies) for name, policies in manifest.agents.items()}
     for one in entries:
         policies = agents.setdefault(one.label, [])
-        asked = Policy(training_seed=one.training_seed, source=str(one.source))
+        asked = Policy(training_seed=one.training_seed, source=one.source_name)
         same = [policy for policy in policies if policy.training_seed == asked.training_seed]
         policies += [] if same else [asked]
         for kept in same:

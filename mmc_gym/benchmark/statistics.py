@@ -462,6 +462,35 @@ def success_interval(
     return Interval(float(np.mean(present)), low, high, count, missing)
 
 
+def trainings_interval(
+    values: ArrayLike, statistic: Statistic, seed: int = 0, resamples: int = RESAMPLES
+) -> Interval:
+    """Return the mean or median of several trainings on the same episodes, with its interval.
+
+    A resample draws training seeds and episodes, see above.
+
+    Args:
+        values: of each training in each episode, (seeds, episodes); NaNs are left out and counted.
+        statistic: "mean" or "median".
+        seed: of the resampling.
+        resamples: how many.
+
+    Example:
+        >>> found = trainings_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
+        >>> found.estimate, found.low, found.high, found.count
+        (0.5, 0.0, 1.0, 6)
+    """
+    table = np.asarray(values, dtype=np.float64)
+    present, missing = _present(table)
+    if not present.size:
+        return Interval(math.nan, math.nan, math.nan, 0, missing)
+    scores = Scores((table.shape[1],), {"": (table,)}, {"": len(table)})
+    found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
+    ends = (float(found[0]), *percentile_interval(found[1:]))
+    estimate, low, high = np.clip(ends, present.min(), present.max()).tolist()
+    return Interval(estimate, low, high, present.size, missing)
+
+
 def _present(values: ArrayLike) -> tuple[Floats, int]:
     """Return the values that are not NaN, and how many are."""
     sample = np.asarray(values, dtype=np.float64)
@@ -473,7 +502,9 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
     """Return the interval of each measure for each agent.
 
     Args:
-        episodes: one row per agent and episode, with a column "agent" and one per measure.
+        episodes: one row per agent and episode, with a column "agent" and one per measure; where
+            an agent has several trainings, with a column "training_seed", their episodes in the
+            same order.
         measures: columns to summarize.
         seed: of the resampling.
 
@@ -486,12 +517,21 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
             "measure": measure.name,
             "unit": measure.unit,
             "statistic": measure.statistic,
-            **vars(bootstrap_interval(group[measure.name], measure.statistic, seed)),
+            **vars(_interval(group, measure, seed)),
         }
         for agent, group in episodes.groupby("agent", sort=False)
         for measure in measures
     ]
     return pd.DataFrame(rows)
+
+
+def _interval(group: pd.DataFrame, measure: Measure, seed: int) -> Interval:
+    """Return the interval of a measure over the episodes of one agent, and over its trainings."""
+    values = group[measure.name].to_numpy(np.float64)
+    trainings = group["training_seed"].nunique() if "training_seed" in group else 1
+    if trainings < 2:
+        return bootstrap_interval(values, measure.statistic, seed)
+    return trainings_interval(values.reshape(trainings, -1), measure.statistic, seed)
 
 
 def percentile_interval(resampled: Floats) -> tuple[float, float]:

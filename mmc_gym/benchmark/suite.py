@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any, TypeAlias
 
-from mmc_gym.envs.scenarios import FAMILIES, TASK_SCENARIOS, Scenario, scenario
+from mmc_gym.envs.making import EnvLike
+from mmc_gym.envs.scenarios import FAMILIES, TASK_SCENARIOS, Scenario, own_scenario, scenario
 
 SCENARIOS: dict[str, Scenario] = {
     **TASK_SCENARIOS,
@@ -13,11 +16,29 @@ SCENARIOS: dict[str, Scenario] = {
 """The scenarios of the benchmark by name."""
 
 
-def find_scenarios(names: Iterable[str]) -> dict[str, Scenario]:
-    """Return scenarios by name: the benchmark's if no names are given, else any.
+Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
+"""Names of scenarios and of your own environments; or these by names of yours."""
+
+
+def find_scenarios(
+    environments: Environments, env_kwargs: Mapping[str, Any] | None = None
+) -> dict[str, Scenario]:
+    """Return scenarios by name: the benchmark's if none are given, else any.
+
+    Args:
+        environments: names, see `mmc_gym.envs.scenarios.scenario`; a mapping has environments of
+            yours by names of yours, see `mmc_gym.envs.making.make_environment`.
+        env_kwargs: arguments of all of them.
 
     Raises:
-        UserError: for an unknown name, see `mmc_gym.envs.scenarios.scenario`.
+        UserError: for an unknown name, or an environment that cannot be made.
     """
-    found = map(scenario, names)
-    return {one.name: one for one in found} or dict(SCENARIOS)
+    if isinstance(environments, Mapping):
+        found = [own_scenario(env, name) for name, env in environments.items()]
+    else:
+        names = [environments] if isinstance(environments, str) else environments
+        found = [scenario(name) for name in names]
+    chosen = {one.name: one for one in found} or dict(SCENARIOS)
+    if not env_kwargs:
+        return chosen
+    return {name: replace(one, env_kwargs=env_kwargs) for name, one in chosen.items()}

@@ -5,7 +5,9 @@ from typing import Any
 
 import gymnasium as gym
 
-from mmc_gym.envs.scenarios import register_all
+from mmc_gym.envs.scenarios import Family, register_all, register_perturbation, register_task
+
+__all__ = ["Family", "register_perturbation", "register_task"]
 
 
 def _show_wrapped_environments() -> None:

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from typing import Any
 
 import gymnasium as gym
@@ -25,6 +26,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, nearest, require, unknown
+from mmc_gym.envs.making import EnvLike, code_of, is_own, make_environment, name_of
 from mmc_gym.envs.perturbations import (
     ForceField,
     Gravity,
@@ -64,7 +66,7 @@ class Family:
     description: str
     default: float
     make: Callable[[float], Perturbation]
-    strengths: tuple[float, ...]
+    strengths: tuple[float, ...] = ()
     told: tuple[float, ...] | None = None
     ids: tuple[str, ...] = ()
 
@@ -107,6 +109,8 @@ class Scenario:
 
     Attributes:
         name: the one name, with its strength.
+        env: an environment of yours, in place of the task and the perturbations.
+        env_kwargs: more arguments of the environment.
         family: of the perturbation; empty for a task.
         strength: of the perturbation, to be compared within its family.
         told: whether agents are told of the perturbation, where they can be.
@@ -116,6 +120,8 @@ class Scenario:
     description: str
     task: str | Task = "random"
     perturbations: tuple[Perturbation, ...] = ()
+    env: EnvLike | None = None
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
     family: str = ""
     strength: float | None = None
     unit: str = ""
@@ -123,29 +129,63 @@ class Scenario:
 
     @property
     def env_id(self) -> str:
-        """Gymnasium's id of the task."""
+        """Gymnasium's id of the task, or the name of your own environment."""
+        if self.env is not None:
+            return name_of(self.env)
         return environment_id(self.task) if isinstance(self.task, str) else environment_id()
 
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments beside `env_id` that make the environment."""
         task = {} if isinstance(self.task, str) else {"task": self.task}
-        return {**task, **({"perturbations": self.perturbations} if self.perturbations else {})}
+        changes = {"perturbations": self.perturbations} if self.perturbations else {}
+        return {**task, **changes, **self.env_kwargs}
 
     def make(self, control: str | None = None) -> gym.Env[Any, Any]:
-        """Make the single environment, with another control mode if one is given."""
-        return gym.make(self.env_id, **self._with(control))
+        """Make the single environment, with another control mode if one is given.
 
-    def make_vec(self, num_envs: int, control: str | None = None) -> VectorEnv[Any, Any, Any]:
-        """Make the native vector environment, with another control mode if one is given."""
-        return gym.make_vec(self.env_id, num_envs=num_envs, **self._with(control)).unwrapped
+        Raises:
+            UserError: if there is no such environment, or it does not take the arguments.
+        """
+        return make_environment(self.env or self.env_id, control, **self._with_steps)
 
-    def _with(self, control: str | None) -> dict[str, Any]:
-        return self.arguments if control is None else {**self.arguments, "control": control}
+    def make_vec(
+        self, num_envs: int, control: str | None = None
+    ) -> VectorEnv[Any, Any, Any] | None:
+        """Make the native vector environment, with another control mode if one is given.
+
+        Returns:
+            None if it is an environment of yours that has none.
+        """
+        arguments = (
+            self._with_steps if control is None else {**self._with_steps, "control": control}
+        )
+        if self.env is not None:
+            spec = gym.registry.get(self.env_id.rpartition(":")[2])
+            if spec is None or spec.vector_entry_point is None:
+                return None
+        return gym.make_vec(self.env_id, num_envs=num_envs, **arguments).unwrapped
+
+    @property
+    def _with_steps(self) -> dict[str, Any]:
+        """The arguments, with the length of an episode where it is another than the id's."""
+        if isinstance(self.task, Task) and self.task.episode_steps != TASKS["random"].episode_steps:
+            return {**self.arguments, "max_episode_steps": self.task.episode_steps}
+        return self.arguments
+
+    @property
+    def trial_count(self) -> int | None:
+        """Number of its numbered trials; None: they are drawn."""
+        if self.env is None:
+            return find_task(self.task).trial_count
+        with closing(self.make()) as env:
+            setup = getattr(env.unwrapped, "setup", None)
+            count: int | None = setup.task.trial_count if setup is not None else None
+            return count
 
     def instances(self, episodes: int) -> list[dict[str, Any]]:
         """Return the reset options of all numbered trials, or of `episodes` that are drawn."""
-        trials = find_task(self.task).trial_count
+        trials = self.trial_count
         if trials is None:
             return [{} for _ in range(episodes)]
         return [{"trial": trial} for trial in range(trials)]
@@ -156,6 +196,7 @@ class Scenario:
         return {
             "id": self.env_id,
             "kwargs": json.loads(json.dumps(self.arguments, default=_with_name)),
+            **({} if self.env is None else self._own_settings),
             "description": self.description,
             "family": self.family + "-told" * self.told,
             "strength": self.strength,
@@ -163,9 +204,19 @@ class Scenario:
             "baseline": BASELINE if self.family else None,
         }
 
+    @property
+    def _own_settings(self) -> dict[str, Any]:
+        with closing(self.make()) as env:
+            kwargs = env.spec.kwargs if env.spec else {}
+            registered = json.loads(json.dumps(kwargs, default=_with_name))
+            return {"code": code_of(env), "registered": registered}
+
 
 def scenario(name: str) -> Scenario:
     """Return the scenario of a name: a task's, or a perturbation's with any strength.
+
+    An environment of yours is one, too, by the name that `make_environment` takes: an id that is
+    registered, "module:Id", or "module:function".
 
     Example:
         >>> scenario("longer-35-told").description
@@ -176,7 +227,23 @@ def scenario(name: str) -> Scenario:
     Raises:
         UserError: for an unknown name, or a strength that makes no sense.
     """
-    return TASK_SCENARIOS[name] if name in TASK_SCENARIOS else _perturbed("scenario", name)
+    if name in TASK_SCENARIOS:
+        return TASK_SCENARIOS[name]
+    if isinstance(name, str) and (":" in name or (name in gym.registry and is_own(name))):
+        return own_scenario(name)
+    return _perturbed("scenario", name)
+
+
+def own_scenario(env: EnvLike, name: str = "") -> Scenario:
+    """Return the scenario of an environment of yours, under its own name unless one is given.
+
+    Raises:
+        UserError: if there is no such environment.
+    """
+    with closing(make_environment(env)) as made:
+        require(hasattr(made.unwrapped, "parameters"), "scenario", env, "a reaching environment")
+    name = name or name_of(env)
+    return Scenario(name, f"environment {name}", env=env)
 
 
 def find_perturbation(value: object) -> Perturbation:
@@ -219,6 +286,7 @@ def register_all() -> None:
 
 
 def _register(env_id: str, task: Task, arguments: dict[str, Any], kind: str = "MMCReach") -> None:
+    gym.registry.pop(env_id, None)  # of a module that is read again
     gym.register(
         id=env_id,
         entry_point=f"mmc_gym.envs.reach:{kind}Env",
@@ -262,8 +330,65 @@ def _object_of(value: object, base: type) -> str:
 
 
 def _with_name(value: Any) -> dict[str, Any]:
-    """Return the fields of a task or a perturbation, and the name of its class."""
-    return {"name": type(value).__name__, **asdict(value)}
+    """Return the fields of a task or a perturbation, and the name of its class.
+
+    Of yours also a digest of its code: another one plays another scenario.
+    """
+    plain = vars(value) if hasattr(value, "__dict__") else {"value": repr(value)}
+    values = asdict(value) if is_dataclass(value) and not isinstance(value, type) else plain
+    code = code_of(value)
+    return {"name": type(value).__name__, **values, **({"code": code} if code else {})}
+
+
+_WORDS = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+
+def register_task(name: str, task: Task, description: str = "") -> None:
+    """Give a task of yours a name: in ids, arguments, the benchmark, the report and file names.
+
+    Args:
+        name: such as "near-targets", whose id is `MMCReachNearTargets-v0`.
+        task: an object of your class.
+        description: a line for the report.
+
+    Raises:
+        UserError: if the name is no such word, or stands for another task or a perturbation.
+    """
+    known = TASKS.get(name)
+    free = name not in FAMILIES and (known is None or _is_same(known, task))
+    fine = isinstance(name, str) and _WORDS.fullmatch(name) is not None and free
+    require(fine, "name", name, "words of a-z and 0-9 with hyphens, that no other task has")
+    require(isinstance(task, Task), "task", task, "an object of a class derived from Task")
+    TASKS[name] = task
+    # The object, not its name: a worker need not know what is registered here.
+    TASK_SCENARIOS[name] = Scenario(name, description or name.replace("-", " "), task)
+    _register(environment_id(name), task, {"task": name})
+
+
+def register_perturbation(family: Family) -> None:
+    """Give perturbations of yours a name: in ids, arguments, the benchmark, report and file names.
+
+    Raises:
+        UserError: if the name is no word, or stands for others.
+    """
+    known = FAMILIES.get(family.name)
+    free = family.name not in TASKS and (known is None or _is_same(known.make, family.make))
+    fine = re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None and free
+    require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
+    family.scenario(family.default)  # which says what is wrong with it
+    FAMILIES[family.name] = family
+    for name in _ids(family):
+        _register(environment_id(name), TASKS["random"], {"perturbations": [name]})
+
+
+def _is_same(known: Any, made: Any) -> bool:
+    """Tell whether it comes again: from a notebook's cell that is run twice, say."""
+
+    def origin(thing: Any) -> tuple[str, str]:
+        kind = thing if hasattr(thing, "__qualname__") else type(thing)
+        return kind.__module__, kind.__qualname__
+
+    return origin(known) == origin(made) and not origin(made)[0].startswith("mmc_gym.")
 
 
 def _joint(strength: float, time: float = 0.0) -> LockedJoint:
@@ -276,6 +401,15 @@ def _obstacles(strength: float) -> Obstacles:
     fine = strength in range(1, len(_DISCS) + 1)
     require(fine, "the number of obstacles", strength, f"a whole number from 1 to {len(_DISCS)}")
     return Obstacles(_DISCS[: int(strength)])
+
+
+def _ids(family: Family) -> list[str]:
+    """Return the names of a family that have an id."""
+    return [
+        name
+        for untold in family.ids or (family.name,)
+        for name in ([untold] if family.told is None else [untold, f"{untold}-told"])
+    ]
 
 
 _DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
@@ -408,10 +542,7 @@ FAMILIES: dict[str, Family] = {
 """The families of perturbations by name."""
 
 PERTURBATION_NAMES: tuple[str, ...] = tuple(
-    name
-    for family in FAMILIES.values()
-    for untold in family.ids or (family.name,)
-    for name in ([untold] if family.told is None else [untold, f"{untold}-told"])
+    name for family in FAMILIES.values() for name in _ids(family)
 )
 """Names of perturbations that have an id of their own."""
 

@@ -10,7 +10,7 @@ the report show it if it is `shown`.  Register your own the same way:
         half_way = episode.distances <= episode.distances[0] / 2
         return int(half_way.argmax()) * episode.control_step
 
-On the command line name the module: `mmc-gym compare --measures my_measures`.
+On the command line name the module: `mmc-gym compare --import my_measures`.
 
 Of a movement that did not arrive, path, shape and cost tell nothing: a hand that never moves has
 the shortest path, the least work and no overshoot.  So measures with `successes_only` are reported
@@ -21,7 +21,6 @@ for all episodes.
 from __future__ import annotations
 
 import hashlib
-import importlib
 import inspect
 import json
 import math
@@ -33,7 +32,6 @@ import numpy as np
 
 from mmc_gym._console import number
 from mmc_gym._errors import UserError
-from mmc_gym.agents.resolver import look_here
 from mmc_gym.measures.episode import Episode
 
 if TYPE_CHECKING:
@@ -222,16 +220,6 @@ def own_measures() -> tuple[Measure | SetMeasure, ...]:
     """Return the measures that users have registered; workers must `register` them too."""
     known: list[Measure | SetMeasure] = [*MEASURES.values(), *SET_MEASURES.values()]
     return tuple(one for one in known if not one.of.__module__.startswith("mmc_gym."))
-
-
-def import_measures(modules: Iterable[str]) -> None:
-    """Import modules that register measures; raise a `UserError` if there is none of a name."""
-    look_here()
-    for name in modules:
-        try:
-            importlib.import_module(name)
-        except ImportError as error:
-            raise UserError(f"measures {name!r} cannot be imported: {error}") from error
 
 
 def digest(known: Measure | SetMeasure) -> str:

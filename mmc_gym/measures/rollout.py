@@ -52,27 +52,6 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
     return [int(word) for word in np.random.SeedSequence(seed).generate_state(episodes)]
 
 
-def make_environment(
-    env_id: str, control: str | None = None, **arguments: Any
-) -> gym.Env[Any, Any]:
-    """Make an environment, in its own control mode for None.
-
-    Raises:
-        UserError: if there is none of this id, or it is none of this package.
-    """
-    if control is not None:
-        arguments["control"] = control
-    try:
-        made: gym.Env[Any, Any] = gym.make(env_id, **arguments)
-    except UserError:
-        raise
-    except (gym.error.Error, ImportError, TypeError) as error:
-        raise UserError(
-            f"env must be a reaching environment such as 'MMCReach-v0', got {env_id!r}: {error}"
-        ) from error
-    return made
-
-
 def check_environment(env: gym.Env[Any, Any]) -> None:
     """Raise a `UserError` unless `env`, wrapped or not, tells what the measures need."""
     _, info = env.reset(seed=0)

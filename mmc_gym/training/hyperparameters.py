@@ -427,13 +427,19 @@ def names() -> list[str]:
     return sorted(path.stem for path in _SHIPPED.glob("*.yml"))
 
 
-def read_recipe(source: str, env_id: str | None = None, steps: int | None = None) -> Recipe:
+def read_recipe(
+    source: str,
+    env_id: str | None = None,
+    steps: int | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
+) -> Recipe:
     """Read an entry of a hyperparameter file.
 
     Args:
         source: the name of a file that ships, see `names`, or the path of your own YAML file.
         env_id: the environment; None for the first in the file.
         steps: environment steps of the training, instead of `n_timesteps`.
+        env_kwargs: arguments of the environment, beside those in the file.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -457,4 +463,6 @@ def read_recipe(source: str, env_id: str | None = None, steps: int | None = None
     if not isinstance(entry, dict):
         raise UserError(f"{source} must have hyperparameters for {env_id}, got {entry!r}")
     recipe = Recipe(path.stem, env_id, entry)
+    if env_kwargs:
+        recipe = recipe.with_changes(env_kwargs={**(entry.get("env_kwargs") or {}), **env_kwargs})
     return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -268,6 +268,7 @@ def train(
     resume: bool = False,
     tensorboard: Path | str | None = None,
     device: str = "cpu",
+    env_kwargs: Mapping[str, Any] | None = None,
     on_progress: Callable[[TrainingProgress], None] = lambda progress: None,
 ) -> PolicyAgent:
     """Train an agent, as `mmc-gym train` does.
@@ -281,6 +282,7 @@ def train(
         resume: whether to go on from the checkpoint in the folder.
         tensorboard: folder for TensorBoard's logs.
         device: that torch computes on.
+        env_kwargs: arguments of the environment, beside those in the file.
         on_progress: called after every rollout and every evaluation.
 
     Returns:
@@ -290,7 +292,7 @@ def train(
         FileExistsError: if the folder holds a training, and `resume` is not set.
         UserError: if an argument is not accepted.
     """
-    recipe = read_recipe(str(name), env, steps)
+    recipe = read_recipe(str(name), env, steps, env_kwargs)
     logs = None if tensorboard is None else Path(tensorboard)
     with tempfile.TemporaryDirectory() as nowhere:
         training = Training(

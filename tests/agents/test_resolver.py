@@ -86,13 +86,15 @@ def test_an_own_class_is_resolved_by_module_and_name(folder):
 
 
 def test_functions_and_objects_are_called_by_their_own_names_or_class():
-    def make(env):
-        return "made"
+    thing = SimpleNamespace(predict=lambda *observation, deterministic: None)
 
-    thing = SimpleNamespace(predict=lambda observation: None)
-    assert (resolve(make).label, resolve(make).factory(None)) == ("make", "made")
+    def make(env):
+        return thing
+
+    assert (resolve(make).label, resolve(make).factory(None)) == ("make", thing)
     assert (resolve(thing).label, resolve(thing).factory(None)) == ("SimpleNamespace", thing)
-    assert resolve(make).source == resolve(thing).fingerprint == ""
+    assert resolve(make).source == resolve(thing).source == ""
+    assert resolve(make).fingerprint != resolve(thing).fingerprint
 
 
 @pytest.mark.parametrize(

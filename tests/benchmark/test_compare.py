@@ -93,7 +93,7 @@ def test_the_files_hold_what_was_found_and_no_temporary_file_stays(tmp_path, fro
     summary = pd.read_csv(out / "summary.csv")
     assert len(summary) == 3 * len(MEASURES)
     settings = json.loads((out / "summary.json").read_text())
-    assert (settings["episodes"], settings["training_seeds_per_agent"]) == (3, 1)
+    assert (settings["episodes"], settings["trainings"]) == (3, {"oracle": 1, "frozen": 1})
     assert settings["training_steps"] == {"oracle": None, "frozen": None}
 
 
@@ -215,7 +215,7 @@ def test_a_cell_tells_of_missing_and_of_small_values():
     [
         ({"agents": ["mmc", "nobody"]}, "mmc-classical.*'nobody'"),
         ({"agents": ["mmc", "mmc"]}, "mmc repeatedly"),
-        ({"agents": ["x=ppo-0", "x=ppo-1"]}, "x repeatedly"),
+        ({"agents": ["x=ppo-0", "x=ppo-0"]}, "x repeatedly"),
         ({"agents": []}, "got none"),
         ({"agents": ["no_such_module:make"]}, "no_such_module:make.*cannot be imported"),
         ({"agents": ["math:no_such_function"]}, "cannot be imported"),

@@ -15,7 +15,6 @@ from mmc_gym.benchmark import entries
 from mmc_gym.benchmark.entries import (
     default_agents,
     find_entries,
-    single_entries,
     training_steps,
 )
 
@@ -67,7 +66,10 @@ def test_objects_and_factories_take_part_under_their_own_names(oracle, frozen):
         return frozen
 
     env = gym.make("MMCReach-v0")
-    made = {one.label: one.agent for one in single_entries([oracle, thaw, "random", "x=mmc"])}
+    made = {
+        one.label: one.agent
+        for one in find_entries([oracle, thaw, "random", "x=mmc"], every_training=False)
+    }
     assert list(made) == ["Oracle", "thaw", "random", "x"]
     assert (made["Oracle"].factory(env), made["thaw"].factory(env)) == (oracle, frozen)
 

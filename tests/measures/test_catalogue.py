@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from mmc_gym._modules import import_modules
 from mmc_gym.measures import (
     MEASURES,
     SET_MEASURES,
@@ -23,7 +24,6 @@ from mmc_gym.measures import (
 )
 from mmc_gym.measures.catalogue import (
     digest,
-    import_measures,
     measures_of,
     own_measures,
     register,
@@ -118,11 +118,11 @@ def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypat
             f"@measure(label='x', unit={unit!r})\n"
             f"def x(episode):\n    return {value}\n"
         )
-        import_measures([f"measures_{number}"])
+        import_modules([f"measures_{number}"])
         found.append(digest(MEASURES.pop("x")))
     assert len(set(found[:3])) == 3 and found[3] == found[0]
-    with pytest.raises(ValueError, match="measures 'nobody' cannot be imported"):
-        import_measures(["nobody"])
+    with pytest.raises(ValueError, match="module 'nobody' cannot be imported"):
+        import_modules(["nobody"])
 
 
 def test_a_table_stays_readable():

@@ -93,11 +93,11 @@ def test_workers_take_the_measures_of_modules_and_scripts(run_script, tmp_path, 
 
 
 @pytest.mark.slow
-def test_the_command_line_takes_modules_of_measures(run_script, tmp_path):
+def test_the_command_line_imports_modules_of_measures(run_script, tmp_path):
     command = [sys.executable, "-m", "mmc_gym.cli", "compare", "--agents", "random"]
     for module, status in (("my_measures", 0), ("nobody", 2)):
-        arguments = ["--episodes", "1", "--out", str(tmp_path / "out"), "--measures", module]
+        arguments = ["--episodes", "1", "--out", str(tmp_path / "out"), "--import", module]
         done = subprocess.run([*command, *arguments], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == status, done.stderr
-    assert "mmc-gym: measures 'nobody' cannot be imported" in done.stderr
+    assert "mmc-gym: module 'nobody' cannot be imported" in done.stderr
     assert "steps_to_move" in pd.read_csv(tmp_path / "out" / "episodes.csv")

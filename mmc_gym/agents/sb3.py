@@ -1,0 +1,436 @@
+"""Models of stable-baselines3 as agents: objects, zip files, and folders of rl_zoo3.
+
+A model acts as it was trained: on observations normalized by the statistics of its `VecNormalize`,
+and in the control mode of its environment, as far as that is known.
+
+A zip file holds pickles, and so does a file of `VecNormalize`: loading one runs whatever code it
+names.  They are loaded only if the user allows it.  What can be read without, is: the seed, the
+number of steps, and the YAML files of rl_zoo3.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import io
+import json
+import pickle
+import re
+import sys
+import warnings
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from typing_extensions import override
+
+from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym.agents.base import Agent, Started, warn_of_another_arm
+from mmc_gym.interface import (
+    CONTROLS,
+    CannotActError,
+    Control,
+    ControlError,
+    Observation,
+    told_by,
+)
+
+if TYPE_CHECKING:
+    from mmc_gym.body import ArmParameters
+
+SUFFIX = ".zip"
+# What a policy is made of; nothing else in a zip file is unpickled.
+_NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde")
+_CHECKPOINT = re.compile(r"(?P<prefix>.+)_(?P<steps>\d+)_steps")  # of CheckpointCallback
+
+
+class World(NamedTuple):
+    """What is known of the environment that a model was trained in; None where it is not.
+
+    Attributes:
+        control: its control mode.
+        body: its arm, without perturbations.
+        wrappers: those around it that change observations or actions, by the names of their
+            classes.
+    """
+
+    control: Control | None = None
+    body: ArmParameters | None = None
+    wrappers: tuple[str, ...] = ()
+
+
+class ModelAgent(Agent[Any]):
+    """The policy of a model, with the statistics that its observations are normalized by.
+
+    Attributes:
+        label: of the model, for messages.
+        trained_in: what is known of the environment that it was trained in.
+    """
+
+    def __init__(
+        self,
+        policy: Any,
+        normalizer: Any = None,
+        *,
+        label: str,
+        training_steps: int,
+        trained_in: World = World(),  # noqa: B008  (it is immutable)
+    ) -> None:
+        """Make the agent of a stable-baselines3 policy; the normalizer is a `VecNormalize`."""
+        self.label, self.training_steps, self.trained_in = label, training_steps, trained_in
+        self._policy, self._normalizer = policy, normalizer
+
+    @override
+    def predict(
+        self,
+        observation: Observation,
+        state: Any = None,
+        episode_start: Started = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], Any]:
+        if self._normalizer is not None:
+            observation = self._normalizer.normalize_obs(observation)
+        action: NDArray[np.float32]
+        action, state = self._policy.predict(observation, state, episode_start, deterministic)
+        return action, state
+
+    def acting_in(self, env: Any) -> ModelAgent:
+        """Return the agent itself if it can act in an environment.
+
+        A `MismatchWarning` tells of another arm than in training, and of wrappers that `env` lacks.
+
+        Raises:
+            ControlError: if its actions are of another control mode.
+            CannotActError: if its observations or actions have another shape.
+        """
+        for name in ("observation_space", "action_space"):
+            mine = getattr(self._policy, name)
+            here = getattr(env, f"single_{name}", getattr(env, name))
+            if _shape(mine) != _shape(here):
+                raise CannotActError(
+                    f"{name} must be of shape {_shape(mine)} for {self.label}, got {_shape(here)}"
+                )
+        control = told_by(env, "control")
+        if None not in (self.trained_in.control, control) and control != self.trained_in.control:
+            raise ControlError(
+                f"control must be {self.trained_in.control!r} for {self.label}, got {control!r}",
+                str(self.trained_in.control),
+            )
+        warn_of_another_arm(self.label, self.trained_in.body, env)
+        missing = [one for one in self.trained_in.wrappers if one not in _wrappers(env)]
+        if missing:
+            _warn(f"{self.label} was trained behind {', '.join(missing)}, which env lacks")
+        return self
+
+    @property
+    def digest(self) -> str:
+        """The SHA-256 of its weights and statistics."""
+        digest = hashlib.sha256()
+        for name, tensor in self._policy.state_dict().items():
+            digest.update(name.encode() + tensor.detach().cpu().numpy().tobytes())
+        for rms in _statistics(self._normalizer):
+            digest.update(rms.mean.tobytes() + rms.var.tobytes())
+        return digest.hexdigest()
+
+
+def _statistics(normalizer: Any) -> list[Any]:
+    rms = getattr(normalizer, "obs_rms", None)
+    return list(rms.values()) if isinstance(rms, Mapping) else [] if rms is None else [rms]
+
+
+def _shape(space: Any) -> Any:
+    inside = getattr(space, "spaces", None)
+    if isinstance(inside, Mapping):
+        return {name: one.shape for name, one in inside.items()}
+    return space.shape
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, MismatchWarning, stacklevel=4)
+
+
+def is_model(thing: object) -> bool:
+    """Tell whether it is a model or a policy of stable-baselines3, which is not imported for it."""
+    if "stable_baselines3" not in sys.modules:
+        return False
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.policies import BasePolicy
+
+    return isinstance(thing, (BaseAlgorithm, BasePolicy))
+
+
+def agent_of_model(model: Any) -> ModelAgent:
+    """Return the agent of a model or a policy, with all that its environment tells, if it has one.
+
+    The statistics of its `VecNormalize` are those of this moment, in which a training may go on.
+    """
+    env = getattr(model, "env", None)
+    normalizer = None if env is None else model.get_vec_normalize_env()
+    return ModelAgent(
+        getattr(model, "policy", model),
+        _without_env(normalizer),
+        label=type(model).__name__,
+        training_steps=int(getattr(model, "num_timesteps", 0)),
+        trained_in=World() if env is None else _world(env),
+    )
+
+
+def _without_env(normalizer: Any) -> Any:
+    """Return a copy that can be pickled; None for None."""
+    return None if normalizer is None else pickle.loads(pickle.dumps(normalizer))
+
+
+def _world(env: Any) -> World:
+    try:
+        return World(told_by(env, "control"), told_by(env, "unperturbed"), tuple(_wrappers(env)))
+    except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
+        return World()
+
+
+def _wrappers(env: Any) -> Iterator[str]:
+    """Name the wrappers around an environment that change observations or actions."""
+    harmless = ("VecNormalize", "VecMonitor", "VecCheckNan", "ClipAction")
+    while hasattr(env, "venv"):
+        if type(env).__name__ not in harmless:
+            yield type(env).__name__
+        env = env.venv
+    env = next(iter(getattr(env, "envs", ())), env)
+    while isinstance(env, gym.Wrapper):
+        changes = isinstance(env, (gym.ObservationWrapper, gym.ActionWrapper))
+        if changes and type(env).__name__ not in harmless:
+            yield type(env).__name__
+        env = env.env
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """A zip file of stable-baselines3, with what lies beside it.
+
+    Beside it may lie the statistics of its `VecNormalize`, and what rl_zoo3 writes: a folder with
+    args.yml, config.yml and vecnormalize.pkl.
+    """
+
+    path: Path
+
+    @cached_property
+    def facts(self) -> Mapping[str, Any]:
+        """All entries of the file, those that are pickled unread.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            UserError: if it is none of stable-baselines3.
+        """
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                facts = json.loads(archive.read("data"))
+            if not isinstance(facts, dict) or not {"policy_class", "action_space"} <= facts.keys():
+                raise ValueError("it holds no policy")
+        except (zipfile.BadZipFile, KeyError, ValueError) as error:
+            raise UserError(
+                f"{self.path} must be a file that stable-baselines3's save wrote: {error}"
+            ) from error
+        return facts
+
+    @cached_property
+    def config(self) -> Mapping[str, Any]:
+        """The hyperparameters that rl_zoo3 wrote; empty without."""
+        return _read_yaml(self._beside("config.yml"))
+
+    @cached_property
+    def arguments(self) -> Mapping[str, Any]:
+        """The arguments that rl_zoo3 was called with; empty without."""
+        return _read_yaml(self._beside("args.yml"))
+
+    @property
+    def training_seed(self) -> int | None:
+        """The seed of its training; None if it is not known."""
+        seed = self.arguments.get("seed", self.facts.get("seed"))
+        return seed if isinstance(seed, int) and seed >= 0 else None
+
+    @cached_property
+    def trained_in(self) -> World:
+        """What rl_zoo3's files tell of the environment; nothing without them."""
+        env_id = self.arguments.get("env")
+        if not isinstance(env_id, str):
+            return World()
+        given: dict[str, Any] = {}
+        for entries in (self.config, self.arguments):
+            found = entries.get("env_kwargs")
+            given |= found if isinstance(found, dict) else {}
+        try:
+            env: gym.Env[Any, Any] = gym.make(env_id, **given)
+        except (gym.error.Error, ImportError, TypeError, ValueError):  # it is not there any more
+            control = given.get("control")
+            return World(control if control in CONTROLS else None)
+        found = World(told_by(env, "control"), told_by(env, "unperturbed"))
+        env.close()
+        return found
+
+    @cached_property
+    def statistics(self) -> Path | None:
+        """The file with the statistics of its `VecNormalize`; None if it has none.
+
+        Raises:
+            UserError: if there are several, or rl_zoo3's config.yml asks for one that is missing.
+        """
+        asked = self.config.get("normalize")
+        # Set at the start of a training behind VecNormalize, and in any off-policy one.
+        unused = self.facts.get("_last_original_obs") is None and self.facts.get("num_timesteps")
+        if asked is False or (asked is None and (self.config or unused)):
+            return None
+        stem, folder = self.path.stem, self.path.parent
+        names = [f"{stem}.pkl", f"{stem}_vecnormalize.pkl"]
+        if match := _CHECKPOINT.fullmatch(stem):
+            names.insert(0, f"{match['prefix']}_vecnormalize_{match['steps']}_steps.pkl")
+        for name in names:
+            if (folder / name).is_file():
+                return folder / name
+        named = re.compile(r".*norm.*\.pkl", re.IGNORECASE)
+        found = sorted(file for file in self._near() if named.fullmatch(file.name))
+        if len(found) > 1:
+            listed = ", ".join(map(str, found))
+            raise UserError(
+                f"{self.path} must have one file of VecNormalize beside it, or one called "
+                f"{names[0]}, got {listed}"
+            )
+        if not found and asked:
+            raise UserError(
+                f"{self.path} was trained with VecNormalize, as config.yml has it, but "
+                "vecnormalize.pkl is missing"
+            )
+        return found[0] if found else None
+
+    @cached_property
+    def digest(self) -> str:
+        """The SHA-256 of its file and its statistics."""
+        files = [self.path, *([self.statistics] if self.statistics else [])]
+        return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+    def load(self) -> ModelAgent:
+        """Load the model, which runs the code that its pickles name.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            UserError: if it cannot be loaded, or acts behind wrappers that rl_zoo3 has put.
+        """
+        for name in ("env_wrapper", "vec_env_wrapper", "frame_stack"):
+            if self.config.get(name):
+                raise UserError(
+                    f"{self.path} was trained behind {name}: {self.config[name]}, which is not put "
+                    "here: give a function of the environment that returns an object with predict"
+                )
+        steps = self.facts.get("num_timesteps")
+        normalizer = None if self.statistics is None else _load_statistics(self.statistics)
+        if normalizer is None and "gae_lambda" in self.facts and self._was_normalized:
+            _warn(
+                f"{self.path} was trained behind VecNormalize, but no statistics lie beside it: "
+                "env.save('vecnormalize.pkl') writes them"
+            )
+        return ModelAgent(
+            self._load_policy(),
+            normalizer,
+            label=self.path.name,
+            training_steps=steps if isinstance(steps, int) else 0,
+            trained_in=self.trained_in,
+        )
+
+    @property
+    def _was_normalized(self) -> bool:
+        return self.facts.get("_last_original_obs") is not None
+
+    def _load_policy(self) -> Any:
+        try:
+            from stable_baselines3.common.save_util import load_from_zip_file
+
+            # What stands in `custom_objects` is not unpickled.
+            others = {name: None for name in self.facts if name not in _NEEDED}
+            content = io.BytesIO(self.path.read_bytes())
+            data, weights, _ = load_from_zip_file(content, custom_objects=others, device="cpu")
+            assert data is not None
+            kind, options = data["policy_class"], dict(data.get("policy_kwargs") or {})
+            if data.get("use_sde") and "use_sde" in inspect.signature(kind).parameters:
+                options.setdefault("use_sde", True)
+            spaces = data["observation_space"], data["action_space"]
+            policy = kind(*spaces, lr_schedule=_no_learning, **options)
+            policy.load_state_dict(weights["policy"])
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # whatever unpickled code raises
+            raise UserError(f"{self.path} cannot be loaded: {error}") from error
+        return policy
+
+    def _near(self) -> list[Path]:
+        """Return the files beside it, and those of the folder that rl_zoo3 writes beside it."""
+        folder = self.path.parent
+        inside = [one.parent for one in folder.glob("*/args.yml")]
+        return [file for one in (folder, *inside) for file in one.glob("*") if file.is_file()]
+
+    def _beside(self, name: str) -> Path | None:
+        return next((file for file in self._near() if file.name == name), None)
+
+
+def _no_learning(progress_remaining: float) -> float:
+    return 0.0
+
+
+def _load_statistics(path: Path) -> Any:
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    try:
+        with path.open("rb") as file:
+            found = pickle.load(file)
+        if not isinstance(found, VecNormalize):
+            raise TypeError(f"it holds {type(found).__name__}")
+    except Exception as error:  # whatever unpickled code raises
+        raise UserError(f"{path} must hold VecNormalize's statistics: {error}") from error
+    return found
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Reads rl_zoo3's files: ordered mappings as plain ones, other objects as None, never made."""
+
+
+def _ordered(loader: yaml.SafeLoader, suffix: str, node: yaml.Node) -> Any:
+    if suffix == "object/apply:collections.OrderedDict" and isinstance(node, yaml.SequenceNode):
+        return dict(loader.construct_sequence(node, deep=True)[0])
+    if suffix == "tuple" and isinstance(node, yaml.SequenceNode):
+        return loader.construct_sequence(node, deep=True)
+    return None
+
+
+_PlainLoader.add_multi_constructor("tag:yaml.org,2002:python/", _ordered)
+
+
+def _read_yaml(path: Path | None) -> Mapping[str, Any]:
+    if path is None:
+        return {}
+    try:
+        found = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
+    except (yaml.YAMLError, ValueError, TypeError, IndexError) as error:
+        raise UserError(f"{path} must be a file of rl_zoo3: {error}") from error
+    return found if isinstance(found, dict) else {}
+
+
+def find_model(folder: Path) -> Path | None:
+    """Return the zip file that a folder stands for; None if there is none.
+
+    rl_zoo3's best_model.zip, or else the model at the end of its training; or the only zip file.
+
+    Raises:
+        UserError: if there are several.
+    """
+    best = folder / "best_model.zip"
+    found = [best] if best.is_file() else sorted(folder.glob(f"*{SUFFIX}"))
+    final = [one for one in found if (one.with_suffix("") / "args.yml").is_file()]
+    found = final or found
+    if len(found) > 1:
+        names = ", ".join(one.name for one in found)
+        raise UserError(f"folder {folder} must have one zip file, or best_model.zip, got {names}")
+    return found[0] if found else None

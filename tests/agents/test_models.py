@@ -1,0 +1,215 @@
+"""Models of stable-baselines3 as agents: as they were trained, or with a word about it."""
+
+import shutil
+import zipfile
+from collections import OrderedDict
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
+
+import mmc_gym
+from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym.agents import resolve
+from mmc_gym.benchmark.compare import compare
+from mmc_gym.benchmark.entries import find_entries, make_for
+from mmc_gym.envs.making import make_environment
+from mmc_gym.interface import CannotActError, ControlError
+
+CONTROL = "joint_velocity"
+TINY = {"n_steps": 8, "batch_size": 8, "n_epochs": 1, "policy_kwargs": {"net_arch": [4]}}
+
+
+def trained(seed=0, wrap=lambda env: env, **env_kwargs):
+    env = wrap(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL, **env_kwargs}))
+    return PPO("MlpPolicy", env, seed=seed, device="cpu", **TINY).learn(8)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return trained(seed=5, wrap=VecNormalize)
+
+
+@pytest.fixture
+def folder(tmp_path, model):
+    """A model and the statistics of its `VecNormalize`, as stable-baselines3's pages save them."""
+    model.save(tmp_path / "model")
+    model.get_env().save(str(tmp_path / "vec_normalize.pkl"))
+    return tmp_path
+
+
+@pytest.fixture
+def run(folder):
+    """The folder that rl_zoo3 writes."""
+    inside = folder / "MMCReach-v0"
+    inside.mkdir()
+    (folder / "vec_normalize.pkl").rename(inside / "vecnormalize.pkl")
+    (folder / "model.zip").rename(folder / "MMCReach-v0.zip")
+    arguments = OrderedDict(env="MMCReach-v0", env_kwargs={"control": CONTROL}, seed=7)
+    config = OrderedDict(normalize="{'norm_obs': True}", policy="MlpPolicy")
+    (inside / "args.yml").write_text(yaml.dump(arguments))
+    (inside / "config.yml").write_text(yaml.dump(config))
+    return folder
+
+
+@pytest.fixture
+def env():
+    return gym.make("MMCReach-v0", control=CONTROL)
+
+
+def acts_as(model, agent, env):
+    observation, _ = env.reset(seed=3)
+    for batch in (observation, np.stack([observation, observation])):
+        expected, _ = model.predict(model.get_env().normalize_obs(batch), deterministic=True)
+        actions, _ = agent.predict(batch, deterministic=True)
+        np.testing.assert_array_equal(actions, expected)
+        plain, _ = model.predict(batch, deterministic=True)
+        assert not np.array_equal(plain, expected)
+    return True
+
+
+@pytest.mark.parametrize("source", ["model", "model.zip", "folder"])
+def test_a_model_acts_on_observations_normalized_as_in_training(model, folder, env, source):
+    given = {"model": model, "model.zip": folder / "model.zip", "folder": folder}[source]
+    agent = mmc_gym.make_agent(given, env, allow_pickle=True)
+    assert acts_as(model, agent, env)
+    assert agent.training_steps == 8
+
+
+def test_a_file_of_pickles_is_loaded_only_if_the_user_says_so(folder, monkeypatch):
+    monkeypatch.setattr("pickle.load", None)
+    monkeypatch.setattr("cloudpickle.loads", None)
+    for source in (f"{folder}/model.zip", str(folder)):
+        with pytest.raises(UserError, match=r"holds pickles.*--allow-pickle.*allow_pickle=True"):
+            compare([source], episodes=1)
+
+
+def test_a_model_is_compared_in_the_control_mode_of_its_training(model, run):
+    found = compare({"object": model, "mmc": "mmc", "run": run}, episodes=1, allow_pickle=True)
+    assert found.controls == {"object": CONTROL, "mmc": "joint_position", "run": CONTROL}
+
+
+def test_who_does_not_know_the_control_mode_is_asked(folder):
+    def control_of(source, **arguments):
+        found = compare({"mine": source}, episodes=1, allow_pickle=True, **arguments)
+        return found.controls["mine"]
+
+    bare = f"{folder}/model.zip"
+    with pytest.raises(UserError, match=rf"'mine' must be given with the control .* {bare}@joint"):
+        control_of(bare)
+    assert control_of(f"{bare}@{CONTROL}") == CONTROL
+    assert control_of(bare, env_kwargs={"control": "joint_torque"}) == "joint_torque"
+    assert control_of(bare, env=lambda **given: gym.make("MMCReach-v0", **given)) == "joint_delta"
+
+
+def test_a_model_in_another_control_mode_refuses(model, folder):
+    other = gym.make("MMCReach-v0", control="joint_torque")
+    for given in (model, f"{folder}/model.zip@{CONTROL}"):
+        with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
+            mmc_gym.make_agent(given, other, allow_pickle=True)
+
+
+def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
+    found = resolve(str(run), allow_pickle=True)
+    assert (found.label, found.training_seed, found.control) == (run.name, 7, CONTROL)
+    assert acts_as(model, found.factory(env), env)
+    shutil.copy(run / "MMCReach-v0.zip", run / "best_model.zip")
+    assert resolve(str(run)).model.path.name == "best_model.zip"
+    inside = run / "MMCReach-v0"
+    (inside / "vecnormalize.pkl").unlink()
+    with pytest.raises(UserError, match=r"vecnormalize\.pkl is missing"):
+        resolve(str(run), allow_pickle=True).check()
+    (inside / "config.yml").write_text("{frame_stack: 4, normalize: false}")
+    with pytest.raises(UserError, match="trained behind frame_stack: 4"):
+        resolve(str(run), allow_pickle=True).check()
+
+
+def test_objects_in_files_of_rl_zoo3_are_never_made(run):
+    path = run / "MMCReach-v0" / "args.yml"
+    path.write_text(f"!!python/object/apply:os.mkdir [{run}/made]")
+    assert resolve(str(run)).control is None
+    assert not (run / "made").exists()
+
+
+def test_missing_statistics_and_wrappers_are_told(folder, env):
+    (folder / "vec_normalize.pkl").unlink()
+    with pytest.warns(MismatchWarning, match="behind VecNormalize, but no statistics lie beside"):
+        resolve(str(folder), allow_pickle=True).check()
+
+    class Noisy(gym.ObservationWrapper):
+        def observation(self, observation):
+            return observation
+
+    behind = trained(wrap=lambda env: env)
+    behind.get_env().envs[0] = Noisy(behind.get_env().envs[0])
+    with pytest.warns(MismatchWarning, match="trained behind Noisy, which env lacks"):
+        mmc_gym.make_agent(behind, env)
+    assert mmc_gym.make_agent(behind, Noisy(env))
+
+
+def test_another_arm_and_other_observations_are_told(env):
+    with pytest.warns(MismatchWarning, match="segment_lengths .*2.0.* in training"):
+        mmc_gym.make_agent(trained(segment_lengths=(1, 1, 2)), env)
+    for other in (trained(wrap=lambda env: VecFrameStack(env, 2)), trained(segment_lengths=(1, 1))):
+        with pytest.raises(CannotActError, match="observation_space must be of shape"):
+            mmc_gym.make_agent(other, env)
+
+
+def test_a_policy_of_another_algorithm_acts_without_statistics_of_a_neighbour(tmp_path, model, env):
+    sac = SAC("MlpPolicy", env, policy_kwargs={"net_arch": [4]}, device="cpu")
+    sac.save(tmp_path / "sac")
+    plain = trained()
+    plain.save(tmp_path / "plain")
+    for name, one in (("sac", sac), ("plain", plain)):
+        agent = mmc_gym.make_agent(tmp_path / f"{name}.zip", env, allow_pickle=True)
+        observation, _ = env.reset(seed=1)
+        expected, _ = one.predict(observation, deterministic=True)
+        np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
+    model.get_env().save(str(tmp_path / "vecnormalize.pkl"))
+    assert resolve(tmp_path / "plain.zip").model.statistics is None  # it was trained without
+
+
+def test_what_is_no_model_is_an_error_of_the_user(tmp_path):
+    (tmp_path / "text.zip").write_text("none")
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
+        archive.writestr("data", "{}")
+    for name in ("text.zip", "other.zip"):
+        with pytest.raises(UserError, match="must be a file that stable-baselines3's save wrote"):
+            resolve(tmp_path / name).check()
+    with pytest.raises(FileNotFoundError, match=r"gone\.zip"):
+        resolve(tmp_path / "gone.zip").check()
+    with pytest.raises(UserError, match="must have one zip file"):
+        resolve(tmp_path)
+
+
+def test_several_trainings_are_one_agent_with_intervals_over_both(tmp_path):
+    models = [trained(seed) for seed in (4, 2)]
+    for seed, one in enumerate(models):
+        one.save(tmp_path / f"mine-{seed}")
+    pattern = f"{tmp_path}/mine-*@{CONTROL}"
+    entries = find_entries([pattern], allow_pickle=True)
+    assert [(one.label, one.training_seed) for one in entries] == [("mine", 4), ("mine", 2)]
+    listed = compare({"mine": models, "mmc": "mmc"}, episodes=3)
+    found = compare([pattern, "mmc"], episodes=3, allow_pickle=True)
+    assert found.trainings["mine"] == 2 and "mine (2)" in found.note
+    mine = found.summary.query("agent == 'mine' and measure == 'final_distance'").iloc[0]
+    assert mine["count"] == 6 and mine["low"] < mine["estimate"] < mine["high"]
+    distances = found.episodes.groupby("agent")["final_distance"]
+    np.testing.assert_array_equal(
+        distances.get_group("mine"), listed.episodes.query("agent == 'mine'")["final_distance"]
+    )
+    assert find_entries(["ppo-*"]) == find_entries(["ppo"])
+
+
+def test_a_control_mode_that_is_asked_for_is_that_of_agents_that_act_by_several():
+    entry = find_entries(["mmc@joint_delta"])[0]
+    for asked, one in (("joint_velocity", find_entries(["mmc"])[0]), ("joint_delta", entry)):
+        env, _ = make_for(one, lambda control: make_environment("MMCReach-v0", control), asked)
+        assert env.unwrapped.control == asked
+    (torque,) = find_entries(["ppo-0@joint_torque"])
+    with pytest.raises(ControlError, match="control must be 'joint_delta' for this policy"):
+        make_for(torque, lambda control: make_environment("MMCReach-v0", control))

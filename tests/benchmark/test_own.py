@@ -1,0 +1,226 @@
+"""Your own environments, rewards, tasks, perturbations and agents, wherever these are named."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mmc_gym
+from mmc_gym._errors import UserError
+from mmc_gym.benchmark.compare import compare
+from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.benchmark.store import read_episodes, read_manifest
+from mmc_gym.cli import main
+from mmc_gym.envs import Family, register_perturbation, register_task
+from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs.scenarios import FAMILIES, TASK_SCENARIOS, scenario
+from mmc_gym.envs.tasks import TASKS, RandomTarget, Trial
+from mmc_gym.report.render import write_report
+
+MODULE = """
+from dataclasses import dataclass, replace
+import gymnasium as gym
+import numpy as np
+from mmc_gym.envs import Family, register_perturbation, register_task
+from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs.tasks import RandomTarget
+from mmc_gym.measures import measure
+
+def still(observation):
+    return np.zeros(3)
+
+class Flat(gym.Wrapper):
+    def step(self, action):
+        observation, _, *ends, info = self.env.step(action)
+        return observation, 1.0, *ends, info
+
+def flat(**arguments):
+    return Flat(gym.make("MMCReach-v0", **arguments))
+
+gym.register("MyArm-v0", "mmc_gym.envs.reach:MMCReachEnv", max_episode_steps=7,
+             kwargs={"segment_lengths": (1, 1, 0.5), "control": "joint_velocity"})
+
+@dataclass(frozen=True)
+class Short(RandomTarget):
+    episode_steps = 5
+
+register_task("short", Short(), "short episodes")
+
+@dataclass(frozen=True)
+class Weak(Perturbation):
+    percent: float = 50.0
+    def change_body(self, body):
+        return replace(body, torque_limit=body.torque_limit * self.percent / 100)
+
+register_perturbation(Family("weak", "%", "servos give {} %", 50.0, Weak))
+
+@measure(label="steps", shown=True)
+def number_of_steps(episode):
+    return float(len(episode.rewards))
+"""
+
+
+@dataclass(frozen=True)
+class Here(RandomTarget):
+    """The target is where the hand is."""
+
+    episode_steps = 4
+
+    def draw(self, request):
+        angles = np.cumsum(start := request.draw_posture())
+        return Trial(start, [(float(np.cos(angles).sum()), float(np.sin(angles).sum()))])
+
+
+@dataclass(frozen=True)
+class Heavy(Perturbation):
+    mass: float = 1.0
+
+    def change_body(self, body):
+        return replace(body, hand_mass=self.mass)
+
+
+class Flat(gym.Wrapper):
+    """A reward that is always 1, and a control mode that is never taken."""
+
+    def __init__(self, **arguments):
+        super().__init__(gym.make("MMCReach-v0", **arguments))
+
+    def step(self, action):
+        observation, _, *ends, info = self.env.step(action)
+        return observation, 1.0, *ends, info
+
+
+@pytest.fixture(autouse=True)
+def forget_what_is_registered():
+    known = [(all_of, dict(all_of)) for all_of in (TASKS, TASK_SCENARIOS, FAMILIES, gym.registry)]
+    yield
+    for all_of, before in known:
+        all_of.clear()
+        all_of.update(before)
+
+
+def test_an_own_task_has_a_name_an_id_and_a_scenario(tmp_path):
+    register_task("here", Here(), "the hand is there already")
+    for env in (gym.make("MMCReachHere-v0"), gym.make("MMCReach-v0", task=Here())):
+        assert env.reset(seed=0)[1]["distance"] < 1e-9
+    assert mmc_gym.list_tasks().rows[-1].needs == "4 steps, drawn"
+    assert compare(["mmc"], "MMCReachHere-v0", 1).recorded["mmc"][0].rewards.shape == (4,)
+    benchmark(["mmc"], tmp_path, ["here"], 2, jobs=1)
+    assert read_episodes(tmp_path)["final_distance"].max() < 1e-3
+    assert scenario("here").make_vec(1).max_episode_steps == 4
+    assert read_manifest(tmp_path).environments["here"]["kwargs"]["task"]["name"] == "Here"
+    register_task("here", Here())  # a cell of a notebook that is run again
+
+
+def test_an_own_perturbation_takes_any_strength():
+    register_perturbation(Family("heavy", "segment masses", "{} masses at the hand", 2.0, Heavy))
+    heavy = gym.make("MMCReach-v0", perturbations=["heavy-7"]).unwrapped.setup
+    assert (heavy.body.hand_mass, heavy.told.hand_mass) == (7.0, 0.0)
+    assert gym.make("MMCReachHeavy-v0").unwrapped.setup.body.hand_mass == 2.0
+    assert scenario("heavy-0.5").description == "0.5 masses at the hand"
+
+
+@pytest.mark.parametrize("name", ["random", "delay", "Two words", "", "heavy-told-"])
+def test_names_that_are_taken_or_none_are_refused(name):
+    with pytest.raises(UserError, match="name must be words"):
+        register_task(name, Here())
+    with pytest.raises(UserError, match="name must be words"):
+        register_perturbation(Family(name, "", "", 1.0, Heavy))
+
+
+def test_an_own_environment_is_a_function_and_its_reward_is_measured(tmp_path):
+    found = compare({"mmc": "mmc", "still": lambda observation: np.zeros(3)}, Flat, 2)
+    assert found.to_frame()["episode_return"].to_list()[:2] == [100.0, 100.0]
+    assert (found.env, found.controls["mmc"]) == ("Flat", "joint_position")
+    benchmark(["mmc", "random"], tmp_path, {"flat": Flat}, 2, jobs=1)
+    assert read_episodes(tmp_path)["episode_return"].eq(100).all()
+    write_report(tmp_path, tmp_path / "report.html")
+
+
+def test_an_environment_that_takes_no_control_keeps_its_own():
+    def mine():
+        return gym.make("MMCReach-v0", control="joint_velocity")
+
+    assert compare(["mmc"], mine, 1).controls["mmc"] == "joint_velocity"
+
+
+def test_arguments_of_the_environment_are_heeded(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["--agents", "mmc", "--episodes", "1", "--env-kwargs", "gravity=[0, -9]"]
+    given = {"gravity": [0, -9], "control": "joint_velocity"}
+    found = compare(["mmc"], episodes=1, env_kwargs=given)
+    assert found.controls["mmc"] == "joint_velocity"
+    assert found.settings["env_kwargs"] == given
+    main(["compare", *arguments, "control=joint_velocity"])
+    assert (tmp_path / "runs/compare/summary.json").read_text().count("joint_velocity") == 3
+    main(["benchmark", *arguments, "--environments", "random", "--jobs", "1"])
+    (kept,) = read_manifest(tmp_path / "runs/benchmark").environments.values()
+    assert kept["kwargs"] == {"gravity": [0, -9]}
+
+
+@pytest.mark.parametrize("text", ["control", "=3", "a b=3", "control=", "control=[", "x:3"])
+def test_arguments_of_another_form_are_refused(text, capsys):
+    with pytest.raises(SystemExit):
+        main(["compare", "--agents", "mmc", "--env-kwargs", text])
+    assert "env-kwargs must be NAME=VALUE with a value in YAML" in capsys.readouterr().err
+
+
+def test_functions_and_objects_take_part_in_a_benchmark(tmp_path, frozen):
+    agents = {"function": lambda observation: np.zeros(3), "object": [frozen, frozen]}
+    for reused in (0, 3):
+        assert benchmark(agents, tmp_path, ["random"], 2, jobs=1).reused == reused
+    frame = read_episodes(tmp_path)
+    assert frame.groupby("agent")["training_seed"].nunique().to_dict() == {
+        "function": 0,
+        "object": 2,
+    }
+    assert frame.groupby("agent")["final_distance"].mean().nunique() == 1
+
+
+def test_predict_may_take_an_observation_alone():
+    class Plain:
+        control = "joint_torque"
+
+        def predict(self, observation):
+            return np.zeros(3)
+
+    found = compare({"plain": Plain(), "class": lambda env: Plain()}, episodes=1)
+    assert found.controls == {"plain": "joint_torque", "class": "joint_delta"}
+
+
+def test_a_function_that_fails_in_both_ways_fails_as_it_does_with_the_environment():
+    def broken(env):
+        return 1 / 0
+
+    with pytest.raises(ZeroDivisionError):
+        compare([broken], episodes=1)
+    with pytest.raises(UserError, match="'nothing' must return an object with predict"):
+        compare({"x": type("nothing", (), {"__init__": lambda self, env: None})}, episodes=1)
+
+
+@pytest.mark.slow
+def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
+    (tmp_path / "my_things.py").write_text(MODULE)
+
+    def run(*arguments):
+        command = [sys.executable, "-m", "mmc_gym.cli", *arguments]
+        return subprocess.run(command, cwd=tmp_path, text=True, check=True, capture_output=True)
+
+    mine = ("--import", "my_things")
+    agents = ("--agents", "mmc", "still=my_things:still", "--episodes", "3")
+    names = ("--environments", "short", "weak-30", "my_things:flat", "my_things:MyArm-v0")
+    run("benchmark", *mine, *agents, *names, "--jobs", "2")
+    frame = read_episodes(tmp_path / "runs/benchmark")
+    steps = frame.groupby("environment")["number_of_steps"].first().to_dict()
+    assert steps == dict(zip(names[1:], (5.0, 100.0, 100.0, 7.0)))
+    assert len(frame) == 2 * 4 * 3
+    run("report")
+    run("compare", *agents, "--env", "my_things:MyArm-v0")
+    run("record", "film.gif", "--agent", "my_things:still", "--env", "MMCReachShort-v0", *mine)
+    assert "short episodes" in run("list", "tasks", *mine).stdout
+    assert "servos give 7 %" in run("show", "weak-7", *mine).stdout
