@@ -11,7 +11,10 @@ from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
+import numpy as np
+
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from pydantic import ValidationError
 
 Class = TypeVar("Class", bound=type)
@@ -158,6 +161,18 @@ def require_rows(
     are_fine = items is not None and len(rows) == len(items) and len(items) in counts
     require(are_fine, name, value, accepted)
     return tuple(rows)
+
+
+def require_array(
+    name: str, value: Any, accepted: str = "an array of numbers"
+) -> NDArray[np.floating]:
+    """Return the value as an array of floats, of float32 if it is one; or raise a `UserError`."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # of uneven lengths
+        array = np.array(None)
+    require(array.dtype.kind in "fiu", name, value, accepted)
+    return array if array.dtype == np.float32 else array.astype(np.float64)
 
 
 def _items(value: Any) -> list[Any] | None:

@@ -15,11 +15,16 @@ from typing_extensions import override
 
 from mmc_gym._errors import require
 from mmc_gym.agents.base import JointTargetAgent, State, where
-from mmc_gym.agents.ik.agent import STRAIGHT, leave_line, nearest_reachable
+from mmc_gym.agents.ik.agent import STRAIGHT, leave_line
 from mmc_gym.agents.planners import Movement, begin, follow, step
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.network import Clamps, EuclideanNormalizer, MMCNetwork, MMCState, Normalizer
-from mmc_gym.network.chain import Floats, segments_from_joint_angles, wrap_angle
+from mmc_gym.network.chain import (
+    Floats,
+    nearest_reachable,
+    segments_from_joint_angles,
+    wrap_angle,
+)
 from mmc_gym.network.embodied import Embodiment, embodied_run
 from mmc_gym.network.time_base import share, timed_step
 

@@ -70,11 +70,10 @@ from mmc_gym.agents.ik.agent import (
     iterate,
     jacobian,
     leave_line,
-    nearest_reachable,
 )
 from mmc_gym.agents.ik.iterative import damped_least_squares, limited, resisted_force
 from mmc_gym.interface import Sensed
-from mmc_gym.network.chain import Floats
+from mmc_gym.network.chain import Floats, nearest_reachable
 from mmc_gym.network.time_base import share
 
 SHORTEST = 0.2

@@ -110,6 +110,10 @@ def wrap_angle(angle: Floats) -> Floats:
     return np.pi - (np.pi - angle) % (2 * np.pi)
 
 
+BEND = 0.02
+"""Angle by which each joint of a straight arm is bent where no method could leave the line, rad."""
+
+
 def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
     """Return inner and outer radius of the disc or ring that the end effector can reach.
 
@@ -118,3 +122,20 @@ def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
     """
     reach = float(sum(segment_lengths))
     return max(0.0, 2 * max(segment_lengths) - reach), reach
+
+
+def nearest_reachable(target: Floats, segment_lengths: Sequence[float]) -> Floats:
+    """Return targets (..., 2), those out of reach moved to the nearest point within.
+
+    >>> nearest_reachable(np.array([4.0, 0.0]), (1.0, 1.0, 1.0))
+    array([3., 0.])
+    """
+    inner, outer = reachable_radii(segment_lengths)
+    distance = np.hypot(target[..., 0], target[..., 1])
+    outside = (distance < inner) | (distance > outer)
+    if not outside.any():
+        return target
+    bearing = np.arctan2(target[..., 1], target[..., 0])  # defined at the base too
+    radius = np.clip(distance, inner, outer)
+    nearest = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)
+    return np.where(outside[..., None], nearest, target)

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym._errors import require
+from mmc_gym._errors import UserError, require, require_not_negative
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import (
     Clamps,
@@ -62,8 +62,7 @@ class Embodiment:
         joint_angles: angles of the locked joints, radians, (..., N); the others do not matter.
 
     Raises:
-        UserError: for another weight.
-        ValueError: for a weight without a sensed posture, or locks without angles.
+        UserError: for another weight, one without a sensed posture, or locks without angles.
     """
 
     segment_lengths: Floats | None = None
@@ -73,11 +72,11 @@ class Embodiment:
     joint_angles: Floats | None = None
 
     def __post_init__(self) -> None:
-        require(0 <= self.weight < np.inf, "weight", self.weight, "finite and not negative")
+        require_not_negative(weight=self.weight)
         if self.weight and self.sensed is None:
-            raise ValueError("sensed must be given if it has a weight, got None")
+            raise UserError("sensed must be given if it has a weight, got None")
         if self.locked is not None and self.joint_angles is None:
-            raise ValueError("joint_angles must be given if joints are locked, got None")
+            raise UserError("joint_angles must be given if joints are locked, got None")
 
 
 def embodied_run(

@@ -35,7 +35,17 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import require
+from mmc_gym._errors import (
+    UserError,
+    require,
+    require_array,
+    require_choice,
+    require_number,
+    require_numbers,
+    require_whole,
+    spelt,
+    unknown,
+)
 from mmc_gym._notebook import facts_table
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Floats, Pair
@@ -48,6 +58,9 @@ if TYPE_CHECKING:  # numpy is all that the network needs
 Rows: TypeAlias = "slice | NDArray[np.intp]"
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]
+
+# Vectors are in one line within this angle, radians: some roundings of their dtype.
+_STRAIGHT = {"d": 1e-14, "f": 1e-5}
 
 # Arms iterated together: their rows, twice, fit the second-level cache of common processors.
 _BLOCK = 4096
@@ -105,13 +118,15 @@ class Clamps:
     Attributes:
         rows: their rows in the state, in ascending order.
         values: what they are held at, (rows, 2, ...).
+        segment_count: N of the network.
     """
 
     rows: tuple[int, ...]
     values: Floats
+    segment_count: int
 
 
-NO_CLAMPS = Clamps((), np.empty((0, 2)))
+NO_CLAMPS = Clamps((), np.empty((0, 2)), 0)
 
 
 class Trajectory(NamedTuple):
@@ -140,16 +155,17 @@ class Trajectory(NamedTuple):
         return plot_postures(chain.node_positions(segments), last, axes)
 
 
+@spelt
 @dataclass(frozen=True)
 class MMCNetwork:
     """Description of an MMC network for a planar arm of N ≥ 2 segments; it holds no state.
 
     It converges for d > (N + 1)/2, and without oscillation for d ≥ N + 1.  At d = N + 1 the linear
-    part needs a single iteration.
+    part needs a single iteration.  A smaller d is refused.
 
     Attributes:
         segment_lengths: N positive lengths.
-        damping: d, the weight of the present value in the mean (paper: 10).
+        damping: d, the weight of the present value in the mean (paper: 10); more than (N + 1)/2.
         normalizer: Euclidean (classical network) or learned.
         dynamics: "kinematic", or a rule for the velocity: "paper" or "reference".
         velocity_damping: d_v (paper: 5).  Dynamic networks only.
@@ -157,7 +173,7 @@ class MMCNetwork:
         schedule: "synchronous" or "delayed".
 
     Raises:
-        UserError: for fewer than two segments, or a value outside its range.
+        UserError: for fewer than two segments, a value outside its range, or an unknown argument.
 
     >>> network = MMCNetwork()
     >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -175,18 +191,21 @@ class MMCNetwork:
     schedule: Schedule = "synchronous"
 
     def __post_init__(self) -> None:
-        lengths = tuple(float(length) for length in self.segment_lengths)
+        accepted = "two or more positive and finite lengths"
+        lengths = require_numbers("segment_lengths", self.segment_lengths, accepted, _are_lengths)
         object.__setattr__(self, "segment_lengths", lengths)
-        fine = len(lengths) >= 2 and all(0 < length < np.inf for length in lengths)
-        require(fine, "segment_lengths", lengths, "two or more positive and finite lengths")
-        require(0 < self.damping < np.inf, "damping", self.damping, "positive and finite")
+        half = (len(lengths) + 1) / 2
+        accepted = f"finite, and more than (N + 1) / 2 = {half:g}, below which networks diverge"
+        require_number("damping", self.damping, accepted, lambda d: half < d < np.inf)
+        accepted = "a Normalizer, such as EuclideanNormalizer() or LearnedNormalizer.shipped()"
+        require(isinstance(self.normalizer, Normalizer), "normalizer", self.normalizer, accepted)
+        require_choice("dynamics", self.dynamics, get_args(Dynamics))
+        require_choice("schedule", self.schedule, get_args(Schedule))
         least, value = 1 if self.dynamics == "paper" else 0, self.velocity_damping
-        require(least <= value < np.inf, "velocity_damping", value, f"finite, at least {least}")
+        accepted = f"finite, at least {least}"
+        require_number("velocity_damping", value, accepted, lambda d_v: least <= d_v < np.inf)
         value = self.velocity_decay
-        require(0 <= value <= 1, "velocity_decay", value, "between 0 and 1")
-        for name, accepted in (("dynamics", Dynamics), ("schedule", Schedule)):
-            choice = getattr(self, name)
-            require(choice in get_args(accepted), name, choice, f"one of {get_args(accepted)}")
+        require_number("velocity_decay", value, "between 0 and 1", lambda decay: 0 <= decay <= 1)
 
     @property
     def segment_count(self) -> int:
@@ -217,7 +236,7 @@ class MMCNetwork:
         becomes float64.
 
         Raises:
-            ValueError: if the shape is another or a value is not finite.
+            UserError: if the shape is another or a value is no finite number.
         """
         segments = _as_floats("segments", segments, (self.segment_count, 2))
         parts = [chain.chain_vectors(segments)]
@@ -236,7 +255,8 @@ class MMCNetwork:
         target = _as_floats("target", target, (2,))
         row = self.segment_count * (self.segment_count + 1) // 2 - 1
         batch = range(target.ndim - 1)
-        return Clamps((row,), target.transpose(target.ndim - 1, *batch).copy()[None])
+        values = target.transpose(target.ndim - 1, *batch).copy()[None]
+        return Clamps((row,), values, self.segment_count)
 
     def forward(self, segments: ArrayLike) -> Clamps:
         """Hold every segment at its vector in `segments` (..., N, 2): the forward task."""
@@ -249,13 +269,18 @@ class MMCNetwork:
         A segment is held as it is given, and should have its length.
 
         Raises:
-            UserError: for a pair that is no vector of the chain.
-            ValueError: for a value that is not a finite array of shape (..., 2).
+            UserError: for a pair that is no vector of the chain, or a value that is not a finite
+                array of shape (..., 2).
         """
         pairs = chain.vector_pairs(self.segment_count)
+        accepted = "a mapping from pairs of nodes to vectors, such as {(0, 1): (1.0, 0.0)}"
+        require(isinstance(vectors, Mapping), "vectors", vectors, accepted)
         held: dict[int, Floats] = {}
         for pair, value in vectors.items():
-            require(pair in pairs, "a clamp", pair, f"a node pair of {pairs}")
+            if pair not in pairs:
+                turned = pair[::-1] if isinstance(pair, tuple) else ()
+                guess = f"{turned} with the opposite sign" if turned in pairs else ""
+                raise unknown("clamp", pair, pairs, guess=guess)
             held[pairs.index(pair)] = _as_floats(f"clamp {pair}", value, (2,))
         if not held:
             return NO_CLAMPS
@@ -263,8 +288,12 @@ class MMCNetwork:
             segments = [row for row in held if row < self.segment_count]
             held |= {len(pairs) + row: held[row] for row in segments}
         rows = tuple(sorted(held))
-        values = np.stack(np.broadcast_arrays(*(held[row] for row in rows)))
-        return Clamps(rows, np.ascontiguousarray(np.moveaxis(values, -1, 1)))
+        try:
+            values = np.stack(np.broadcast_arrays(*(held[row] for row in rows)))
+        except ValueError as error:
+            shapes = [array.shape for array in held.values()]
+            raise UserError(f"vectors must have batch axes that fit, got {shapes}") from error
+        return Clamps(rows, np.ascontiguousarray(np.moveaxis(values, -1, 1)), self.segment_count)
 
     # Iterating
 
@@ -277,19 +306,28 @@ class MMCNetwork:
 
         Batch axes of state and clamps are broadcast against each other.
 
+        Where a straight or folded arm, its target and all that is clamped lie in one line, all
+        means do, too, and no iteration would ever leave it.  If such an arm is not at its target,
+        and in reach of it, it is first bent by `chain.BEND` at each joint.  All others start as
+        they are.
+
         Raises:
-            ValueError: if state or clamps come from another kind of network, or `iterations` is
-                negative.
+            UserError: if state or clamps come from another kind of network, or `iterations` is no
+                whole number of at least 0.
         """
+        self._check(state, clamps)
+        require_whole("iterations", iterations, least=0)
         values, clamped = state.values, clamps.values
         iteration = compile_iteration(self, clamps.rows, values.dtype.char)
-        if len(values) != len(iteration.operator) or state.segment_count != self.segment_count:
-            raise ValueError(f"state must come from this network, got {len(values)} rows")
-        if iterations < 0:
-            raise ValueError(f"iterations must be 0 or more, got {iterations}")
+        if len(values) != len(iteration.operator):
+            raise UserError(
+                f"state must come from a network of dynamics {self.dynamics!r} and schedule "
+                f"{self.schedule!r}, as this one, got {len(values)} rows"
+            )
         if clamped.ndim > 2 and clamped.shape[2:] != values.shape[2:]:
-            batch = np.broadcast_shapes(values.shape[2:], clamped.shape[2:])
+            batch = _common_batch(values, clamped)
             values, clamped = _broadcast(values, batch), _broadcast(clamped, batch)
+        values = self._out_of_line(values, clamps.rows, clamped)
         result = np.empty(values.shape, dtype=values.dtype)
         rows, size = len(result), result[0, 0].size
         source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
@@ -309,18 +347,71 @@ class MMCNetwork:
             The last state, and the segments of all iterations, (iterations, ..., N, 2); its `plot`
             draws them.
 
+        Raises:
+            UserError: as `run` does.
+
         >>> network = MMCNetwork()
         >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
         >>> state, segments = network.trajectory(start, network.inverse([-1.0, 1.5]), 50)
         >>> segments.shape
         (50, 3, 2)
         """
+        require_whole("iterations", iterations, least=0)
         state = self.run(state, clamps, iterations=0)  # broadcasts state and clamps
         postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
         for iteration in range(iterations):
             state = self.step(state, clamps)
             postures[iteration] = state.segments
         return Trajectory(state, postures)
+
+    def _check(self, state: MMCState, clamps: Clamps) -> None:
+        """Raise a `UserError` if a state or clamps are none, or those of another arm."""
+        if not isinstance(state, MMCState):
+            accepted = "an MMCState, such as network.state_from_joint_angles([0.3, 0.6, 0.6])"
+            require(False, "state", state, accepted)
+        if not isinstance(clamps, Clamps):
+            require(False, "clamps", clamps, "Clamps, such as network.inverse([1.0, 1.5])")
+        for name, one in (("state", state), ("clamps", clamps if clamps.rows else state)):
+            if one.segment_count != self.segment_count:
+                accepted = f"of {self.segment_count} segments, as this network is"
+                raise UserError(f"{name} must be {accepted}, got {one.segment_count} segments")
+
+    def _out_of_line(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
+        """Return states (rows, 2, ...), bent where they could never leave the line they lie in.
+
+        To be quick, only states are looked at whose target is a new one.
+        """
+        count = self.segment_count
+        hand = count * (count + 1) // 2 - 1
+        if hand not in rows:
+            return values
+        target = clamped[rows.index(hand)]
+        if target.tobytes() == values[hand].tobytes():
+            return values
+        (x, y), (next_x, next_y) = values[0], values[1]
+        lengths = self.segment_lengths
+        least = _STRAIGHT[values.dtype.char] * lengths[0] * sum(lengths)
+        if (np.abs(x * next_y - y * next_x) > least).all():  # the first joint alone is bent
+            return values
+
+        def are_in_line(vectors: Floats) -> NDArray[np.bool_]:
+            across = np.abs(x * vectors[:, 1] - y * vectors[:, 0])
+            in_line: NDArray[np.bool_] = (across <= least).all(axis=0)
+            return in_line
+
+        clamped = _broadcast(clamped, values.shape[2:])
+        target = chain.nearest_reachable(np.moveaxis(target, 0, -1), lengths)
+        way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
+        is_away = np.hypot(way[..., 0], way[..., 1]) > 1e-3 * sum(lengths)
+        is_stuck = are_in_line(values[1:count]) & are_in_line(clamped) & is_away
+        if not is_stuck.any():
+            return values
+        turns = chain.BEND * np.arange(1, count + 1, dtype=values.dtype)
+        angles = np.arctan2(values[:count, 1], values[:count, 0])
+        angles = np.moveaxis(angles, 0, -1) + turns
+        segments = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        segments *= np.array(lengths, dtype=values.dtype)[:, None]
+        return np.where(is_stuck, self.state_from_segments(segments).values, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,8 +491,9 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
     delayed = network.schedule == "delayed"
     dynamic = network.dynamics != "kinematic"
     size = vectors + count * (delayed + dynamic)
-    if clamped and clamped[-1] >= size:
-        raise ValueError(f"clamps must come from this network, got row {clamped[-1]} of {size}")
+    pending = {vectors + row for row in clamped if row < count} if delayed else set()
+    if {row for row in clamped if row >= vectors} != pending:
+        raise UserError(f"clamps must come from a network of schedule {network.schedule!r}")
     identity = np.eye(size)
     segment, vector = slice(0, count), slice(0, vectors)
     new = slice(vectors, vectors + count) if delayed else segment
@@ -456,15 +548,27 @@ def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
     return np.broadcast_to(values.reshape(rows, two, *missing, *own), (rows, two, *batch))
 
 
+def _common_batch(values: Floats, clamped: Floats) -> tuple[int, ...]:
+    """Return the batch axes that those of a state and of clamps broadcast to."""
+    own, other = values.shape[2:], clamped.shape[2:]
+    try:
+        return np.broadcast_shapes(own, other)
+    except ValueError as error:
+        accepted = f"that go with the state's, {own}"
+        raise UserError(f"clamps must have batch axes {accepted}, got {other}") from error
+
+
+def _are_lengths(numbers: tuple[float, ...]) -> bool:
+    return len(numbers) >= 2 and all(0 < number < np.inf for number in numbers)
+
+
 def _as_floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
     """Return the value as a finite float array whose last axes are `trailing`."""
-    array = np.asarray(value)
-    if array.dtype != np.float32:
-        array = array.astype(np.float64)
+    array = require_array(name, value)
     if array.shape[array.ndim - len(trailing) :] != trailing or array.ndim < len(trailing):
-        raise ValueError(
+        raise UserError(
             f"{name} must have shape (..., {', '.join(map(str, trailing))}), got {array.shape}"
         )
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite, got {value!r}")
+        raise UserError(f"{name} must be finite, got {value!r}")
     return array

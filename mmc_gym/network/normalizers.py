@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from safetensors import SafetensorError, safe_open
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require
+from mmc_gym._errors import UserError, require, require_array, require_choice, require_whole
 from mmc_gym._files import write_atomically
 from mmc_gym.network.chain import Floats
 
@@ -47,9 +47,9 @@ class Normalizer(ABC):
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
         """Return normalized copies of `vectors` (..., 2); `lengths` broadcasts against (...)."""
-        vectors = np.asarray(vectors)
-        vectors = vectors if vectors.dtype == np.float32 else vectors.astype(np.float64)
-        lengths = np.asarray(lengths, dtype=vectors.dtype)
+        vectors = require_array("vectors", vectors)
+        require(vectors.shape[-1:] == (2,), "vectors", vectors.shape, "of shape (..., 2)")
+        lengths = require_array("lengths", lengths).astype(vectors.dtype)
         shape = np.broadcast_shapes(vectors.shape[:-1], lengths.shape)
         # Every vector has a length of its own here, so each is a row with a batch of one.
         rows = np.broadcast_to(vectors, (*shape, 2)).reshape(-1, 2, 1).copy()
@@ -96,11 +96,14 @@ class LearnedNormalizer(Normalizer):
         """Make a normalizer from layer weights (outputs, inputs) and biases (outputs,).
 
         Raises:
-            ValueError: if the layers do not lead from 2 inputs to 2 outputs, or a value is not
-                finite.
+            UserError: if the layers do not lead from 2 inputs to 2 outputs, or a value is no
+                finite number.
         """
-        self.weights = [np.array(weight, dtype=np.float64) for weight in weights]
-        self.biases = [np.array(bias, dtype=np.float64) for bias in biases]
+        for name, layers in (("weights", weights), ("biases", biases)):
+            fine = isinstance(layers, Sequence) and not isinstance(layers, str)
+            require(fine, name, layers, "a list of arrays, one per layer")
+        self.weights = [np.array(require_array("weights", each), np.float64) for each in weights]
+        self.biases = [np.array(require_array("biases", each), np.float64) for each in biases]
         self.card = dict(card or {})
         shapes = [weight.shape for weight in self.weights]
         bias_shapes = [bias.shape for bias in self.biases]
@@ -108,12 +111,12 @@ class LearnedNormalizer(Normalizer):
         wanted = list(zip(widths[1:], widths[:-1], strict=True))
         one_axis = all(len(shape) == 1 for shape in bias_shapes)
         if not shapes or shapes != wanted or widths[-1] != 2 or not one_axis:
-            raise ValueError(
+            raise UserError(
                 f"layers must lead from 2 inputs to 2 outputs, got weights of shapes {shapes} "
                 f"and biases of shapes {bias_shapes}"
             )
         if not all(np.isfinite(values).all() for values in (*self.weights, *self.biases)):
-            raise ValueError("weights and biases must be finite, got some that are not")
+            raise UserError("weights and biases must be finite, got some that are not")
         self._layers: dict[str, list[tuple[Floats, Floats]]] = {}
 
     @property
@@ -168,6 +171,8 @@ class LearnedNormalizer(Normalizer):
             FileNotFoundError: if there is none.
             UserError: if it is damaged or does not hold a normalizer.
         """
+        require(isinstance(path, str | Path), "path", path, "the path of a normalizer's file")
+        require(not Path(path).is_dir(), "path", str(path), "a file, no folder")
         try:
             with safe_open(path, framework="numpy") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}
@@ -189,8 +194,7 @@ class LearnedNormalizer(Normalizer):
         Raises:
             UserError: for any other name.
         """
-        names = get_args(ShippedNormalizer)
-        require(name in names, "name", name, f"one of {names}")
+        require_choice("name", name, get_args(ShippedNormalizer))
         return cls.load(WEIGHTS / f"{name}-16x16.safetensors")
 
     def __repr__(self) -> str:
@@ -238,5 +242,6 @@ def mean_squared_error(
 
 def _directions(count: int) -> Floats:
     """Return unit vectors spread evenly over the circle, (count, 2)."""
+    require_whole("directions", count)
     angles = np.arange(count) * (2 * np.pi / count)
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -43,7 +43,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import UserError, require
+from mmc_gym._errors import UserError, require, require_array, require_positive, require_whole
 from mmc_gym.network.chain import Floats, triangle_incidence
 from mmc_gym.network.model import MMCNetwork, MMCState
 
@@ -60,7 +60,7 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
     >>> minimum_jerk([-1.0, 0.0, 0.25, 0.5, 1.0, 2.0]).round(4).tolist()
     [0.0, 0.0, 0.1035, 0.5, 1.0, 1.0]
     """
-    phase = np.clip(np.asarray(phase, dtype=np.float64), 0.0, 1.0)
+    phase = np.clip(require_array("phase", phase).astype(np.float64), 0.0, 1.0)
     covered: NDArray[np.float64] = phase**3 * (10 - 15 * phase + 6 * phase**2)
     return covered
 
@@ -81,10 +81,10 @@ def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
     >>> share([1, 2, 3, 4, 5], duration=4).round(4).tolist()
     [0.1035, 0.4423, 0.793, 1.0, 1.0]
     """
-    duration = np.asarray(duration, dtype=np.float64)
+    duration = require_array("duration", duration, "positive and finite").astype(np.float64)
     fine = bool(((duration > 0) & (duration < np.inf)).all())
     require(fine, "duration", duration.tolist(), "positive and finite")
-    number = np.asarray(iteration, dtype=np.float64)
+    number = require_array("iteration", iteration).astype(np.float64)
     remaining = 1 - minimum_jerk((number - 1) / duration)
     covered = minimum_jerk(number / duration) - minimum_jerk((number - 1) / duration)
     return np.divide(covered, remaining, out=np.ones_like(remaining), where=remaining > 0)
@@ -108,9 +108,11 @@ def timed_step(
     state = network.run(state, network.inverse(target), iterations=0)  # broadcasts, sets R
     count, batch = network.segment_count, state.batch_shape
     values = state.values.reshape(len(state.values), 2, -1)
-    shares = np.broadcast_to(np.asarray(share, dtype=values.dtype), batch).reshape(-1)
-    fine = bool(((shares >= 0) & (shares <= 1)).all())
-    require(fine, "share", share, "between 0 and 1")
+    accepted = f"between 0 and 1, for all arms or each, {batch}"
+    shares = require_array("share", share, accepted).astype(values.dtype)
+    fine = shares.shape in ((), batch) and bool(((shares >= 0) & (shares <= 1)).all())
+    require(fine, "share", share, accepted)
+    shares = np.broadcast_to(shares, batch).reshape(-1)
     change = -np.tensordot(_coupling(count).astype(values.dtype), values, 1)  # −∂₂∂₂ᵀ v
     lengths = np.array(network.segment_lengths, dtype=values.dtype)[:, None]
     hand = values[:count].sum(axis=0)
@@ -159,8 +161,9 @@ def timed_trajectory(
     ([-0.98, 1.5], 24)
     """
     _check(network)
-    require(0 < duration < np.inf, "duration", duration, "positive and finite")
+    duration = require_positive("duration", duration)
     iterations = round(duration) if iterations is None else iterations
+    require_whole("iterations", iterations, least=0)
     state = network.run(state, network.inverse(target), iterations=0)
     postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
     for number, part in enumerate(share(np.arange(1, iterations + 1), duration)):
@@ -205,6 +208,7 @@ def _coupling(segment_count: int) -> NDArray[np.float64]:
 
 
 def _check(network: MMCNetwork) -> None:
+    require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")
     if network.dynamics != "kinematic" or network.schedule != "synchronous":
         raise UserError(
             "network must be kinematic and synchronous to follow a time base, "

@@ -97,8 +97,9 @@ def written_out(network, segments, clamped, iterations):
 # The linear core
 
 
-@given(count=counts, damping=st.floats(1, 50))
-def test_the_linear_core_is_the_mean_of_multiple_computations(count, damping):
+@given(count=counts, excess=st.floats(0.01, 50))
+def test_the_linear_core_is_the_mean_of_multiple_computations(count, excess):
+    damping = (count + 1) / 2 + excess
     core = linear_operator(network_of(count, damping=damping))
     incidence = chain.triangle_incidence(count)
     identity = np.eye(len(core))
@@ -130,13 +131,19 @@ def test_the_linear_core_converges_in_one_step_at_damping_n_plus_one(count, data
 
 @given(count=counts, excess=st.floats(0, 30), fraction=st.floats(0.01, 0.99))
 def test_the_linear_core_converges_as_the_damping_promises(count, excess, fraction):
+    incidence = chain.triangle_incidence(count)
+
     def eigenvalues(damping):
-        return np.linalg.eigvalsh(linear_operator(network_of(count, damping=damping)))
+        return np.linalg.eigvalsh(np.eye(len(incidence)) - incidence @ incidence.T / damping)
 
     half = (count + 1) / 2
     assert eigenvalues(count + 1 + excess).min() >= -1e-12  # no oscillation
     assert np.abs(eigenvalues(half * (1 + fraction))).max() == pytest.approx(1)
     assert np.abs(eigenvalues(half * (1 - fraction))).max() > 1.001
+    network_of(count, damping=half * (1 + fraction))
+    for diverging in (half, half * (1 - fraction)):
+        with pytest.raises(UserError, match=r"damping must be .* more than \(N \+ 1\) / 2"):
+            network_of(count, damping=diverging)
 
 
 @pytest.mark.parametrize("count", range(2, 9))
@@ -347,7 +354,41 @@ def test_steps_one_by_one_are_a_run_and_a_trajectory(iterations, target):
     np.testing.assert_array_equal(trajectory, np.reshape(postures, (iterations, 4, 3, 2)))
 
 
+# Arms in one line with their target
+
+
+@pytest.mark.parametrize("schedule", ["synchronous", "delayed"])
+@pytest.mark.parametrize("dynamics", ["kinematic", "paper", "reference"])
+@pytest.mark.parametrize("bearing", [0.0, 0.7, 3.0])
+def test_an_arm_in_one_line_with_its_target_gets_there(dynamics, schedule, bearing):
+    network = MMCNetwork(damping=4, dynamics=dynamics, schedule=schedule)
+    for joints, part in (([0, 0], 2.0), ([0, 0], -1.0), ([0, 0], 0.0), ([np.pi, np.pi], 2.0)):
+        target = [part * np.cos(bearing), part * np.sin(bearing)]
+        state = network.state_from_joint_angles([bearing, *joints])
+        end = network.run(state, network.inverse(target), 300)
+        np.testing.assert_allclose(end.end_effector, target, atol=0.02)
+
+
+def test_no_other_arm_is_bent():
+    network = MMCNetwork(damping=4)
+    postures = [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 1e-6, 0], [0, 0, 0]]
+    targets = [[2.0, 0.0], [2.0, 1e-6], [3.0, 0.0], [2.0, 0.0], [4.0, 0.0]]  # the last out of reach
+    state = network.state_from_joint_angles(postures)
+    clamps = network.inverse(targets)
+    start = network.run(state, clamps, iterations=0)
+    is_bent = (start.segments != state.segments).any(axis=(1, 2))
+    np.testing.assert_array_equal(is_bent, [True, False, False, False, False])
+    once = network.run(state, clamps, 40)
+    for _ in range(40):
+        start = network.step(start, clamps)
+    np.testing.assert_array_equal(start.values, once.values)
+
+
 # Errors
+
+
+def at_rest(network):
+    return network.state_from_joint_angles([0.1, 0.2, 0.3])
 
 
 @pytest.mark.parametrize(
@@ -359,13 +400,19 @@ def test_steps_one_by_one_are_a_run_and_a_trajectory(iterations, target):
         ({"segment_lengths": (1.0, -0.5)}, r"segment_lengths must be .* got \(1.0, -0.5\)"),
         ({"segment_lengths": (np.inf, 1.0)}, r"segment_lengths must be .* got \(inf, 1.0\)"),
         ({"segment_lengths": (1.0, np.nan)}, r"segment_lengths must be .* got \(1.0, nan\)"),
-        ({"damping": 0}, "damping must be positive and finite, got 0"),
+        ({"segment_lengths": 3}, "segment_lengths must be two or more .*, got 3"),
+        ({"segment_lengths": "111"}, "segment_lengths must be two or more .*, got '111'"),
+        ({"damping": 0}, "damping must be finite, and more than .*, got 0"),
+        ({"damping": "a"}, "damping must .*, got 'a'"),
+        ({"normalizer": "paper"}, "normalizer must be a Normalizer, .*, got 'paper'"),
+        ({"velocity_damping": None}, "velocity_damping must be finite, at least 0, got None"),
+        ({"dampening": 4}, "takes no argument 'dampening'; did you mean 'damping'"),
         ({"damping": np.nan}, "damping must .* got nan"),
         ({"damping": np.inf}, "damping must .* got inf"),
         ({"velocity_decay": 1.1}, "velocity_decay must be between 0 and 1, got 1.1"),
         ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping must .*1.* got 0.5"),
-        ({"dynamics": "newton"}, r"dynamics must be one of \('kinematic', .*got 'newton'"),
-        ({"schedule": "late"}, r"schedule must be one of \('synchronous', .*got 'late'"),
+        ({"dynamics": "newton"}, "dynamics 'newton' is not accepted. It may be kinematic, "),
+        ({"schedule": "late"}, "schedule 'late' is not accepted. It may be synchronous"),
     ],
 )
 def test_impossible_networks_are_refused(settings, message):
@@ -380,22 +427,52 @@ def test_impossible_networks_are_refused(settings, message):
         (lambda n: n.inverse(1.0), r"shape \(\.\.\., 2\), got \(\)"),
         (lambda n: n.inverse([np.nan, 1.0]), "target must be finite, got"),
         (lambda n: n.forward(np.zeros((2, 2))), r"segments must have shape \(\.\.\., 3, 2\)"),
-        (lambda n: n.clamp({(3, 0): [1, 1]}), r"node pair of \[\(0, 1\).*got \(3, 0\)"),
+        (
+            lambda n: n.clamp({(3, 0): [1, 1]}),
+            r"clamp \(3, 0\) .* mean '\(0, 3\) with the opposite",
+        ),
         (lambda n: n.state_from_joint_angles([0.1, 0.2]), r"joint_angles must have shape"),
         (lambda n: n.state_from_segments(np.full((3, 2), np.inf)), "segments must be finite"),
         (
             lambda n: n.run(MMCNetwork((1.0,) * 4).state_from_joint_angles([0.0] * 4)),
-            "state must come from this network",
+            "state must be of 3 segments, as this network is, got 4 segments",
         ),
         (
             lambda n: n.run(n.state_from_joint_angles([0.0] * 3), iterations=-1),
-            "iterations must be 0 or more, got -1",
+            "iterations must be a whole number of at least 0, got -1",
         ),
         (
             lambda n: n.run(
                 n.state_from_joint_angles([0.0] * 3), MMCNetwork((1.0,) * 4).inverse([1, 1])
             ),
-            "clamps must come from this network",
+            "clamps must be of 3 segments, as this network is, got 4 segments",
+        ),
+        (lambda n: n.inverse("ab"), "target must be an array of numbers, got 'ab'"),
+        (lambda n: n.inverse([1.0, None]), r"target must be an array of numbers, got \[1.0, None"),
+        (lambda n: n.clamp([(0, 3)]), "vectors must be a mapping from pairs of nodes"),
+        (lambda n: n.step([0.3, 0.6, 0.6]), r"state must be an MMCState, .*, got \[0.3, 0.6"),
+        (lambda n: n.run(at_rest(n), [1.0, 1.0]), r"clamps must be Clamps, .* got \[1.0, 1.0\]"),
+        (lambda n: n.run(at_rest(n), iterations=1.5), "iterations must be .*, got 1.5"),
+        (
+            lambda n: n.trajectory(at_rest(n), n.inverse([1, 1]), -1),
+            "iterations must be .*, got -1",
+        ),
+        (
+            lambda n: MMCNetwork((1.0,) * 4).run(
+                MMCNetwork((1.0,) * 4).state_from_joint_angles([0.1] * 4), n.inverse([1, 1])
+            ),
+            "clamps must be of 4 segments, as this network is, got 3 segments",
+        ),
+        (
+            lambda n: MMCNetwork(schedule="delayed").run(
+                MMCNetwork(schedule="delayed").state_from_joint_angles([0.1] * 3),
+                n.clamp({(0, 1): [1.0, 0.0]}),
+            ),
+            "clamps must come from a network of schedule 'delayed'",
+        ),
+        (
+            lambda n: n.run(n.state_from_joint_angles(np.ones((2, 3))), n.inverse(np.ones((3, 2)))),
+            r"clamps must have batch axes that go with the state's, \(2,\), got \(3,\)",
         ),
     ],
 )

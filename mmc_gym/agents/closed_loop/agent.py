@@ -191,10 +191,11 @@ def closed_loop_mmc(interface: ReachInterface, loops: Loops) -> ClosedLoopMMCAge
     """Return the network of `mmc` with some loops closed.
 
     Raises:
-        UserError: if the weight of the posture is N + 1 or more; as `CannotActError`, under torque
-            control, or for an arm of a single segment.
+        UserError: if the weight of the posture is (N + 1) / 2 or more; as `CannotActError`, under
+            torque control, or for an arm of a single segment.
     """
-    weight, most = loops.posture_weight, len(interface.segment_lengths) + 1
-    require(weight < most, "posture_weight", weight, f"less than N + 1 = {most}")
-    network = network_of_arm(interface, damping=most - weight, dynamics="paper")
+    weight, total = loops.posture_weight, len(interface.segment_lengths) + 1
+    accepted = f"less than (N + 1) / 2 = {total / 2:g}"
+    require(weight < total / 2, "posture_weight", weight, accepted)
+    network = network_of_arm(interface, damping=total - weight, dynamics="paper")
     return ClosedLoopMMCAgent(interface, loops, network, iterations_per_step=3)

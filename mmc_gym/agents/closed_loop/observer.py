@@ -45,7 +45,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym._errors import require
+from mmc_gym._errors import require_not_negative, require_number, spelt
 from mmc_gym.agents.closed_loop.identification import (
     Delay,
     Lengths,
@@ -59,6 +59,7 @@ from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network.chain import Floats, wrap_angle
 
 
+@spelt
 @dataclass(frozen=True)
 class Loops:
     """Which loops are closed; the default is none.
@@ -83,8 +84,8 @@ class Loops:
 
     def __post_init__(self) -> None:
         weight, rate = self.posture_weight, self.hand_rate
-        require(0 <= weight < np.inf, "posture_weight", weight, "finite and not negative")
-        require(0 <= rate <= 1, "hand_rate", rate, "between 0 and 1")
+        require_not_negative(posture_weight=weight)
+        require_number("hand_rate", rate, "between 0 and 1", lambda share: 0 <= share <= 1)
 
 
 @dataclass(frozen=True, eq=False)

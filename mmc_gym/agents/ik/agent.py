@@ -22,9 +22,10 @@ from mmc_gym._errors import require
 from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.interface import JointLimits, ReachInterface, Sensed
 from mmc_gym.network.chain import (
+    BEND,
     Floats,
+    nearest_reachable,
     node_positions,
-    reachable_radii,
     segments_from_joint_angles,
 )
 
@@ -38,8 +39,6 @@ it returns joint angles (..., N).
 
 STRAIGHT = 0.01
 """An arm is taken as straight, and a target as in line with it, within this angle, radians."""
-BEND = 0.02
-"""Angle by which each joint of a straight arm is bent where no method could leave the line."""
 
 
 class InverseKinematicsAgent(JointTargetAgent[Floats]):
@@ -123,23 +122,6 @@ def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths | Floats
     """Return where the hand is, segment lengths, (..., 2), for joint angles (..., N)."""
     hand: Floats = segments_from_joint_angles(joint_angles, segment_lengths).sum(axis=-2)
     return hand
-
-
-def nearest_reachable(target: Floats, segment_lengths: SegmentLengths) -> Floats:
-    """Return targets (..., 2), those out of reach moved to the nearest point within.
-
-    >>> nearest_reachable(np.array([4.0, 0.0]), (1.0, 1.0, 1.0))
-    array([3., 0.])
-    """
-    inner, outer = reachable_radii(segment_lengths)
-    distance = np.hypot(target[..., 0], target[..., 1])
-    outside = (distance < inner) | (distance > outer)
-    if not outside.any():
-        return target
-    bearing = np.arctan2(target[..., 1], target[..., 0])  # defined at the base too
-    radius = np.clip(distance, inner, outer)
-    nearest = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)
-    return np.where(outside[..., None], nearest, target)
 
 
 def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:

@@ -19,9 +19,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mmc_gym.agents.ik.agent import SegmentLengths, nearest_reachable
+from mmc_gym.agents.ik.agent import SegmentLengths
 from mmc_gym.interface import CannotActError, JointLimits
-from mmc_gym.network.chain import Floats, wrap_angle
+from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
 
 ORIENTATIONS = 90
 """Orientations that a sweep takes on either side of the target's direction."""
