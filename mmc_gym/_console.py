@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.measure import Measurement
 from rich.padding import Padding
 from rich.progress import (
     BarColumn,
@@ -120,17 +121,24 @@ def _three_digits(estimate: float, at_most: int) -> int:
 def print_rows(console: Console, rows: Sequence[Mapping[str, str]], left: str) -> None:
     """Print a table with a row for each mapping, headed by its keys.
 
-    The column `left` is text; the others are numbers, and end at the right.
+    The column `left` is text, and its lines are not broken; the others are numbers, and end at the
+    right.  Where there is little room, they stand closer together.
     """
-    table = _table()
-    for heading in rows[0]:
-        table.add_column(
-            text_for(console, heading),
-            justify="left" if heading == left else "right",
-            vertical="top",
-        )
-    for row in rows:
-        table.add_row(*(text_for(console, content) for content in row.values()))
+    unbounded = console.options.update_width(10 * console.width)
+    for gap in (_GAP, 1):
+        table = _table(gap)
+        for heading in rows[0]:
+            table.add_column(
+                text_for(console, heading),
+                justify="left" if heading == left else "right",
+                no_wrap=heading == left,
+                overflow="fold",
+                vertical="top",
+            )
+        for row in rows:
+            table.add_row(*(text_for(console, content) for content in row.values()))
+        if Measurement.get(console, unbounded, table).maximum <= console.width:
+            break
     console.print(Padding(table, (1, 0)))
 
 
@@ -244,8 +252,8 @@ def _to_ascii(content: str) -> str:
     return content.translate(_ASCII).encode("ascii", "replace").decode()
 
 
-def _table() -> Table:
-    return Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
+def _table(gap: int = _GAP) -> Table:
+    return Table(box=None, padding=(0, gap, 0, 0), pad_edge=False, header_style="bold")
 
 
 def _side_by_side(widths: Mapping[str, int], room: int) -> Iterator[list[str]]:

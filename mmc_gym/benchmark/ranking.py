@@ -208,22 +208,24 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
         raise UserError("; ".join([str(error), *reasons(manifest.not_played)])) from error
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
     write_atomically(folder / _MADE_OF, json.dumps({"cells": made_of}))
-    print_rows(console, [_cells(row) for row in ranking.to_dict("records")], left="agent")
+    shows_lost = bool(ranking["not_played"].any())
+    rows = [_cells(row, shows_lost) for row in ranking.to_dict("records")]
+    print_rows(console, rows, left="agent")
     for line in (_note(manifest, ranking), *_reasons(manifest)):
         console.print(text_for(console, line))
     return ranking
 
 
-def _cells(row: Mapping[Hashable, Any]) -> dict[str, str]:
+def _cells(row: Mapping[Hashable, Any], shows_lost: bool) -> dict[str, str]:
     return {
         "rank": str(row["rank"]),
         "agent": str(row["agent"]),
         "success": _with_interval(row, "success"),
         "settled": _with_interval(row, "settled"),
-        f"better than {BASELINE_AGENT}": _with_interval(row, "improvement"),
-        "time to target [s]": number(row["time_to_target"], 2),
+        f"better\nthan {BASELINE_AGENT}": _with_interval(row, "improvement"),
+        "time to\ntarget\n[s]": number(row["time_to_target"], 2),
         "seeds": str(row["training_seeds"] or "–"),
-        "not played": str(row["not_played"] or "–"),
+        **({"not\nplayed": str(row["not_played"] or "–")} if shows_lost else {}),
     }
 
 

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
-from mmc_gym.benchmark.ranking import rank_agents, ranked_scores, success_by_environment
+from mmc_gym.benchmark.ranking import (
+    print_ranking,
+    rank_agents,
+    ranked_scores,
+    success_by_environment,
+)
 from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey
 
 
@@ -117,3 +126,13 @@ def test_success_by_environment_is_a_mean_over_training_seeds():
     assert table.loc["mmc", "one"] == 0.0
     assert table.loc["mmc", "two"] == 0.5
     assert np.isnan(table.loc["ppo", "two"])
+
+
+def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):
+    console = Console(file=io.StringIO(), width=80)
+    benchmark(["mmc", "ik-dls-feedback"], tmp_path, ["random"], episodes=2, jobs=1)
+    print_ranking(console, tmp_path)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    (row,) = [line for line in lines if " ik-dls-feedback " in line]
+    assert lines[lines.index(row) + 1].count("]") == 3
