@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 # Before any library is imported.
@@ -112,3 +115,53 @@ def episode_of(hands, targets, control_step=0.02, joint_angles=None, **changes):
 @pytest.fixture
 def make_episode():
     return episode_of
+
+
+CHROMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",  # they may come after the page, and make it narrower
+)
+PATIENCE = 120  # seconds; the machine may be busy
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A browser without a window; skips where there is no Chromium with its driver."""
+    chrome = next(filter(None, map(shutil.which, CHROMES)), None)
+    driver = shutil.which("chromedriver")
+    if not (chrome and driver):
+        pytest.skip("no Chromium with chromedriver (Debian: apt install chromium chromium-driver)")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = chrome
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    browser = webdriver.Chrome(options=options, service=Service(driver))
+    browser.set_page_load_timeout(PATIENCE)
+    browser.set_script_timeout(PATIENCE)
+    yield browser
+    browser.quit()
+
+
+@pytest.fixture
+def keep() -> Callable[[str, str], None]:
+    """Write what a browser gives, base64, into the folder MMC_GYM_ARTEFACTS, if that is set."""
+
+    def write(name: str, content: str) -> None:
+        if folder := os.environ.get("MMC_GYM_ARTEFACTS"):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            (Path(folder) / name).write_bytes(base64.b64decode(content))
+
+    return write

@@ -1,20 +1,14 @@
 """The report in a real browser: nothing goes wrong, the replay moves, it fits on a phone.
 
-Skipped where there is no Chromium with its driver.  With MMC_GYM_ARTEFACTS, screenshots and the
-print are kept in that folder.
+See `browser` and `keep` in `tests/conftest.py`.
 """
 
 from __future__ import annotations
 
 import base64
-import os
 import re
-import shutil
-from pathlib import Path
 
 import pytest
-from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select, WebDriverWait
@@ -23,45 +17,9 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.report import write_report
 
-CHROMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--hide-scrollbars",  # they may come after the page, and make it narrower
-)
 PATIENCE = 120  # seconds; the machine may be busy
 
-chrome = next(filter(None, map(shutil.which, CHROMES)), None)
-driver = shutil.which("chromedriver")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.xdist_group("browser"),
-    pytest.mark.skipif(
-        not (chrome and driver),
-        reason="no Chromium with chromedriver (Debian: apt install chromium chromium-driver)",
-    ),
-]
-
-
-@pytest.fixture(scope="module")
-def browser(report_file, tmp_path_factory):
-    options = webdriver.ChromeOptions()
-    options.binary_location = chrome
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    browser = webdriver.Chrome(options=options, service=Service(driver))
-    browser.set_page_load_timeout(PATIENCE)
-    browser.set_script_timeout(PATIENCE)
-    yield browser
-    browser.quit()
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("browser")]
 
 
 @pytest.fixture(scope="module")
@@ -118,27 +76,26 @@ def choose(browser, name, value):
     Select(browser.find_element(By.ID, f"replay-{name}")).select_by_value(value)
 
 
-def keep(name, content):
-    if folder := os.environ.get("MMC_GYM_ARTEFACTS"):
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        (Path(folder) / name).write_bytes(base64.b64decode(content))
-
-
-def screenshot(browser, name):
+@pytest.fixture
+def screenshot(browser, keep):
     """Keep a picture of the whole page."""
-    shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True})
-    keep(name, shot["data"])
-    assert len(shot["data"]) > 50_000
+
+    def take(name):
+        shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True})
+        keep(name, shot["data"])
+        assert len(shot["data"]) > 50_000
+
+    return take
 
 
-def test_nothing_is_logged_and_nothing_asked_of_a_network(page):
+def test_nothing_is_logged_and_nothing_asked_of_a_network(page, screenshot):
     messages = [entry for entry in page.get_log("browser") if entry["level"] != "INFO"]
     assert messages == []
     asked = [line["message"] for line in page.get_log("performance")]
     requests = [line for line in asked if '"Network.requestWillBeSent"' in line]
     assert not [line for line in requests if '"url":"http' in line]
     assert page.title
-    screenshot(page, "report.png")
+    screenshot("report.png")
 
 
 def test_a_name_that_is_a_script_does_not_run(page):
@@ -183,7 +140,7 @@ def test_keys_step_through_the_replay(page):
     assert page.find_element(By.ID, "replay-clock").text == "0.04 s"
 
 
-def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
+def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated, screenshot):
     store, report = rotated
     episodes = read_episodes(store).set_index(["environment", "instance", "agent"])
     load(browser, report)
@@ -201,7 +158,7 @@ def test_the_replay_ends_at_the_distance_that_was_measured(browser, rotated):
                 assert ("there" in said) == bool(row["success"])
                 assert ("cursor" in said) == (environment != "random")
                 apart.append(row["success"])
-    screenshot(browser, "replay-rotation.png")
+    screenshot("replay-rotation.png")
     assert len(apart) == 12
     assert 0 < sum(apart) < 12  # the cursor of one is there where that of the other is not
 
@@ -222,12 +179,12 @@ def test_environment_instance_and_agents_can_be_chosen(page):
 
 
 @pytest.mark.parametrize("width", [320, 375, 768])
-def test_the_page_fits_the_width_of_a_small_screen(page, width):
+def test_the_page_fits_the_width_of_a_small_screen(page, width, screenshot):
     resize(page, width, 812, scale=2)
     sizes = page.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
     assert sizes[0] <= sizes[1] == width
     if width == 375:
-        screenshot(page, "report-phone.png")
+        screenshot("report-phone.png")
 
 
 def test_canvases_are_as_fine_as_the_screen(page):
@@ -239,7 +196,7 @@ def test_canvases_are_as_fine_as_the_screen(page):
     assert ratio == pytest.approx(3, rel=0.02)
 
 
-def test_on_paper_all_tables_are_open(page):
+def test_on_paper_all_tables_are_open(page, keep):
     printed = page.execute_cdp_cmd(
         "Page.printToPDF", {"printBackground": True, "preferCSSPageSize": True}
     )
