@@ -1,0 +1,306 @@
+"""The playground does what the package does, and works by mouse, touch and keyboard."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+from selenium.webdriver.common.action_chains import ActionBuilder, ActionChains
+from selenium.webdriver.common.actions.pointer_input import PointerInput
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+FOLDER = Path(__file__).parents[1] / "docs" / "playground"
+STALE = "run python docs/playground/write_data.py"
+PATIENCE = 120  # seconds; the machine may be busy
+SIZES = {1400: (1400, 900, 1), 375: (375, 812, 2)}
+
+GOLDEN = """
+const golden = arguments[0], { data, exact, leaveLine, learned, observe, wrap } = playground;
+const { Body, Network, Policy } = playground;
+const apart = (a, b) => Array.isArray(a)
+  ? a.length === b.length ? Math.max(0, ...a.map((part, i) => apart(part, b[i]))) : Infinity
+  : Math.abs(a - b);
+const most = (cases, difference) => Math.max(...cases.map(difference));
+const normalizers = { exact };
+for (const name in data.normalizers) normalizers[name] = learned(data.normalizers[name]);
+const policy = new Policy(data.policy);
+return {
+  network: most(golden.network, (one) => {
+    const normalize = normalizers[one.normalizer];
+    const network = new Network({ ...one, ...data.network, normalize });
+    const run = (locks) => {
+      let state = network.atRest(one.angles);
+      for (let k = 0; k < one.iterations; k++) state = network.iterate(state, one.target, locks);
+      return state;
+    };
+    const free = run(one.locks.map(() => null)), rigid = run(one.locks);
+    return Math.max(apart(free.vectors, one.free), apart(rigid.vectors, one.rigid),
+      apart(network.jointAngles(free), one.jointAngles));
+  }),
+  straight: most(golden.straight, (one) =>
+    apart(leaveLine(one.angles, one.target, one.lengths), one.bent)),
+  observation: most(golden.policy, (one) =>
+    apart(observe({ ...one, near: data.near }), one.observation)),
+  policy: most(golden.policy, (one) => apart(policy.act(one.observation), one.action)),
+  body: most(golden.body, ({ lengths, start, goals, steps, postures }) => {
+    const body = new Body({ lengths, angles: start, physics: data.physics });
+    return Math.max(...goals.map((goal, i) => {
+      for (let k = 0; k < steps; k++) body.follow(goal, goal.map(() => false));
+      return apart(body.angles.map(wrap), postures[i].map(wrap));
+    }));
+  }),
+};
+"""
+
+
+@pytest.fixture
+def page(browser):
+    """The playground, freshly loaded from its file, at a desk."""
+    load(browser, 1400)
+    return browser
+
+
+def load(browser, width, *, runs=False):
+    """Load the page; unless it runs, only `settle` moves the arm."""
+    width, height, scale = SIZES[width]
+    metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 500}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.get((FOLDER / "index.html").as_uri())
+    if not runs:
+        browser.execute_script("document.getElementById('run').click()")
+
+
+def ask(page, expression):
+    return page.execute_script(f"const {{ scene, view }} = playground; return {expression}")
+
+
+def wait_until_there(page):
+    """Wait until the network has settled and its body's hand is at the target."""
+    there = "scene.hasSettled && scene.distance(scene.bodies.mmc) < 0.01"
+    WebDriverWait(page, PATIENCE, 0.05).until(lambda _: ask(page, there))
+
+
+def settle(page):
+    """Let the same happen, without waiting for the clock."""
+    ask(page, "scene.settle(), view.draw(scene)")
+    assert ask(page, "scene.distance(scene.bodies.mmc)") < 0.01
+
+
+def on_screen(page, point):
+    """Return where a point of the scene is in the window, after bringing the stage there."""
+    return page.execute_script(
+        "const { view } = playground, [x, y] = view.place(arguments[0]);"
+        "view.stage.scrollIntoView({ block: 'center', behavior: 'instant' });"
+        "const box = view.stage.getBoundingClientRect();"
+        "return [box.left + box.width / 2 + x, box.top + box.height / 2 + y]",
+        point,
+    )
+
+
+def drag(page, start, end, kind):
+    """Press at a place in the window and let go at another."""
+    builder = ActionBuilder(page, mouse=PointerInput(kind, kind), duration=20)
+    pointer = builder.pointer_action
+    pointer.move_to_location(*map(round, start)).pointer_down()
+    for part in (0.3, 0.6, 1.0):
+        pointer.move_to_location(*(round(a + part * (b - a)) for a, b in zip(start, end)))
+    pointer.pointer_up()
+    builder.perform()
+
+
+def centre(page, selector):
+    return page.execute_script(
+        "const box = document.querySelector(arguments[0]).getBoundingClientRect();"
+        "return [box.left + box.width / 2, box.top + box.height / 2]",
+        selector,
+    )
+
+
+def press(page, selector, *keys):
+    """Give an element the focus, and press keys."""
+    page.execute_script("document.querySelector(arguments[0]).focus()", selector)
+    ActionChains(page, duration=0).send_keys(*keys).perform()
+
+
+@pytest.fixture
+def screenshot(browser, keep):
+    """Keep a picture of the whole page."""
+
+    def take(name):
+        shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True})
+        keep(f"playground-{name}.png", shot["data"])
+
+    return take if os.environ.get("MMC_GYM_ARTEFACTS") else lambda name: None
+
+
+def test_the_written_data_are_what_the_package_gives_today():
+    written = runpy.run_path(str(FOLDER / "write_data.py"))
+    assert (FOLDER / "data.js").read_text() == written["data_text"](), STALE
+    golden, now = json.loads((FOLDER / "golden.json").read_text()), written["golden"]()
+    assert golden.keys() == now.keys()
+    for name, tolerance in {"network": 1e-12, "straight": 0, "policy": 1e-6, "body": 1e-4}.items():
+        assert len(golden[name]) == len(now[name])
+        for before, after in zip(golden[name], now[name]):
+            assert before.keys() == after.keys()
+            for key, value in before.items():
+                close = after[key] == value or flat(value) == pytest.approx(
+                    flat(after[key]), rel=0, abs=tolerance
+                )
+                assert close, f"{name}, {key}: {STALE}"
+
+
+def flat(value):
+    if isinstance(value, (list, tuple)):
+        return [number for part in value for number in flat(part)]
+    return [value]
+
+
+def marked(test):
+    """Mark a test that needs the browser."""
+    return pytest.mark.slow(pytest.mark.xdist_group("browser")(test))
+
+
+@marked
+def test_the_page_computes_what_the_package_computes(page):
+    golden = json.loads((FOLDER / "golden.json").read_text())
+    apart = page.execute_script(GOLDEN, golden)
+    assert apart["network"] < 1e-12
+    assert apart["straight"] < 1e-12
+    assert apart["observation"] < 1e-6
+    assert apart["policy"] < 1e-6
+    assert apart["body"] < 0.01  # radians; a sketch of pymunk's arm, and much nearer than this
+    assert {len(one["lengths"]) for one in golden["network"]} == set(range(2, 9))
+
+
+@marked
+def test_nothing_is_logged_and_nothing_asked_of_a_network(page):
+    assert ask(page, "scene.count") == 3
+    asked = [line["message"] for line in page.get_log("performance")]
+    urls = re.findall(r'"Network.requestWillBeSent".*?"url":"(\w+):', " ".join(asked))
+    assert "file" in urls
+    assert not {"http", "https", "ws", "wss"} & set(urls)
+    assert [entry for entry in page.get_log("browser") if entry["level"] != "INFO"] == []
+
+
+@marked
+@pytest.mark.parametrize("width", SIZES)
+def test_the_hand_follows_a_target_that_is_dragged(browser, width, screenshot):
+    load(browser, width, runs=True)
+    wait_until_there(browser)
+    screenshot(f"{width}-before")
+    start = on_screen(browser, ask(browser, "scene.target"))
+    kind = "mouse" if width == 1400 else "touch"
+    drag(browser, start, on_screen(browser, [1.2, -1.4]), kind)
+    assert ask(browser, "scene.target") == pytest.approx([1.2, -1.4], abs=0.05)
+    wait_until_there(browser)
+    screenshot(f"{width}-dragged")
+    sizes = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+    assert sizes[0] <= sizes[1] == width
+
+
+@marked
+@pytest.mark.parametrize("width", SIZES)
+def test_the_hand_arrives_with_a_joint_locked_and_a_segment_longer(browser, width, screenshot):
+    load(browser, width)
+    settle(browser)
+    press(browser, "[data-node='1']", " ")
+    assert ask(browser, "scene.locked") == [False, True, False]
+    locked = ask(browser, "scene.bodies.mmc.angles[1]")
+    press(browser, ".target", *[Keys.ARROW_RIGHT] * 5)
+    assert ask(browser, "scene.target") == pytest.approx([-0.5, 1.5])
+    settle(browser)
+    screenshot(f"{width}-locked")
+    on_screen(browser, [0, 0])
+    grip, hand = centre(browser, "[data-node='3']"), ask(browser, "scene.bodies.mmc.hand")
+    x, y = on_screen(browser, hand)
+    away = 40 / math.hypot(grip[0] - x, grip[1] - y)
+    end = [grip[0] + away * (grip[0] - x), grip[1] + away * (grip[1] - y)]
+    drag(browser, grip, end, "touch")
+    lengths = ask(browser, "scene.lengths")
+    assert lengths[:2] == [1, 1]
+    assert lengths[2] > 1.15
+    settle(browser)
+    screenshot(f"{width}-longer")
+    assert ask(browser, "scene.bodies.mmc.angles[1]") == locked
+    press(browser, "[data-node='1']", Keys.ENTER)
+    assert ask(browser, "scene.locked") == [False, False, False]
+
+
+@marked
+def test_a_press_locks_and_arrow_keys_lengthen(page):
+    settle(page)
+    on_screen(page, [0, 0])
+    place = centre(page, "[data-node='2']")
+    drag(page, place, place, "mouse")
+    assert ask(page, "scene.locked") == [False, False, True]
+    press(page, "[data-node='2']", Keys.ARROW_UP, Keys.ARROW_UP)
+    assert ask(page, "scene.lengths") == pytest.approx([1, 1.2, 1])
+    handle = page.find_element(By.CSS_SELECTOR, "[data-node='2']")
+    assert handle.get_attribute("aria-valuetext") == "length 1.20, joint locked"
+    assert "three free segments" in page.find_element(By.ID, "policy-note").text
+
+
+@marked
+@pytest.mark.parametrize(("count", "key", "width"), [(2, Keys.HOME, 1400), (8, Keys.END, 375)])
+def test_arms_of_two_to_eight_segments_reach(browser, count, key, width, screenshot):
+    load(browser, width)
+    press(browser, "#segments", key)
+    assert ask(browser, "scene.count") == count
+    handles = browser.find_elements(By.CSS_SELECTOR, ".handle")
+    assert len(handles) == count + 2  # joints, the hand and the target
+    assert all(one.get_attribute("aria-label") and one.get_attribute("role") for one in handles)
+    assert browser.find_element(By.ID, "ppo-says").text == "cannot act"
+    settle(browser)
+    screenshot(f"{width}-{count}-segments")
+
+
+@marked
+def test_what_the_triangles_say_is_shown_and_comes_to_agree(page, screenshot):
+    settle(page)
+    page.find_element(By.ID, "means").click()
+    press(page, ".target", Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    page.find_element(By.ID, "once").click()
+    assert ask(page, "scene.iterations") == 1
+    dots = "view.shapes.spread.getAttribute('d').split('a').length - 1"
+    assert ask(page, dots) == 2 * 6 * 2  # two arcs for each of two triangles of six vectors
+    assert ask(page, "scene.disagreement") > 0.05
+    screenshot("diagonals")
+    settle(page)
+    assert ask(page, "scene.disagreement") < 1e-3
+
+
+@marked
+@pytest.mark.parametrize(
+    ("dynamics", "normalizer", "floor"),
+    [("kinematic", "accurate", 0.01), ("dynamic", "paper", 0.2)],
+)
+def test_the_network_can_be_chosen(page, dynamics, normalizer, floor):
+    Select(page.find_element(By.ID, "dynamics")).select_by_value(dynamics)
+    Select(page.find_element(By.ID, "normalizer")).select_by_value(normalizer)
+    wanted = [dynamics == "dynamic", normalizer]
+    assert ask(page, "[scene.settings.dynamic, scene.settings.normalizer]") == wanted
+    ask(page, "scene.settle()")
+    assert ask(page, "scene.distance(scene.bodies.mmc)") < floor
+
+
+@marked
+def test_without_motion_the_end_of_the_movement_is_shown_at_once(page):
+    reduced = {"features": [{"name": "prefers-reduced-motion", "value": "reduce"}]}
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", reduced)
+    try:
+        load(page, 1400, runs=True)
+        press(page, ".target", *[Keys.ARROW_DOWN] * 8)
+        picture = "[scene.distance(scene.bodies.mmc) < 0.01, view.stage.innerHTML]"
+        first = ask(page, picture)
+        assert first[0]
+        page.execute_async_script("setTimeout(arguments[0], 200)")
+        assert ask(page, picture) == first
+    finally:
+        page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
