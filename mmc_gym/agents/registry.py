@@ -13,6 +13,7 @@ from typing import Any, Literal
 import gymnasium as gym
 
 from mmc_gym.agents.base import Agent, RandomAgent
+from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
     ClosedLoopInverseKinematicsAgent,
@@ -97,6 +98,12 @@ def _mmc(
 ) -> AgentEntry:
     return AgentEntry(description, build, Knowledge("network", **knowledge))
 
+
+_BODY = {
+    "lengths": "told, then identified",
+    "senses": "posture, speeds, seen hand and target in every step; estimates noise and delay, "
+    "detects locked joints",
+}
 
 _LOOP = "posture, seen hand and target in every step"
 
@@ -217,6 +224,17 @@ AGENTS: dict[str, AgentEntry] = {
         "Passive Motion Paradigm with a terminal attractor",
         PassiveMotionAgent,
         Knowledge("planner"),
+    ),
+    "mmc-body": _mmc(
+        "the network as internal model of a body that it finds out about: senses, body, locks, "
+        "imagination, drive",
+        mmc_body,
+        **_BODY,
+    ),
+    "ik-body": AgentEntry(
+        "as mmc-body, with damped least squares as internal model",
+        ik_body,
+        Knowledge("inverse kinematics", **_BODY),
     ),
     "mmc-feedback": _closed_loop(
         "feedback",

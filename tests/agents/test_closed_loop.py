@@ -9,19 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym import make_agent
+from mmc_gym.agents.body_model.drive import command_of, commanded_turn, expected_turn
 from mmc_gym.agents.closed_loop.agent import (
     LOOPS,
     ClosedLoopInverseKinematicsAgent,
     closed_loop_mmc,
 )
-from mmc_gym.agents.closed_loop.identification import (
-    Delay,
-    Lengths,
-    Locks,
-    command_of,
-    commanded_turn,
-    expected_turn,
-)
+from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.envs.perturbations import LockedJoint, VisuomotorRotation

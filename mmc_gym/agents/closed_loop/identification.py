@@ -36,13 +36,13 @@ predictor?, J. Motor Behavior 25, 203–216.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import where
+from mmc_gym.agents.body_model.drive import command_of, commanded_turn
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats, wrap_angle
 
@@ -74,57 +74,6 @@ AVERAGED = 0.3
 """Share by which the place of a joint that is still is averaged in a control step."""
 PATIENCE = 25
 """For so many control steps an arm of which nothing moves may be one that is seen late."""
-
-
-def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
-    """Return by how much servos turn joints towards targets in a control step, radians, (..., N).
-
-    A position servo asks for a speed proportional to what is left, up to its limit, so that in a
-    control step Δt a joint at q that is sent to c turns by about
-
-        Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt)
-
-    the short way round, or the way that joint limits leave.  Inertia and torque limits are left
-    out: an arm that is heavy, or loaded, lags behind this.  Under `joint_delta` the target is never
-    far ahead, and at full speed a joint turns by less; under `joint_velocity` it keeps the speed
-    that it began the step with.
-
-    >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
-    >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
-    [0.021, 0.12]
-    """
-    return _turn_of(interface, interface.turn(joint_angles, joint_targets))
-
-
-def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
-    """Return what servos get that are to turn joints, believed to be at these angles, to targets.
-
-    Position control gets the targets.  Delta and velocity control get the turn that is left, and
-    know nothing of the target: where they turn a joint to depends on where it is, not on where it
-    was believed to be.
-    """
-    if interface.control == "joint_position":
-        return joint_targets
-    return interface.turn(joint_angles, joint_targets)
-
-
-def commanded_turn(interface: ReachInterface, joint_angles: Floats, commands: Floats) -> Floats:
-    """Return by how much servos with these commands turn joints in a control step, (..., N)."""
-    if interface.control == "joint_position":
-        return expected_turn(interface, joint_angles, commands)
-    return _turn_of(interface, commands)
-
-
-def _turn_of(interface: ReachInterface, left: Floats) -> Floats:
-    """Return the turn in a control step of joints that are to turn by what is left, (..., N)."""
-    gain, step, most = interface.servo_gain, interface.control_step, interface.max_joint_delta
-    share = 1 - math.exp(-gain * step)
-    if interface.control == "joint_position":
-        most = interface.speed_limit * step / share
-    elif interface.control == "joint_velocity":
-        share = gain * step
-    turn: Floats = share * np.clip(left, -most, most)
-    return turn
 
 
 class Delay(NamedTuple):

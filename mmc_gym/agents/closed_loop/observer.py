@@ -46,14 +46,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._errors import require_not_negative, require_number, spelt
-from mmc_gym.agents.closed_loop.identification import (
-    Delay,
-    Lengths,
-    Locks,
-    command_of,
-    commanded_turn,
-    expected_turn,
-)
+from mmc_gym.agents.body_model.drive import command_of, commanded_turn, expected_turn
+from mmc_gym.agents.closed_loop.identification import Delay, Lengths, Locks
 from mmc_gym.agents.ik.agent import hand_position
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.network.chain import Floats, wrap_angle

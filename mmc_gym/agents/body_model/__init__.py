@@ -1,0 +1,1 @@
+"""An agent of five parts around an internal model: senses, body, locks, imagination, drive."""

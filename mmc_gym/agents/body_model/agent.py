@@ -1,0 +1,324 @@
+"""An internal model of the own body that acts: five parts in a line.
+
+    observation → senses → body → locks → imagination → drive → action
+
+- `senses`: where joints and target are, behind noise, and how late they are seen;
+- `body`: lengths of the segments, and how the seen hand is turned;
+- `locks`: joints that do not turn;
+- `imagination`: in which posture to be at the target, found by an internal model;
+- `drive`: what to ask of the servos on the way there.
+
+The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  What the
+agents reach, they reach by all five parts; the difference between the two is what is the network's
+own.  Each part is a switch (`Parts`), for ablations.
+
+Nothing of the perturbations is told.  Arms are a batch, (n, …); one arm is a batch of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import override
+
+from mmc_gym._errors import require_number
+from mmc_gym.agents.base import InternalModelAgent, Started, where
+from mmc_gym.agents.body_model.body import Body, BodyEvidence
+from mmc_gym.agents.body_model.drive import (
+    Drive,
+    command_of,
+    commanded_turn,
+    imagined_way,
+    share_of_turn,
+)
+from mmc_gym.agents.body_model.imagination import (
+    FOLLOW,
+    NEAR,
+    Arms,
+    Imagination,
+    LeastSquaresSolver,
+    NetworkSolver,
+    Solver,
+    hand,
+    within_reach,
+)
+from mmc_gym.agents.body_model.locks import PUSH, Locks
+from mmc_gym.agents.body_model.senses import Bools, Delay, Points, PostureTrack, TargetTrack
+from mmc_gym.agents.mmc import network_of_arm
+from mmc_gym.interface import Observation, ReachInterface, Sensed
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
+from mmc_gym.network.chain import Floats, wrap_angle
+
+LAG = 1.5
+"""Control steps until the joints are where a command takes them."""
+FARTHER = 0.3
+"""A target that has moved by this is imagined anew, segment lengths."""
+BETTER = 0.1
+"""A newly imagined posture must be so much cheaper than the one that is followed, radians."""
+CLEAR = 0.01
+"""Noise of the joint angles below which the strength of joints shows, radians."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which parts an agent has, and how vigorous it is.
+
+    Attributes:
+        filters: whether noise is filtered, and the movement of a target foreseen.
+        bridges_delay: whether the delay of the senses is estimated and bridged.
+        identifies_body: whether lengths and a turned cursor are identified; else as told.
+        finds_locks: whether locked joints are found.
+        imagines: whether several models settle; else one, from the present posture.
+        drives: whether the servos are inverted; else they are sent to the imagined posture.
+        vigour: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed.
+
+    Raises:
+        UserError: for a vigour outside 0 to 1.
+    """
+
+    filters: bool = True
+    bridges_delay: bool = True
+    identifies_body: bool = True
+    finds_locks: bool = True
+    imagines: bool = True
+    drives: bool = True
+    vigour: float = 1.0
+
+    def __post_init__(self) -> None:
+        accepted = "a number between 0 and 1"
+        require_number("vigour", self.vigour, accepted, lambda number: 0 <= number <= 1)
+
+
+class BodyState(NamedTuple):
+    """State of the agent: what each of its parts remembers.
+
+    Attributes:
+        looks: observations so far, (n, 1).
+        posture, target, delay: of the senses.
+        evidence: of the body.
+        locks: of the joints.
+        goal: the imagined posture, radians, (n, N).
+        imagined_for: the place of the hand for which it was imagined, (n,).
+        drive: of the drive.
+    """
+
+    looks: Floats
+    posture: PostureTrack
+    target: TargetTrack
+    delay: Delay
+    evidence: BodyEvidence
+    locks: Locks
+    goal: Floats
+    imagined_for: Points
+    drive: Drive
+
+
+class Intention(NamedTuple):
+    """What an arm is to do.
+
+    Attributes:
+        joint_angles: where the joints are by now, radians, (n, N).
+        goal: where they are to go, radians, (n, N).
+        begins: whether a movement begins, (n,).
+        aim: the place of the hand for which the movement was imagined, (n,).
+    """
+
+    joint_angles: Floats
+    goal: Floats
+    begins: Bools
+    aim: Points
+
+
+class BodyAgent(InternalModelAgent[BodyState]):
+    """An agent with an internal model of its body, in five parts."""
+
+    def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = Parts()) -> None:
+        """Make the agent; `solver` is its internal model.
+
+        Raises:
+            CannotActError: under torque control.
+        """
+        super().__init__(interface)
+        self.parts = parts
+        self.imagination = Imagination(interface, solver, parts.imagines)
+        self._told = np.array(interface.segment_lengths)
+
+    @override
+    def start(self, sensed: Sensed) -> BodyState:
+        joint_angles, target = sensed.joint_angles, _point(sensed.target)
+        still = np.zeros_like(joint_angles)
+        return BodyState(
+            looks=np.zeros((len(joint_angles), 1)),
+            posture=PostureTrack.start(joint_angles, still),
+            target=TargetTrack.start(target),
+            delay=Delay.start(command_of(self.interface, joint_angles, joint_angles)),
+            evidence=BodyEvidence.start(self.interface.segment_lengths, len(joint_angles)),
+            locks=Locks.start(joint_angles),
+            goal=joint_angles,
+            imagined_for=target,
+            drive=Drive.start(still),
+        )
+
+    @override
+    def predict(
+        self,
+        observation: Observation,
+        state: BodyState | None = None,
+        episode_start: Started = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], BodyState]:
+        layout = self.interface.layout
+        values = np.asarray(layout.flatten(observation))
+        batch = values.shape[:-1]
+        values = values.reshape(-1, values.shape[-1])
+        sensed = self.interface.sense(values)
+        seen_hand = _point(self.interface.seen_hand(values))
+        speeds = layout.split(values).speeds * self.interface.speed_limit
+        state = self.resumed(state, sensed, episode_start)
+        state = self._sense(state, sensed, speeds)
+        state, body = self._know_body(state, sensed.joint_angles, seen_hand)
+        intended = self._imagine(state, body)
+        joint_targets, state = self._drive(state, body, intended)
+        action = self.interface.act(joint_targets, Sensed(intended.joint_angles, sensed.target))
+        return action.reshape(*batch, -1), state
+
+    def _sense(self, state: BodyState, sensed: Sensed, speeds: Floats) -> BodyState:
+        """Return the state after a look at posture and target."""
+        is_new = state.looks[:, 0] == 0
+        after = state._replace(looks=state.looks + 1)
+        if is_new.all():
+            return after
+        told, parts, step = self.interface, self.parts, self.interface.control_step
+        before = state.posture
+        if parts.filters:
+            posture = before.observed(sensed.joint_angles, speeds, step)
+            target = state.target.observed(_point(sensed.target), step)
+        else:
+            turn = wrap_angle(sensed.joint_angles - before.joint_angles)
+            posture = before._replace(
+                joint_angles=sensed.joint_angles, turn=turn, speeds=speeds, age=before.age + 1
+            )
+            place = _point(sensed.target)
+            jumps = np.abs(place - state.target.mean) > FARTHER
+            target = state.target._replace(mean=place, has_jumped=jumps)
+        delay, locks = state.delay, state.locks
+        if parts.bridges_delay:
+            delay = delay.observed(posture)
+        if parts.finds_locks:
+            turn = commanded_turn(told, before.joint_angles, delay.command_then())
+            locks = locks.observed(posture, turn, delay.is_felt, told.lockable_joints)
+        is_clear = (delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
+        drive = state.drive.observed(speeds, posture.turn, is_clear, target.is_moving, told)
+        after = after._replace(
+            posture=posture, target=target, delay=delay, locks=locks, drive=drive
+        )
+        return where(is_new, state._replace(looks=after.looks), after) if is_new.any() else after
+
+    def _know_body(
+        self, state: BodyState, joint_angles: Floats, seen_hand: Points
+    ) -> tuple[BodyState, Body]:
+        """Return the state after a look at the hand, and the body to go by."""
+        if not self.parts.identifies_body:
+            return state, state.evidence.body
+        evidence = state.evidence.observed(joint_angles, seen_hand, self._told)
+        return state._replace(evidence=evidence), evidence.best
+
+    def _imagine(self, state: BodyState, body: Body) -> Intention:
+        """Return where the joints are by now, and where they are to go."""
+        locks, lengths = state.locks, body.lengths
+        now = state.posture.joint_angles
+        if state.delay.late.any():
+            now = state.delay.run_forward(self.interface, now)
+        held = locks.is_locked if locks.is_locked.any() else None
+        goal = state.goal
+        if held is not None:
+            now = np.where(held, locks.place, now)
+            goal = np.where(held, now, goal)
+        seen = state.target.ahead(state.delay.late + LAG)
+        aim = within_reach(body.felt(seen), lengths)
+
+        misses = np.abs(hand(goal, lengths) - aim) > NEAR
+        if misses.any():
+            arms = Arms(goal, aim, lengths, held).of(misses)
+            goal = goal.copy()
+            goal[misses] = self.imagination.settle(arms, FOLLOW)
+        begins = state.target.has_jumped | (state.looks[:, 0] == 1)
+        begins |= locks.has_changed.any(axis=-1) | (np.abs(aim - state.imagined_for) > FARTHER)
+        if begins.any():
+            arms = Arms(now, aim, lengths, held).of(begins)
+            new, cost = self.imagination.best(arms)
+            kept = self.imagination.cost(arms, goal[begins])
+            goal = goal.copy()
+            goal[begins] = np.where((cost < kept - BETTER)[:, None], new, goal[begins])
+        return Intention(now, goal, begins, np.where(begins, aim, state.imagined_for))
+
+    def _drive(self, state: BodyState, body: Body, intended: Intention) -> tuple[Floats, BodyState]:
+        """Return joint targets, and the state after they were sent."""
+        told, parts, drive, locks = self.interface, self.parts, state.drive, state.locks
+        now, goal = intended.joint_angles, intended.goal
+        left = told.turn(now, goal)
+        joint_targets: Floats = now + left
+        if parts.drives:
+            goes_on = state.target.is_moving & ~intended.begins
+            moves = np.where(goes_on[:, None], told.turn(state.goal, goal), 0.0)
+            turn = drive.turn(left, moves, told)
+            if parts.vigour < 1:
+                way = imagined_way(now, left, body.lengths)
+                direct = np.abs(hand(goal, body.lengths) - hand(now, body.lengths))
+                drive = drive.began(intended.begins, direct, left, told, parts.vigour)
+                wanted = left * share_of_turn(way, drive.elapsed, drive.duration)[:, None]
+                part = np.abs(turn) / np.maximum(np.abs(wanted), 1e-9)
+                turn = wanted * np.minimum(part.min(axis=-1, keepdims=True), 1.0)
+            noise = state.posture.deviation
+            joint_targets, drive = drive.targets(now, turn, left, noise, told)
+        if locks.is_locked.any():
+            pushed = locks.place + PUSH * np.sign(locks.asked)
+            joint_targets = np.where(locks.is_locked, pushed, joint_targets)
+        command = command_of(told, now, joint_targets)
+        asked = commanded_turn(told, now, command) / told.control_step
+        return joint_targets, state._replace(
+            delay=state.delay.sent(command, asked, state.posture),
+            drive=drive,
+            goal=goal,
+            imagined_for=intended.aim,
+        )
+
+
+def _point(vectors: Floats) -> Points:
+    """Return vectors (..., 2) as complex numbers, (...)."""
+    points: Points = vectors[..., 0] + 1j * vectors[..., 1]
+    return points
+
+
+def mmc_body(
+    interface: ReachInterface,
+    parts: Parts = Parts(),
+    *,
+    is_learned: bool = True,
+    is_dynamic: bool = True,
+) -> BodyAgent:
+    """Return the agent whose internal model is the MMC network.
+
+    Args:
+        interface: of the environment.
+        parts: of the agent.
+        is_learned: whether the normalizer is the learned one, as in the paper; else Euclidean.
+        is_dynamic: whether the network has velocities, as in the paper; else it is kinematic.
+    """
+    joints = len(interface.segment_lengths)
+    network = network_of_arm(
+        interface,
+        damping=(0.55 if is_dynamic else 0.625) * (joints + 1),
+        normalizer=LearnedNormalizer.shipped() if is_learned else EuclideanNormalizer(),
+        dynamics="paper" if is_dynamic else "kinematic",
+        velocity_damping=2.0,
+    )
+    return BodyAgent(interface, NetworkSolver(network), parts)
+
+
+def ik_body(interface: ReachInterface, parts: Parts = Parts()) -> BodyAgent:
+    """Return the agent whose internal model is damped least squares."""
+    return BodyAgent(interface, LeastSquaresSolver(), parts)

@@ -1,0 +1,182 @@
+"""The agent with an internal model of its body: what each part finds out, and what all reach."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym._errors import UserError
+from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
+from mmc_gym.agents.body_model.body import BodyEvidence
+from mmc_gym.agents.body_model.drive import Drive, expected_turn
+from mmc_gym.agents.body_model.imagination import start_offsets
+from mmc_gym.agents.body_model.locks import Locks
+from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
+from mmc_gym.envs.perturbations import VisuomotorRotation
+from mmc_gym.interface import ReachInterface
+from mmc_gym.measures import episode_seeds, run_episodes
+from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
+
+TOLD = np.ones(3)
+STEP = 0.02
+ARMS = 20
+INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
+
+
+def postures(looks: int, seed: int = 0) -> np.ndarray:
+    """Arms that move from somewhere by small steps, (looks, ARMS, 3)."""
+    random = np.random.default_rng(seed)
+    start, velocity = random.uniform(-3, 3, (2, ARMS, 3))
+    return start + 0.05 * np.arange(looks)[:, None, None] * velocity
+
+
+def believed(lengths, angle, shift, looks, noise=0.0):
+    """The body that arms of this kind believe in after some looks at their hand."""
+    random, evidence = np.random.default_rng(1), BodyEvidence.start((1.0, 1.0, 1.0), ARMS)
+    for joint_angles in postures(looks):
+        felt = (np.array(lengths) * np.exp(1j * np.cumsum(joint_angles, axis=-1))).sum(axis=-1)
+        normals = random.standard_normal((2, ARMS))
+        seen = np.exp(1j * angle) * felt + shift + noise * (normals[0] + 1j * normals[1])
+        evidence = evidence.observed(joint_angles, seen, TOLD)
+    return evidence.best
+
+
+@pytest.mark.parametrize(
+    ("lengths", "angle", "shift", "looks"),
+    [
+        ((1.0, 1.0, 1.0), 0.0, 0.0, 1),
+        ((1.0, 1.0, 1.0), 0.5, 0.0, 2),
+        ((1.0, 1.0, 1.5), 0.0, 0.0, 3),
+        ((1.2, 0.8, 1.3), 0.0, 0.0, 15),
+        ((1.0, 1.0, 1.4), -0.7, 0.0, 15),
+        ((1.0, 1.0, 1.0), 0.6, 0.4 - 0.8j, 10),
+    ],
+    ids=["as told", "turned", "longer", "all lengths", "turned and longer", "another centre"],
+)
+def test_the_body_is_found_from_hand_and_posture(lengths, angle, shift, looks):
+    body = believed(lengths, angle, shift, looks)
+    is_right = np.abs(body.lengths - lengths).max(axis=-1) < 0.02
+    is_right &= np.abs(body.turn - np.exp(1j * angle)) < 0.02
+    is_right &= np.abs(body.shift - shift) < 0.05
+    assert is_right.mean() >= 0.9
+
+
+def test_noise_is_not_taken_for_another_body():
+    body = believed((1.0, 1.0, 1.0), 0.0, 0.0, 50, noise=0.1)
+    assert (body.lengths == 1.0).all() and (body.turn == 1.0).all()
+    assert (np.abs(body.shift) < 0.05).all()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_posture_and_its_noise_are_estimated(noise):
+    random = np.random.default_rng(2)
+    path = postures(80)
+    speeds = (path[1] - path[0]) / STEP
+    seen = path + noise * random.standard_normal(path.shape)
+    track = PostureTrack.start(seen[0], speeds)
+    for joint_angles in seen[1:]:
+        track = track.observed(joint_angles, speeds, STEP)
+    assert np.median(track.deviation) == pytest.approx(noise, rel=0.3, abs=1e-9)
+    error = np.abs(track.joint_angles - path[-1])
+    assert np.median(error) <= 0.5 * noise + 1e-9
+
+
+def test_a_moving_target_is_foreseen_and_a_jump_is_followed_at_once():
+    times = STEP * np.arange(40)
+    path = np.exp(2j * times) + 0.5 * times
+    track = TargetTrack.start(path[:1])
+    for place in path[1:30]:
+        track = track.observed(np.array([place]), STEP)
+    assert track.is_moving.all()
+    assert abs(track.ahead(np.array([5.0]))[0] - path[34]) < 0.01
+    track = track.observed(path[30:31] + 1.0, STEP)
+    assert track.has_jumped.all()
+    assert track.ahead(np.zeros(1))[0] == path[30] + 1.0
+
+
+def test_a_target_that_stands_is_averaged():
+    random, track = np.random.default_rng(3), TargetTrack.start(np.full(ARMS, 1.0 + 1.0j))
+    for _ in range(100):
+        normals = random.standard_normal((2, ARMS))
+        track = track.observed(1.0 + 1.0j + 0.1 * (normals[0] + 1j * normals[1]), STEP)
+    assert np.median(np.abs(track.ahead(np.zeros(ARMS)) - (1.0 + 1.0j))) < 0.03
+
+
+@pytest.mark.parametrize("late", [0, 7])
+def test_delay_is_the_time_until_a_movement_is_felt(late):
+    still = np.zeros((1, 3))
+    posture, delay = PostureTrack.start(still, still), Delay.start(still)
+    for look in range(12):
+        delay = delay.sent(still, still + 3.0, posture)
+        speeds = still + 3.0 * (look >= late)
+        posture = posture.observed(posture.joint_angles + STEP * speeds, speeds, STEP)
+        delay = delay.observed(posture)
+    assert delay.steps == late
+
+
+def test_a_lock_is_found_and_a_false_one_freed():
+    still = np.zeros((1, 3))
+    asked, is_felt = np.array([[0.1, 0.1, 0.0]]), np.array([True])
+    second = np.array([[0.0, 1.0, 0.0]])
+    posture, locks = PostureTrack.start(still, still), Locks.start(still)
+    for _ in range(8):  # the first joint is held, the second turns as asked
+        turned = posture.joint_angles + 0.1 * second
+        posture = posture.observed(turned, 5.0 * second, STEP)
+        locks = locks.observed(posture, asked, is_felt, ())
+    assert locks.is_locked.tolist() == [[True, False, False]]
+    for _ in range(3):
+        posture = posture.observed(posture.joint_angles + 0.1, still + 5.0, STEP)
+        locks = locks.observed(posture, asked, is_felt, ())
+    assert not locks.is_locked.any()
+
+
+def test_the_drive_inverts_the_servo():
+    now, turn = np.zeros((1, 3)), np.array([[0.01, -0.05, 0.1]])
+    left = 10 * turn
+    targets, _ = Drive.start(now).targets(now, turn, left, np.zeros((1, 1)), INTERFACE)
+    np.testing.assert_allclose(expected_turn(INTERFACE, now, targets), turn, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("joints", "count"), [(2, 9), (3, 27), (10, 27)])
+def test_as_many_postures_are_imagined_for_long_arms(joints, count):
+    offsets = start_offsets(joints)
+    assert offsets.shape == (count, joints)
+    assert not offsets[0].any()
+
+
+def test_vigour_lies_between_0_and_1():
+    with pytest.raises(UserError, match="vigour"):
+        Parts(vigour=1.5)
+
+
+def episodes(build, count=100, **arguments):
+    envs = gym.make_vec("MMCReach-v0", num_envs=count, control="joint_position", **arguments)
+    agent = build(ReachInterface.of(envs))
+    return list(run_episodes(agent, envs.unwrapped, episode_seeds(4, count), records_effort=False))
+
+
+def success(played):
+    return np.mean([episode.distances[-1] <= episode.tolerance for episode in played])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("build", [mmc_body, ik_body])
+def test_a_body_that_is_not_as_told_is_found_out_about(build):
+    conditions = (
+        [],
+        ["rotation-60"],
+        ["shorter-50"],
+        ["locked-2"],
+        ["vision-noise-0.1"],
+        ["delay-400"],
+        [VisuomotorRotation(40.0, (0.5, 1.0)), "longer-20"],
+    )
+    for perturbations in conditions:
+        assert success(episodes(build, perturbations=perturbations)) >= 0.95, perturbations
+
+
+@pytest.mark.slow
+def test_without_vigour_the_hand_moves_as_people_do():
+    played = episodes(lambda told: mmc_body(told, Parts(vigour=0.0)))
+    assert success(played) >= 0.99
+    assert np.median([minimum_jerk_correlation(one) for one in played]) >= 0.95
+    assert np.mean([velocity_peaks(one) == 1 for one in played]) >= 0.95
