@@ -310,8 +310,8 @@ def _has_weights(card: Path) -> bool:
 
 def _unknown(agent: object) -> UserError:
     return UserError(
-        f"agent must be one of {agent_names()}, or be given as 'module:function' or by the path "
-        f"of a policy's file, got {agent!r}"
+        f"agent must be one of {agent_names()}, or be given as 'module:name', by the path of a "
+        f"policy's file or folder or of a model's .zip, or as an object with predict, got {agent!r}"
     )
 
 

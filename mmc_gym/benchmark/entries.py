@@ -30,7 +30,7 @@ from mmc_gym.agents import AGENTS, agent_names, resolve
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.policy import is_policy_path
 from mmc_gym.agents.resolver import AgentLike, Factory, ResolvedAgent, shipped_seeds
-from mmc_gym.agents.sb3 import SUFFIX
+from mmc_gym.agents.sb3 import SUFFIX, ModelAgent
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.envs.making import EnvLike, is_own, make_environment
 from mmc_gym.interface import CONTROLS, ControlError
@@ -145,21 +145,29 @@ def make_for(
     """
     agent = entry.agent
     own = agent.own_control
-    if own is None and control is None and agent.is_model and not is_own_env:
-        name = entry.source_name
-        raise UserError(
-            f"agent {entry.label!r} must be given with the control mode that it was trained in, "
-            "which a model of stable-baselines3 does not tell without its environment: as "
-            f"{name}@joint_delta (the default of MMCReach-v0), or with any other of "
-            f"{', '.join(CONTROLS)}; --env-kwargs control=... says it for all"
-        )
     try:
-        return _made(agent.factory, make_env(own or control or agent.control))
+        made, player = _made(agent.factory, make_env(own or control or agent.control))
     except ControlError as refusal:
         if agent.asked is not None:
             raise
-        needed = refusal.control
-    return _made(agent.factory, make_env(needed))
+        made, player = _made(agent.factory, make_env(refusal.control))
+    is_told = own or control or is_own_env
+    if isinstance(player, ModelAgent) and player.trained_in.control is None and not is_told:
+        made.close()
+        raise UserError(
+            f"agent {entry.label!r} must be given with the control mode that it was trained in, "
+            "which a model of stable-baselines3 does not tell without its environment: "
+            f"{_ways(entry)}"
+        )
+    return made, player
+
+
+def _ways(entry: Entry) -> str:
+    """Say how the control mode of an agent is given."""
+    own = "by an attribute `control` of what is given"
+    if isinstance(entry.source, str):
+        own = f"as {entry.source}@joint_delta (the default of MMCReach-v0)"
+    return f"{own}, or any other of {', '.join(CONTROLS)}; --env-kwargs control=... says it for all"
 
 
 def make_together(

@@ -101,6 +101,8 @@ def test_who_does_not_know_the_control_mode_is_asked(folder):
     bare = f"{folder}/model.zip"
     with pytest.raises(UserError, match=rf"'mine' must be given with the control .* {bare}@joint"):
         control_of(bare)
+    with pytest.raises(UserError, match=r"'mine' must be given with .* by an attribute `control`"):
+        control_of(lambda env: PPO.load(bare, device="cpu"))
     assert control_of(f"{bare}@{CONTROL}") == CONTROL
     assert control_of(bare, env_kwargs={"control": "joint_torque"}) == "joint_torque"
     assert control_of(bare, env=lambda **given: gym.make("MMCReach-v0", **given)) == "joint_delta"
