@@ -89,7 +89,7 @@ def wait_until_there(page):
 
 def settle(page):
     """Let the same happen, without waiting for the clock."""
-    ask(page, "scene.settle(), view.draw(scene)")
+    ask(page, "scene.settle(), playground.show()")
     assert ask(page, "scene.distance(scene.bodies.mmc)") < 0.01
 
 

@@ -180,5 +180,5 @@
   still.addEventListener("change", changed);
   new ResizeObserver(() => { view.fit(scene); show(); }).observe(stage);
   requestAnimationFrame(tick);
-  Object.assign(playground, { scene, view });
+  Object.assign(playground, { scene, view, show });
 }
