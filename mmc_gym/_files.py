@@ -9,7 +9,7 @@ import socket
 from functools import cache
 from pathlib import Path
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 
 _MACHINE = re.sub(r"\W", "_", socket.gethostname())
 _TEMPORARY = re.compile(rf"\..+\.{_MACHINE}-(\d+)\.[0-9a-f]+")
@@ -38,13 +38,19 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
     return path
 
 
-def check_folder(path: Path, name: str) -> None:
-    """Raise a `UserError` that names the argument if `path` is a file, or lies in one."""
+def check_folder(path: Path | str, name: str) -> Path:
+    """Return the path; raise a `UserError` that names the argument if it is none of a folder.
+
+    A folder need not exist, but must not be a file, nor lie in one.
+    """
+    require(isinstance(path, str | Path), name, path, "the path of a folder")
+    path = Path(path)
     for part in (path, *path.parents):
         if part.exists():
             if not part.is_dir():
                 raise UserError(f"{name} must be a folder, got the file {str(part)!r}")
-            return
+            break
+    return path
 
 
 @cache

@@ -18,7 +18,7 @@ from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require_array
 from mmc_gym.network.chain import Floats, wrap_angle
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
@@ -104,6 +104,7 @@ class ObservationParts(NamedTuple):
 
 
 NEAR = 0.05  # segment lengths
+_GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 
 
 @dataclass(frozen=True)
@@ -389,13 +390,16 @@ class ReachInterface:
         """
         layout = self.layout
         goals = observation if isinstance(observation, Mapping) else None
-        values = np.asarray(goals["observation"] if goals else observation, dtype=np.float64)
-        expected = layout.posture_size if goals else layout.size
+        if goals is not None and (lacking := set(_GOAL_KEYS).difference(goals)):
+            raise UserError(f"observation must have {_GOAL_KEYS}, got none of {sorted(lacking)}")
+        seen = require_array("observation", observation if goals is None else goals["observation"])
+        values = np.asarray(seen, dtype=np.float64)
+        expected = layout.size if goals is None else layout.posture_size
         if values.shape[-1:] != (expected,):
             raise UserError(f"observation must have shape (..., {expected}), got {values.shape}")
         count = layout.joint_count
         joint_angles = np.arctan2(values[..., count : 2 * count], values[..., :count])
-        if goals:
+        if goals is not None:
             target: Floats = np.asarray(goals["desired_goal"], dtype=np.float64)
         else:
             target = in_the_world(layout.split(values).target, joint_angles)
@@ -417,7 +421,7 @@ class ReachInterface:
         if isinstance(observation, Mapping):
             observation = {name: np.asarray(value) for name, value in observation.items()}
         else:
-            observation = np.asarray(observation, dtype=np.float32)
+            observation = require_array("observation", observation).astype(np.float32)
         self.sense(observation)
         return observation
 

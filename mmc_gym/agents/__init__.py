@@ -2,7 +2,7 @@
 
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.registry import AGENTS, AgentEntry, Knowledge
-from mmc_gym.agents.resolver import ResolvedAgent, agent_names, make_agent, resolve, shipped_seeds
+from mmc_gym.agents.resolver import ResolvedAgent, make_agent, resolve, shipped_seeds
 
 __all__ = [
     "AGENTS",
@@ -11,7 +11,6 @@ __all__ = [
     "Knowledge",
     "Predictor",
     "ResolvedAgent",
-    "agent_names",
     "make_agent",
     "resolve",
     "shipped_seeds",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym._errors import MismatchWarning, UserError, require
 from mmc_gym._notebook import facts_table
 from mmc_gym.interface import Observation, ReachInterface, Sensed, told_by
 from mmc_gym.network import MMCState
@@ -96,6 +96,8 @@ class InternalModelAgent(Agent[State]):
         Raises:
             CannotActError: under torque control.
         """
+        accepted = "a ReachInterface, such as ReachInterface.of(env)"
+        require(isinstance(interface, ReachInterface), "interface", interface, accepted)
         interface.check_takes_joint_targets()
         self.interface = interface
 
@@ -117,6 +119,8 @@ class InternalModelAgent(Agent[State]):
         """
         if state is None:
             return self.start(sensed)
+        fine = isinstance(state, tuple | np.ndarray | MMCState)
+        require(fine, "state", state, "what predict returned, or None")
         batch, of_state = sensed.joint_angles.shape[:-1], batch_shape(state)
         if of_state != batch:
             raise UserError(

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from mmc_gym._errors import require
+from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.agents.base import JointTargetAgent, State, where
 from mmc_gym.agents.ik.agent import STRAIGHT, leave_line
 from mmc_gym.agents.planners import Movement, begin, follow, step
@@ -58,8 +58,13 @@ class NetworkAgent(JointTargetAgent[State]):
             UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
                 control.
         """
-        require(iterations_per_step >= 1, "iterations_per_step", iterations_per_step, "at least 1")
+        require_whole("iterations_per_step", iterations_per_step)
         super().__init__(interface)
+        require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")
+        count, own = len(interface.segment_lengths), network.segment_count
+        if own != count:
+            accepted = f"of {count} segments, as the environment's arm"
+            raise UserError(f"network must be {accepted}, got one of {own}")
         self.network = network
         self.iterations_per_step = iterations_per_step
 

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from errno import ENOENT
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -165,6 +166,10 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
             "path must be that of a policy's file, NAME.json or NAME.safetensors, "
             f"got {str(path)!r}"
         )
+    for one in (path, *map(path.with_suffix, SUFFIXES)):
+        if not one.is_file():
+            why = "no such file" if one == path else f"no such file, which {path} belongs to"
+            raise FileNotFoundError(ENOENT, why, str(one))
     text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
     try:

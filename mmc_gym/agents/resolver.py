@@ -20,7 +20,7 @@ import cloudpickle
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, nearest, unknown
 from mmc_gym._modules import import_object, look_here
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.registry import (
@@ -309,9 +309,16 @@ def _has_weights(card: Path) -> bool:
 
 
 def _unknown(agent: object) -> UserError:
-    return UserError(
-        f"agent must be one of {agent_names()}, or be given as 'module:name', by the path of a "
-        f"policy's file or folder or of a model's .zip, or as an object with predict, got {agent!r}"
+    is_path = isinstance(agent, str) and ("/" in agent or "\\" in agent)
+    if is_path and not Path(str(agent)).exists():
+        return UserError(f"agent {agent!r} must be a name or a path, and there is no such file")
+    counts = {name: entry.training_seeds for name, entry in AGENTS.items()}
+    trained = [f"{name}-{seed}" for name, count in counts.items() for seed in range(count)]
+    return unknown(
+        *("agent", agent, AGENTS),
+        *("NAME-SEED of a trained one (ppo-3)", "'module:name'", "an object with predict"),
+        "the path of a policy's file or folder or of a model's .zip",
+        guess=nearest(agent, [*AGENTS, *trained]),
     )
 
 
@@ -439,16 +446,6 @@ def make_agent(
     True
     """
     return cast("Agent[Any]", resolve(name, allow_pickle=allow_pickle).factory(env))
-
-
-def agent_names() -> str:
-    """Return the names that `make_agent` accepts, for a message."""
-    return ", ".join(
-        f"{name} (or {name}-0 to {name}-{entry.training_seeds - 1})"
-        if entry.training_seeds > 1
-        else name
-        for name, entry in AGENTS.items()
-    )
 
 
 def shipped_seeds(name: str) -> list[int]:

@@ -74,8 +74,7 @@ def compare(
     entries = find_entries(agents, allow_pickle=allow_pickle, every_training=False)
     seeds = episode_seeds(seed, episodes)
     if out is not None:
-        out = Path(out)
-        check_folder(out, "out")
+        out = check_folder(out, "out")
     envs: list[gym.Env[Any, Any]] = []
     players: list[Predictor] = []
     try:

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple, TypeAlias, cast
 
 import gymnasium as gym
 
-from mmc_gym._errors import UserError
-from mmc_gym.agents import AGENTS, agent_names, resolve
+from mmc_gym._errors import UserError, require
+from mmc_gym.agents import AGENTS, resolve
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.policy import is_policy_path
 from mmc_gym.agents.resolver import AgentLike, Factory, ResolvedAgent, shipped_seeds
@@ -104,6 +104,8 @@ def find_entries(
         >>> find_entries(["mmc", "twin=mmc"])[1]
         Entry(label='twin', training_seed=None, source='mmc', allow_pickle=False)
     """
+    fine = isinstance(agents, Iterable)
+    require(fine, "agents", agents, "a list of agents, such as ['mmc', 'ppo'], or a mapping")
     entries = []
     for named in _all_named(agents):
         if isinstance(named.source, str) and named.source in AGENTS and every_training:
@@ -352,7 +354,7 @@ def _entry(named: _Named, allow_pickle: bool) -> Entry:
 def _different(entries: list[Entry], keys: Sequence[Hashable]) -> list[Entry]:
     """Return entries; raise a `UserError` if there is none, or two have the same key."""
     if not entries:
-        raise UserError(f"agents must name at least one of {agent_names()}, got none")
+        raise UserError("agents must be one or more, such as mmc and ppo, got none")
     for one, key in zip(entries, keys):
         if keys.count(key) > 1:
             raise UserError(

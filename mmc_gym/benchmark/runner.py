@@ -291,7 +291,7 @@ def benchmark(
             _check_control(entry, scenarios, asked)
     episode_seeds(seed, episodes)
     check_workers(jobs, cluster)
-    check_folder(out, "out")
+    out = check_folder(out, "out")
     begun = update_manifest(out, partial(_joined, out, scenarios, entries, episodes, seed))
     cells = [replace(one, control=asked) for one in _cells(scenarios, entries, episodes, seed)]
     begin = time.perf_counter()

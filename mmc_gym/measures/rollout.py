@@ -17,7 +17,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, is_whole, require, require_whole
 from mmc_gym._grid import one_torch_thread
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.envs.vector import MMCReachVectorEnv
@@ -43,12 +43,10 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
     all their episodes.)
 
     Raises:
-        UserError: if `episodes` is less than 1 or `seed` is negative.
+        UserError: if `episodes` is no whole number of at least 1, or `seed` none of at least 0.
     """
-    if episodes < 1:
-        raise UserError(f"episodes must be at least 1, got {episodes}")
-    if seed < 0:
-        raise UserError(f"seed must not be negative, got {seed}")
+    require_whole("episodes", episodes)
+    require_whole("seed", seed, least=0)
     return [int(word) for word in np.random.SeedSequence(seed).generate_state(episodes)]
 
 
@@ -108,7 +106,15 @@ def run_episodes(
         >>> first.seed, second.hands.shape
         (5, (101, 2))
     """
+    fine = hasattr(agent, "predict") and not isinstance(agent, type)
+    require(fine, "agent", agent, "an object with predict, such as make_agent('mmc', env)")
+    fine = isinstance(env, gym.Env | gym.vector.VectorEnv)
+    require(fine, "env", env, "an environment, such as gym.make('MMCReach-v0')")
+    fine = np.iterable(seeds) and all(is_whole(seed) and seed >= 0 for seed in seeds)
+    require(fine, "seeds", seeds, "whole numbers of at least 0, one per episode")
     asked = [{}] * len(seeds) if options is None else options
+    fine = isinstance(asked, Sequence) and all(isinstance(one, Mapping) for one in asked)
+    require(fine, "options", asked, "a list of mappings, one per seed")
     if len(asked) != len(seeds):
         raise UserError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
     if isinstance(env, gym.vector.VectorEnv):
@@ -151,8 +157,11 @@ def _play(
         if len(times) == MAX_STEPS:
             raise RuntimeError(f"the episode did not end within {MAX_STEPS} steps: no time limit?")
         begin = time.perf_counter_ns()
-        action, state = agent.predict(observation, state, episode_start, deterministic=True)
+        predicted = agent.predict(observation, state, episode_start, deterministic=True)
         times.append(time.perf_counter_ns() - begin)
+        if not isinstance(predicted, tuple) or len(predicted) != 2:
+            require(False, "what predict returns", predicted, "a pair (action, state)")
+        action, state = predicted
         observation, reward, terminated, truncated, info = env.step(action)
         note(info)
         records["rewards"].append(reward)

@@ -101,6 +101,7 @@ def embodied_run(
     >>> end.end_effector.round(2).tolist(), end.joint_angles[1].round(2).item()
     ([-1.0, 1.5], 0.6)
     """
+    require(isinstance(body, Embodiment), "body", body, "an Embodiment")
     require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
     state = network.run(state, clamps, iterations=0)  # broadcasts, and sets R
     values, count = state.values, network.segment_count

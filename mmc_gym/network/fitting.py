@@ -35,7 +35,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from mmc_gym._errors import require
+from mmc_gym._errors import is_whole, require, require_whole
 from mmc_gym._grid import one_torch_thread
 from mmc_gym.network.normalizers import (
     WEIGHTS,
@@ -180,10 +180,12 @@ def train_normalizers(
     Raises:
         UserError: if `runs`, a layer size, or `seed` is out of range.
     """
-    require(runs >= 1, "runs", runs, "1 or more")
-    require(seed >= 0, "seed", seed, "0 or more")
-    fine = bool(hidden_units) and min(hidden_units) >= 1
-    require(fine, "hidden_units", tuple(hidden_units), "1 or more each")
+    require_whole("runs", runs)
+    require_whole("seed", seed, least=0)
+    fine = isinstance(hidden_units, Sequence) and bool(hidden_units)
+    fine = fine and all(is_whole(units) and units >= 1 for units in hidden_units)
+    require(fine, "hidden_units", hidden_units, "a tuple of whole numbers, 1 or more each")
+    require(isinstance(recipe, Recipe), "recipe", recipe, "a Recipe, such as PAPER or ACCURATE")
     widths = (2, *hidden_units, 2)
     total = recipe.epochs + runs * recipe.refinement.iterations
     done = 0

@@ -28,7 +28,7 @@ from rich.progress import Progress
 from rich.text import Text
 
 from mmc_gym._console import encodable, make_console, print_shares, progress_bar
-from mmc_gym._errors import UserError
+from mmc_gym._errors import unknown
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.paper.experiment import Result, Row, Settings, format_value, write_result
 from mmc_gym.paper.experiments import (
@@ -148,7 +148,7 @@ def reproduce(
     """
     for name in names:
         if name not in EXPERIMENTS:
-            raise UserError(f"experiment must be one of {', '.join(EXPERIMENTS)}, got {name!r}")
+            raise unknown("experiment", name, EXPERIMENTS)
     check_folder(folder, "out")
     sections = {}
     with progress_bar() as bar:

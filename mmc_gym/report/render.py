@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import reasons
@@ -47,6 +47,8 @@ def write_report(store: Path | str, out: Path | str, resamples: int = RESAMPLES)
     Raises:
         UserError: if there is no store, it is damaged or has no episodes, or `out` is a folder.
     """
+    for name, path in (("store", store), ("out", out)):
+        require(isinstance(path, str | Path), name, path, "a path")
     out = Path(out)
     if out.is_dir():
         raise UserError(f"out must be a file, got the folder {str(out)!r}")

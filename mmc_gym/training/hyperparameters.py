@@ -37,7 +37,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, explain, require
+from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES
 from mmc_gym.training.vec_env import Residual
@@ -409,9 +409,9 @@ class Recipe:
             UserError: if a key is unknown or missing, or does not accept its value.
         """
         kind, keys = SETTINGS[self.algorithm], self.hyperparameters
-        if unknown := [str(key) for key in keys if key not in kind.model_fields]:
-            known = ", ".join(kind.model_fields)
-            raise UserError(f"hyperparameters must be among {known}, got {', '.join(unknown)}")
+        for key in keys:
+            if key not in kind.model_fields:
+                raise unknown("hyperparameter", key, kind.model_fields)
         try:
             # stable-baselines3 adds to what it is given.
             return kind.model_validate(deepcopy(keys))
@@ -419,6 +419,7 @@ class Recipe:
             raise UserError(f"hyperparameters of {self.name}: {explain(error)}") from error
 
 
+SUFFIXES = (".yml", ".yaml")
 _SHIPPED = Path(str(files("mmc_gym.training") / "hyperparams"))
 
 
@@ -445,10 +446,11 @@ def read_recipe(
         FileNotFoundError: if there is no such file.
         UserError: if there is no such name or environment, or the file is no such mapping.
     """
+    require(isinstance(source, str), "name", source, "a name, or the path of a YAML file")
     path = Path(source)
-    if path.suffix not in (".yml", ".yaml"):
-        accepted = f"one of {', '.join(names())}, or the path of a YAML file"
-        require(source in names(), "name", source, accepted)
+    if path.suffix not in SUFFIXES:
+        if source not in names():
+            raise unknown("name", source, names(), "the path of a YAML file")
         path = _SHIPPED / f"{source}.yml"
     try:
         entries = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -457,8 +459,8 @@ def read_recipe(
     if not isinstance(entries, dict) or not entries:
         raise UserError(f"{source} must map environments to hyperparameters, got {entries!r}")
     env_id = env_id or str(next(iter(entries)))
-    known = ", ".join(map(str, entries))
-    require(env_id in entries, "env", env_id, f"one of {known} for {source}")
+    if env_id not in entries:
+        raise unknown(f"env for {source}", env_id, entries)
     entry = entries[env_id]
     if not isinstance(entry, dict):
         raise UserError(f"{source} must have hyperparameters for {env_id}, got {entry!r}")

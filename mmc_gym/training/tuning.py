@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmc_gym._errors import UserError, missing, require
-from mmc_gym._files import write_atomically
+from mmc_gym._errors import UserError, missing, require_whole, unknown
+from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCAgent
 from mmc_gym.agents.closed_loop.observer import Loops
@@ -27,7 +27,14 @@ from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
-from mmc_gym.training.hyperparameters import AnySettings, PPOSettings, Recipe, read_recipe
+from mmc_gym.training.hyperparameters import (
+    SUFFIXES,
+    AnySettings,
+    PPOSettings,
+    Recipe,
+    names,
+    read_recipe,
+)
 from mmc_gym.training.training import Training
 
 if TYPE_CHECKING:
@@ -93,6 +100,8 @@ def find_target(name: str) -> Target:
         objective = f"{Target.objective}, mean over {', '.join(FEEDBACK_SCENARIOS)}"
         target = _network_target(in_use, _suggest_feedback, FEEDBACK_SCENARIOS)
         return replace(target, objective=objective)
+    if name not in names() and Path(name).suffix not in SUFFIXES:
+        raise unknown("name", name, ("mmc", "mmc-feedback", *names()), "the path of a YAML file")
     recipe = read_recipe(name)
     settings = recipe.settings
     return Target(
@@ -244,7 +253,8 @@ def tune(
             or Optuna is not installed.
     """
     for argument, count in (("trials", trials), ("steps", steps)):
-        require(count >= 1, argument, count, "at least 1")
+        require_whole(argument, count)
+    check_folder(out, "out")
     target, name = find_target(name), Path(name).stem
     study = _open_study(name, steps, out)
     from optuna.samplers import TPESampler

@@ -15,7 +15,7 @@ from mmc_gym.agents.closed_loop.agent import ClosedLoopMMCAgent
 from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent
 from mmc_gym.agents.ik.iterative import damped_least_squares
-from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, out_of_line
+from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, network_of_arm, out_of_line
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.network import MMCNetwork
@@ -319,7 +319,31 @@ def test_a_wrong_observation_is_an_error(name):
     for size in (12, 14):
         with pytest.raises(ValueError, match=rf"must have shape \(\.\.\., 15\), got \({size},\)"):
             agent.predict(np.zeros(size, dtype=np.float32))
+    for wrong, message in (
+        ("abc", "observation must be an array of numbers, got 'abc'"),
+        (({"a": 1}, {}), "observation must be an array of numbers"),  # what reset returns
+        ({"observation": np.zeros(9)}, r"observation must have .*'achieved_goal', 'desired_goal'"),
+    ):
+        with pytest.raises(UserError, match=message):
+            agent.predict(wrong)
     assert agent.predict([0.0] * 15)[0].shape == (3,)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda told: MMCAgent("env", MMCNetwork()), "interface must be a ReachInterface, .*'env'"),
+        (lambda told: MMCAgent(told, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
+        (lambda told: MMCAgent(told, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
+        (lambda told: MMCAgent(told, MMCNetwork(), 1.5), "iterations_per_step must be .*, got 1.5"),
+        (lambda told: InverseKinematicsAgent(told, "dls"), "solver must be a function, .*'dls'"),
+        (lambda told: network_of_arm(told, dampening=4), "'dampening'; did you mean 'damping'"),
+        (lambda told: Loops(hand_rat=0.1), "'hand_rat'; did you mean 'hand_rate'"),
+    ],
+)
+def test_wrong_arguments_of_agents_are_refused(make, message):
+    with pytest.raises(UserError, match=message):
+        make(ReachInterface.of(gym.make("MMCReach-v0")))
 
 
 @pytest.mark.parametrize(
@@ -333,7 +357,7 @@ def test_a_wrong_observation_is_an_error(name):
 )
 def test_an_internal_model_iterates_at_least_once_in_a_control_step(agent_class, arguments):
     interface = ReachInterface.of(gym.make("MMCReach-v0"))
-    with pytest.raises(UserError, match="iterations_per_step must be at least 1, got 0"):
+    with pytest.raises(UserError, match="iterations_per_step must be a whole number of at least 1"):
         agent_class(interface, *arguments, iterations_per_step=0)
 
 

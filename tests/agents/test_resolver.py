@@ -100,14 +100,16 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class():
 @pytest.mark.parametrize(
     ("agent", "message"),
     [
-        *((name, r"agent must be one of mmc, .*ppo-0 to ppo-9.* got ") for name in ("nobody", "")),
-        *(
-            (name, r"agent must be one of ")
-            for name in ("ppo-10", "ppo--1", "ppo-01", "mmc-0", "ppo-")
-        ),
-        *((thing, r"agent must be one of .* got ") for thing in (None, 3)),
+        *((name, "agent '.*' is not accepted. It may be mmc, .*ppo-3") for name in ("nobody", "")),
+        ("mcm", "agent 'mcm' is not accepted; did you mean 'mmc'"),
+        ("MMC", "agent 'MMC' is not accepted; did you mean 'mmc'"),
+        ("ppo-10", "did you mean 'ppo-1'"),
+        ("mmc-0", "did you mean 'mmc'"),
+        *((name, "did you mean 'ppo") for name in ("ppo--1", "ppo-01", "ppo-")),
+        *((thing, f"agent {thing} is not accepted. It may be mmc") for thing in (None, 3)),
+        ("runs/nowhere", "agent 'runs/nowhere' must be .* there is no such file"),
         ("no_such_module:make", "'no_such_module:make' cannot be imported"),
-        (".my_agents:Still", "agent must be one of .* got '.my_agents:Still'"),
+        (".my_agents:Still", "agent '.my_agents:Still' is not accepted"),
         ("my_agents:nothing", "'my_agents:nothing' cannot be imported"),
         ("my_agents:NOTHING", "must be a function of the environment, got 3"),
         ("my_agents.py.json", "does not hold a policy"),

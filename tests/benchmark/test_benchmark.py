@@ -401,10 +401,10 @@ def test_a_copy_of_a_policy_plays_as_the_one_that_ships(tmp_path):
 def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):
     (tmp_path / "file").touch()
     for message, arguments in {
-        "agent must be one of mmc": {"agents": ["nobody"]},
-        "scenario must be one of random, .* got .nowhere": {"environments": ["nowhere"]},
-        "episodes must be at least 1": {"episodes": 0},
-        "jobs must be at least 1": {"jobs": 0},
+        "agent .nobody. is not accepted": {"agents": ["nobody"]},
+        "scenario .nowhere. is not accepted": {"environments": ["nowhere"]},
+        "episodes must be a whole number": {"episodes": 0},
+        "jobs must be a whole number": {"jobs": 0},
         "cluster must be": {"cluster": "dask"},
         "out must be a folder": {"out": tmp_path / "file"},
     }.items():

@@ -213,15 +213,18 @@ def test_a_cell_tells_of_missing_and_of_small_values():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"agents": ["mmc", "nobody"]}, "mmc-classical.*'nobody'"),
+        ({"agents": ["mmc", "nobody"]}, "'nobody' is not accepted"),
         ({"agents": ["mmc", "mmc"]}, "mmc repeatedly"),
         ({"agents": ["x=ppo-0", "x=ppo-0"]}, "x repeatedly"),
         ({"agents": []}, "got none"),
         ({"agents": ["no_such_module:make"]}, "no_such_module:make.*cannot be imported"),
         ({"agents": ["math:no_such_function"]}, "cannot be imported"),
         ({"agents": ["math:pi"]}, "must be a function"),
-        ({"agents": ["mmc"], "episodes": 0}, "episodes must be at least 1, got 0"),
-        ({"agents": ["mmc"], "seed": -1}, "seed must not be negative"),
+        (
+            {"agents": ["mmc"], "episodes": 0},
+            "episodes must be a whole number of .*, got 0",
+        ),
+        ({"agents": ["mmc"], "seed": -1}, "seed must be a whole number of at least 0, got -1"),
         ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
         ({"agents": ["mmc"], "env": "no_such_module:Env-v0"}, "env must be .*no_such_module"),
         ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be a reaching .*'CartPole-v1'"),

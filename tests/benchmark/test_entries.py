@@ -87,8 +87,8 @@ def test_training_steps_are_ours_or_those_of_stable_baselines3_or_unknown(oracle
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["nobody"], "agent must be one of mmc"),
-        ([], "agents must name at least one"),
+        (["nobody"], "agent 'nobody' is not accepted"),
+        ([], "agents must be one or more"),
         (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
         (["=mmc"], "agents must have names"),
         (["x@y=os:getcwd"], "agents must be named as LABEL or LABEL@SEED"),

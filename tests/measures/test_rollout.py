@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from types import SimpleNamespace
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from gymnasium.wrappers import TimeLimit
 
 from mmc_gym import make_agent
+from mmc_gym._errors import UserError
 from mmc_gym.envs.perturbations import ForceField, LockedJoint, VisuomotorRotation
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.measures import measure_all, rollout
@@ -274,3 +276,33 @@ def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
         "time_to_target": pytest.approx(np.nanmedian([time_to_target(one) for one in episodes])),
     }
     assert 0 < scores["success"] < 1
+
+
+class Says:
+    """An agent whose `predict` returns what it is told."""
+
+    def __init__(self, predicted: Any) -> None:
+        self.predicted = predicted
+
+    def predict(self, *args: Any, **kwargs: Any) -> Any:
+        return self.predicted
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"agent": "mmc"}, "agent must be an object with predict, .*, got 'mmc'"),
+        ({"agent": None}, "agent must be an object with predict, .*, got None"),
+        ({"agent": Says(None)}, r"what predict returns must be a pair \(action, state\), got None"),
+        ({"agent": Says(np.zeros(3))}, r"what predict returns must be a pair .*, got array"),
+        ({"env": "MMCReach-v0"}, "env must be an environment, .*, got 'MMCReach-v0'"),
+        ({"seeds": 3}, "seeds must be whole numbers of at least 0, .*, got 3"),
+        ({"seeds": [-1]}, r"seeds must be whole numbers of at least 0, .*, got \[-1\]"),
+        ({"options": {"trial": 1}}, "options must be a list of mappings"),
+        ({"options": [{}, {}]}, "options must be 1, one per seed, got 2"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message):
+    given = {"agent": Says((np.zeros(3), None)), "env": gym.make("MMCReach-v0"), "seeds": [1]}
+    with pytest.raises(UserError, match=message):
+        run_episodes(**{**given, **arguments})

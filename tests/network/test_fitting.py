@@ -154,10 +154,14 @@ def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("make", "settings", "message"),
     [
-        (train_normalizers, {"runs": 0}, "runs must be 1 or more, got 0"),
-        (train_normalizers, {"seed": -1}, "seed must be 0 or more, got -1"),
+        (train_normalizers, {"runs": 0}, "runs must be a whole number of at least 1, got 0"),
+        (train_normalizers, {"seed": -1}, "seed must be a whole number of at least 0, got -1"),
         (train_normalizers, {"hidden_units": (4, 0)}, r"hidden_units must be .*, got \(4, 0\)"),
-        (train_normalizers, {"hidden_units": ()}, r"hidden_units must be 1 or more .*, got \(\)"),
+        (
+            train_normalizers,
+            {"hidden_units": ()},
+            r"hidden_units must be .*, got \(\)",
+        ),
         (Recipe, {"epochs": 0}, "epochs must be 1 or more, got 0"),
         (Recipe, {"samples": 0}, "samples must be 1 or more, got 0"),
         (Recipe, {"batch_size": 0}, "batch_size must be 1 or more, got 0"),

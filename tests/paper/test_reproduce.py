@@ -156,8 +156,11 @@ def test_a_quick_run_says_so_and_prints_where_the_encoding_is_poor(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["normalisation"], "experiment must be one of normalization, population"),
-        (["normalization", "kinetic"], "got 'kinetic'"),
+        (
+            ["normalisation"],
+            "'normalisation' is not accepted; did you mean 'normalization'",
+        ),
+        (["normalization", "kinetic"], "experiment 'kinetic' is not accepted"),
         (["--seed", "-1"], "seed must be 0 or more, got -1"),
         (["--jobs", "0"], "jobs must be 1 or more, got 0"),
     ],

@@ -218,10 +218,10 @@ def test_a_training_is_tuned(name, steps, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("mmc", 0, 100), "trials must be at least 1, got 0"),
-        (("mmc", 1, 0), "steps must be at least 1, got 0"),
-        (("ik-dls", 1, 100), "name must be one of .*, got 'ik-dls'"),
-        (("ppo-best", 1, 100), "name must be one of .*, got 'ppo-best'"),
+        (("mmc", 0, 100), "trials must be a whole number of at least 1, got 0"),
+        (("mmc", 1, 0), "steps must be a whole number of at least 1, got 0"),
+        (("ik-dls", 1, 100), "name 'ik-dls' is not accepted"),
+        (("ppo-best", 1, 100), "name 'ppo-best' is not accepted; did you"),
         (("./x/ppo.yml", 1, 100), "No such file"),
     ],
 )

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require
+from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.closed_loop.observer import Belief, BodyObserver, Loops, Memory
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent, Solver
@@ -131,7 +131,7 @@ class ClosedLoopMMCAgent(ClosedLoopAgent):
             UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
                 control.
         """
-        require(iterations_per_step >= 1, "iterations_per_step", iterations_per_step, "at least 1")
+        require_whole("iterations_per_step", iterations_per_step)
         super().__init__(interface, loops)
         self.network, self.iterations_per_step = network, iterations_per_step
 
@@ -194,6 +194,7 @@ def closed_loop_mmc(interface: ReachInterface, loops: Loops) -> ClosedLoopMMCAge
         UserError: if the weight of the posture is (N + 1) / 2 or more; as `CannotActError`, under
             torque control, or for an arm of a single segment.
     """
+    require(isinstance(loops, Loops), "loops", loops, "Loops, such as LOOPS['feedback']")
     weight, total = loops.posture_weight, len(interface.segment_lengths) + 1
     accepted = f"less than (N + 1) / 2 = {total / 2:g}"
     require(weight < total / 2, "posture_weight", weight, accepted)

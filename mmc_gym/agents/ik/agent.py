@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from typing_extensions import override
 
-from mmc_gym._errors import require
+from mmc_gym._errors import require, require_whole
 from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.interface import JointLimits, ReachInterface, Sensed
 from mmc_gym.network.chain import (
@@ -63,7 +63,8 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
             UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
                 control, or if the solver is none for this number of segments.
         """
-        require(iterations_per_step >= 1, "iterations_per_step", iterations_per_step, "at least 1")
+        require_whole("iterations_per_step", iterations_per_step)
+        require(callable(solver), "solver", solver, "a function, such as damped_least_squares")
         super().__init__(interface)
         limits = interface.joint_limits
         self.solver = partial(solver, joint_limits=limits) if heeds_limits else solver
