@@ -34,12 +34,12 @@ def pictures():
 
 def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
     path = record(tmp_path / "film.gif", Turner(), episodes=2, seed=3)
-    film = Image.open(path)
-    assert film.info["loop"] == 0  # for ever
     frames, ends = [], []
-    for frame in ImageSequence.Iterator(film):  # alike ones are one, shown for longer
-        frames.append(np.asarray(frame.convert("RGB"), int))
-        ends.append((ends or [0])[-1] + frame.info["duration"])
+    with Image.open(path) as film:
+        assert film.info["loop"] == 0  # for ever
+        for frame in ImageSequence.Iterator(film):  # alike ones are one, shown for longer
+            frames.append(np.asarray(frame.convert("RGB"), int))
+            ends.append((ends or [0])[-1] + frame.info["duration"])
     assert ends[-1] == 20 * len(pictures)
     for number in (0, 60, 101, 201):
         shown = frames[np.searchsorted(ends, 20 * number, side="right")]
