@@ -69,6 +69,8 @@ def test_your_own_file_is_read_by_its_path(tmp_path):
     assert read_recipe(str(path), "B-v0").hyperparameters == {"gamma": 0.6}
     assert read_recipe(str(path), steps=9).hyperparameters == {"gamma": 0.5, "n_timesteps": 9}
     assert read_recipe("tqc-her").name == "tqc-her"
+    given = read_recipe("ppo", env_kwargs={"control": "joint_velocity"}).settings.env_kwargs
+    assert given == {"engine": "analytic", "control": "joint_velocity"}
 
 
 @pytest.mark.parametrize(
