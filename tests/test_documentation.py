@@ -3,8 +3,8 @@
 They are compared as averages over squares of 8 × 8 pixels, in which edges and single dots weigh
 little.  Redrawn by the same code a square differs by 0 to 2 of 255, with another version of pygame
 or SDL by up to 5, and by up to 20 where learned policies, which dance about the target, round
-otherwise.  An arm that is drawn a single control step later differs by 40 to 110 somewhere in its
-panel.  `ALIKE` lies between.
+otherwise.  Arms that are drawn a single control step later differ by 40 to 110 somewhere in their
+panels.  `ALIKE` lies between.
 """
 
 import inspect
@@ -25,7 +25,7 @@ from mmc_gym.cli import compare, main
 from mmc_gym.measures import episode_seeds, run_episodes
 
 ROOT = Path(__file__).parents[1]
-ALIKE = 30
+ALIKE = 40
 SQUARE = 8
 
 # Another matplotlib may put labels elsewhere.
