@@ -227,6 +227,8 @@ class _Named(NamedTuple):
 def _all_named(agents: Agents) -> list[_Named]:
     """Return all trainings that are named, each with its label."""
     if isinstance(agents, Mapping):
+        for label in agents:
+            require(isinstance(label, str), "the label of an agent", label, "a text")
         groups = {
             label: list(of) if isinstance(of, (list, tuple)) else [cast(AgentLike, of)]
             for label, of in agents.items()

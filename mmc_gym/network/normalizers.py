@@ -215,6 +215,7 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
     >>> bool(angle_errors(EuclideanNormalizer(), [0.5, 1.0]).max() < 1e-15)
     True
     """
+    require(isinstance(normalizer, Normalizer), "normalizer", normalizer, "a Normalizer")
     wanted = _directions(directions)
     output = normalizer(np.asarray(lengths, dtype=np.float64)[:, None, None] * wanted)
     x, y = wanted.T
