@@ -87,10 +87,13 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
     [
         (["compare", "--agents", "mcc"], "mcc"),
         (["compare", "--episodes", "0"], "episodes"),
-        (["train", "dqn"], "name must be one of ppo, "),
+        (["train", "dqn"], "name 'dqn' is not accepted. It may be ppo, "),
         (["train"], "or else give --all"),
         (["train", "ppo", "--all"], "or else give --all"),
-        (["train", "ppo", "--env", "MMCReachGoal-v0"], "env must be one of MMCReach-v0"),
+        (
+            ["train", "ppo", "--env", "MMCReachGoal-v0"],
+            "env for ppo 'MMCReachGoal-v0' is not",
+        ),
         (["train", "--all", "--cluster", "slurm"], "cluster must be 'ray'"),
         (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
         (["train", "ppo", "--steps", "0"], "n_timesteps must be at least 1, got 0"),
@@ -105,7 +108,7 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
         (["train", "--all", "--seed", "3"], "--seed is for a single training only, got 3"),
         (["train", "--all", "--env", "MMCReach-v0"], "--env is for a single training only"),
         (["train", "--all", "--tensorboard", "logs"], "--tensorboard is for a single training"),
-        (["tune", "mmc", "--trials", "0"], "trials must be at least 1"),
+        (["tune", "mmc", "--trials", "0"], "trials must be a whole number of at least 1"),
         (["play", "--agent", "mcc"], "mcc"),
     ],
 )

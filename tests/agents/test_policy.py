@@ -127,7 +127,7 @@ def test_damaged_weights_are_an_error(copy):
     ("changes", "message"),
     [
         ({"activation": "os.system"}, "activation must be 'relu' or 'tanh', got 'os.sys"),
-        ({"segment_count": 4}, "its card says 4 joints, its weights 3"),
+        ({"segment_count": 4}, "body must have 4 segments"),
         ({"segment_count": "3"}, "segment_count must be a valid integer, got '3'"),
         ({"segment_count": True}, "segment_count must be a valid integer, got True"),
         ({"segment_count": 0}, "segment_count must be greater than 0, got 0"),
