@@ -102,7 +102,7 @@ def _mmc(
 _BODY = {
     "lengths": "told, then identified",
     "senses": "posture, speeds, seen hand and target in every step; estimates noise and delay, "
-    "detects locked joints",
+    "detects locked joints and contacts",
 }
 
 _LOOP = "posture, seen hand and target in every step"

@@ -7,6 +7,7 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence
+from mmc_gym.agents.body_model.contacts import LONG, RADIUS, Contacts, is_free
 from mmc_gym.agents.body_model.drive import Drive, expected_turn
 from mmc_gym.agents.body_model.imagination import start_offsets
 from mmc_gym.agents.body_model.locks import Locks
@@ -129,6 +130,27 @@ def test_a_lock_is_found_and_a_false_one_freed():
     assert not locks.is_locked.any()
 
 
+def test_a_contact_is_felt_where_the_arm_cannot_go_on():
+    """The arm turns about the middle of its last segment, which is held up from above."""
+    joint_angles, lengths = np.array([[0.0, 0.0, 0.0]]), np.ones((1, 3))
+    asked = np.array([[0.1, 0.0, 0.0]])
+    turn = np.array([[0.05, 0.0, -0.25]])  # 2.5 · 0.05 − 0.5 · 0.25 = 0
+    contacts, seen = Contacts.start(1, 3), np.array([True])
+    for _ in range(LONG):
+        assert not contacts.met.any()
+        contacts = contacts.observed(joint_angles, turn, asked, lengths, seen)
+    assert contacts.met.tolist() == [1.0]
+    assert abs(contacts.discs[0, 0] - (2.5 + 1j * RADIUS)) < 0.05
+
+
+def test_a_movement_through_a_disc_is_not_free_and_one_round_it_is():
+    start, end, discs = np.zeros(3), np.array([1.5, 0.0, 0.0]), np.array([2.0 + 1.5j])
+    lengths, folded = np.ones(3), np.array([0.0, 2.0, 2.0])
+    assert not is_free(INTERFACE, start, end, lengths, discs)
+    assert is_free(INTERFACE, start, -end, lengths, discs)
+    assert is_free(INTERFACE, folded, folded + end, lengths, discs)
+
+
 def test_the_drive_inverts_the_servo():
     now, turn = np.zeros((1, 3)), np.array([[0.01, -0.05, 0.1]])
     left = 10 * turn
@@ -172,6 +194,17 @@ def test_a_body_that_is_not_as_told_is_found_out_about(build):
     )
     for perturbations in conditions:
         assert success(episodes(build, perturbations=perturbations)) >= 0.95, perturbations
+
+
+@pytest.mark.slow
+def test_ways_round_obstacles_are_found():
+    with_and_without = [
+        success(
+            episodes(lambda told, parts=parts: mmc_body(told, parts), perturbations="obstacles-4")
+        )
+        for parts in (Parts(), Parts(avoids=False))
+    ]
+    assert with_and_without[0] >= with_and_without[1] + 0.1
 
 
 @pytest.mark.slow

@@ -1,15 +1,16 @@
-"""An internal model of the own body that acts: five parts in a line.
+"""An internal model of the own body that acts: parts in a line.
 
-    observation → senses → body → locks → imagination → drive → action
+    observation → senses → body → locks, contacts → imagination → drive → action
 
 - `senses`: where joints and target are, behind noise, and how late they are seen;
 - `body`: lengths of the segments, and how the seen hand is turned;
 - `locks`: joints that do not turn;
+- `contacts`: obstacles, once they are felt, and ways round them;
 - `imagination`: in which posture to be at the target, found by an internal model;
 - `drive`: what to ask of the servos on the way there.
 
 The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  What the
-agents reach, they reach by all five parts; the difference between the two is what is the network's
+agents reach, they reach by all parts; the difference between the two is what is the network's
 own.  Each part is a switch (`Parts`), for ablations.
 
 Nothing of the perturbations is told.  Arms are a batch, (n, …); one arm is a batch of one.
@@ -27,11 +28,13 @@ from typing_extensions import override
 from mmc_gym._errors import require_number
 from mmc_gym.agents.base import InternalModelAgent, Started, where
 from mmc_gym.agents.body_model.body import Body, BodyEvidence
+from mmc_gym.agents.body_model.contacts import Contacts, Plan, Ways
 from mmc_gym.agents.body_model.drive import (
     Drive,
     command_of,
     commanded_turn,
     imagined_way,
+    in_proportion,
     share_of_turn,
 )
 from mmc_gym.agents.body_model.imagination import (
@@ -73,6 +76,7 @@ class Parts:
         finds_locks: whether locked joints are found.
         imagines: whether several models settle; else one, from the present posture.
         drives: whether the servos are inverted; else they are sent to the imagined posture.
+        avoids: whether contacts are remembered, and ways round them imagined.
         vigour: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed.
 
     Raises:
@@ -85,6 +89,7 @@ class Parts:
     finds_locks: bool = True
     imagines: bool = True
     drives: bool = True
+    avoids: bool = True
     vigour: float = 1.0
 
     def __post_init__(self) -> None:
@@ -100,9 +105,10 @@ class BodyState(NamedTuple):
         posture, target, delay: of the senses.
         evidence: of the body.
         locks: of the joints.
-        goal: the imagined posture, radians, (n, N).
+        plan: where the arms go.
         imagined_for: the place of the hand for which it was imagined, (n,).
         drive: of the drive.
+        contacts: of obstacles.
     """
 
     looks: Floats
@@ -111,9 +117,10 @@ class BodyState(NamedTuple):
     delay: Delay
     evidence: BodyEvidence
     locks: Locks
-    goal: Floats
+    plan: Plan
     imagined_for: Points
     drive: Drive
+    contacts: Contacts
 
 
 class Intention(NamedTuple):
@@ -121,19 +128,19 @@ class Intention(NamedTuple):
 
     Attributes:
         joint_angles: where the joints are by now, radians, (n, N).
-        goal: where they are to go, radians, (n, N).
+        plan: where they are to go.
         begins: whether a movement begins, (n,).
         aim: the place of the hand for which the movement was imagined, (n,).
     """
 
     joint_angles: Floats
-    goal: Floats
+    plan: Plan
     begins: Bools
     aim: Points
 
 
 class BodyAgent(InternalModelAgent[BodyState]):
-    """An agent with an internal model of its body, in five parts."""
+    """An agent with an internal model of its body, in parts, in a line."""
 
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = Parts()) -> None:
         """Make the agent; `solver` is its internal model.
@@ -145,6 +152,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         self.parts = parts
         self.imagination = Imagination(interface, solver, parts.imagines)
         self._told = np.array(interface.segment_lengths)
+        self.ways = Ways(self.imagination)
 
     @override
     def start(self, sensed: Sensed) -> BodyState:
@@ -157,9 +165,10 @@ class BodyAgent(InternalModelAgent[BodyState]):
             delay=Delay.start(command_of(self.interface, joint_angles, joint_angles)),
             evidence=BodyEvidence.start(self.interface.segment_lengths, len(joint_angles)),
             locks=Locks.start(joint_angles),
-            goal=joint_angles,
+            plan=Plan(joint_angles, joint_angles, np.zeros(len(joint_angles), bool)),
             imagined_for=target,
             drive=Drive.start(still),
+            contacts=Contacts.start(*joint_angles.shape),
         )
 
     @override
@@ -207,13 +216,19 @@ class BodyAgent(InternalModelAgent[BodyState]):
         delay, locks = state.delay, state.locks
         if parts.bridges_delay:
             delay = delay.observed(posture)
+        turn = commanded_turn(told, before.joint_angles, delay.command_then())
         if parts.finds_locks:
-            turn = commanded_turn(told, before.joint_angles, delay.command_then())
-            locks = locks.observed(posture, turn, delay.is_felt, told.lockable_joints)
+            is_wary = state.contacts.met > 0
+            locks = locks.observed(posture, turn, delay.is_felt, told.lockable_joints, is_wary)
         is_clear = (delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
         drive = state.drive.observed(speeds, posture.turn, is_clear, target.is_moving, told)
+        contacts = state.contacts
+        if parts.avoids:
+            lengths, counts = state.evidence.body.lengths, is_clear & ~locks.is_locked.any(axis=-1)
+            contacts = contacts.observed(posture.joint_angles, posture.turn, turn, lengths, counts)
+            drive = drive.recovered(contacts.is_new)
         after = after._replace(
-            posture=posture, target=target, delay=delay, locks=locks, drive=drive
+            posture=posture, target=target, delay=delay, locks=locks, drive=drive, contacts=contacts
         )
         return where(is_new, state._replace(looks=after.looks), after) if is_new.any() else after
 
@@ -228,12 +243,12 @@ class BodyAgent(InternalModelAgent[BodyState]):
 
     def _imagine(self, state: BodyState, body: Body) -> Intention:
         """Return where the joints are by now, and where they are to go."""
-        locks, lengths = state.locks, body.lengths
+        told, locks, lengths = self.interface, state.locks, body.lengths
         now = state.posture.joint_angles
         if state.delay.late.any():
-            now = state.delay.run_forward(self.interface, now)
+            now = state.delay.run_forward(told, now)
         held = locks.is_locked if locks.is_locked.any() else None
-        goal = state.goal
+        goal = state.plan.goal
         if held is not None:
             now = np.where(held, locks.place, now)
             goal = np.where(held, now, goal)
@@ -246,6 +261,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
             goal = goal.copy()
             goal[misses] = self.imagination.settle(arms, FOLLOW)
         begins = state.target.has_jumped | (state.looks[:, 0] == 1)
+        begins |= state.contacts.is_new
         begins |= locks.has_changed.any(axis=-1) | (np.abs(aim - state.imagined_for) > FARTHER)
         if begins.any():
             arms = Arms(now, aim, lengths, held).of(begins)
@@ -253,25 +269,30 @@ class BodyAgent(InternalModelAgent[BodyState]):
             kept = self.imagination.cost(arms, goal[begins])
             goal = goal.copy()
             goal[begins] = np.where((cost < kept - BETTER)[:, None], new, goal[begins])
-        return Intention(now, goal, begins, np.where(begins, aim, state.imagined_for))
+        plan = state.plan._replace(goal=goal).arrived(told, now)
+        plan = self.ways.planned(plan, state.contacts, Arms(now, aim, lengths, held), begins)
+        begins = begins | (state.plan.is_indirect & ~plan.is_indirect)
+        return Intention(now, plan, begins, np.where(begins, aim, state.imagined_for))
 
     def _drive(self, state: BodyState, body: Body, intended: Intention) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
         told, parts, drive, locks = self.interface, self.parts, state.drive, state.locks
-        now, goal = intended.joint_angles, intended.goal
-        left = told.turn(now, goal)
+        now, plan = intended.joint_angles, intended.plan
+        left = told.turn(now, plan.next)
         joint_targets: Floats = now + left
         if parts.drives:
-            goes_on = state.target.is_moving & ~intended.begins
-            moves = np.where(goes_on[:, None], told.turn(state.goal, goal), 0.0)
+            goes_on = state.target.is_moving & ~intended.begins & ~plan.is_indirect
+            moves = np.where(goes_on[:, None], told.turn(state.plan.goal, plan.goal), 0.0)
             turn = drive.turn(left, moves, told)
+            is_wary = state.contacts.met > 0
             if parts.vigour < 1:
                 way = imagined_way(now, left, body.lengths)
-                direct = np.abs(hand(goal, body.lengths) - hand(now, body.lengths))
+                direct = np.abs(hand(plan.next, body.lengths) - hand(now, body.lengths))
                 drive = drive.began(intended.begins, direct, left, told, parts.vigour)
-                wanted = left * share_of_turn(way, drive.elapsed, drive.duration)[:, None]
-                part = np.abs(turn) / np.maximum(np.abs(wanted), 1e-9)
-                turn = wanted * np.minimum(part.min(axis=-1, keepdims=True), 1.0)
+                share = share_of_turn(way, drive.elapsed, drive.duration)[:, None]
+                turn = in_proportion(turn, left * share)
+            elif is_wary.any():  # straight, as imagined
+                turn = np.where(is_wary[:, None], in_proportion(turn, left), turn)
             noise = state.posture.deviation
             joint_targets, drive = drive.targets(now, turn, left, noise, told)
         if locks.is_locked.any():
@@ -282,7 +303,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         return joint_targets, state._replace(
             delay=state.delay.sent(command, asked, state.posture),
             drive=drive,
-            goal=goal,
+            plan=intended.plan,
             imagined_for=intended.aim,
         )
 

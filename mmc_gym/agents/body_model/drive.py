@@ -156,6 +156,11 @@ class Drive(NamedTuple):
         idle = old + RECOVERED * recovers[:, None] * (STRONGEST - old)
         return after._replace(acceleration=np.where(saturates, shown, idle))
 
+    def recovered(self, arms: Bools) -> Drive:
+        """Return the memory in which joints of some arms (n,) are as strong as at first."""
+        strong = np.where(arms[:, None], STRONGEST, self.acceleration)
+        return self._replace(acceleration=strong) if arms.any() else self
+
     def began(
         self, begins: Bools, way: Floats, left: Floats, told: ReachInterface, vigour: float
     ) -> Drive:
@@ -216,6 +221,14 @@ class Drive(NamedTuple):
             lead = left + trust * (lead - left)
         lead = np.clip(lead, -LONGEST, LONGEST)
         return joint_angles + lead, self._replace(lead=lead)
+
+
+def in_proportion(turn: Floats, way: Floats) -> Floats:
+    """Return turns along a way, radians, (n, N), of which no joint turns by more than `turn`."""
+    size = np.abs(way)
+    part = np.divide(np.abs(turn), size, out=np.ones_like(size), where=size > 1e-9)
+    along: Floats = way * np.minimum(part.min(axis=-1, keepdims=True), 1.0)
+    return along
 
 
 def imagined_way(joint_angles: Floats, left: Floats, lengths: Floats) -> Floats:

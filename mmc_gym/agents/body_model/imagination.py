@@ -22,9 +22,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmc_gym.agents.body_model.senses import Bools, Points
 from mmc_gym.interface import ReachInterface
@@ -66,8 +67,8 @@ class Arms(NamedTuple):
     lengths: Floats
     held: Bools | None
 
-    def of(self, chosen: Bools) -> Arms:
-        """Return some of the arms."""
+    def of(self, chosen: NDArray[Any]) -> Arms:
+        """Return some of the arms, by a mask or by indices."""
         held = None if self.held is None else self.held[chosen]
         return Arms(self.joint_angles[chosen], self.aim[chosen], self.lengths[chosen], held)
 
@@ -160,6 +161,12 @@ class Imagination:
 
     def best(self, arms: Arms) -> tuple[Floats, Floats]:
         """Return the nearest of the imagined postures (n, N), and what each costs, (n,)."""
+        postures, costs = self.all(arms)
+        chosen, every = costs.argmin(axis=0), np.arange(len(arms.aim))
+        return postures[chosen, every], costs[chosen, every]
+
+    def all(self, arms: Arms) -> tuple[Floats, Floats]:
+        """Return all imagined postures (starts, n, N), and what each costs, (starts, n)."""
         starts = arms.joint_angles + self.offsets[:, None]
         held = arms.held
         if held is not None:
@@ -167,9 +174,7 @@ class Imagination:
             held = np.broadcast_to(held, starts.shape)
         aims = np.broadcast_to(arms.aim, starts.shape[:-1])
         postures = self.settle(Arms(starts, aims, arms.lengths, held), SETTLE)
-        costs = self.cost(arms, postures)
-        chosen, every = costs.argmin(axis=0), np.arange(len(arms.aim))
-        return postures[chosen, every], costs[chosen, every]
+        return postures, self.cost(arms, postures)
 
     def cost(self, arms: Arms, postures: Floats) -> Floats:
         """Return what it costs arms to turn to postures (..., n, N), radians, (..., n)."""

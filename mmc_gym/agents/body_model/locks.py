@@ -21,6 +21,8 @@ ASKED, ASKED_IF_TOLD = 0.4, 0.15
 """Turn that is asked of a joint before it is taken as locked, radians; and of one told to lock."""
 ASKED_PER_NOISE = 10.0
 """What the noise of the joint angles adds to that."""
+WARY = 4.0
+"""So many times more is asked of the joints of an arm that has met obstacles."""
 STILL, STILL_PER_ASKED = 0.004, 0.12
 """A joint within this of where it was is still, radians, and with this share of what was asked."""
 SLOW, SLOW_PER_NOISE = 0.25, 15.0
@@ -57,7 +59,12 @@ class Locks(NamedTuple):
         return cls(joint_angles, np.zeros_like(joint_angles), free, free)
 
     def observed(
-        self, posture: PostureTrack, expected: Floats, is_felt: Bools, lockable: tuple[int, ...]
+        self,
+        posture: PostureTrack,
+        expected: Floats,
+        is_felt: Bools,
+        lockable: tuple[int, ...],
+        is_wary: Bools | None = None,
     ) -> Locks:
         """Return what is known after another look.
 
@@ -66,6 +73,7 @@ class Locks(NamedTuple):
             expected: by how much the servo model has the joints turned, radians, (n, N).
             is_felt: whether the arm has been felt to move, (n,).
             lockable: the only joints that can lock, where that was told.
+            is_wary: whether the arm has met obstacles, (n,); None: none has.
         """
         noise = posture.deviation[:, :1]
         seen, speed = posture.joint_angles, np.abs(posture.speeds)
@@ -77,6 +85,8 @@ class Locks(NamedTuple):
         freed = self.is_locked & (away > 2 * tolerance + FREED)
         asked = np.where(counts & ~freed, self.asked + expected, 0.0)
         enough = (ASKED_IF_TOLD if lockable else ASKED) + ASKED_PER_NOISE * noise
+        if is_wary is not None:
+            enough = enough * np.where(is_wary, WARY, 1.0)[:, None]
         holds = counts & (np.abs(asked) > enough)
         if lockable:
             holds[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False

@@ -65,6 +65,8 @@ SETTLED = 4
 """Observations without a jump after which the third difference is noise alone."""
 SAME = 1e-5
 """Places that differ by less are the same, segment lengths: observations are in float32."""
+FAST = 2.5
+"""A joint that is faster than this moves, however noisy it is, rad/s."""
 EARLY = 6
 """Observations after which noise is not taken for a movement any more."""
 
@@ -269,7 +271,7 @@ class Delay(NamedTuple):
         """Return the memory after another look at the posture."""
         if self.is_felt.all() and (posture.age > EARLY).all():
             return self
-        moves = np.abs(posture.speeds).max(axis=-1) > _onset(posture)
+        moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         late = np.where(self.is_felt, self.late, np.clip(self.due - 1, 0, LONGEST_DELAY))
         # A first look may have taken noise for movement: so at first it has to go on.
         keeps = (posture.age[:, 0] > EARLY) | (posture.noise[:, 0] < SAME**2)
