@@ -172,7 +172,10 @@ class BodyEvidence(NamedTuple):
         looks = ~is_told & ((age < FREQUENT) | (age % 4 == 0))
         body = self.body
         if is_told.any():
-            as_told = BodyEvidence.start(tuple(told), len(is_told)).body
+            origin = np.zeros(len(age), complex)
+            as_told = Body(np.tile(told, (len(age), 1)), origin + 1, origin)
+            if is_told.all():
+                return as_told
             body = where(is_told, as_told, body)
         if looks.any():
             best = _most_likely(Sums(*(values[looks] for values in sums)), told)
