@@ -37,7 +37,7 @@ WANTED = 0.25
 """Way that a point in contact was to go, segment lengths."""
 STOPPED = 0.06
 """r of a point in contact."""
-LONG = 8
+LONG = 12
 """Control steps after which what does not move is no heavy load that gathers speed."""
 RADIUS = 0.28
 """Radius of what stands in the way, half the segment's thickness included, segment lengths."""
