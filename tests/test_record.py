@@ -46,6 +46,7 @@ def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
         assert np.abs(shown - pictures[number]).mean() < 1.0  # of 256; it has but 256 colours
 
 
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # of ffmpeg's pipes, by imageio
 def test_an_mp4_has_the_rate_of_the_environment(tmp_path, pictures):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     frames = ffmpeg.read_frames(str(record(tmp_path / "film.mp4", Turner(), seed=3)))
@@ -82,7 +83,7 @@ def test_the_command_names_the_file_the_agent_and_the_missing_extra(tmp_path, mo
         (["film.avi"], "out must be a file that ends in .gif or .mp4, got 'film.avi'"),
         (["film.mp4"], 'pip install "mmc-gym[video]"'),
         (["film.gif", "--agent", "mcc"], "mcc"),
-        (["film.gif", "--episodes", "0"], "episodes must be at least 1, got 0"),
+        (["film.gif", "--episodes", "0"], "episodes must be a whole number of at least 1, got 0"),
     ):
         with pytest.raises(SystemExit):
             main(["record", *arguments])
