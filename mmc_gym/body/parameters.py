@@ -58,9 +58,9 @@ class ArmParameters:
         segment_masses: N positive masses of the uniform rods, or None for 1 each.
         speed_limit: largest joint speed that a servo asks for, rad/s.
         torque_limit: largest torque of a servo, mass · length² / s².  None: 500, and for an arm
-            that is heavier to turn than the default one as much more as its inertia about the base
-            is larger, stretched; 18,519 for ten segments.  A changed arm (`dataclasses.replace`,
-            perturbations) keeps the limit that it had.
+            of default masses that is heavier to turn than the default one as much more as its
+            inertia about the base is larger, stretched; 18,519 for ten segments.  A changed arm
+            (`dataclasses.replace`, perturbations) keeps the limit that it had.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         joint_limits: lowest and highest angle of each joint, or None for continuous joints.
         gravity: acceleration (x, y), length / s².
@@ -108,9 +108,10 @@ class ArmParameters:
             require(len(masses) == count, "segment_masses", masses, accepted)
             write("segment_masses", masses)
         if self.torque_limit is None:
-            write(
-                "torque_limit", 500.0 * max(1.0, self._stretched_inertias()[0] / _DEFAULT_INERTIA)
-            )
+            # Strong servos would tear light segments among heavy ones apart in pymunk.
+            is_plain = self.segment_masses is None
+            heavier = self._stretched_inertias()[0] / _DEFAULT_INERTIA if is_plain else 1.0
+            write("torque_limit", 500.0 * max(1.0, heavier))
         for name in ("speed_limit", "torque_limit", "servo_gain", "substep", "segment_radius"):
             write(name, require_positive(name, getattr(self, name)))
         require_not_negative(drive_inertia=self.drive_inertia, hand_mass=self.hand_mass)

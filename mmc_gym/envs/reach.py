@@ -35,7 +35,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     it is in real arms, and so the solver comes near the exact movement in a few sweeps.  A servo
     at each joint follows the action with at most 2π rad/s and a torque of at most 500
     (mass · length² / s²): the whole stretched arm turns by 90° in 0.40 s, to within 0.05 rad.
-    Arms that are heavier to turn get stronger servos (`ArmParameters.torque_limit`).
+    Arms of more or longer segments get stronger servos (`ArmParameters.torque_limit`).
 
     ## Action Space
     `Box(-1, 1, (3,), float32)`, from the base outward.  `control` says what it means:
