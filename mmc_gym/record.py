@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, missing
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
@@ -127,12 +127,13 @@ def mp4(pictures: Iterable[Picture], frame_rate: int) -> bytes:
 
 
 def _require_ffmpeg() -> Any:
-    """Return what writes films, or raise a `UserError` that names the extra."""
+    """Return what writes films; a GIF needs nothing more.
+
+    Raises:
+        MissingExtraError: if it is not installed.
+    """
     try:
         from imageio_ffmpeg import write_frames
     except ImportError as error:
-        raise UserError(
-            'a film that ends in .mp4 takes the extra "video": pip install "mmc-gym[video]"; '
-            ".gif takes nothing more"
-        ) from error
+        raise missing("a film that ends in .mp4", "imageio_ffmpeg", "video") from error
     return write_frames

@@ -10,6 +10,7 @@ number of steps, and the YAML files of rl_zoo3.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import inspect
 import io
@@ -175,16 +176,11 @@ def agent_of_model(model: Any) -> ModelAgent:
     normalizer = None if env is None else model.get_vec_normalize_env()
     return ModelAgent(
         getattr(model, "policy", model),
-        _without_env(normalizer),
+        copy.deepcopy(normalizer),  # without its environment, as it is pickled
         label=type(model).__name__,
         training_steps=int(getattr(model, "num_timesteps", 0)),
         trained_in=World() if env is None else _world(env),
     )
-
-
-def _without_env(normalizer: Any) -> Any:
-    """Return a copy that can be pickled; None for None."""
-    return None if normalizer is None else pickle.loads(pickle.dumps(normalizer))
 
 
 def _world(env: Any) -> World:

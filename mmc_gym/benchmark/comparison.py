@@ -17,7 +17,7 @@ import pandas as pd
 from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns, text_for
-from mmc_gym._errors import UserError
+from mmc_gym._errors import require_choice
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES
@@ -182,9 +182,7 @@ class Comparison:
         Raises:
             UserError: for another value.
         """
-        accepted = ("estimate", "low", "high", "count", "missing")
-        if value not in accepted:
-            raise UserError(f"value must be one of {', '.join(accepted)}, got {value!r}")
+        require_choice("value", value, ("estimate", "low", "high", "count", "missing"))
         frame = self.summary.pivot(index="agent", columns="measure", values=value)
         return frame.loc[list(self.recorded), list(self.summary["measure"].unique())]
 
@@ -260,8 +258,7 @@ class Comparison:
 
     def _measures(self, names: Sequence[str] | None) -> tuple[Measure, ...]:
         for name in names or ():
-            if name not in MEASURES:
-                raise UserError(f"measures must be of {', '.join(MEASURES)}, got {name!r}")
+            require_choice("measures", name, MEASURES)
         return shown_measures() if names is None else tuple(MEASURES[name] for name in names)
 
     def _table(

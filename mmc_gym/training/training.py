@@ -27,7 +27,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, unwrap_vec_wrapper
 
-from mmc_gym._errors import UserError, is_whole, require, require_whole
+from mmc_gym._errors import UserError, is_whole, missing, require, require_whole
 from mmc_gym._files import check_folder
 from mmc_gym._grid import one_torch_thread
 from mmc_gym.agents.policy import (
@@ -94,7 +94,7 @@ class Training:
         fine = is_whole(self.seed) and 0 <= self.seed < 2**32
         require(fine, "seed", self.seed, "from 0 to 2**32 - 1")
         if self.tensorboard is not None and find_spec("tensorboard") is None:
-            raise UserError('logs for TensorBoard take an extra: pip install "mmc-gym[training]"')
+            raise missing("a log for TensorBoard", "tensorboard", "training")
         self.device = usable_device(self.device)
         self.settings = self.recipe.settings
         try:
