@@ -1,4 +1,16 @@
-"""Bring your own agents, environment, reward, task, perturbation and measure, and compare them."""
+"""
+How do I use my own things on the command line?
+===============================================
+
+Put them into a module, and name it: your agents, environment, reward, task, perturbation and
+measure. ``--import`` reads the module in every command, and ``module:name`` stands for what is in
+it.
+
+.. code-block:: sh
+
+    mmc-gym compare --agents mmc examples.bring_your_own:still --env examples.bring_your_own:Squared
+    mmc-gym benchmark --import examples.bring_your_own --agents mmc --environments ahead weak-30
+"""
 
 from dataclasses import dataclass, replace
 

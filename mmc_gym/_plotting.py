@@ -72,7 +72,11 @@ class ShownFigure(Figure):
 
 
 def paths_and_profiles(
-    movements: Mapping[str, Sequence[Movement]], reach: float, tolerance: float, control_step: float
+    movements: Mapping[str, Sequence[Movement]],
+    reach: float,
+    tolerance: float,
+    control_step: float,
+    figure: Figure | None = None,
 ) -> Figure:
     """Draw hand paths above and the speed profile over all movements below, a column per agent.
 
@@ -81,12 +85,14 @@ def paths_and_profiles(
         reach: radius of the disc that the hand can reach, segment lengths.
         tolerance: distance from the target that counts as success, segment lengths.
         control_step: seconds.
+        figure: to draw on; a new one if None.
     """
     columns = len(movements)
-    width = max(2.3 * columns, 5.0)
     with rc_context(STYLE):
-        figure = ShownFigure(figsize=(width, 5.2), layout="constrained")
-        FigureCanvasAgg(figure)
+        if figure is None:
+            figure = ShownFigure(figsize=(max(2.3 * columns, 5.0), 5.2), layout="constrained")
+            FigureCanvasAgg(figure)
+        width = figure.get_figwidth()
         axes = figure.subplots(
             2, columns, squeeze=False, sharex="row", sharey="row", height_ratios=(1.3, 1)
         )

@@ -48,10 +48,10 @@ def differences(drawn: Path, name: str) -> np.ndarray:
 
 def test_the_contact_sheet_shows_every_scenario_as_it_is(tmp_path):
     drawn = tmp_path / "sheet.png"
-    example = ROOT / "examples" / "contact_sheet.py"
+    example = ROOT / "examples" / "arm" / "plot_contact_sheet.py"
     subprocess.run([sys.executable, example, drawn], check=True, capture_output=True)
     found = differences(drawn, "contact-sheet.png").max()
-    assert found < ALIKE, "draw it anew: python examples/contact_sheet.py docs/contact-sheet.png"
+    assert found < ALIKE, f"draw it anew: python {example} docs/contact-sheet.png"
 
 
 @pytest.mark.slow

@@ -206,8 +206,13 @@ class Comparison:
             text = text.replace(sign, latex)
         return text
 
-    def plot(self) -> Figure:
-        """Return a figure: hand paths above, speed profiles below, a column for each agent."""
+    def plot(self, figure: Figure | None = None) -> Figure:
+        """Return a figure: hand paths above, speed profiles below, a column for each agent.
+
+        Args:
+            figure: to draw on, such as `plt.figure(layout="constrained")`, which `plt.show()` then
+                shows; a new one if None.
+        """
         from mmc_gym._plotting import Movement, paths_and_profiles
 
         movements = {
@@ -215,7 +220,7 @@ class Comparison:
             for agent, episodes in self.recorded.items()
         }
         one = next(iter(self.recorded.values()))[0]
-        return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step)
+        return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step, figure)
 
     def print(self, console: Console | None = None) -> None:
         """Print headline, table and note; to standard output by default."""

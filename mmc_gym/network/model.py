@@ -103,6 +103,11 @@ class MMCState:
         return np.moveaxis(self.values[: self.segment_count].sum(axis=0), 0, -1)
 
     @property
+    def nodes(self) -> Floats:
+        """Base, joints and hand of this posture, shape (..., N + 1, 2)."""
+        return chain.node_positions(self.segments)
+
+    @property
     def batch_shape(self) -> tuple[int, ...]:
         """Leading axes of the other properties."""
         return self.values.shape[2:]

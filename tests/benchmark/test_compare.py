@@ -7,6 +7,7 @@ import sys
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from mmc_gym._console import cell
@@ -173,6 +174,9 @@ def test_its_frame_has_a_row_for_each_agent_and_its_figure_a_column(oracle, froz
         found.to_frame("mean")
     titles = [axes.get_title() for axes in found.plot().axes[:3]]
     assert titles == list(frame.index)
+    given = Figure(figsize=(9, 5))
+    assert found.plot(given) is given
+    assert [axes.get_title() for axes in given.axes[:3]] == titles
 
 
 @pytest.mark.parametrize(("encoding", "unit"), [("utf-8", "[µs]"), ("latin-1", "[us]")])

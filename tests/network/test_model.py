@@ -235,6 +235,14 @@ def test_an_inverse_task_is_a_clamp_of_the_end_effector(shape, dtype):
         assert not np.shares_memory(inverse.values, targets)
 
 
+def test_the_nodes_are_the_base_each_joint_and_the_hand():
+    state = network_of(4).state_from_segments(random_segments((5, 4)))
+    assert state.nodes.shape == (5, 5, 2)
+    np.testing.assert_array_equal(state.nodes[:, 0], 0)
+    np.testing.assert_allclose(np.diff(state.nodes, axis=-2), state.segments)
+    np.testing.assert_allclose(state.nodes[:, -1], state.end_effector)
+
+
 def test_a_target_out_of_reach_is_pointed_at():
     network = MMCNetwork()
     state = network.state_from_joint_angles([0.3, 0.6, 0.6])

@@ -1,0 +1,50 @@
+"""
+Which tasks and perturbations are there?
+========================================
+
+One picture of each, a moment after the start. The thin arm is the network's internal model, ahead
+of the body; the cross is the target. A task says where the target is, a perturbation what goes
+wrong.
+
+``python examples/arm/plot_contact_sheet.py docs/contact-sheet.png`` writes the sheet of the
+README.
+"""
+
+import sys
+from math import ceil
+
+import matplotlib.pyplot as plt
+
+from mmc_gym.envs.scenarios import PERTURBATION_NAMES
+from mmc_gym.envs.tasks import TASKS
+from mmc_gym.listing import picture
+
+# %%
+# Most look best after some steps, and two when they start from a certain place.
+
+COLUMNS, STEPS = 6, 11
+OTHER_STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}
+OPTIONS = {
+    "random": {"joint_angles": [0.2, 0.4, 0.4], "target": (-1.5, 1.8)},
+    "centre-out": {"trial": 3},
+    "paper": {"trial": 130},
+}
+
+# %%
+# ``mmc-gym show NAME`` tells all about one of them, and ``mmc-gym list tasks`` what there is.
+
+names = [*TASKS, *PERTURBATION_NAMES]
+rows = ceil(len(names) / COLUMNS)
+figure, axes = plt.subplots(rows, COLUMNS, figsize=(1.6 * COLUMNS, 1.8 * rows), dpi=125)
+for axis in axes.flat:
+    axis.axis("off")
+for axis, name in zip(axes.flat, names):
+    drawn = picture(name, OTHER_STEPS.get(name, STEPS), OPTIONS.get(name))
+    axis.imshow(drawn[28:-28, 28:-28])
+    axis.set_title(name, fontsize=8)
+figure.tight_layout(pad=0.3)
+print(f"{len(TASKS)} tasks, {len(PERTURBATION_NAMES)} perturbations")
+
+if len(sys.argv) > 1:
+    figure.savefig(sys.argv[1], format="png")
+plt.show()

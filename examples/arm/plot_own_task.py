@@ -1,0 +1,58 @@
+"""
+How do I add a task of my own?
+==============================
+
+Write a class that draws a trial: a posture to start from, and a path of targets. Give it a name,
+and every command, environment and benchmark knows it. Here the target goes round in a circle.
+"""
+
+from dataclasses import dataclass
+
+import gymnasium as gym
+import matplotlib.pyplot as plt
+import numpy as np
+
+import mmc_gym
+from mmc_gym.envs import register_task
+from mmc_gym.envs.tasks import Task, Trial
+
+# %%
+# The path has a place for each control step. It starts over at its end, as the task is `periodic`.
+# All randomness comes from `request.random`, so that the same seed gives the same trial.
+
+
+@dataclass(frozen=True)
+class Circle(Task):
+    """The target goes round a circle about a point beside the base."""
+
+    seconds: float = 2.0
+    radius: float = 0.6
+    periodic = True
+    episode_steps = 200
+
+    def path_length(self, control_step):
+        return round(self.seconds / control_step)
+
+    def draw(self, request):
+        first = request.random.uniform(0, 2 * np.pi)
+        angles = first + np.linspace(0, 2 * np.pi, self.path_length(0.02), endpoint=False)
+        targets = [(1.5 + self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles]
+        return Trial(request.draw_posture(), targets)
+
+
+register_task("circle", Circle(), "the target goes round a circle")
+
+# %%
+# The name is an id, too. Whoever acts in the environment need not know what the task is.
+
+figure, axes = plt.subplots(figsize=(5, 4.4), layout="constrained")
+for name, line in {"mmc": "-", "ppo": "--"}.items():
+    env = gym.make("MMCReachCircle-v0")
+    (episode,) = mmc_gym.run_episodes(mmc_gym.make_agent(name, env), env, seeds=[3])
+    behind = np.median(episode.distances[100:])
+    print(f"{name}: {behind:.2f} segment lengths behind the target, in the median")
+    axes.plot(*episode.hands.T, line, label=f"hand of {name}")
+axes.plot(*episode.targets.T, ":", color="black", label="target")
+axes.set(xlabel="x [segment lengths]", ylabel="y [segment lengths]", aspect="equal")
+axes.legend()
+plt.show()

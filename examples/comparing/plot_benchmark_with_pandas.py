@@ -1,0 +1,49 @@
+"""
+How do I read a benchmark with pandas?
+======================================
+
+Its store is a folder of Parquet files, a row for each episode. ``read_episodes`` reads it into one
+data frame, and so does pandas alone. What follows is a groupby.
+"""
+
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.benchmark.store import read_episodes
+
+# %%
+# A small benchmark, as ``mmc-gym benchmark --agents mmc ik-dls mmc-body --environments …`` runs
+# it. Usually you have a folder already, ``runs/benchmark``.
+
+agents = ["mmc", "ik-dls", "mmc-body"]
+scenarios = ["random", "rotation-2", "rotation-10", "longer-6", "locks-2", "hand-mass-6"]
+with tempfile.TemporaryDirectory() as folder:
+    benchmark(agents, Path(folder), scenarios, episodes=20, jobs=1)
+    episodes = read_episodes(folder)
+print(episodes.shape, list(episodes.columns[:6]))
+
+# %%
+# Success by scenario, and time to target of those episodes that have one.
+
+success = episodes.pivot_table(index="environment", columns="agent", values="success")
+success = success.loc[scenarios, agents]
+print(success.round(2))
+print(episodes.groupby("agent")["time_to_target"].describe()[["count", "50%"]].round(2))
+
+# %%
+# The i-th episode has the same start and target in all of them, so agents can be compared in
+# pairs.
+
+figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+(100 * success).plot.bar(ax=axes, rot=0, color=["0.85", "0.55", "0.2"], edgecolor="black")
+axes.set(xlabel="scenario", ylabel="success [%]")
+axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
+pairs = episodes.pivot_table(
+    index=["environment", "instance"], columns="agent", values="final_distance"
+)
+nearer = (pairs["mmc-body"] < pairs["mmc"]).mean()
+print(f"mmc-body ends nearer to its target than mmc in {nearer:.0%} of the episodes")
+plt.show()

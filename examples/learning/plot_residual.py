@@ -1,0 +1,50 @@
+"""
+What does a policy on top of the network save?
+==============================================
+
+The learning of how to reach. ``ppo-residual`` sees what the network proposes, and corrects it: so
+it reaches from the first step on, and only learns to be quicker. PPO alone has to find out
+everything.
+"""
+
+import matplotlib.pyplot as plt
+
+import mmc_gym
+from mmc_gym.agents.policy import PRETRAINED
+from mmc_gym.training.curves import read_cards
+
+# %%
+# Each training was evaluated now and then in the same 200 episodes, and the policy's card keeps it
+# all. ``agent = mmc_gym.train("ppo-residual", seed=7)`` trains another one, with its
+# ``agent.card``.
+
+cards = read_cards(PRETRAINED)
+for name in ("ppo-residual", "ppo"):
+    first = cards[name][0].learning_curve[0]
+    print(f"{name}: {first['success']:.0%} of the targets after {first['steps']:,} steps")
+
+# %%
+# What it stands on is the network: that proposes an action in every step. All that is learned is
+# what to add to it.
+
+comparison = mmc_gym.compare(["mmc", "ppo-residual", "ppo"], episodes=40)
+print(comparison.to_frame()[["success", "time_to_target", "path_ratio", "joint_work"]].round(2))
+alone = comparison.recorded["mmc"]
+share = sum((one.distances[1:] <= one.tolerance).mean() for one in alone) / len(alone)
+
+# %%
+# Five trainings of each. To be quicker than the network is to be at the target for longer.
+
+figure, panels = plt.subplots(1, 2, figsize=(9, 3.6), sharex=True, layout="constrained")
+for name, line in {"ppo-residual": "-", "ppo": "--"}.items():
+    for card in cards[name][:5]:
+        steps = [row["steps"] / 1000 for row in card.learning_curve]
+        for axes, score in zip(panels, ("success", "time_at_target")):
+            scores = [100 * row[score] for row in card.learning_curve]
+            label = name if card.seed == 0 else None
+            axes.plot(steps, scores, line, color="black", linewidth=1, label=label)
+panels[1].axhline(100 * share, color="tab:red", linestyle=":", label="mmc alone")
+for axes, label in zip(panels, ("success [%]", "time at the target [%]")):
+    axes.set(xlabel="environment steps [1,000]", ylabel=label, ylim=(-2, 102))
+panels[1].legend()
+plt.show()
