@@ -160,7 +160,7 @@ def test_observation_and_info_tell_the_state(
         assert info["reward_control"] == pytest.approx(-weight * np.mean(speeds**2), abs=1e-6)
         assert info["reward_precision"] == precision(env.setup, info["distance"])
         terms = (info[f"reward_{name}"] for name in ("distance", "precision", "control"))
-        assert reward == sum(terms)
+        assert reward == pytest.approx(sum(terms), rel=1e-12)
 
 
 @pytest.mark.parametrize("turn", [0.7, -2.0, math.pi])
@@ -322,7 +322,7 @@ def test_a_moved_target_is_seen_and_rewarded_at_the_next_step_and_nothing_else_c
             np.testing.assert_allclose(sensed.target, [1.0, -2.0], atol=1e-6)
             np.testing.assert_array_equal(observation[:9], seen[:9])
             terms = (info[f"reward_{name}"] for name in ("distance", "precision", "control"))
-            assert reward == sum(terms)
+            assert reward == pytest.approx(sum(terms), rel=1e-12)
     assert same(moved.reset(), other.reset())
 
 
