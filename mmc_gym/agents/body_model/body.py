@@ -40,7 +40,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmc_gym.agents.base import where
+from mmc_gym.agents.base import every, some, where
 from mmc_gym.agents.body_model.senses import Points
 from mmc_gym.network.chain import Floats
 
@@ -84,55 +84,40 @@ class Body(NamedTuple):
         return felt
 
 
-class Sums(NamedTuple):
-    """Running sums over the observations of an arm, with the older ones slowly forgotten.
+def _products(units: Points, hand: Points) -> Points:
+    """Return what an observation adds to the sums: z̄ zᵀ with z = (u_1 … u_N, x, 1).
 
-    Attributes:
-        products: G, (n, N, N).
-        hand_products: h, (n, N).
-        unit_sum: Σ u, (n, N).
-        hand_sum: Σ x, (n,).
-        hand_square: s, (n,).
-        weight: n, what the observations weigh together, (n,).
+    Args:
+        units: u, (n, N).
+        hand: x, (n,); or another place instead.
+
+    Returns:
+        (n, N + 2, N + 2).  In their sum, the first N rows and columns have the real part G, the
+        next column is h, and the next number on the diagonal s; the last row has Σ u, Σ x and n.
     """
-
-    products: Floats
-    hand_products: Points
-    unit_sum: Points
-    hand_sum: Points
-    hand_square: Floats
-    weight: Floats
-
-    def plus(self, units: Points, hand: Points) -> Sums:
-        """Return the sums with one more observation: units (n, N), and the hand (n,)."""
-        conjugate, keep = units.conj(), 1 - FORGET
-        return Sums(
-            keep * self.products + (conjugate[:, :, None] * units[:, None, :]).real,
-            keep * self.hand_products + conjugate * hand[:, None],
-            keep * self.unit_sum + units,
-            keep * self.hand_sum + hand,
-            keep * self.hand_square + hand.real**2 + hand.imag**2,
-            keep * self.weight + 1,
-        )
-
-    def unexplained(self, lengths: Floats) -> Floats:
-        """Return S, what lengths (n, N) or (N,) without a turn leave unexplained, (n,)."""
-        return _unexplained(self.products, self.hand_products, self.hand_square, lengths)
+    arms, count = units.shape
+    each = np.empty((arms, count + 2), complex)
+    each[:, :count], each[:, count], each[:, count + 1] = units, hand, 1.0
+    products: Points = each.conj()[:, :, None] * each[:, None, :]
+    return products
 
 
 class BodyEvidence(NamedTuple):
     """Running sums, and the body that they make most likely.
 
     Attributes:
-        age: observations so far, (n, 1).
-        sums: of the observations.
+        age: observations so far, (n,).
+        sums: of the observations, see `_products`, with the older ones slowly forgotten; in place
+            of the hand x there is e = x − ℓᵀu for the told ℓ, (n, N + 2, N + 2).
+        told: the body as told.
         body: what is believed.
         offset: mean of what it leaves unexplained, (n,).
         scatter: mean square about that, (n,).
     """
 
     age: Floats
-    sums: Sums
+    sums: Points
+    told: Body
     body: Body
     offset: Points
     scatter: Floats
@@ -140,22 +125,23 @@ class BodyEvidence(NamedTuple):
     @classmethod
     def start(cls, lengths: tuple[float, ...], arms: int) -> BodyEvidence:
         """Return that nothing speaks against what was told."""
-        told = np.tile(np.array(lengths), (arms, 1))
-        zero, origin, units = np.zeros(arms), np.zeros(arms, complex), np.zeros(told.shape, complex)
-        products = np.zeros((*told.shape, told.shape[-1]))
-        sums = Sums(products, units, units, origin, zero, zero)
-        return cls(np.zeros((arms, 1)), sums, Body(told, origin + 1, origin), origin, zero)
+        zero, origin = np.zeros(arms), np.zeros(arms, complex)
+        sums = np.zeros((arms, len(lengths) + 2, len(lengths) + 2), complex)
+        told = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin)
+        return cls(zero, sums, told, told, origin, zero)
 
-    def observed(self, joint_angles: Floats, hand: Points, told: Floats) -> BodyEvidence:
+    def observed(self, joint_angles: Floats, hand: Points) -> BodyEvidence:
         """Return the evidence after the hand was seen there, (n,), with this posture (n, N)."""
         units = np.exp(1j * np.cumsum(joint_angles, axis=-1))
-        sums, age = self.sums.plus(units, hand), self.age + 1
-        body = self._judged(sums, age[:, 0], told)
-        error = hand - body.seen(units)
-        rate = np.maximum(OFFSET_RATE, 1 / age[:, 0])
+        error = hand - (self.told.lengths * units).sum(axis=-1)
+        sums, age = (1 - FORGET) * self.sums + _products(units, error), self.age + 1
+        body = self._judged(sums, age)
+        if body is not self.told:
+            error = hand - body.seen(units)
+        rate = np.maximum(OFFSET_RATE, 1 / age)
         offset = self.offset + rate * (error - self.offset)
         scatter = self.scatter + rate * (np.abs(error - offset) ** 2 - self.scatter)
-        return BodyEvidence(age, sums, body, offset, scatter)
+        return BodyEvidence(age, sums, self.told, body, offset, scatter)
 
     @property
     def best(self) -> Body:
@@ -164,21 +150,18 @@ class BodyEvidence(NamedTuple):
         share = square / (square + self.scatter + EXACT)
         return self.body._replace(shift=self.body.shift + share * self.offset)
 
-    def _judged(self, sums: Sums, age: Floats, told: Floats) -> Body:
+    def _judged(self, sums: Points, age: Floats) -> Body:
         """Return the body that the sums make most likely."""
         # What is worth less than one parameter speaks for no other body.
-        worth = sums.weight * np.log1p(sums.unexplained(told) / EXACT)
-        is_told = worth < PENALTY + 2 * np.log1p(sums.weight)
+        count, unexplained = sums[:, -1, -1].real, sums[:, -2, -2].real
+        worth = count * np.log1p(unexplained / EXACT)
+        is_told = worth < PENALTY + 2 * np.log1p(count)
+        if every(is_told):
+            return self.told
         looks = ~is_told & ((age < FREQUENT) | (age % 4 == 0))
-        body = self.body
-        if is_told.any():
-            origin = np.zeros(len(age), complex)
-            as_told = Body(np.tile(told, (len(age), 1)), origin + 1, origin)
-            if is_told.all():
-                return as_told
-            body = where(is_told, as_told, body)
-        if looks.any():
-            best = _most_likely(Sums(*(values[looks] for values in sums)), told)
+        body = where(is_told, self.told, self.body) if some(is_told) else self.body
+        if some(looks):
+            best = _most_likely(sums[looks], self.told.lengths[0])
             body = Body(body.lengths.copy(), body.turn.copy(), body.shift.copy())
             body.lengths[looks], body.turn[looks], body.shift[looks] = best
         return body
@@ -194,17 +177,18 @@ def _unexplained(
     return unexplained
 
 
-def _most_likely(sums: Sums, told: Floats) -> Body:
-    """Return the most likely body of every arm."""
-    count, (arms, segments) = sums.weight, sums.hand_products.shape
+def _most_likely(sums: Points, told: Floats) -> Body:
+    """Return the most likely body of every arm; the told lengths are (N,)."""
+    arms, segments = len(sums), len(told)
+    to_hand = np.eye(segments + 2)  # x = e + ℓᵀu
+    to_hand[segments, :segments] = told
+    sums = to_hand @ sums @ to_hand.T
+    count, unit_sum, hand_sum = sums[:, -1, -1].real, sums[:, -1, :-2], sums[:, -1, -2]
 
-    # G, h and s as they are, and below them those about the means, for bodies with a shift.
-    mean = sums.unit_sum.conj() / count[:, None]
-    about = (mean[:, :, None] * sums.unit_sum[:, None, :]).real
-    g = np.concatenate([sums.products, sums.products - about])
-    h = np.concatenate([sums.hand_products, sums.hand_products - mean * sums.hand_sum[:, None]])
-    square = np.abs(sums.hand_sum) ** 2 / count
-    s = np.concatenate([sums.hand_square, sums.hand_square - square])
+    # The sums as they are, and below them those about the means, for bodies with a shift.
+    about = sums - sums[:, :, -1:] * sums[:, -1:, :] / count[:, None, None]
+    both = np.concatenate([sums, about])
+    g, h, s = both[:, :-2, :-2].real, both[:, :-2, -2], both[:, -2, -2].real
 
     # As told, turned, one segment, all segments, all segments and turned.
     inverse, ridge = np.linalg.inv(g + RIDGE * np.eye(segments)), RIDGE * told
@@ -234,5 +218,5 @@ def _most_likely(sums: Sums, told: Floats) -> Body:
     is_shifted, kind = best >= len(free), best % len(free)
     row = np.arange(arms) + arms * is_shifted
     likely = Body(lengths[row, kind], turn[row, kind], np.zeros(arms, complex))
-    shift = (sums.hand_sum - likely.seen(sums.unit_sum)) / count
+    shift = (hand_sum - likely.seen(unit_sum)) / count
     return likely._replace(shift=np.where(is_shifted, shift, 0.0))

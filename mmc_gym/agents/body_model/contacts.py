@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mmc_gym.agents.base import some
 from mmc_gym.agents.body_model.imagination import Arms, Imagination
 from mmc_gym.agents.body_model.senses import Bools, Points
 from mmc_gym.interface import ReachInterface
@@ -95,8 +96,10 @@ class Contacts(NamedTuple):
             lengths: of the segments, (n, N).
             counts: whether the joints are seen in time and without noise, (n,).
         """
-        lacks = (np.abs(asked - turn) > LACKED).any(axis=-1) & counts
-        if not lacks.any():
+        lacks = (np.abs(asked - turn).max(axis=-1) > LACKED) & counts
+        if not some(lacks):
+            if not (some(self.lacking) or some(self.is_new)):
+                return self
             return self._replace(
                 wanted=np.zeros_like(self.wanted),
                 actual=np.zeros_like(self.actual),
@@ -115,7 +118,7 @@ class Contacts(NamedTuple):
         point = ratio.argmin(axis=-1)
         lacking = (self.lacking + 1) * lacks
         is_new = (lacking >= LONG) & (ratio[every, point] < STOPPED)
-        if not is_new.any():
+        if not some(is_new):
             return Contacts(self.discs, wanted, actual, lacking, self.met, is_new)
         places = self._places(units, lengths).reshape(arms, -1)[every, point]
         disc = places + RADIUS * 1j * units[every, point // len(POINTS)] * side[every, point]
@@ -195,7 +198,7 @@ class Plan(NamedTuple):
 
     def arrived(self, told: ReachInterface, joint_angles: Floats) -> Plan:
         """Return the plan of arms in these postures, some of which may have made their detour."""
-        if not self.is_indirect.any():
+        if not some(self.is_indirect):
             return self
         left = np.abs(told.turn(joint_angles, self.detour)).max(axis=-1)
         return self._replace(is_indirect=self.is_indirect & (left > ARRIVED))
@@ -232,11 +235,11 @@ class Ways:
         good = costs < costs.min() + SIMILAR
         goals, costs = postures[good], costs[good]
         free = is_free(told, start, goals, lengths, discs)
-        if free.any():
+        if some(free):
             return [goals[np.where(free, costs, np.inf).argmin()]]
         detours = self.detours[is_free(told, start, self.detours, lengths, discs)]
         free = is_free(told, detours[:, None], goals, lengths, discs)
-        if not free.any():
+        if not some(free):
             return None
         way = np.abs(told.turn(start, detours)).max(axis=-1)[:, None]
         way = way + np.abs(told.turn(detours[:, None], goals)).max(axis=-1)

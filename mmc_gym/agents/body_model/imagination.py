@@ -27,6 +27,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mmc_gym.agents.base import every, some
 from mmc_gym.agents.body_model.senses import Bools, Points
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network import MMCNetwork
@@ -94,7 +95,7 @@ class NetworkSolver:
         # Single precision is that of the senses, and four times as quick.
         start = network.state_from_segments(_pairs(lengths * units))
         clamps = network.inverse(_pairs(aim))
-        if held is None and (lengths == network.segment_lengths).all():
+        if held is None and every(lengths == network.segment_lengths):
             settled = network.run(start, clamps, iterations)
         else:
             body = Embodiment(lengths, locked=held, joint_angles=joint_angles)
@@ -154,7 +155,7 @@ class Imagination:
             return postures
         within = self.interface.within_limits(postures)
         is_beyond = np.abs(wrap_angle(postures - within)) > BEYOND
-        if is_beyond.any():
+        if some(is_beyond):
             held = is_beyond if arms.held is None else arms.held | is_beyond
             within = self.solver(arms._replace(joint_angles=within, held=held), iterations)
         return self.interface.within_limits(within)
@@ -162,8 +163,8 @@ class Imagination:
     def best(self, arms: Arms) -> tuple[Floats, Floats]:
         """Return the nearest of the imagined postures (n, N), and what each costs, (n,)."""
         postures, costs = self.all(arms)
-        chosen, every = costs.argmin(axis=0), np.arange(len(arms.aim))
-        return postures[chosen, every], costs[chosen, every]
+        chosen, arm = costs.argmin(axis=0), np.arange(len(arms.aim))
+        return postures[chosen, arm], costs[chosen, arm]
 
     def all(self, arms: Arms) -> tuple[Floats, Floats]:
         """Return all imagined postures (starts, n, N), and what each costs, (starts, n)."""
@@ -202,7 +203,9 @@ def within_reach(aim: Points, lengths: Floats) -> Points:
     """Return the points nearest to these (...) that arms of these lengths (..., N) can reach."""
     distance, reach = np.abs(aim), lengths.sum(axis=-1)
     inner = np.maximum(2 * lengths.max(axis=-1) - reach, 0.0)
-    allowed = np.clip(distance, inner + MARGIN, reach - MARGIN)
+    allowed = np.minimum(np.maximum(distance, inner + MARGIN), reach - MARGIN)
+    if every(allowed == distance):
+        return aim
     direction = np.where(distance > 0, aim / np.maximum(distance, 1e-12), 1.0)
     near: Points = direction * allowed
     return near

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mmc_gym.agents.base import some
 from mmc_gym.agents.body_model.senses import Bools, PostureTrack
-from mmc_gym.network.chain import Floats, wrap_angle
+from mmc_gym.network.chain import Floats
 
 ASKED, ASKED_IF_TOLD = 0.4, 0.15
 """Turn that is asked of a joint before it is taken as locked, radians; and of one told to lock."""
@@ -75,23 +76,27 @@ class Locks(NamedTuple):
             lockable: the only joints that can lock, where that was told.
             is_wary: whether the arm has met obstacles, (n,); None: none has.
         """
-        noise = posture.deviation[:, :1]
-        seen, speed = posture.joint_angles, np.abs(posture.speeds)
+        noise, seen = posture.deviation, posture.joint_angles
         tolerance = STILL + 3 * noise
-        away = np.abs(wrap_angle(seen - self.place))
+        away = np.abs(seen - self.place)
         moves = away > tolerance + STILL_PER_ASKED * np.abs(self.asked)
-        moves |= speed > SLOW + SLOW_PER_NOISE * noise
+        moves |= np.abs(posture.speeds) > SLOW + SLOW_PER_NOISE * noise
         counts = ~moves & (is_felt[:, None] | (posture.age > LATEST))
-        freed = self.is_locked & (away > 2 * tolerance + FREED)
-        asked = np.where(counts & ~freed, self.asked + expected, 0.0)
+        was_locked = some(self.is_locked)
+        if was_locked:
+            freed = self.is_locked & (away > 2 * tolerance + FREED)
+            counts &= ~freed
+        asked = np.where(counts, self.asked + expected, 0.0)
         enough = (ASKED_IF_TOLD if lockable else ASKED) + ASKED_PER_NOISE * noise
         if is_wary is not None:
             enough = enough * np.where(is_wary, WARY, 1.0)[:, None]
         holds = counts & (np.abs(asked) > enough)
         if lockable:
             holds[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
+        if not was_locked:
+            return Locks(np.where(moves | holds, seen, self.place), asked, holds, holds)
         is_locked = (self.is_locked & ~freed) | holds
-        place = self.place + PLACED * wrap_angle(seen - self.place)
+        place = self.place + PLACED * (seen - self.place)
         place = np.where(
             self.is_locked & is_locked, place, np.where(moves | holds, seen, self.place)
         )

@@ -39,7 +39,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym.agents.base import where
+from mmc_gym.agents.base import every, some, where
 from mmc_gym.agents.body_model.drive import commanded_turn
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats, wrap_angle
@@ -84,7 +84,7 @@ class PostureTrack(NamedTuple):
     """What is known of where the joints are.
 
     Attributes:
-        joint_angles: filtered, radians, (n, N).
+        joint_angles: filtered, radians; they go on beyond ±π, (n, N).
         turn: by how much they turned in the last control step, radians, (n, N).
         seen: the angles as last seen, radians, (n, N).
         speeds: as last seen, rad/s, (n, N).
@@ -112,11 +112,17 @@ class PostureTrack(NamedTuple):
     def observed(self, joint_angles: Floats, speeds: Floats, control_step: float) -> PostureTrack:
         """Return what is known after another look, a control step later."""
         half = control_step / 2
-        turn = half * (speeds + self.speeds)
+        turn: Floats = half * (speeds + self.speeds)
         unclear = half * np.abs(speeds - self.speeds) + MODEL_ERROR
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
-        size = np.sort(np.clip(strange, 0.0, LARGEST), axis=-1)
+        size = np.sort(strange, axis=-1)
         middle = size[:, (size.shape[-1] - 1) // 2, None]
+        age = self.age + 1
+        if not some(middle > 0.0) and not some(self.noise):  # all is seen as it is
+            turn = wrap_angle(joint_angles - self.joint_angles)
+            exact = self.joint_angles + turn
+            return PostureTrack(exact, turn, joint_angles, speeds, self.noise, self.noise, age)
+        middle = np.clip(middle, 0.0, LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
         noise = self.noise + rate * (middle * middle / (2 * MIDDLE) - self.noise)
         doubt = np.where(self.age == 1, noise, self.doubt)
@@ -130,7 +136,7 @@ class PostureTrack(NamedTuple):
             speeds,
             noise,
             (1 - gain) * doubt,
-            self.age + 1,
+            age,
         )
 
     @property
@@ -153,6 +159,7 @@ class TargetTrack(NamedTuple):
         age: observations since the target appeared, or jumped, (n,).
         seen: observations in all, (n,).
         has_jumped: whether it did with the last observation, (n,).
+        is_moving: whether it is taken as one that moves, (n,).
     """
 
     history: Points
@@ -167,6 +174,7 @@ class TargetTrack(NamedTuple):
     age: Floats
     seen: Floats
     has_jumped: Bools
+    is_moving: Bools
 
     @classmethod
     def start(cls, target: Points) -> TargetTrack:
@@ -175,17 +183,13 @@ class TargetTrack(NamedTuple):
         history = np.repeat(target[:, None], 3, axis=1)
         errors = (zero, zero)
         age = (zero + 1.0, zero + 1.0)
-        return cls(history, target, zero, target, still, still, zero, *errors, *age, zero > 0)
-
-    @property
-    def is_moving(self) -> Bools:
-        """Whether the target is taken as one that moves, (n,)."""
-        return (self.error_moving < 0.5 * self.error_standing) & (self.age > SETTLED)
+        no = (zero > 0, zero > 0)
+        return cls(history, target, zero, target, still, still, zero, *errors, *age, *no)
 
     def observed(self, target: Points, control_step: float) -> TargetTrack:
         """Return what is known after another look, a control step later."""
         age, seen = self.age + 1, self.seen + 1
-        if np.abs(target[:, None] - self.history).max() < SAME and not self.velocity.any():
+        if np.abs(target[:, None] - self.history).max() < SAME and not some(self.velocity):
             return self._replace(age=age, seen=seen, has_jumped=np.zeros(len(target), bool))
         expected = self.place + self.velocity + self.curve
         error, stray = target - expected, target - self.mean
@@ -212,6 +216,7 @@ class TargetTrack(NamedTuple):
         velocity = self.velocity + 2 * self.curve + 1.5 * forget**2 * (1 + keep) * error
         standing = self.error_standing + 0.2 * (_square(stray) - self.error_standing)
         moving = self.error_moving + 0.2 * (_square(error) - self.error_moving)
+        moving = np.where(is_settled, moving, standing)
         after = TargetTrack(
             np.stack([older, last, target], axis=1),
             self.mean + gain * stray,
@@ -221,18 +226,21 @@ class TargetTrack(NamedTuple):
             self.curve + 0.5 * forget**3 * error,
             noise,
             standing,
-            np.where(is_settled, moving, standing),
+            moving,
             age,
             seen,
             jumps,
+            (moving < 0.5 * standing) & (age > SETTLED),
         )
-        if not jumps.any():
+        if not some(jumps):
             return after
         fresh = TargetTrack.start(target)._replace(noise=noise, seen=seen, has_jumped=jumps)
         return where(jumps, fresh, after)
 
     def ahead(self, steps: Floats) -> Points:
         """Return where the target will be some control steps (n,) after the last look, (n,)."""
+        if not some(self.is_moving):
+            return self.mean
         ahead = self.place + self.velocity * steps + self.curve * steps * steps
         place: Points = np.where(self.is_moving, ahead, self.mean)
         return place
@@ -269,7 +277,7 @@ class Delay(NamedTuple):
 
     def observed(self, posture: PostureTrack) -> Delay:
         """Return the memory after another look at the posture."""
-        if self.is_felt.all() and (posture.age > EARLY).all():
+        if every(self.is_felt) and every(posture.age > EARLY):
             return self
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         late = np.where(self.is_felt, self.late, np.clip(self.due - 1, 0, LONGEST_DELAY))
@@ -279,10 +287,13 @@ class Delay(NamedTuple):
         due = self.due + (self.due > 0)
         return self._replace(due=due, late=late, is_felt=is_felt)
 
-    def sent(self, command: Floats, speeds: Floats, posture: PostureTrack) -> Delay:
-        """Return the memory after commands (n, N) that ask the joints for these speeds, rad/s."""
+    def sent(self, command: Floats, posture: PostureTrack, told: ReachInterface) -> Delay:
+        """Return the memory after commands (n, N), see `command_of`, in these postures."""
         commands = np.concatenate([self.commands[:, 1:], command[:, None]], axis=1)
-        asks = np.abs(speeds).max(axis=-1) > CLEARLY * _onset(posture)
+        if every(self.due):
+            return Delay(commands, self.due, self.late, self.is_felt)
+        turn = commanded_turn(told, posture.joint_angles, command)
+        asks = np.abs(turn).max(axis=-1) > CLEARLY * _onset(posture) * told.control_step
         return self._replace(commands=commands, due=np.where(self.due > 0, self.due, asks))
 
     @property
@@ -292,6 +303,8 @@ class Delay(NamedTuple):
 
     def command_then(self) -> Floats:
         """Return the commands (n, N) that led to what was seen last."""
+        if not some(self.late):
+            return self.commands[:, -1]
         command: Floats = self.commands[np.arange(len(self.late)), LONGEST_DELAY - self.steps]
         return command
 
