@@ -79,7 +79,7 @@ $(VENV_READY):
 
 $(PACKAGE_READY): $(VENV_READY) pyproject.toml constraints.txt
 	@echo "Installing mmc-gym (PyTorch is large: the first time can take minutes)"
-	@$(PIP_INSTALL) -e '.[analytic]'
+	@$(PIP_INSTALL) -e '.[fast]'
 	@touch $@
 
 $(DEV_READY): $(PACKAGE_READY)
@@ -89,5 +89,5 @@ $(DEV_READY): $(PACKAGE_READY)
 
 $(BENCHMARK_READY): $(PACKAGE_READY)
 	@echo "Installing the environments to compare with"
-	@$(PIP_INSTALL) -e '.[analytic,benchmark]'
+	@$(PIP_INSTALL) -e '.[fast,benchmark]'
 	@touch $@

@@ -2,15 +2,15 @@
 
 Run it with `python benchmarks/network_speed.py`.  A copy of the state, `ndarray.copy()`, reads
 and writes each byte once, as any iteration must that keeps its input.  `run` iterates blocks of
-arms that stay in the cache; `step` is a single iteration, whose result is a new state.  The
-they take turns, and ratios are medians over the rounds of each round's own ratio.
+arms that stay in the cache; `step` is a single iteration, whose result is a new state.
+They take turns, and ratios are medians over the rounds of each round's own ratio.
 
 Below it, microseconds per action of the `mmc` agent beside the shipped PPO policy's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gymnasium as gym
 import numpy as np
@@ -20,6 +20,8 @@ from rich.table import Table
 from timing import interleaved
 
 from mmc_gym import make_agent
+from mmc_gym.agents.mmc import dynamic_mmc
+from mmc_gym.interface import ReachInterface
 from mmc_gym.network import MMCNetwork
 
 BATCHES = (1, 420, 10_000, 1_000_000)
@@ -28,6 +30,7 @@ NETWORKS = {
     "kinematic": MMCNetwork(),
     "dynamic": MMCNetwork(dynamics="paper"),
 }
+NETWORKS |= {f"{name}, numba": replace(one, engine="numba") for name, one in NETWORKS.items()}
 
 
 @dataclass
@@ -94,6 +97,9 @@ def agent_table(arguments: Arguments) -> Table:
         agent = make_agent(name, env)
         _, state = agent.predict(observation)
         calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
+    compiled = dynamic_mmc(ReachInterface.of(env), engine="numba")
+    _, begun = compiled.predict(observation)
+    calls["mmc, engine numba"] = lambda: compiled.predict(observation, begun)
     times = interleaved(calls, arguments.rounds, arguments.seconds)
     table = Table(title="predict for one observation")
     table.add_column("agent")

@@ -37,8 +37,8 @@ class MissingExtraError(UserError, ImportError):
 def missing(what: str, package: str, extra: str) -> MissingExtraError:
     """Return the error about something that needs a package of an extra.
 
-    >>> print(missing("engine 'analytic'", "numba", "analytic"))
-    engine 'analytic' needs numba, which is not installed: pip install "mmc-gym[analytic]"
+    >>> print(missing("--cluster ray", "ray", "cluster"))
+    --cluster ray needs ray, which is not installed: pip install "mmc-gym[cluster]"
     """
     return MissingExtraError(
         f'{what} needs {package}, which is not installed: pip install "mmc-gym[{extra}]"'

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -58,6 +58,7 @@ if TYPE_CHECKING:  # numpy is all that the network needs
 Rows: TypeAlias = "slice | NDArray[np.intp]"
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]
+NetworkEngine = Literal["numpy", "numba"]
 
 # Vectors are in one line within this angle, radians: some roundings of their dtype.
 _STRAIGHT = {"d": 1e-14, "f": 1e-5}
@@ -176,9 +177,13 @@ class MMCNetwork:
         velocity_damping: d_v (paper: 5).  Dynamic networks only.
         velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
         schedule: "synchronous" or "delayed".
+        engine: "numpy"; or "numba", which compiles the iterations of a Euclidean network, takes a
+            quarter of the time, and gives the same up to rounding (1e-12).  The first run of the
+            first network of N segments compiles for some seconds.
 
     Raises:
-        UserError: for fewer than two segments, a value outside its range, or an unknown argument.
+        UserError: for fewer than two segments, a value outside its range, or an unknown argument;
+            as `MissingExtraError`, for the engine "numba" where it is not installed.
 
     >>> network = MMCNetwork()
     >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -194,6 +199,7 @@ class MMCNetwork:
     velocity_damping: float = 5.0
     velocity_decay: float = 0.92
     schedule: Schedule = "synchronous"
+    engine: NetworkEngine = "numpy"
 
     def __post_init__(self) -> None:
         accepted = "two or more positive and finite lengths"
@@ -211,6 +217,12 @@ class MMCNetwork:
         require_number("velocity_damping", value, accepted, lambda d_v: least <= d_v < np.inf)
         value = self.velocity_decay
         require_number("velocity_decay", value, "between 0 and 1", lambda decay: 0 <= decay <= 1)
+        require_choice("engine", self.engine, get_args(NetworkEngine))
+        if self.engine == "numba":
+            accepted = "Euclidean for the engine 'numba'"
+            fine = type(self.normalizer) is EuclideanNormalizer
+            require(fine, "normalizer", self.normalizer, accepted)
+            import mmc_gym.network.compiled  # noqa: F401  (or say now that numba is missing)
 
     @property
     def segment_count(self) -> int:
@@ -320,15 +332,8 @@ class MMCNetwork:
             UserError: if state or clamps come from another kind of network, or `iterations` is no
                 whole number of at least 0.
         """
-        self._check(state, clamps)
-        require_whole("iterations", iterations, least=0)
+        self._check(state, clamps, iterations)
         values, clamped = state.values, clamps.values
-        iteration = compile_iteration(self, clamps.rows, values.dtype.char)
-        if len(values) != len(iteration.operator):
-            raise UserError(
-                f"state must come from a network of dynamics {self.dynamics!r} and schedule "
-                f"{self.schedule!r}, as this one, got {len(values)} rows"
-            )
         if clamped.ndim > 2 and clamped.shape[2:] != values.shape[2:]:
             batch = _common_batch(values, clamped)
             values, clamped = _broadcast(values, batch), _broadcast(clamped, batch)
@@ -337,6 +342,12 @@ class MMCNetwork:
         rows, size = len(result), result[0, 0].size
         source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
         held = clamped.reshape(len(clamped), 2, clamped[0, 0].size if clamps.rows else 1)
+        if self.engine == "numba":
+            from mmc_gym.network.compiled import prepare
+
+            prepare(self, clamps.rows)(source, held, out, iterations)
+            return MMCState(result, self.segment_count)
+        iteration = compile_iteration(self, clamps.rows, values.dtype.char)
         for start in range(0, size, _BLOCK):
             block = slice(start, start + _BLOCK)
             current = source[:, :, block].copy()
@@ -369,17 +380,37 @@ class MMCNetwork:
             postures[iteration] = state.segments
         return Trajectory(state, postures)
 
-    def _check(self, state: MMCState, clamps: Clamps) -> None:
-        """Raise a `UserError` if a state or clamps are none, or those of another arm."""
+    def _check(self, state: MMCState, clamps: Clamps, iterations: int) -> None:
+        """Raise a `UserError` if state or clamps are those of another network, or none."""
+        # Agents come here in every control step: where all is well, this asks little.
         if not isinstance(state, MMCState):
             accepted = "an MMCState, such as network.state_from_joint_angles([0.3, 0.6, 0.6])"
             require(False, "state", state, accepted)
         if not isinstance(clamps, Clamps):
             require(False, "clamps", clamps, "Clamps, such as network.inverse([1.0, 1.5])")
-        for name, one in (("state", state), ("clamps", clamps if clamps.rows else state)):
-            if one.segment_count != self.segment_count:
-                accepted = f"of {self.segment_count} segments, as this network is"
-                raise UserError(f"{name} must be {accepted}, got {one.segment_count} segments")
+        count = self.segment_count
+        if state.segment_count != count:
+            raise self._of_another("state", state)
+        if clamps.rows and clamps.segment_count != count:
+            raise self._of_another("clamps", clamps)
+        if type(iterations) is not int or iterations < 0:
+            require_whole("iterations", iterations, least=0)
+        if len(state.values) != self.row_count:
+            raise UserError(
+                f"state must come from a network of dynamics {self.dynamics!r} and schedule "
+                f"{self.schedule!r}, as this one, got {len(state.values)} rows"
+            )
+
+    def _of_another(self, name: str, one: MMCState | Clamps) -> UserError:
+        accepted = f"of {self.segment_count} segments, as this network is"
+        return UserError(f"{name} must be {accepted}, got {one.segment_count} segments")
+
+    @cached_property
+    def row_count(self) -> int:
+        """Number of rows of its states, see `MMCState`."""
+        count = self.segment_count
+        blocks = (self.schedule == "delayed") + (self.dynamics != "kinematic")
+        return count * (count + 1) // 2 + count * blocks
 
     def _out_of_line(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
         """Return states (rows, 2, ...), bent where they could never leave the line they lie in.
@@ -411,12 +442,8 @@ class MMCNetwork:
         is_stuck = are_in_line(values[1:count]) & are_in_line(clamped) & is_away
         if not is_stuck.any():
             return values
-        turns = chain.BEND * np.arange(1, count + 1, dtype=values.dtype)
-        angles = np.arctan2(values[:count, 1], values[:count, 0])
-        angles = np.moveaxis(angles, 0, -1) + turns
-        segments = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        segments *= np.array(lengths, dtype=values.dtype)[:, None]
-        return np.where(is_stuck, self.state_from_segments(segments).values, values)
+        bent = MMCState(values, count).joint_angles + chain.BEND
+        return np.where(is_stuck, self.state_from_joint_angles(bent).values, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -496,9 +523,7 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
     delayed = network.schedule == "delayed"
     dynamic = network.dynamics != "kinematic"
     size = vectors + count * (delayed + dynamic)
-    pending = {vectors + row for row in clamped if row < count} if delayed else set()
-    if {row for row in clamped if row >= vectors} != pending:
-        raise UserError(f"clamps must come from a network of schedule {network.schedule!r}")
+    check_clamped(network, clamped)
     identity = np.eye(size)
     segment, vector = slice(0, count), slice(0, vectors)
     new = slice(vectors, vectors + count) if delayed else segment
@@ -523,6 +548,15 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
         if row < count and dynamic:
             operator[size - count + row] = 0.0
     return operator
+
+
+def check_clamped(network: MMCNetwork, clamped: Sequence[int]) -> None:
+    """Raise a `UserError` if clamps are those of another schedule."""
+    count = network.segment_count
+    vectors = count * (count + 1) // 2
+    held = [row for row in clamped if row < count and network.schedule == "delayed"]
+    if {row for row in clamped if row >= vectors} != {vectors + row for row in held}:
+        raise UserError(f"clamps must come from a network of schedule {network.schedule!r}")
 
 
 def mean_operator(network: MMCNetwork) -> NDArray[np.float64]:

@@ -282,4 +282,4 @@ except ImportError as error:
     print(error)
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert run.stdout.strip().endswith('pip install "mmc-gym[analytic]"'), run.stderr
+    assert run.stdout.strip().endswith('pip install "mmc-gym[fast]"'), run.stderr

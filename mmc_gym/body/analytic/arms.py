@@ -22,16 +22,10 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from mmc_gym._errors import missing, require
+from mmc_gym._errors import require
+from mmc_gym.body.analytic import kernel
 from mmc_gym.body.base import ArmBatch, Floats, Indices, SingleArm, wrong_count
 from mmc_gym.body.parameters import ArmParameters, Servo
-
-try:
-    from mmc_gym.body.analytic import kernel
-except ModuleNotFoundError as error:
-    if error.name != "numba":
-        raise
-    raise missing("engine 'analytic'", "numba", "analytic") from error
 
 _WORTH_A_THREAD = 256  # arms; sharing out fewer takes longer than it saves
 

@@ -41,12 +41,11 @@ the former between processes until this file changes, which is why they all stan
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from mmc_gym._compiling import compiled, inner
 from mmc_gym.body.parameters import ArmParameters, Servo
 
 # What binds a joint: nothing, a bound of its servo, or its stop while the servo is at a bound.
@@ -101,17 +100,6 @@ def make_world(parameters: ArmParameters, servo: Servo) -> NDArray[np.void]:
     if parameters.force_field is not None:
         world["field"] = parameters.force_field
     return world
-
-
-inner = numba.njit(nogil=True, error_model="numpy")  # for functions that others here call
-
-
-def compiled(function: Any) -> Any:
-    """Compile at the first call in any process, and keep the result for the next ones."""
-    try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # there is nowhere to write the cache
-        return inner(function)
 
 
 @inner
