@@ -29,10 +29,10 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, Started, warn_of_another_arm
+from mmc_gym.agents.base import Agent, Started, warn_of_another_arm, where
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
-from mmc_gym.agents.views import View, feature_count, features, turned_actions
+from mmc_gym.agents.views import History, View, feature_count, features, turned_actions
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import (
     CannotActError,
@@ -95,6 +95,7 @@ class PolicyCard:
         sha256: of the weights file.
         engine: that it was trained on; None if the card does not say.
         body: the arm that it was trained with, without perturbations; None if it does not say.
+        blocks: steps in each block of its memory, see `History`; empty if it has none.
     """
 
     name: str
@@ -117,11 +118,14 @@ class PolicyCard:
     sha256: str = ""
     engine: str | None = None
     body: ArmParameters | None = None
+    blocks: tuple[Annotated[int, Gt(0)], ...] = ()
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.base_agent not in ("", *BASE_AGENTS):
             raise ValueError(f"base_agent must be one of {list(BASE_AGENTS)} or empty")
+        if self.blocks and (self.base_agent or self.view != "arm"):
+            raise ValueError("blocks must be empty with a base_agent, or another view than 'arm'")
         if self.distribution != ("gaussian" if self.algorithm == "ppo" else "squashed"):
             raise ValueError(f"distribution must be that of {self.algorithm!r}")
         if self.body is not None and len(self.body.segment_lengths) != self.segment_count:
@@ -211,7 +215,10 @@ def load_agent(path: str | Path, env: Any) -> PolicyAgent:
 
 
 class PolicyAgent(Agent[Any]):
-    """A trained policy, alone or as the correction of another agent; the state is the other's."""
+    """A trained policy, alone or as the correction of another agent.
+
+    The state is that of the other agent, or the policy's memory, (..., steps, 2 N + 4); or None.
+    """
 
     def __init__(
         self, network: PolicyNetwork, card: PolicyCard, interface: ReachInterface, seed: int = 0
@@ -242,7 +249,9 @@ class PolicyAgent(Agent[Any]):
                 "view 'target' is for policies that act alone, by joint positions, got control "
                 f"{card.control!r} and base_agent {card.base_agent!r}"
             )
+        self._history = History(layout, card.blocks) if card.blocks else None
         inputs = feature_count(card.view, layout) + (count if card.base_agent else 0)
+        inputs += self._history.size if self._history else 0
         if network.input_size != inputs:
             raise UserError(f"network must take {inputs} features, got {network.input_size}")
         self.card = card
@@ -290,7 +299,12 @@ class PolicyAgent(Agent[Any]):
         seen = features(np, self.card.view, observation, layout)
         seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random
-        if self._base is None:
+        if self._history is not None:
+            state = self._remembered(self._history, observation, state, episode_start)
+            recalled = self._history.recall(observation, state)
+            action = self._network.act(np.concatenate((seen, recalled), axis=-1), random)
+            state = self._history.extended(observation, action, state)
+        elif self._base is None:
             action = self._network.act(seen, random)
             if self.card.view == "target":
                 action = turned_actions(np, action, observation, layout)
@@ -307,6 +321,22 @@ class PolicyAgent(Agent[Any]):
                 self._interface.within_limits_from(now, now + ahead), sensed
             )
         return action, state
+
+    def _remembered(
+        self, history: History, observation: Observation, state: Any, episode_start: Started
+    ) -> Float32:
+        """Return the memory to go on from: made anew where an episode starts."""
+        start = history.start(observation)
+        if state is None:
+            return start
+        if np.shape(state) != start.shape:
+            shapes = f"of shape {start.shape}, got {np.shape(state)}"
+            raise UserError(f"state must be what predict returned for as many arms, {shapes}")
+        if episode_start is None or not np.any(episode_start):
+            return np.asarray(state, np.float32)
+        batch = start.shape[:-2]
+        begins = np.reshape(np.asarray(episode_start, dtype=bool), batch)
+        return where(begins, start, state)
 
 
 BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {

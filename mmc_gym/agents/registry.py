@@ -30,13 +30,23 @@ from mmc_gym.agents.ik.iterative import (
     pseudo_inverse,
 )
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm, tuned_mmc
+from mmc_gym.agents.optimal_control import OptimalControlAgent
 from mmc_gym.agents.planners import MinimumJerkAgent, PassiveMotionAgent
 from mmc_gym.agents.views import VIEWS, View
 from mmc_gym.interface import Control, ReachInterface
 from mmc_gym.network import LearnedNormalizer
 from mmc_gym.network.chain import Floats
 
-Kind = Literal["yours", "network", "inverse kinematics", "planner", "learned", "baseline", "ideal"]
+Kind = Literal[
+    "yours",
+    "network",
+    "inverse kinematics",
+    "planner",
+    "optimal control",
+    "learned",
+    "baseline",
+    "ideal",
+]
 
 
 @dataclass(frozen=True)
@@ -59,9 +69,19 @@ class Knowledge:
 UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
 
 
-def learned_knowledge(view: View, base_agent: str = "", kind: Kind = "learned") -> Knowledge:
-    """Return what a trained policy is told and senses; empty `base_agent`: it corrects no other."""
+def learned_knowledge(
+    view: View, base_agent: str = "", kind: Kind = "learned", *, memory: int = 0
+) -> Knowledge:
+    """Return what a trained policy is told and senses.
+
+    Args:
+        view: what it sees.
+        base_agent: the agent that it corrects; empty for none.
+        kind: its kind.
+        memory: how many steps it remembers.
+    """
     senses = f"{VIEWS[view]}, in every step"
+    senses += f"; remembers its last {memory} steps" if memory else ""
     if not base_agent:
         unaware = "not told: had to learn"
         return Knowledge(kind, unaware, unaware, senses)
@@ -135,6 +155,7 @@ def _trained(
     control: Control = "joint_delta",
     view: View = "arm",
     base_agent: str = "",
+    memory: int = 0,
 ) -> AgentEntry:
     def build(interface: ReachInterface) -> Agent[Any]:
         # Not at the top: pydantic, which checks the card, takes a while to load.
@@ -145,7 +166,7 @@ def _trained(
     return AgentEntry(
         f"{description}, trained by `mmc-gym train {name}`",
         build,
-        learned_knowledge(view, base_agent),
+        learned_knowledge(view, base_agent, memory=memory),
         control=control,
         training_seeds=training_seeds,
     )
@@ -224,6 +245,15 @@ AGENTS: dict[str, AgentEntry] = {
         "Passive Motion Paradigm with a terminal attractor",
         PassiveMotionAgent,
         Knowledge("planner"),
+    ),
+    "optimal-control": AgentEntry(
+        "optimal feedback control (LQG with noise that grows with the command) of the arm as told",
+        OptimalControlAgent,
+        Knowledge(
+            "optimal control",
+            senses="posture, speeds, seen hand and target in every step, filtered",
+        ),
+        control="joint_velocity",
     ),
     "mmc-body": _mmc(
         "the network as internal model of a body that it finds out about: senses, body, locks, "

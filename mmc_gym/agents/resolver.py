@@ -168,7 +168,8 @@ class ResolvedAgent:
         """Its kind, what it is told, and what it senses; of a policy, as its card has it."""
         if self.card is not None:
             kind: Kind = "learned" if self.name else "yours"
-            return learned_knowledge(self.card.view, self.card.base_agent, kind)
+            card, memory = self.card, sum(self.card.blocks)
+            return learned_knowledge(card.view, card.base_agent, kind, memory=memory)
         if self.is_model:
             return learned_knowledge("arm", kind="yours")
         return self.entry.knowledge if self.entry else UNKNOWN

@@ -12,14 +12,25 @@ until the target, at φ from the base, lies straight ahead:
 
 A policy with this view gives joint positions in the turned world, where the posture 0 points at the
 target, and `turned_actions` turns them back.
+
+A policy with a memory also sees a `History` of what it observed and did.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
-from mmc_gym.interface import ObservationLayout, turned_back
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.interface import Observation, ObservationLayout, in_the_world, turned_back
+from mmc_gym.network.chain import wrap_angle
+
+Float32 = NDArray[np.float32]
 
 View = Literal["arm", "target"]
 
@@ -68,3 +79,82 @@ def turned_actions(
     turn = (first + arrays.arctan2(seen.target[..., 1:], seen.target[..., :1])) / math.pi
     first = (actions[..., :1].clip(-1, 1) + (-turn if back else turn) + 1) % 2 - 1
     return arrays.concatenate((first, actions[..., 1:]), -1)
+
+
+@dataclass(frozen=True)
+class History:
+    """A policy's memory: what it observed and did in its last steps, from now backwards.
+
+    The steps are cut into blocks, the latest one first.  Of each block the policy sees the mean of
+
+        joint angles, hand and target, each less what is observed now; actions
+
+    where hand and target are turned into the frame of the first segment as it is now.  So what
+    stays put is seen as zeros under any view of the world, a mean over blocks is a filter against
+    noise, and a difference between blocks is a velocity.  Before an episode there was what its
+    first observation shows, and no action.
+
+    Attributes:
+        layout: of the observations.
+        blocks: steps in each block.
+    """
+
+    layout: ObservationLayout
+    blocks: Sequence[int]
+
+    @property
+    def size(self) -> int:
+        """Number of values that follow an observation."""
+        return len(self.blocks) * self._width
+
+    @property
+    def steps(self) -> int:
+        """Number of steps that are remembered."""
+        return sum(self.blocks)
+
+    @property
+    def _width(self) -> int:
+        return 2 * self.layout.joint_count + 4
+
+    @cached_property
+    def _starts(self) -> NDArray[np.intp]:
+        return np.cumsum([0, *self.blocks[:-1]])
+
+    def start(self, observation: Observation) -> Float32:
+        """Return the memory before an episode's first observation, (..., steps, 2 N + 4)."""
+        now = self._record(observation)
+        memory = np.zeros((*now.shape[:-1], self.steps, self._width), np.float32)
+        memory[..., : now.shape[-1]] = now[..., None, :]
+        return memory
+
+    def recall(self, observation: Observation, memory: Float32) -> Float32:
+        """Return what a policy sees of its memory, (..., size), beside the observation."""
+        now, count = self._record(observation, memory), self.layout.joint_count
+        means = np.add.reduceat(memory, self._starts, axis=-2)
+        means /= np.array(self.blocks, np.float32)[:, None]
+        means[..., : now.shape[-1]] -= now[..., None, :]
+        first = now[..., None, 0]
+        cosine, sine = np.cos(first), np.sin(first)
+        for x in (count, count + 2):
+            turned = turned_back(means[..., x], means[..., x + 1], cosine, sine)
+            means[..., x], means[..., x + 1] = turned
+        return means.reshape(*means.shape[:-2], self.size)
+
+    def extended(self, observation: Observation, action: Float32, memory: Float32) -> Float32:
+        """Return the memory with one more step, in which an action (..., N) was chosen."""
+        now = np.concatenate((self._record(observation, memory), action), -1)
+        return np.concatenate((now[..., None, :], memory[..., :-1, :]), -2)
+
+    def _record(self, observation: Observation, memory: Float32 | None = None) -> Float32:
+        """Return joint angles, hand and target in the world, (..., N + 4).
+
+        Joint angles go on from those in memory, without jumps of a whole turn.
+        """
+        seen = self.layout.split(observation)
+        angles = np.arctan2(seen.sines, seen.cosines)
+        target = in_the_world(seen.target, angles)
+        hand = target - in_the_world(seen.offset, angles)
+        if memory is not None:
+            before = memory[..., 0, : self.layout.joint_count]
+            angles = before + wrap_angle(angles - before)
+        return np.concatenate((angles, hand, target), -1).astype(np.float32, copy=False)

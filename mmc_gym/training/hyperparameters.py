@@ -34,12 +34,13 @@ from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES
+from mmc_gym.training.randomised import Memory, RandomScenarios
 from mmc_gym.training.vec_env import Residual
 
 
@@ -155,15 +156,15 @@ def _looked_up(name: Any, table: Mapping[str, Any]) -> Any:
     return table[name]
 
 
-def _wrapper(value: Any) -> partial[VecEnvWrapper] | None:
-    """Read the name of a wrapper, a mapping of it to its arguments, or a list of one of them."""
+def _wrappers(value: Any) -> list[partial[VecEnvWrapper]]:
+    """Read the name of a wrapper, a mapping of it to its arguments, or a list of these."""
     parts = value if isinstance(value, list) else [] if value is None else [value]
-    if not parts:
-        return None
-    if len(parts) > 1:
-        raise ValueError("must be one at most")
-    has_arguments = isinstance(parts[0], dict) and len(parts[0]) == 1
-    name, arguments = next(iter(parts[0].items())) if has_arguments else (parts[0], None)
+    return [_wrapper(part) for part in parts]
+
+
+def _wrapper(part: Any) -> partial[VecEnvWrapper]:
+    has_arguments = isinstance(part, dict) and len(part) == 1
+    name, arguments = next(iter(part.items())) if has_arguments else (part, None)
     make, arguments = _looked_up(name, _WRAPPERS), arguments or {}
     try:
         inspect.signature(make).bind(None, **arguments)
@@ -189,7 +190,9 @@ Natural = Annotated[Whole, Field(ge=0)]
 Count = Annotated[Whole, Field(ge=1)]
 AnyRate = Annotated[Rate, PlainValidator(_rate)]
 
-_WRAPPERS: dict[str, type[VecEnvWrapper]] = {f"{Residual.__module__}.Residual": Residual}
+_WRAPPERS: dict[str, type[VecEnvWrapper]] = {
+    f"{kind.__module__}.{kind.__name__}": kind for kind in (Residual, RandomScenarios, Memory)
+}
 
 
 class _Keys(BaseModel):
@@ -235,7 +238,7 @@ class Settings(_Keys):
     policy: str
     n_envs: Count = 1
     env_kwargs: Annotated[dict[str, Any], AfterValidator(_limited)] = {}
-    vec_env_wrapper: Annotated[partial[VecEnvWrapper] | None, PlainValidator(_wrapper)] = None
+    vec_env_wrapper: Annotated[list[partial[VecEnvWrapper]], PlainValidator(_wrappers)] = []
     normalize: Annotated[Normalization | None, BeforeValidator(_normalized)] = None
 
     learning_rate: AnyRate = Rate(3e-4)
@@ -276,11 +279,15 @@ class Settings(_Keys):
     ) -> BaseAlgorithm:
         """Return an untrained model, which logs to the folder `tensorboard`.
 
+        The wrappers come around the environment in the order that they are listed in.
+
         Raises:
             UserError: if the algorithm or the policy does not take the options.
         """
-        if self.vec_env_wrapper is not None:
-            env = self.vec_env_wrapper(env)
+        for wrap in self.vec_env_wrapper:
+            env = wrap(env)
+        # It shows TensorBoard the rewards before `VecNormalize` scales them.
+        env = VecMonitor(env)
         if self.normalize is not None:
             env = VecNormalize(env, **{"gamma": self.gamma, **_given(self.normalize)})
         options = {key: value for key, value in _given(self).items() if key not in _OWN}

@@ -25,7 +25,7 @@ import torch
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, unwrap_vec_wrapper
+from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_wrapper
 
 from mmc_gym._errors import UserError, is_whole, missing, require, require_whole
 from mmc_gym._files import check_folder
@@ -45,6 +45,7 @@ from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.checkpoints import load_checkpoint, read_head, save_checkpoint
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.policies import export_policy
+from mmc_gym.training.randomised import Memory
 from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -129,8 +130,7 @@ class Training:
             self._world = env.vector_env
             self.interface = ReachInterface.of(self._world)
             logs = str(self.tensorboard) if self.tensorboard else None
-            # The monitor shows TensorBoard the rewards before `VecNormalize` scales them.
-            model = self.settings.make_model(VecMonitor(env), self.seed, self.device, logs)
+            model = self.settings.make_model(env, self.seed, self.device, logs)
             try:
                 PolicyAgent(*self._policy(model), self.interface)
             except ValueError as error:
@@ -235,6 +235,7 @@ class Training:
         """Return the policy as it is now, with a card that has no scores yet."""
         network, view = export_policy(model.policy)
         residual = unwrap_vec_wrapper(_env_of(model), Residual)
+        memory = unwrap_vec_wrapper(_env_of(model), Memory)
         card = PolicyCard(
             name=self.recipe.name,
             algorithm=self.recipe.algorithm,
@@ -255,6 +256,7 @@ class Training:
             learning_curve=[],
             engine=told_by(self._world, "engine"),
             body=told_by(self._world, "unperturbed"),
+            blocks=() if memory is None else memory.blocks,
         )
         return network, card
 

@@ -25,7 +25,7 @@ NETWORKS = [name for name, entry in AGENTS.items() if entry.knowledge.kind == "n
 JOINT_TARGET_AGENTS = [
     name
     for name, entry in AGENTS.items()
-    if entry.knowledge.kind in ("network", "inverse kinematics", "planner")
+    if entry.knowledge.kind in ("network", "inverse kinematics", "planner", "optimal control")
 ]
 OPEN_LOOPS = ["mmc-bell", *(name for name in JOINT_TARGET_AGENTS if name not in NETWORKS)]
 TROUBLES = {"perturbations": ("longer-20", "locked", "delay-40")}

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import pytest
 import yaml
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize, unwrap_vec_wrapper
 
 from mmc_gym._errors import UserError
 from mmc_gym.training.hyperparameters import (
@@ -110,7 +110,7 @@ def test_what_is_left_out_is_the_algorithms_default():
     settings = read()
     model = settings.make_model(make_vec_env("MMCReach-v0", 1, {}), seed=0)
     assert (settings.n_envs, model.n_steps, model.gamma) == (1, 2048, 0.99)
-    assert (settings.vec_env_wrapper, settings.normalize) == (None, None)
+    assert (settings.vec_env_wrapper, settings.normalize) == ([], None)
 
 
 @pytest.mark.parametrize(
@@ -162,8 +162,9 @@ def test_all_that_an_entry_names_is_made():
     made = model.get_env()
     assert isinstance(made, VecNormalize)
     assert made.gamma == 0.99
-    assert isinstance(made.venv, Residual)
-    assert made.venv.base_agent == "mmc"
+    residual = unwrap_vec_wrapper(made, Residual)
+    assert residual is not None
+    assert residual.base_agent == "mmc"
     layers = re.findall(r"(?<=out_features=)\d+|Tanh", str(model.policy.mlp_extractor.policy_net))
     assert layers == ["8", "Tanh", "9", "Tanh"]
 
@@ -182,7 +183,7 @@ def test_all_that_an_entry_names_is_made():
         ({"policy": f"{POLICIES}.TQCGoalPolicy"}, "policy must be one of .*PPOTargetPolicy.*, got"),
         ({"callback": ["os.system"]}, "hyperparameter 'callback' is not accepted"),
         ({"vec_env_wrapper": "os.system"}, "vec_env_wrapper must be one of"),
-        ({"vec_env_wrapper": [RESIDUAL, RESIDUAL]}, "vec_env_wrapper must be one at most"),
+        ({"vec_env_wrapper": [RESIDUAL, "os.system"]}, "vec_env_wrapper must be one of"),
         ({"vec_env_wrapper": [{RESIDUAL: {"base": 1}}]}, "must have arguments that .*Residual"),
         ({"policy_kwargs": "dict(net_arch=os.system('ls'))"}, "policy_kwargs must be a mapping of"),
         ({"policy_kwargs": "__import__('os')"}, "policy_kwargs must be a mapping of literals"),

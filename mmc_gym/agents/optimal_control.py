@@ -1,0 +1,333 @@
+"""Optimal feedback control: the linear-quadratic-Gaussian controller of the linearised arm.
+
+The field's normative model of movement (Todorov & Jordan 2002).  Nothing plans a path: at any time
+the feedback is the best there is, given noise that grows with the command.  So it corrects errors
+only where they matter: along what moves the hand.
+
+**The body, as told.**  A joint turns as fast as its servo is asked to.  What asks is drive, and
+drive follows the command u late, as muscles do:
+
+    q̇ = v,     v̇ = a,     τ ȧ = u (1 + c ε) − a,     ε normal
+
+**The task.**  Be at the target after the time T, and stay.  A reach costs, while it lasts, its
+effort, and hardly anything else; from then on every control step costs, for ever,
+
+    |e|² + ρ² |ṗ|² + η² |v|² + r |u|²,     e target − hand,  p hand
+
+T = T₀ + d/v̄ for a target at the distance d, and begins anew where it jumps.
+
+**Its solution.**  With the Jacobian J = U S Vᵀ the turned joints Vᵀq come apart: each is a chain
+(z, v, a) of its own that moves the hand by s along a column of U, or not at all (s = 0).  Backwards
+in time, with S the cost to go (Todorov 2005),
+
+    L = (r + (1 + c²) BᵀSB)⁻¹ BᵀSA,     u = −L (z, v, a),     S ← Q + AᵀS (A − BL)
+
+To stay is the fixed point of this (Qian, Jiang, Jiang & Mazzoni 2013): a Riccati equation, with
+c² BᵀSB counted to r.  A reach ends in it.  L depends on s and on the steps that are left alone: it
+is solved once for a table of them, and looked up for the posture as it is now.
+
+**Senses.**  Kalman filters with constant gains, from the dual Riccati equation: of each joint, with
+the command as efference copy; of where the hand is seen beside where it is felt; and of a target
+that may move.  Noise is assumed to be as people's, for nobody tells it, and no delay.
+
+Literature: Todorov & Jordan (2002), Nature Neurosci. 5, 1226–1235.  Todorov (2005), Neural Comput.
+17, 1084–1108.  Todorov & Li (2005), Proc. American Control Conf., 300–306 (linearise where the arm
+is).  Qian et al. (2013), Neural Comput. 25, 697–724.  van Beers, Sittig & Denier van der Gon
+(1998), Exp. Brain Res. 122, 367–377 (noise of the senses).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import override
+
+from mmc_gym.agents.base import InternalModelAgent, Started
+from mmc_gym.agents.ik.agent import hand_position, jacobian, leave_line
+from mmc_gym.interface import Observation, ReachInterface, Sensed
+from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What is optimised, and the noise that is reckoned with.
+
+    Attributes:
+        shortest: time that the smallest movement takes, s.
+        speed: by which distance adds to it, segment lengths / s.
+        longest: time that a movement takes at most, s.
+        lag: τ of the drive, s.
+        velocity_cost: ρ, s.
+        joint_cost: η, lengths · s / rad; it ends movements that leave the hand in place.
+        effort_cost: √r, lengths · s² / rad.
+        motor_noise: c, noise of a command as a fraction of it.
+        joint_noise: of felt joint angles, rad; that of velocities is ten a second of it.
+        vision_noise: of the seen hand and target, segment lengths.
+        push: what disturbs a joint's velocity in a control step, rad/s.
+        drift: by how much the seen hand leaves the felt one in a control step, segment lengths.
+        swerve: by how much a target changes its velocity in a control step, segment lengths / s.
+    """
+
+    shortest: float = 0.3
+    speed: float = 3.0
+    longest: float = 1.4
+    lag: float = 0.04
+    velocity_cost: float = 0.1
+    joint_cost: float = 0.01
+    effort_cost: float = 0.002
+    motor_noise: float = 0.2
+    joint_noise: float = 0.0175
+    vision_noise: float = 0.01
+    push: float = 1.0
+    drift: float = 0.01
+    swerve: float = 0.3
+
+
+DEFAULT = Assumptions()
+
+JUMP = 0.5
+"""A target that is farther than this from where it was expected is another, segment lengths."""
+SOFT = 0.05
+"""Keeps joints from chasing a target that they hardly move the hand along with, lengths² / rad²."""
+SMALLEST, LARGEST, ENTRIES = 0.01, 30.0, 81
+"""s in the table of gains, lengths / rad: the ratio of neighbours is the same; between, lines."""
+
+
+def plant(assumed: Assumptions, step: float) -> tuple[Floats, Floats]:
+    """Return A (3, 3) and B (3, 1) of a turned joint (z, v, a), for a control step in s."""
+    a = np.array([[1.0, step, 0.0], [0.0, 1.0, step], [0.0, 0.0, 1.0 - step / assumed.lag]])
+    return a, np.array([[0.0], [0.0], [step / assumed.lag]])
+
+
+def staying_cost(assumed: Assumptions, moves: float) -> Floats:
+    """Return Q (3, 3) of a turned joint that moves the hand by s = `moves` lengths / rad."""
+    return np.diag([moves**2, (moves * assumed.velocity_cost) ** 2 + assumed.joint_cost**2, 0.0])
+
+
+def optimal_gain(assumed: Assumptions, step: float, value: Floats) -> Floats:
+    """Return L (..., 3) where the cost to go from the next step on is S, (..., 3, 3)."""
+    a, b = plant(assumed, step)
+    stake = (1 + assumed.motor_noise**2) * (b.T @ value @ b)[..., 0]
+    gain: Floats = (b.T @ value @ a)[..., 0, :] / (assumed.effort_cost**2 + stake)
+    return gain
+
+
+def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
+    """Return S (3, 3) of staying for ever, of a turned joint that moves the hand by `moves`."""
+    from scipy.linalg import solve_discrete_are  # `import mmc_gym` loads no scipy
+
+    a, b = plant(assumed, step)
+    effort, before = assumed.effort_cost**2, math.inf
+    while abs(effort - before) > 1e-9 * effort:
+        value: Floats = solve_discrete_are(a, b, staying_cost(assumed, moves), [[effort]])
+        stake = float((b.T @ value @ b)[0, 0])
+        before, effort = effort, assumed.effort_cost**2 + assumed.motor_noise**2 * stake
+    return value
+
+
+def reaching_gains(assumed: Assumptions, step: float, value: Floats) -> Floats:
+    """Return L (steps, ..., 3) of the longest reach, from its last step backwards.
+
+    Its end is worth `value`, S (..., 3, 3).
+    """
+    a, b = plant(assumed, step)
+    found = []
+    for _ in range(round(assumed.longest / step)):
+        gain = optimal_gain(assumed, step, value)
+        found.append(gain)
+        value = staying_cost(assumed, 0.0) + a.T @ value @ (a - b * gain[..., None, :])
+    return np.array(found)
+
+
+def kalman_gain(a: Floats, c: Floats, disturbance: Floats, noise: Floats) -> Floats:
+    """Return the constant K of x ← Ax + K (y − CAx), for covariances of disturbance and noise."""
+    from scipy.linalg import solve_discrete_are
+
+    p = solve_discrete_are(a.T, c.T, disturbance, noise)
+    gain: Floats = p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
+    return gain
+
+
+class Gains(NamedTuple):
+    """All gains of the controller.
+
+    Attributes:
+        control: L by the steps that are left of a movement, and by s, (steps + 1, entries, 3);
+            that of z is per segment length of the hand.
+        posture: K of a joint's angle from the readings of angle and velocity, (2,).
+        vision: K of where the hand is seen beside where it is felt.
+        target: K of (place, velocity) from the seen place, (2,).
+    """
+
+    control: Floats
+    posture: Floats
+    vision: float
+    target: Floats
+
+
+@lru_cache
+def gains(assumed: Assumptions, step: float) -> Gains:
+    """Return the gains for a control step in s."""
+    moves = np.geomspace(SMALLEST, LARGEST, ENTRIES)
+    values = np.array([staying_value(assumed, step, one) for one in moves])
+    staying = optimal_gain(assumed, step, values)
+    control = np.concatenate((staying[None], reaching_gains(assumed, step, values)))
+    control[..., 0] /= moves
+    fresh, glides = np.diag([1.0, 0.0]), np.array([[1.0, step], [0.0, 1.0]])
+    bump = np.outer([0.5 * step, 1.0], [0.5 * step, 1.0])
+    felt, seen = assumed.joint_noise**2 * np.diag([1.0, 100.0]), assumed.vision_noise**2 * np.eye(1)
+    return Gains(
+        control,
+        # A joint's velocity is the one that is asked for, whatever it was.
+        posture=kalman_gain(fresh, np.eye(2), assumed.push**2 * bump, felt)[0],
+        vision=float(kalman_gain(np.eye(1), np.eye(1), assumed.drift**2 * np.eye(1), seen)[0, 0]),
+        target=kalman_gain(glides, np.eye(1, 2), assumed.swerve**2 * bump, seen)[:, 0],
+    )
+
+
+class Estimate(NamedTuple):
+    """The controller's state; arrays lead with the batch.
+
+    Attributes:
+        joint_angles: where it feels the joints, radians, (..., N).
+        velocity: that the servos are asked for, rad/s, (..., N).
+        drive: its rate of change, rad/s², (..., N).
+        shift: of the seen hand from the felt one, segment lengths, (..., 2).
+        target, target_velocity: segment lengths and a second, (..., 2).
+        remaining: control steps that are left of the movement, (..., 1).
+    """
+
+    joint_angles: Floats
+    velocity: Floats
+    drive: Floats
+    shift: Floats
+    target: Floats
+    target_velocity: Floats
+    remaining: Floats
+
+
+class OptimalControlAgent(InternalModelAgent[Estimate]):
+    """Optimal feedback control of the arm as told, by joint velocities."""
+
+    def __init__(
+        self,
+        interface: ReachInterface,
+        assumed: Assumptions = DEFAULT,
+        noise_seed: int | None = None,
+    ) -> None:
+        """Make an agent.
+
+        Args:
+            interface: of the environment.
+            assumed: see `Assumptions`.
+            noise_seed: of the noise of its commands, where it is not deterministic; None for none.
+
+        Raises:
+            CannotActError: under torque control.
+        """
+        super().__init__(interface)
+        self.assumed, self.gains = assumed, gains(assumed, interface.control_step)
+        self._random = None if noise_seed is None else np.random.default_rng(noise_seed)
+
+    @override
+    def start(self, sensed: Sensed) -> Estimate:
+        rest, still = np.zeros_like(sensed.joint_angles), np.zeros_like(sensed.target)
+        unseen = np.full_like(sensed.target, np.nan)
+        return Estimate(
+            sensed.joint_angles, rest, rest, unseen, sensed.target, still, unseen[..., :1]
+        )
+
+    @override
+    def predict(
+        self,
+        observation: Observation,
+        state: Estimate | None = None,
+        episode_start: Started = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], Estimate | None]:
+        sensed = self.interface.sense(observation)
+        state = self.resumed(state, sensed, episode_start)
+        state = self._perceived(state, sensed, observation)
+        state = self._driven(state, None if deterministic else self._random)
+        # As far ahead as makes a position servo ask for this velocity.
+        ahead = state.velocity / self.interface.servo_gain
+        return self.interface.act(sensed.joint_angles + ahead, sensed), state
+
+    def _perceived(self, before: Estimate, sensed: Sensed, observation: Observation) -> Estimate:
+        """Return the state as it is sensed now: what was expected, corrected by the gains."""
+        told, gains = self.interface, self.gains
+        step, lengths = told.control_step, told.segment_lengths
+        angles = before.joint_angles + step * before.velocity
+        of_angles = wrap_angle(sensed.joint_angles - angles)
+        of_speeds = told.speed_limit * told.layout.split(observation).speeds - before.velocity
+        angles = angles + gains.posture[0] * of_angles + gains.posture[1] * of_speeds
+        felt = hand_position(angles, lengths)
+        shift = told.seen_hand(observation) - felt
+        known = np.where(np.isnan(before.shift), shift, before.shift)
+        shift = known + gains.vision * (shift - known)
+        target = before.target + step * before.target_velocity
+        of_target = sensed.target - target
+        jumped = np.linalg.norm(of_target, axis=-1, keepdims=True) > JUMP
+        target = np.where(jumped, sensed.target, target + gains.target[0] * of_target)
+        velocity = np.where(jumped, 0.0, before.target_velocity + gains.target[1] * of_target)
+        distance = np.linalg.norm(target - felt - shift, axis=-1, keepdims=True)
+        assumed = self.assumed
+        duration = np.minimum(assumed.shortest + distance / assumed.speed, assumed.longest)
+        begins = jumped | np.isnan(before.remaining)
+        return before._replace(
+            joint_angles=angles,
+            shift=shift,
+            target=target,
+            target_velocity=velocity,
+            remaining=np.where(begins, np.rint(duration / step), before.remaining),
+        )
+
+    def _driven(self, state: Estimate, random: np.random.Generator | None) -> Estimate:
+        """Return the state after the optimal command, with noise if there is a generator."""
+        told, assumed = self.interface, self.assumed
+        step, lengths = told.control_step, told.segment_lengths
+        goal = nearest_reachable(state.target - state.shift, lengths)
+        angles = leave_line(state.joint_angles, goal, lengths)
+        hand, jacobian_x, jacobian_y = jacobian(angles, lengths)
+        columns, moves, rows = np.linalg.svd(np.stack((jacobian_x, jacobian_y), axis=-2))
+        count = moves.shape[-1]
+        every = np.zeros_like(angles)
+        every[..., :count] = moves
+
+        def along(vector: Floats) -> Floats:  # of a vector (..., 2), by turned joint
+            parts = np.zeros_like(angles)
+            parts[..., :count] = np.einsum("...ij,...i->...j", columns[..., :count], vector)
+            return parts
+
+        of_error, of_velocity, of_drive = self._looked_up(every, state.remaining)
+        velocity, drive = (
+            np.einsum("...ij,...j->...i", rows, each) for each in (state.velocity, state.drive)
+        )
+        chased = along(state.target_velocity) * every / (every**2 + SOFT)
+        error = along(state.target - state.shift - hand)
+        command = of_error * error - of_velocity * (velocity - chased) - of_drive * drive
+        if random is not None:
+            command *= 1.0 + assumed.motor_noise * random.standard_normal(command.shape)
+        velocity, drive = velocity + step * drive, drive + step / assumed.lag * (command - drive)
+        velocity, drive = (np.einsum("...ij,...i->...j", rows, each) for each in (velocity, drive))
+        # All joints as much slower as the fastest must be: the hand keeps its direction.
+        fastest = np.abs(velocity).max(axis=-1, keepdims=True)
+        share = told.speed_limit / np.maximum(fastest, told.speed_limit)
+        remaining = np.maximum(state.remaining - 1.0, 0.0)
+        return state._replace(velocity=share * velocity, drive=share * drive, remaining=remaining)
+
+    def _looked_up(self, moves: Floats, remaining: Floats) -> Floats:
+        """Return L of turned joints that move the hand by `moves`, (3, ..., N)."""
+        table = self.gains.control
+        place = np.log(np.maximum(moves, SMALLEST) / SMALLEST)
+        place *= (ENTRIES - 1) / math.log(LARGEST / SMALLEST)
+        place = np.minimum(place, ENTRIES - 1.001)
+        index, row = place.astype(np.intp), remaining.astype(np.intp)
+        share = (place - index)[..., None]
+        found = (1.0 - share) * table[row, index] + share * table[row, index + 1]
+        return np.moveaxis(found, -1, 0)

@@ -1,0 +1,127 @@
+"""Optimal feedback control: what its literature says of it."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
+from mmc_gym.agents.optimal_control import (
+    DEFAULT,
+    OptimalControlAgent,
+    gains,
+    kalman_gain,
+    optimal_gain,
+    plant,
+    reaching_gains,
+    staying_cost,
+    staying_value,
+)
+from mmc_gym.interface import ReachInterface
+from mmc_gym.measures.rollout import run_episodes
+from mmc_gym.measures.sets import manifold_ratio
+from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks
+
+STEP = 0.02
+QUIET = replace(DEFAULT, motor_noise=0.0)
+
+
+def expected_cost(gain: np.ndarray, assumed=DEFAULT, moves: float = 1.0) -> np.ndarray:
+    """P with cost xᵀPx of u = −L x for ever under noise that grows with the command, by iteration.
+
+    P = Q + LᵀrL + (A − BL)ᵀP(A − BL) + c² LᵀBᵀPBL
+    """
+    (a, b), q = plant(assumed, STEP), staying_cost(assumed, moves)
+    row, p = gain[None], np.zeros((3, 3))
+    closed = a - b @ row
+    for _ in range(2000):
+        noisy = assumed.motor_noise**2 * row.T @ (b.T @ p @ b) @ row
+        p = q + assumed.effort_cost**2 * row.T @ row + closed.T @ p @ closed + noisy
+    return p
+
+
+def best(assumed=DEFAULT, moves: float = 1.0) -> np.ndarray:
+    return optimal_gain(assumed, STEP, staying_value(assumed, STEP, moves))
+
+
+@pytest.mark.parametrize("moves", [0.01, 0.3, 1.0, 3.0])
+def test_without_noise_the_gain_is_that_of_the_riccati_equation(moves):
+    (a, b), q, r = plant(QUIET, STEP), staying_cost(QUIET, moves), QUIET.effort_cost**2
+    p = solve_discrete_are(a, b, q, [[r]])
+    np.testing.assert_allclose(best(QUIET, moves), (b.T @ p @ a)[0] / (r + (b.T @ p @ b)[0, 0]))
+
+
+def test_the_cost_to_go_is_what_the_noisy_controller_pays():
+    np.testing.assert_allclose(expected_cost(best()), staying_value(DEFAULT, STEP, 1.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_other_gain_costs_less(seed):
+    other = best() * np.random.default_rng(seed).uniform(0.7, 1.4, 3)
+    more = expected_cost(other) - staying_value(DEFAULT, STEP, 1.0)
+    assert np.linalg.eigvalsh(more).min() > -1e-9 * np.abs(more).max()
+    assert np.trace(more) > 0
+
+
+def test_noise_that_grows_with_the_command_makes_commands_gentler():
+    assert np.all(best(replace(DEFAULT, motor_noise=0.5)) < best(QUIET))
+
+
+def test_a_long_reach_begins_gently_and_ends_as_staying_does():
+    assumed = replace(DEFAULT, longest=40.0)
+    found = reaching_gains(assumed, STEP, staying_value(assumed, STEP, 1.0))
+    of_error = found[:, 0]
+    assert np.all(np.diff(of_error[50:]) < 0)
+    assert of_error[-1] < 1e-3 * best()[0]
+
+
+def test_the_gain_of_the_senses_falls_with_their_noise():
+    def of_joints(noise: float) -> float:
+        return float(gains(replace(DEFAULT, joint_noise=noise), STEP).posture[0])
+
+    assert 1 > of_joints(0.001) > of_joints(0.01) > of_joints(0.1) > 0
+
+
+def test_the_kalman_gain_is_the_one_of_least_error():
+    a, c = np.array([[1.0, STEP], [0.0, 1.0]]), np.eye(1, 2)
+    disturbance, noise = 0.01 * np.eye(2), np.eye(1)
+
+    def error(k: np.ndarray) -> float:
+        """Trace of the covariance of x after readings, for any constant gain."""
+        keep = np.eye(2) - k @ c
+        spread = keep @ disturbance @ keep.T + k @ noise @ k.T
+        return float(np.trace(solve_discrete_lyapunov(keep @ a, spread)))
+
+    k = kalman_gain(a, c, disturbance, noise)
+    assert all(error(k * (1 + change)) > error(k) for change in (-0.2, -0.05, 0.05, 0.2))
+
+
+@pytest.fixture(scope="module")
+def movements():
+    """The movements from the centre to eight targets around it."""
+    env = gym.make_vec("MMCReachCentreOut-v0", 8, control="joint_velocity")
+    trials = [{"trial": trial} for trial in range(8)]
+    return run_episodes(OptimalControlAgent(ReachInterface.of(env)), env, range(8), options=trials)
+
+
+def test_speeds_are_bell_shaped(movements):
+    for movement in movements:
+        speeds = np.linalg.norm(np.diff(movement.hands, axis=0), axis=-1) / STEP
+        assert movement.distances[-1] < 0.01
+        assert count_peaks(speeds) == 1
+        assert correlation_with_minimum_jerk(speeds[speeds > 0.05 * speeds.max()]) > 0.8
+
+
+def test_noise_is_left_where_it_does_not_move_the_hand():
+    """Minimal intervention: the joints vary along the uncontrolled manifold (Todorov & Jordan)."""
+    env = gym.make_vec("MMCReach-v0", 100, control="joint_velocity")
+    noisy = replace(DEFAULT, motor_noise=0.5)
+    agent = OptimalControlAgent(ReachInterface.of(env), noisy, noise_seed=0)
+    start = {"joint_angles": [0.3, 0.9, 0.8], "target": (0.6, 1.8)}
+    observation, _ = env.reset(seed=0, options=start)
+    state = None
+    for _ in range(60):
+        action, state = agent.predict(observation, state)
+        observation, *_ = env.step(action)
+    assert manifold_ratio(env.unwrapped.arms.joint_angles, (1.0, 1.0, 1.0)) > 10

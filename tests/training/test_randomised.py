@@ -1,0 +1,168 @@
+"""Training under random perturbations, and the memory of policies that are trained so."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym._errors import UserError
+from mmc_gym.agents.policy import PolicyAgent, load_policy
+from mmc_gym.agents.views import History
+from mmc_gym.interface import ObservationLayout, ReachInterface
+from mmc_gym.measures.rollout import run_episodes
+from mmc_gym.training.hyperparameters import read_recipe
+from mmc_gym.training.randomised import Memory, RandomScenarios
+from mmc_gym.training.training import Training, make_vec_env
+
+ARMS = 8
+BLOCKS = (1, 2, 3)
+LAYOUT = ObservationLayout(3, 3.0)
+
+
+def plain() -> Any:
+    return make_vec_env("MMCReach-v0", ARMS, {"engine": "analytic", "control": "joint_delta"})
+
+
+def drawn(seed: int = 0, steps: int = 230, **arguments: Any) -> tuple[Any, ...]:
+    """Observations, rewards and ends of arms under random scenarios and random actions."""
+    env = RandomScenarios(plain(), **{"groups": 4, **arguments})
+    env.seed(seed)
+    seen, actions = [env.reset()], np.random.default_rng(0).uniform(-1, 1, (steps, ARMS, 3))
+    parts = [env.step(action.astype(np.float32))[:3] for action in actions]
+    env.close()
+    observations, rewards, dones = map(np.array, zip(*parts))
+    return np.array([seen[0], *observations]), rewards, dones
+
+
+MANY = {
+    "names": ("pursuit", "locks-2", "obstacles-2", "via-points"),
+    "ranges": {"rotation": (-60, 60), "delay": (0, 200), "longer": (0, 50)},
+    "twice": 0.5,
+}
+
+
+def test_the_same_seed_draws_the_same_and_another_seed_others():
+    one, same, other = drawn(**MANY), drawn(**MANY), drawn(1, **MANY)
+    for ours, theirs in zip(one, same, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert not np.array_equal(one[0], other[0])
+
+
+def test_groups_end_their_first_episodes_one_after_the_other_and_all_others_in_full():
+    _, _, dones = drawn()
+    ends = [np.flatnonzero(dones[:, arm]) + 1 for arm in range(ARMS)]
+    assert [each[0] for each in ends] == [25, 25, 50, 50, 75, 75, 100, 100]
+    assert {int(step) for each in ends for step in np.diff(each)} == {100}
+
+
+def test_every_scenario_is_met_and_two_at_once():
+    env = RandomScenarios(plain(), groups=4, **MANY)
+    env.seed(0)
+    found = [env._draw() for _ in range(200)]
+    assert {one.task for one in found} == {"random", "pursuit", "via-points"}
+    kinds = {type(change).__name__ for one in found for change in one.perturbations}
+    assert kinds == {
+        *("LockedJoint", "Obstacles", "VisuomotorRotation", "SensoryDelay", "SegmentLength"),
+    }
+    assert {len(one.perturbations) for one in found} == {0, 1, 2}
+    turns = [one.strength for one in found if one.family == "rotation"]
+    assert min(turns) < -30 and max(turns) > 30
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"groups": 3}, "groups must be a divisor of the 8 environments, got 3"),
+        ({"twice": 2}, "twice must be a probability, got 2"),
+        ({"names": ["randon"]}, "scenario 'randon' is not accepted; did you mean 'random'"),
+        ({"names": ["locked-4"]}, "joint"),
+        ({"ranges": {"rotatio": [0, 1]}}, "did you mean 'rotation"),
+        ({"ranges": {"rotation": [5, 1]}}, "must be the lowest and the highest strength"),
+        ({"names": []}, "names must be one at least"),
+    ],
+)
+def test_mistakes_are_named(arguments, message):
+    with pytest.raises(UserError, match=message):
+        RandomScenarios(plain(), **{"groups": 4, **arguments})
+
+
+@pytest.mark.parametrize("blocks", [(), (0,), (1.5,)])
+def test_a_block_of_memory_has_a_step(blocks):
+    with pytest.raises(UserError, match="blocks must be whole numbers of at least 1"):
+        Memory(plain(), blocks)
+
+
+def observed(count: int = 4) -> np.ndarray:
+    """Observations of consecutive steps of one arm, (steps, 15)."""
+    env = gym.make("MMCReach-v0", engine="analytic")
+    seen = [env.reset(seed=1)[0]]
+    for _ in range(count - 1):
+        seen.append(env.step(np.full(3, 0.5, np.float32))[0])
+    return np.array(seen)
+
+
+def test_before_an_episode_nothing_has_moved():
+    history, (first, *_) = History(LAYOUT, BLOCKS), observed()
+    np.testing.assert_allclose(history.recall(first, history.start(first)), 0.0, atol=1e-6)
+
+
+def test_a_history_has_what_was_seen_and_done_less_what_is_seen_now():
+    history, seen = History(LAYOUT, BLOCKS), observed()
+    memory, action = history.start(seen[0]), np.full(3, 0.5, np.float32)
+    for one in seen[:-1]:
+        memory = history.extended(one, action, memory)
+    recalled = history.recall(seen[-1], memory).reshape(3, 10)
+    angles = np.arctan2(seen[:, 3:6], seen[:, :3])
+    angles = np.unwrap(angles, axis=0)
+    np.testing.assert_allclose(recalled[0, :3], angles[-2] - angles[-1], atol=1e-5)
+    np.testing.assert_allclose(recalled[1, :3], angles[[0, 1]].mean(0) - angles[-1], atol=1e-5)
+    np.testing.assert_allclose(recalled[:, 5:7], 0.0, atol=1e-5)  # the target stays
+    np.testing.assert_allclose(recalled[:2, 7:], 0.5)
+    np.testing.assert_allclose(recalled[2, 7:], 0.0)  # nothing was done before the episode
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A policy with a memory after next to no training, and the model that was trained."""
+    folder, models = tmp_path_factory.mktemp("memory"), []
+    changes = {"n_timesteps": 1, "n_envs": 32, "n_steps": 8, "batch_size": 64}
+    changes |= {"policy_kwargs": {"net_arch": [8]}}
+    one = Training(read_recipe("ppo-memory").with_changes(**changes), 0, folder, evaluations=1)
+    one.save = lambda model: (models.append(model), Training.save(one, model))  # type: ignore[method-assign, assignment]
+    one.run()
+    return *load_policy(folder / "ppo-memory-0.json"), models[-1]
+
+
+def agent_in(env: Any, trained: Any) -> PolicyAgent:
+    return PolicyAgent(*trained[:2], ReachInterface.of(env))
+
+
+def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_trained(trained):
+    env = Memory(plain(), trained[1].blocks)
+    agent, model = agent_in(env, trained), trained[2]
+    shown, state, started = env.reset(), None, np.ones(ARMS, dtype=bool)
+    for _ in range(120):  # over the end of episodes
+        expected, _ = model.predict(shown, deterministic=True)
+        actions, state = agent.predict(shown[:, :15], state, started, deterministic=True)
+        np.testing.assert_allclose(actions, expected, atol=1e-5)
+        shown, _, started, infos = env.step(actions)
+        if started.any():
+            assert {len(info["terminal_observation"]) for info in infos} == {shown.shape[1]}
+
+
+def test_one_arm_acts_as_in_a_batch(trained):
+    seeds = [5, 6]
+    one, many = gym.make("MMCReach-v0"), gym.make_vec("MMCReach-v0", 2)
+    alone = run_episodes(agent_in(one, trained), one, seeds)
+    together = run_episodes(agent_in(many, trained), many, seeds)
+    for each, same in zip(alone, together, strict=True):
+        np.testing.assert_allclose(each.hands, same.hands, atol=1e-4)
+
+
+def test_a_state_of_other_arms_is_refused(trained):
+    env = gym.make_vec("MMCReach-v0", 2)
+    agent, (observations, _) = agent_in(env, trained), env.reset(seed=0)
+    _, state = agent.predict(observations)
+    with pytest.raises(UserError, match=r"state must be what predict returned.* \(3, 30, 10\)"):
+        agent.predict(observations[[0, 1, 1]], state)
