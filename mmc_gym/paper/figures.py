@@ -78,7 +78,7 @@ def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figur
     means = np.array([of_runs.mean() for of_runs in runs.values()])
     deviations = np.array([of_runs.std() for of_runs in runs.values()])
     low, high = np.maximum(means - deviations, 0), means + deviations
-    figure, (axes,) = make_panels(1, max(0.5 * len(runs) + 1.2, 4.2), 3.1)
+    figure, (axes,) = make_panels(1, max(0.5 * len(runs) + 1.2, 5.6), 3.1)
     label = "± standard deviation over movements"
     axes.fill_between(places, low, high, color=COLOURS[0], alpha=0.15, linewidth=0, label=label)
     axes.plot(places, means, color=COLOURS[0], marker="o", markersize=4, label="mean")
