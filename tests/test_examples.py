@@ -33,7 +33,7 @@ SHOWS = {
     "learning/plot_residual.py": r"ppo-residual: 100% of the targets.*ppo: \d% of the targets",
     "network/plot_learned_normalizer.py": r"shipped: mean angle error 0\.000\d°, hand 0\.000",
     "network/plot_longer_arms.py": r"N = 2: 3 vectors, 1\d iter.*N = 10: 55 vectors, 2\d\d iter",
-    "network/plot_one_iteration.py": r"L1: now \[0\.96 0\.3 \], its triangles say \[\[ 0\.96",
+    "network/plot_one_iteration.py": r"L1: now \[0\.96 0\.3 \], .* say \[0\.96 0\.3 \] and \[-1",
     "network/plot_population_code.py": r"tuning width: 1\d\d° to 1\d\d°",
     "network/plot_redundancy.py": r"9\d% of 500 arms end at the target",
     "network/plot_three_tasks.py": r"forward: end effector R \[-1\. +1\.5\]",

@@ -35,7 +35,7 @@ for axes, agents in ((left, ["ppo"]), (right, ["ppo", "sac", "tqc-her", "ppo-res
         axes.plot(mean["steps"], 100 * mean["success"], line, linewidth=2, label=label)
         axes.fill_between(mean["steps"], 100 * mean["low"], 100 * mean["high"], alpha=0.25)
     axes.set(xlabel="environment steps", xscale="log")
-    axes.legend()
+figure.legend(*right.get_legend_handles_labels(), loc="outside upper center", ncols=4)
 left.set_ylabel("success [%]")
 plt.show()
 

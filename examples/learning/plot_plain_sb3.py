@@ -4,7 +4,7 @@ How long does plain PPO take from nothing to 95 %?
 
 Some seconds on one core, if it learns on many arms at once. Nothing here is special but that: PPO
 of stable-baselines3 with its ``MlpPolicy``, and a native vector environment on the compiled
-engine.
+engine (the extra ``fast``).
 """
 
 import time

@@ -36,6 +36,7 @@ right.plot(*targets[0], "x", color="black", markersize=12, markeredgewidth=2, la
 left.set(xlabel="iteration", ylabel="median distance to target [length of arm / 3]")
 left.set(yscale="log", ylim=1e-4)
 right.set(xlabel="x [length of arm / 3]", ylabel="y [length of arm / 3]", aspect="equal")
+right.set_xlim(-1.5, 1.5)
 left.legend()
-right.legend()
+right.legend(loc="upper right")
 plt.show()

@@ -30,7 +30,8 @@ opinions = {
     (i, j): [vector[i, k] + vector[k, j] for k in range(4) if k not in (i, j)] for i, j in pairs
 }
 for pair, values in opinions.items():
-    print(f"{names[pair]}: now {vector[pair].round(2)}, its triangles say {np.round(values, 2)}")
+    said = " and ".join(str(value.round(2)) for value in values)
+    print(f"{names[pair]}: now {vector[pair].round(2)}, its triangles say {said}")
 
 # %%
 # The mean gives the present value the weight (d − 2)/d, and each of the two opinions 1/d, with the
