@@ -34,8 +34,9 @@ class Circle(Task):
         return round(self.seconds / control_step)
 
     def draw(self, request):
+        count = self.path_length(request.workspace.body.control_step)
         first = request.random.uniform(0, 2 * np.pi)
-        angles = first + np.linspace(0, 2 * np.pi, self.path_length(0.02), endpoint=False)
+        angles = first + np.linspace(0, 2 * np.pi, count, endpoint=False)
         targets = [(1.5 + self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles]
         return Trial(request.draw_posture(), targets)
 

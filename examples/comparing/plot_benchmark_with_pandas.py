@@ -7,7 +7,6 @@ data frame, and so does pandas alone. What follows is a groupby.
 """
 
 import tempfile
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 
@@ -21,7 +20,7 @@ from mmc_gym.benchmark.store import read_episodes
 agents = ["mmc", "ik-dls", "mmc-body"]
 scenarios = ["random", "rotation-2", "rotation-10", "longer-6", "locks-2", "hand-mass-6"]
 with tempfile.TemporaryDirectory() as folder:
-    benchmark(agents, Path(folder), scenarios, episodes=20, jobs=1)
+    benchmark(agents, folder, scenarios, episodes=20, jobs=1)
     episodes = read_episodes(folder)
 print(episodes.shape, list(episodes.columns[:6]))
 

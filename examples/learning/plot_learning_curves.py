@@ -9,14 +9,13 @@ episodes.
 
 import matplotlib.pyplot as plt
 
-from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.training.curves import curve_rows, mean_curves, read_cards
 
 # %%
-# Here are the policies that ship. Your own lie in ``runs`` after ``mmc-gym train``, and ``mmc-gym
-# curves`` draws this figure of them, with a table of steps and minutes to 95 %.
+# Here are the policies that ship. ``read_cards("runs")`` reads your own, which ``mmc-gym train``
+# writes there, and ``mmc-gym curves --folder runs`` draws them, with a table of steps and minutes.
 
-cards = read_cards(PRETRAINED)
+cards = read_cards()
 rows = curve_rows(cards)
 print(rows.groupby("agent")["seed"].nunique().to_dict())
 

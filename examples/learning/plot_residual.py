@@ -10,7 +10,6 @@ everything.
 import matplotlib.pyplot as plt
 
 import mmc_gym
-from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.training.curves import read_cards
 
 # %%
@@ -18,7 +17,7 @@ from mmc_gym.training.curves import read_cards
 # all. ``agent = mmc_gym.train("ppo-residual", seed=7)`` trains another one, with its
 # ``agent.card``.
 
-cards = read_cards(PRETRAINED)
+cards = read_cards()
 for name in ("ppo-residual", "ppo"):
     first = cards[name][0].learning_curve[0]
     print(f"{name}: {first['success']:.0%} of the targets after {first['steps']:,} steps")

@@ -252,7 +252,7 @@ class Progress:
 
 def benchmark(
     agents: Agents,
-    out: Path,
+    out: Path | str,
     environments: Environments = (),
     episodes: int = 100,
     seed: int = 0,
@@ -291,14 +291,14 @@ def benchmark(
             _check_control(entry, scenarios, asked)
     episode_seeds(seed, episodes)
     check_workers(jobs, cluster)
-    out = check_folder(out, "out")
-    begun = update_manifest(out, partial(_joined, out, scenarios, entries, episodes, seed))
+    store = check_folder(out, "out")
+    begun = update_manifest(store, partial(_joined, store, scenarios, entries, episodes, seed))
     cells = [replace(one, control=asked) for one in _cells(scenarios, entries, episodes, seed)]
     begin = time.perf_counter()
     missing: list[Cell] = []
     finished: dict[CellKey, NotPlayed | None] = {}
     for cell in cells:
-        if cell_facts(out, cell.key, cell.settings) is None:
+        if cell_facts(store, cell.key, cell.settings) is None:
             missing.append(cell)
         else:
             finished[cell.key] = None
@@ -307,7 +307,7 @@ def benchmark(
 
     def keep(index: int, outcome: Outcome) -> None:
         key = missing[index].key
-        write_cell(out, key, outcome.files)  # or remove it, if it was played by a former agent
+        write_cell(store, key, outcome.files)  # or remove it, if it was played by a former agent
         finished[key] = None
         if outcome.status != "played":
             finished[key] = NotPlayed.of(key, outcome.status, outcome.reason)
@@ -322,12 +322,12 @@ def benchmark(
         not_played += [one for one in finished.values() if one is not None]
         seconds = manifest.elapsed_seconds + round(time.perf_counter() - begin, 1)
         known = {"not_played": not_played, "elapsed_seconds": seconds, "reused": reused}
-        return manifest.model_copy(update={**known, **_found(out)})
+        return manifest.model_copy(update={**known, **_found(store)})
 
     try:
         run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep, on_failure=bury)
     finally:
-        manifest = update_manifest(out, updated)
+        manifest = update_manifest(store, updated)
     return manifest
 
 

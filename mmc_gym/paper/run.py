@@ -126,7 +126,7 @@ class StaleResult(Exception):
 
 def reproduce(
     names: Sequence[str] = (),
-    folder: Path = Path("runs/reproduce"),
+    folder: Path | str = Path("runs/reproduce"),
     quick: bool = False,
     seed: int = 0,
     jobs: int | None = None,
@@ -149,7 +149,7 @@ def reproduce(
     for name in names:
         if name not in EXPERIMENTS:
             raise unknown("experiment", name, EXPERIMENTS)
-    check_folder(folder, "out")
+    folder = check_folder(folder, "out")
     sections = {}
     with progress_bar() as bar:
         settings = Settings(

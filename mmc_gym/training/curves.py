@@ -160,17 +160,18 @@ def learning_curves(folder: Path | None, out: Path) -> None:
     print_written(console, written)
 
 
-def read_cards(folder: Path) -> dict[str, list[PolicyCard]]:
+def read_cards(folder: Path | str = PRETRAINED) -> dict[str, list[PolicyCard]]:
     """Read the cards of all policies in a folder: by name, in the order of their seeds.
 
-    Policies are the files NAME-SEED.json in the folder, each with its NAME-SEED.safetensors, or,
-    if there are none, those in the folders right below it, as single trainings leave them.
+    By default those that ship with the package.  Policies are the files NAME-SEED.json in the
+    folder, each with its NAME-SEED.safetensors, or, if there are none, those in the folders right
+    below it, as single trainings leave them.
 
     Raises:
         UserError: if there are none, one is damaged, or policies of the same name are of the
             same seed, or of different environments or hyperparameters.
     """
-    cards: dict[str, list[PolicyCard]] = {}
+    folder, cards = Path(folder), dict[str, list[PolicyCard]]()
     for path in _card_files(folder):
         try:
             _, card = load_policy(path)

@@ -229,7 +229,7 @@ def tune(
     name: str,
     trials: int,
     steps: int,
-    out: Path,
+    out: Path | str,
     on_trial: Callable[[int, float], None] = lambda number, value: None,
 ) -> dict[str, Any]:
     """Look for constants; go on where an earlier call with the same folder stopped.
@@ -254,7 +254,7 @@ def tune(
     """
     for argument, count in (("trials", trials), ("steps", steps)):
         require_whole(argument, count)
-    check_folder(out, "out")
+    out = check_folder(out, "out")
     target, name = find_target(name), Path(name).stem
     study = _open_study(name, steps, out)
     from optuna.samplers import TPESampler

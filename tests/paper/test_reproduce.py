@@ -52,7 +52,7 @@ def cells(page):
 
 
 def test_the_report_has_every_number_unit_note_and_figure(two_experiments, tmp_path, capsys):
-    reproduce(folder=tmp_path)
+    reproduce(folder=str(tmp_path))
     written = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
     assert written == {
         *("table.md", "table.html", "first/bell.png", "first/bell.svg"),

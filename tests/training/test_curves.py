@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from mmc_gym._errors import UserError
+from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     FINAL_EPISODES,
@@ -81,6 +82,14 @@ def test_policies_are_grouped_by_name_in_the_order_of_their_seeds(tmp_path):
     seeds = {name: [card.seed for card in group] for name, group in cards.items()}
     assert seeds == {"ppo": [0, 2, 10], "sac": [3]}
     assert weights_sizes(tmp_path)["sac-3"] == (tmp_path / "sac-3.safetensors").stat().st_size
+
+
+def test_the_policies_that_ship_are_read_unless_there_is_a_folder(tmp_path):
+    assert {name: len(cards) for name, cards in read_cards().items()} == {
+        name: agent.training_seeds for name, agent in AGENTS.items() if agent.training_seeds
+    }
+    write(tmp_path, training())
+    assert list(read_cards(str(tmp_path))) == ["ppo"]
 
 
 def test_single_trainings_in_folders_of_their_own_are_found_too(tmp_path):
