@@ -68,13 +68,14 @@ class Assumptions:
         motor_noise: c, noise of a command as a fraction of it.
         joint_noise: of felt joint angles, rad; that of velocities is ten a second of it.
         vision_noise: of the seen hand and target, segment lengths.
+        slip: by how much a joint's turn differs from the one asked for in a control step, rad.
         push: what disturbs a joint's velocity in a control step, rad/s.
         drift: by how much the seen hand leaves the felt one in a control step, segment lengths.
         swerve: by how much a target changes its velocity in a control step, segment lengths / s.
     """
 
     shortest: float = 0.3
-    speed: float = 3.0
+    speed: float = 4.0
     longest: float = 1.4
     lag: float = 0.04
     velocity_cost: float = 0.1
@@ -83,7 +84,8 @@ class Assumptions:
     motor_noise: float = 0.2
     joint_noise: float = 0.0175
     vision_noise: float = 0.01
-    push: float = 1.0
+    slip: float = 0.01
+    push: float = 0.1
     drift: float = 0.01
     swerve: float = 0.3
 
@@ -159,7 +161,7 @@ class Gains(NamedTuple):
     Attributes:
         control: L by the steps that are left of a movement, and by s, (steps + 1, entries, 3);
             that of z is per segment length of the hand.
-        posture: K of a joint's angle from the readings of angle and velocity, (2,).
+        posture: K of a joint's angle and of its velocity, each from its own reading, (2,).
         vision: K of where the hand is seen beside where it is felt.
         target: K of (place, velocity) from the seen place, (2,).
     """
@@ -179,12 +181,13 @@ def gains(assumed: Assumptions, step: float) -> Gains:
     control = np.concatenate((staying[None], reaching_gains(assumed, step, values)))
     control[..., 0] /= moves
     fresh, glides = np.diag([1.0, 0.0]), np.array([[1.0, step], [0.0, 1.0]])
+    hindered = np.diag([assumed.slip, assumed.push]) ** 2
     bump = np.outer([0.5 * step, 1.0], [0.5 * step, 1.0])
     felt, seen = assumed.joint_noise**2 * np.diag([1.0, 100.0]), assumed.vision_noise**2 * np.eye(1)
     return Gains(
         control,
         # A joint's velocity is the one that is asked for, whatever it was.
-        posture=kalman_gain(fresh, np.eye(2), assumed.push**2 * bump, felt)[0],
+        posture=np.diag(kalman_gain(fresh, np.eye(2), hindered, felt)),
         vision=float(kalman_gain(np.eye(1), np.eye(1), assumed.drift**2 * np.eye(1), seen)[0, 0]),
         target=kalman_gain(glides, np.eye(1, 2), assumed.swerve**2 * bump, seen)[:, 0],
     )
@@ -195,7 +198,7 @@ class Estimate(NamedTuple):
 
     Attributes:
         joint_angles: where it feels the joints, radians, (..., N).
-        velocity: that the servos are asked for, rad/s, (..., N).
+        velocity: that it feels; after a command, that the servos are asked for, rad/s, (..., N).
         drive: its rate of change, rad/s², (..., N).
         shift: of the seen hand from the felt one, segment lengths, (..., 2).
         target, target_velocity: segment lengths and a second, (..., 2).
@@ -265,7 +268,8 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         angles = before.joint_angles + step * before.velocity
         of_angles = wrap_angle(sensed.joint_angles - angles)
         of_speeds = told.speed_limit * told.layout.split(observation).speeds - before.velocity
-        angles = angles + gains.posture[0] * of_angles + gains.posture[1] * of_speeds
+        angles = angles + gains.posture[0] * of_angles
+        speeds = before.velocity + gains.posture[1] * of_speeds
         felt = hand_position(angles, lengths)
         shift = told.seen_hand(observation) - felt
         known = np.where(np.isnan(before.shift), shift, before.shift)
@@ -281,6 +285,7 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         begins = jumped | np.isnan(before.remaining)
         return before._replace(
             joint_angles=angles,
+            velocity=speeds,
             shift=shift,
             target=target,
             target_velocity=velocity,
@@ -294,7 +299,9 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         goal = nearest_reachable(state.target - state.shift, lengths)
         angles = leave_line(state.joint_angles, goal, lengths)
         hand, jacobian_x, jacobian_y = jacobian(angles, lengths)
-        columns, moves, rows = np.linalg.svd(np.stack((jacobian_x, jacobian_y), axis=-2))
+        effects = np.stack((jacobian_x, jacobian_y), axis=-2)
+        effects[..., list(told.lockable_joints)] = 0.0  # a joint that may lock moves nothing
+        columns, moves, rows = np.linalg.svd(effects)
         count = moves.shape[-1]
         every = np.zeros_like(angles)
         every[..., :count] = moves
