@@ -22,35 +22,39 @@ start = network.run(rest, target, iterations=0)  # R is at the target, all else 
 # A vector from node i to node j, by way of another node k: v_ik + v_kj. As long as the arm stands
 # still, all agree. Now that R has been moved, the triangles with R contradict the others.
 
-pairs = vector_pairs(3)
-names = dict(zip(pairs, ("L1", "L2", "L3", "D1", "D2", "R")))
-vector = {pair: start.vectors[row] for row, pair in enumerate(pairs)}
+names = dict(zip(vector_pairs(3), ("L1", "L2", "L3", "D1", "D2", "R")))
+vector = dict(zip(names, start.vectors))
 vector |= {(j, i): -value for (i, j), value in vector.items()}
 opinions = {
-    (i, j): [vector[i, k] + vector[k, j] for k in range(4) if k not in (i, j)] for i, j in pairs
+    (i, j): [vector[i, k] + vector[k, j] for k in range(4) if k not in (i, j)] for i, j in names
 }
-for pair, values in opinions.items():
-    said = " and ".join(str(value.round(2)) for value in values)
-    print(f"{names[pair]}: now {vector[pair].round(2)}, its triangles say {said}")
+for pair, name in names.items():
+    said = " and ".join(str(value.round(2)) for value in opinions[pair])
+    print(f"{name}: now {vector[pair].round(2)}, its triangles say {said}")
 
 # %%
 # The mean gives the present value the weight (d − 2)/d, and each of the two opinions 1/d, with the
-# damping d. At last the segments, and only these, are brought back to their length, and what is
-# held, R, stays where it is.
+# damping d. At last the segments are brought back to their length; R, which is held, stays.
 
-after = network.step(start, target)
-d = network.damping
-figure, panels = plt.subplots(2, 3, figsize=(9, 5), layout="constrained")
-for axes, (row, pair) in zip(panels.flat, enumerate(pairs)):
-    mean = ((d - 2) * vector[pair] + sum(opinions[pair])) / d
-    arrows = [("tab:blue", "^:", opinion, "a triangle") for opinion in opinions[pair]]
-    arrows += [("0.6", "s-", vector[pair], "before"), ("black", "o-", after.vectors[row], "after")]
-    arrows += [("tab:red", "x--", mean, "mean")]
-    for colour, line, tip, label in arrows:
-        axes.plot(*np.transpose([(0, 0), tip]), line, color=colour, label=label, markevery=[1])
-    axes.set(title=names[pair], aspect="equal", xlim=(-2.8, 2.2), ylim=(-1, 2.4))
-figure.supxlabel("x [segment lengths], each vector drawn from its start", fontsize="medium")
+after, d = network.step(start, target), network.damping
+layout = [["arm", "L1", "L2", "L3"], ["arm", "D1", "D2", "R"]]
+widths = dict(width_ratios=(1.8, 1, 1, 1), layout="constrained")
+figure, panels = plt.subplot_mosaic(layout, figsize=(11, 4.4), **widths)
+for row, ((i, j), name) in enumerate(names.items()):
+    tip = start.nodes[i] + vector[i, j]
+    style = dict(arrowstyle="->", linewidth=2, linestyle="-" if name[0] == "L" else "--")
+    panels["arm"].annotate("", tip, start.nodes[i], arrowprops=style)
+    panels["arm"].text(*(start.nodes[i] + tip) / 2, name, color="tab:red", fontsize=14)
+    mean = ((d - 2) * vector[i, j] + sum(opinions[i, j])) / d
+    arrows = [("tab:blue", "^:", opinion, "a triangle") for opinion in opinions[i, j]]
+    arrows += [("0.6", "s-", vector[i, j], "before"), ("black", "o-", after.vectors[row], "after")]
+    for colour, line, end, label in [*arrows, ("tab:red", "x--", mean, "mean")]:
+        panels[name].plot(*np.transpose([(0, 0), end]), line, c=colour, label=label, markevery=[1])
+for name, axes in panels.items():
+    axes.set(title=name, aspect="equal", xlim=(-2.8, 2.2), ylim=(-1, 2.4))
+panels["arm"].set(title="before", xlim=(-1.2, 2.1), ylim=(-0.2, 2.4))
+figure.supxlabel("x [segment lengths]; on the right, each vector from 0", fontsize="medium")
 figure.supylabel("y [segment lengths]", fontsize="medium")
-handles, labels = panels[0, 0].get_legend_handles_labels()
+handles, labels = panels["L1"].get_legend_handles_labels()
 figure.legend(handles[1:], labels[1:], loc="outside upper center", ncols=4)
 plt.show()
