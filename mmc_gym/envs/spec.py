@@ -39,7 +39,7 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.scenarios import environment_id, find_perturbation, find_task
-from mmc_gym.envs.tasks import Request, Task, Trial
+from mmc_gym.envs.tasks import RandomTarget, Request, Task, Trial
 from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace
 from mmc_gym.interface import (
     CONTROLS,
@@ -74,6 +74,7 @@ class ReachSetup:
         delay: of the senses, control steps.
         lock_step: after how many control steps the lockable joints lock; None: never.
         path_length: places on the path of the target.
+        draws_pairs: whether `workspace.draw_pairs` draws its trials, many at once.
         frame_rate: pictures a second, one each control step.
         trace_length: places on the trace of the hand that a picture shows, a second's.
         action_space, observation_space: of one arm.
@@ -137,6 +138,7 @@ class ReachSetup:
         self.trace_length = max(2, self.frame_rate)
         self.path_length = self.task.path_length(self.told.control_step)
         self.task.check(self.workspace)
+        self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
         self._draw(np.random.default_rng(0), Options())
 
     def _apply_perturbations(self, parameters: ArmParameters) -> None:

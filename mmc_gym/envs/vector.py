@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 
 import gymnasium as gym
 import numpy as np
@@ -25,11 +25,13 @@ from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import GoalEnvironment
 from mmc_gym.envs.rewards import distances, reward_and_info
-from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, check_names
+from mmc_gym.envs.spec import GoalSetup, Options, ReachEnvironment, as_numbers, check_names
 from mmc_gym.envs.workspace import Point
 from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
+    from mmc_gym.body.analytic.arms import AnalyticArms
+    from mmc_gym.envs.compiled import CompiledOutcome
     from mmc_gym.envs.render.renderer import Renderer, Scene
 
 Info = dict[str, Any]
@@ -45,12 +47,15 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     `gym.make_vec("MMCReach-v0", num_envs=64)` makes one.  With the same seeds and actions it
     returns what `vectorization_mode="sync"` does, bit for bit, where numpy's `cos` and `sin` are
     those of the C library (elsewhere observations, distances and rewards may differ in the last
-    bit, the movements never).  Returned arrays are new ones.
+    bit, the movements never).  The analytic engine has its own cosines and sines, as exact: its
+    observations differ in the last bit of a float32, about once in a hundred million values.
 
     ## Arguments
     Those of `MMCReachEnv`, and `num_envs`, `max_episode_steps` (by default the task's; None: no
     limit), `autoreset_mode` (Gymnasium's `AutoresetMode`, or its value: "NextStep", "SameStep",
-    "Disabled") and `threads` that step the arms (1).
+    "Disabled"), `threads` that step the arms (1), and `copy` (True): whether observations are
+    arrays of their own, or False, overwritten by the next step, as in Gymnasium's vector
+    environments.
 
     It cannot be pickled or copied: make it anew.
     """
@@ -68,6 +73,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         max_episode_steps: int | Literal["task"] | None = "task",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 1,
+        copy: bool = True,
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
@@ -76,8 +82,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         Raises:
             UserError: a `ValueError`, if an argument is unknown, or outside what it accepts.
         """
-        own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "render_mode")
-        check_names(arguments, *own)
+        own = ("max_episode_steps", "autoreset_mode", "threads", "copy", "render_mode")
+        check_names(arguments, "num_envs", *own)
         require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = self.make_setup(**arguments)
         if max_episode_steps == "task":
@@ -100,6 +106,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._body = make_arms(setup.engine, setup.body, num_envs, setup.action.servo, threads)
+        self._copy = copy
         self._all = np.arange(num_envs)
         self._randoms: list[np.random.Generator] = []
         self._seeds: list[int] = []
@@ -111,6 +118,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         space = self.single_observation_space
         # Observations on their way, oldest first: that one is shown.
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
+        self._compiled = self._compile()
         self._renderers: list[Renderer] = []
         traced = self._all if render_mode is not None else ()
         self._traces: list[deque[Point]] = [deque(maxlen=setup.trace_length) for _ in traced]
@@ -140,7 +148,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._is_started[arms], self._is_over[arms] = True, False
         observation, _, info = self._outcome(arms)
         self._show_start(arms, observation)
-        return deepcopy(self._late[0]), spread(info, mask)
+        return self._shown(), spread(info, mask)
 
     def step(
         self, actions: NDArray[np.float32]
@@ -158,8 +166,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._body.command(self._commands(actions, waiting))
         self._body.step()
         self._steps += 1
-        for trace, (x, y) in zip(self._traces, self._body.end_effectors.tolist()):
-            trace.append((x, y))
+        if self._traces:
+            for trace, (x, y) in zip(self._traces, self._body.end_effectors.tolist()):
+                trace.append((x, y))
         self._advance_events()
         if len(waiting):
             self._place(waiting, Options())
@@ -175,7 +184,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._is_over = truncations.copy()
         elif truncations.any():
             infos = self._restart(infos, truncations)
-        return deepcopy(self._late[0]), rewards, terminations, truncations, infos
+        return self._shown(), rewards, terminations, truncations, infos
 
     @property
     def arms(self) -> ArmBatch:
@@ -249,11 +258,17 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _place(self, arms: Indices, options: Options) -> None:
         """Draw trials for these arms, and place them."""
-        trials = [self.setup.draw_trial(self._randoms[arm], options) for arm in arms]
-        for arm, (_, targets) in zip(arms, trials, strict=True):
-            self._paths[arm, : len(targets)] = targets
-            self._last_places[arm] = len(targets) - 1
-        self._body.reset(np.array([posture for posture, _ in trials]), arms)
+        randoms = [self._randoms[arm] for arm in arms]
+        if self.setup.draws_pairs and options == Options():
+            postures, targets = self.setup.workspace.draw_pairs(randoms)
+            self._paths[arms, 0], self._last_places[arms] = targets, 0
+        else:
+            trials = [self.setup.draw_trial(random, options) for random in randoms]
+            postures = np.array([trial.joint_angles for trial in trials])
+            for arm, trial in zip(arms, trials, strict=True):
+                self._paths[arm, : len(trial.targets)] = trial.targets
+                self._last_places[arm] = len(trial.targets) - 1
+        self._body.reset(postures, arms)
         if self.setup.lock_step == 0:
             self._body.lock(arms)
         self._steps[arms] = self._places[arms] = 0
@@ -296,27 +311,56 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         ends = {"final_obs": final_observations, "final_info": final}
         return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
 
+    def _compile(self) -> CompiledOutcome | None:
+        """Return what makes the outcomes of all arms of the analytic engine, if it can."""
+        if self.setup.engine != "analytic" or self.setup.noises or self.make_setup is GoalSetup:
+            return None
+        from mmc_gym.envs.compiled import CompiledOutcome  # needs numba
+
+        return CompiledOutcome(self.setup, cast("AnalyticArms", self._body))
+
     def _outcome(self, arms: Indices | slice) -> tuple[Any, NDArray[np.float64], Info]:
         """Return observation, reward and info of the present state of these arms."""
         setup, body, targets = self.setup, self._body, self._targets[arms]
         hands = self._seen_hands(arms)
+        if self._compiled is not None and arms is _EVERY:
+            oldest: Any = self._late[0]  # was shown in the last step
+            may_succeed = self._is_at_last_target(arms)
+            rewards, info = self._compiled(
+                oldest, hands=hands, targets=targets, may_succeed=may_succeed, speeds=self._speeds
+            )
+            return oldest, rewards, info | self._places_of(arms, hands)
         readings = Readings(body.joint_angles[arms], body.joint_velocities[arms], hands, targets)
         distance = distances(hands, targets)
         is_success = distance <= self.success_distance
-        if setup.task.advance == "reach":
-            is_success &= self._places[arms] == self._last_places[arms]
+        is_success &= self._is_at_last_target(arms)
         speeds = relative_speeds(readings.joint_velocities, setup.told.speed_limit)
         before = self._speeds[arms].T
         rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
         self._speeds[arms] = speeds
-        info["end_effector"] = body.end_effectors[arms].copy()
-        info["target"] = targets.copy()
-        if setup.rotation is not None:
-            info["cursor"] = hands
+        info |= self._places_of(arms, hands)
         if setup.noises:
             randoms = [self._randoms[arm] for arm in self._all[arms]]
             readings = setup.disturb(readings, randoms)
         return setup.observe(readings), rewards, info
+
+    def _is_at_last_target(self, arms: Indices | slice) -> Bools:
+        """Tell which arms succeed by being at their target."""
+        if self.setup.task.advance == "time":
+            return np.ones(len(self._all[arms]), dtype=bool)
+        return np.asarray(self._places[arms] == self._last_places[arms])
+
+    def _places_of(self, arms: Indices | slice, hands: NDArray[np.float64]) -> Info:
+        """Return the infos about where hands, targets and cursors are."""
+        info = {
+            "end_effector": self._body.end_effectors[arms].copy(),
+            "target": self._targets[arms].copy(),
+        }
+        return info if self.setup.rotation is None else info | {"cursor": hands}
+
+    def _shown(self) -> Any:
+        """Return the observation of now."""
+        return deepcopy(self._late[0]) if self._copy else self._late[0]
 
     def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
         """Return where the hands are, or the cursors that stand for them, (k, 2)."""

@@ -137,6 +137,32 @@ class Workspace:
             f"rotation {self.rotation}"
         )
 
+    @property
+    def is_ring(self) -> bool:
+        """Whether any posture is possible, and any target between two radii is in reach of it."""
+        body = self.body
+        is_free = not self.locked and not body.joint_limits and not body.obstacles
+        return is_free and self.rotation is None
+
+    def draw_pairs(
+        self, randoms: Sequence[np.random.Generator]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Draw a posture and a target from each of k generators, where `is_ring`.
+
+        They are what `draw_posture` and `draw_target` draw, in a fifth of the time.
+
+        Returns:
+            Joint angles, radians, (k, N), and targets, (k, 2).
+        """
+        count = len(self.body.segment_lengths)
+        draws = np.array([random.random(count + 2) for random in randoms])
+        postures = _between(-math.pi, math.pi, draws[:, :count])
+        radii = np.sqrt(_between(self.inner**2, self.outer**2, draws[:, count]))
+        angles = _between(-math.pi, math.pi, draws[:, count + 1]).tolist()
+        # Not numpy's cosine, which may differ in the last bit.
+        directions = np.array([(math.cos(angle), math.sin(angle)) for angle in angles])
+        return postures, radii[:, None] * directions
+
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         if self._hands:
             cell = self._hands[random.integers(len(self._hands))]
@@ -261,6 +287,10 @@ def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
 def _uniform(low: float, high: float, random: np.random.Generator) -> float:
     """Return what `random.uniform(low, high)` does, in a third of its time."""
     return low + (high - low) * random.random()
+
+
+def _between(low: float, high: float, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    return low + (high - low) * draws
 
 
 def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:

@@ -103,6 +103,40 @@ def test_it_returns_bit_for_bit_what_single_environments_return(
             reset_both(np.arange(COUNT) % 2 == 0, seed=[1, 2, 3, 4, 5])
 
 
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize(
+    "variant", [name for name in VARIANTS if name not in ("analytic", "obstacles")]
+)
+def test_the_analytic_engine_observes_to_a_rounding_what_single_environments_do(
+    variant: str, mode: AutoresetMode
+) -> None:
+    """Infos, rewards and movements are the same to the bit."""
+    arguments = {"max_episode_steps": 13, **VARIANTS[variant], "engine": "analytic"}
+    native = make_native("MMCReach-v0", autoreset_mode=mode, **arguments)
+    sync = gym.make_vec(
+        "MMCReach-v0", COUNT, "sync", vector_kwargs={"autoreset_mode": mode}, **arguments
+    )
+    assert same(native.reset(seed=3), sync.reset(seed=3))
+    for action in random_actions(native, 30):
+        (seen, *step), (expected, *other) = native.step(action), sync.step(action)
+        np.testing.assert_allclose(seen, expected, rtol=2e-7, atol=1e-9)
+        for each in (step, other):
+            for final in each[-1].pop("final_obs", ()):
+                assert final is None or native.single_observation_space.contains(final)
+        assert same(step, other)
+
+
+@pytest.mark.parametrize("arguments", [{}, {"engine": "analytic"}, {"perturbations": "delay-40"}])
+def test_without_copies_the_next_step_may_overwrite_observations(arguments: dict[str, Any]) -> None:
+    fresh, reused = (
+        make_native("MMCReach-v0", copy=copies, max_episode_steps=7, **arguments)
+        for copies in (True, False)
+    )
+    assert same(fresh.reset(seed=0), reused.reset(seed=0))
+    for action in random_actions(fresh, 20):
+        assert same(fresh.step(action), reused.step(action))
+
+
 @pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 def test_an_arm_plays_the_same_in_any_number_of_arms_and_threads(engine: str) -> None:
     count, steps = 600, 25  # more than one Space of arms, and enough for two threads

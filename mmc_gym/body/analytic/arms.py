@@ -35,6 +35,10 @@ class AnalyticArms(ArmBatch):
 
     Each is bit for bit an arm alone.  They can be pickled and copied at any time, and the copy has
     the same future.
+
+    Attributes:
+        joint_cosines: cosines of the joint angles, (count, N).
+        joint_sines: their sines, (count, N).
     """
 
     @override
@@ -57,7 +61,7 @@ class AnalyticArms(ArmBatch):
         self._world = kernel.make_world(parameters, servo)
         segments, blocks = len(self._rods), -(-self._count // kernel.LANES)
         self._state = np.zeros((blocks, segments), kernel.STATE)
-        self._show(np.zeros(self._count * (3 * segments + 2)))
+        self._show(np.zeros(self._count * (5 * segments + 2)))
         self.reset(np.zeros(self._shape))
 
     def _show(self, output: Floats) -> None:
@@ -67,7 +71,10 @@ class AnalyticArms(ArmBatch):
         self.segment_angles = output[:size].reshape(self._shape)
         self.joint_angles = output[size : 2 * size].reshape(self._shape)
         self.joint_velocities = output[2 * size : 3 * size].reshape(self._shape)
-        self.end_effectors = output[3 * size :].reshape(self._count, 2)
+        turned = 3 * size + 2 * self._count
+        self.end_effectors = output[3 * size : turned].reshape(self._count, 2)
+        self.joint_cosines = output[turned : turned + size].reshape(self._shape)
+        self.joint_sines = output[turned + size :].reshape(self._shape)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_pool": None}  # threads belong to a process
@@ -146,7 +153,7 @@ class AnalyticArm(SingleArm):
         self.segment_angles = numbers[:count]
         self.joint_angles = numbers[count : 2 * count]
         self.joint_velocities = numbers[2 * count : 3 * count]
-        self.end_effector = numbers[-2], numbers[-1]
+        self.end_effector = numbers[3 * count], numbers[3 * count + 1]
 
     @override
     def lock(self) -> None:

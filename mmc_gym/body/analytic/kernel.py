@@ -146,8 +146,9 @@ def _any_lane(counts, lanes):
 def place(state, output, rods, world, chosen, postures, speeds):
     """Place the chosen arms; their servos hold the posture, stop the joints or are slack."""
     segments = rods.shape[0]
-    count = output.shape[0] // (3 * segments + 2)
+    count = output.shape[0] // (5 * segments + 2)
     size = count * segments
+    turned = 3 * size + 2 * count
     is_position, is_torque = world[0].is_position > 0.0, world[0].is_torque > 0.0
     for row in range(chosen.shape[0]):
         arm = chosen[row]
@@ -178,6 +179,9 @@ def place(state, output, rods, world, chosen, postures, speeds):
             output[at] = angle
             output[size + at] = angle - parent_angle
             output[2 * size + at] = speed - parent_speed
+            sine, cosine = _sine_cosine(angle - parent_angle)
+            output[turned + at] = cosine
+            output[turned + size + at] = sine
             parent_angle, parent_speed = angle, speed
         output[3 * size + 2 * arm] = x
         output[3 * size + 2 * arm + 1] = y
@@ -213,7 +217,7 @@ def command(state, output, rods, world, values):
 @compiled
 def step_blocks(state, output, rods, world, substeps, first, last):
     """Simulate the blocks of `state` from `first` to before `last`; write `output`."""
-    count = output.shape[0] // (3 * rods.shape[0] + 2)
+    count = output.shape[0] // (5 * rods.shape[0] + 2)
     segments = rods.shape[0]
     work = np.zeros(segments, WORK)
     sums = np.zeros(1, SUMS)
@@ -475,9 +479,14 @@ def _turn(arms, work, sums, lanes):
 
 @inner
 def _read(arms, work, sums, output, rods, block, lanes):
-    """Write what the arms show: segment angles, joint angles, joint velocities, hands."""
+    """Write what the arms show: segment angles, joint angles, joint velocities, hands.
+
+    Last come the cosines and sines of the joint angles, which observations tell.
+    """
     segments = arms.shape[0]
-    size = output.shape[0] // (3 * segments + 2) * segments
+    count = output.shape[0] // (5 * segments + 2)
+    size = count * segments
+    turned = 3 * size + 2 * count
     sums.x[:lanes] = 0.0
     sums.y[:lanes] = 0.0
     for i in range(segments):
@@ -486,12 +495,20 @@ def _read(arms, work, sums, output, rods, block, lanes):
         for k in range(lanes):
             sums.x[k] += length * w.cosine[k]
             sums.y[k] += length * w.sine[k]
+    sums.angle[:lanes] = 0.0
+    for i in range(segments):
+        a, w = arms[i], work[i]
+        for k in range(lanes):
+            w.moment_y[k], w.moment_x[k] = _sine_cosine(a.angle[k] - sums.angle[k])
+            sums.angle[k] = a.angle[k]
     for k in range(lanes):
         arm = block * LANES + k
         parent_angle = parent_speed = 0.0
         for i in range(segments):
             angle, speed = arms[i].angle[k], arms[i].speed[k]
             at = arm * segments + i
+            output[turned + at] = work[i].moment_x[k]
+            output[turned + size + at] = work[i].moment_y[k]
             output[at] = angle
             output[size + at] = angle - parent_angle
             output[2 * size + at] = speed - parent_speed
