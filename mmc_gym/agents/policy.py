@@ -301,9 +301,10 @@ class PolicyAgent(Agent[Any]):
         random = None if deterministic else self._random
         if self._history is not None:
             state = self._remembered(self._history, observation, state, episode_start)
-            recalled = self._history.recall(observation, state)
+            now = self._history.observed(observation, state)
+            recalled = self._history.recall(now, state)
             action = self._network.act(np.concatenate((seen, recalled), axis=-1), random)
-            state = self._history.extended(observation, action, state)
+            state = self._history.extended(now, action, state)
         elif self._base is None:
             action = self._network.act(seen, random)
             if self.card.view == "target":

@@ -122,14 +122,14 @@ class History:
 
     def start(self, observation: Observation) -> Float32:
         """Return the memory before an episode's first observation, (..., steps, 2 N + 4)."""
-        now = self._record(observation)
+        now = self.observed(observation)
         memory = np.zeros((*now.shape[:-1], self.steps, self._width), np.float32)
         memory[..., : now.shape[-1]] = now[..., None, :]
         return memory
 
-    def recall(self, observation: Observation, memory: Float32) -> Float32:
-        """Return what a policy sees of its memory, (..., size), beside the observation."""
-        now, count = self._record(observation, memory), self.layout.joint_count
+    def recall(self, now: Float32, memory: Float32) -> Float32:
+        """Return what a policy sees of its memory, (..., size), where this is `observed` now."""
+        count = self.layout.joint_count
         means = np.add.reduceat(memory, self._starts, axis=-2)
         means /= np.array(self.blocks, np.float32)[:, None]
         means[..., : now.shape[-1]] -= now[..., None, :]
@@ -140,12 +140,13 @@ class History:
             means[..., x], means[..., x + 1] = turned
         return means.reshape(*means.shape[:-2], self.size)
 
-    def extended(self, observation: Observation, action: Float32, memory: Float32) -> Float32:
-        """Return the memory with one more step, in which an action (..., N) was chosen."""
-        now = np.concatenate((self._record(observation, memory), action), -1)
-        return np.concatenate((now[..., None, :], memory[..., :-1, :]), -2)
+    @staticmethod
+    def extended(now: Float32, action: Float32, memory: Float32) -> Float32:
+        """Return the memory with one more step: what was `observed`, and the action (..., N)."""
+        step = np.concatenate((now, action), -1)
+        return np.concatenate((step[..., None, :], memory[..., :-1, :]), -2)
 
-    def _record(self, observation: Observation, memory: Float32 | None = None) -> Float32:
+    def observed(self, observation: Observation, memory: Float32 | None = None) -> Float32:
         """Return joint angles, hand and target in the world, (..., N + 4).
 
         Joint angles go on from those in memory, without jumps of a whole turn.

@@ -199,7 +199,7 @@ class Memory(VecEnvWrapper):
     @override
     def step_async(self, actions: NDArray[Any]) -> None:
         done = np.asarray(actions, np.float32)
-        self._memory = self._history.extended(self._observation, done, self._memory)
+        self._memory = self._history.extended(self._now, done, self._memory)
         self.venv.step_async(actions)
 
     @override
@@ -209,7 +209,8 @@ class Memory(VecEnvWrapper):
         if dones.any():
             ended = np.flatnonzero(dones)
             last = np.array([infos[index]["terminal_observation"] for index in ended])
-            recalled = self._history.recall(last, self._memory[ended])
+            memory = self._memory[ended]
+            recalled = self._history.recall(self._history.observed(last, memory), memory)
             for index, ending in zip(ended, np.concatenate((last, recalled), -1), strict=True):
                 infos[index]["terminal_observation"] = ending
             self._memory[ended] = self._history.start(observation[ended])
@@ -218,5 +219,5 @@ class Memory(VecEnvWrapper):
     def _show(
         self, observation: NDArray[np.float32], memory: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        self._observation = observation
-        return np.concatenate((observation, self._history.recall(observation, memory)), -1)
+        self._now = self._history.observed(observation, memory)
+        return np.concatenate((observation, self._history.recall(self._now, memory)), -1)

@@ -104,15 +104,16 @@ def observed(count: int = 4) -> np.ndarray:
 
 def test_before_an_episode_nothing_has_moved():
     history, (first, *_) = History(LAYOUT, BLOCKS), observed()
-    np.testing.assert_allclose(history.recall(first, history.start(first)), 0.0, atol=1e-6)
+    recalled = history.recall(history.observed(first), history.start(first))
+    np.testing.assert_allclose(recalled, 0.0, atol=1e-6)
 
 
 def test_a_history_has_what_was_seen_and_done_less_what_is_seen_now():
     history, seen = History(LAYOUT, BLOCKS), observed()
     memory, action = history.start(seen[0]), np.full(3, 0.5, np.float32)
     for one in seen[:-1]:
-        memory = history.extended(one, action, memory)
-    recalled = history.recall(seen[-1], memory).reshape(3, 10)
+        memory = history.extended(history.observed(one, memory), action, memory)
+    recalled = history.recall(history.observed(seen[-1], memory), memory).reshape(3, 10)
     angles = np.arctan2(seen[:, 3:6], seen[:, :3])
     angles = np.unwrap(angles, axis=0)
     np.testing.assert_allclose(recalled[0, :3], angles[-2] - angles[-1], atol=1e-5)
@@ -166,3 +167,18 @@ def test_a_state_of_other_arms_is_refused(trained):
     _, state = agent.predict(observations)
     with pytest.raises(UserError, match=r"state must be what predict returned.* \(3, 30, 10\)"):
         agent.predict(observations[[0, 1, 1]], state)
+
+
+def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(trained):
+    env = gym.make_vec("MMCReach-v0", 2)
+    agent, (first, _), state = agent_in(env, trained), env.reset(seed=0), None
+    observations = first
+    for _ in range(5):
+        actions, state = agent.predict(observations, state, deterministic=True)
+        observations, *_ = env.step(actions)
+    _, fresh = agent.predict(first, None, deterministic=True)
+    _, going_on = agent.predict(first, state, deterministic=True)
+    _, restarted = agent.predict(first, state, np.array([True, False]), deterministic=True)
+    np.testing.assert_array_equal(restarted[0], fresh[0])
+    np.testing.assert_array_equal(restarted[1], going_on[1])
+    assert not np.array_equal(fresh, going_on)
