@@ -5,6 +5,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from stable_baselines3.common.env_util import make_vec_env as common_make_vec_env
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.policy import PolicyAgent, load_policy
@@ -54,6 +55,18 @@ def test_groups_end_their_first_episodes_one_after_the_other_and_all_others_in_f
     ends = [np.flatnonzero(dones[:, arm]) + 1 for arm in range(ARMS)]
     assert [each[0] for each in ends] == [25, 25, 50, 50, 75, 75, 100, 100]
     assert {int(step) for each in ends for step in np.diff(each)} == {100}
+
+
+def test_the_vector_environments_of_others_are_replaced_too():
+    """So rl_zoo3 trains by our files."""
+    arguments = {"engine": "analytic", "control": "joint_velocity"}
+    theirs = common_make_vec_env("MMCReach-v0", ARMS, env_kwargs=arguments)
+    env = RandomScenarios(theirs, ["pursuit"], groups=4)
+    assert env.reset().shape == (ARMS, 15)
+    (drawn_env, *_) = env._groups
+    assert drawn_env is not None
+    made = drawn_env.vector_env.unwrapped
+    assert (made.engine, made.control, made.setup.task_name) == (*arguments.values(), "pursuit")
 
 
 def test_every_scenario_is_met_and_two_at_once():
