@@ -299,7 +299,7 @@ def tune(
     """Let Optuna look for better constants; goes on where it stopped.
 
     Args:
-        name: What to tune: mmc, mmc-feedback, or what train takes.
+        name: What to tune: mmc, or what train takes.
         trials: Number of trials, those of earlier calls included.
         steps: Environment steps of each trial.
         out: Folder for trials and result.

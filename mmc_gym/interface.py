@@ -454,13 +454,6 @@ class ReachInterface:
         x, y = values[3 * count : 3 * count + 2]
         return joint_angles, turned_back(x, y, cos(joint_angles[0]), -sin(joint_angles[0]))
 
-    def seen_hand(self, observation: Observation) -> Floats:
-        """Return where observations show the hand, or its cursor, segment lengths, (..., 2)."""
-        if isinstance(observation, Mapping):
-            return np.asarray(observation["achieved_goal"], dtype=np.float64)
-        seen = self.layout.split(np.asarray(observation, dtype=np.float64))
-        return in_the_world(seen.target - seen.offset, np.arctan2(seen.sines, seen.cosines))
-
     def checked(self, observation: Observation) -> Observation:
         """Return the observation as arrays.
 

@@ -119,7 +119,7 @@ def test_the_world_is_recovered_from_observations_of_either_kind(seed, joints):
         sensed = interface.sense(observation)
         np.testing.assert_allclose(sensed.joint_angles, angles, atol=1e-6)
         np.testing.assert_allclose(sensed.target, targets, atol=1e-5)
-        np.testing.assert_allclose(interface.seen_hand(observation), hands, atol=1e-5)
+        np.testing.assert_allclose(interface.see(observation).hand, hands, atol=1e-5)
 
 
 @pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
@@ -148,7 +148,7 @@ def test_posture_target_and_hand_are_read_off_an_observation(env_id, perturbatio
         angles = env.unwrapped.arm.joint_angles
         np.testing.assert_allclose(np.exp(1j * sensed.joint_angles), np.exp(1j * np.array(angles)))
         np.testing.assert_allclose(sensed.target, options["target"], atol=1e-6)
-        np.testing.assert_allclose(interface.seen_hand(observation), seen, atol=1e-6)
+        np.testing.assert_allclose(interface.see(observation).hand, seen, atol=1e-6)
         observation, _, _, _, info = env.step(np.array([0.9, -0.5, 0.2], np.float32))
 
 
@@ -161,7 +161,7 @@ def test_noise_of_joints_does_not_move_what_is_seen_nor_noise_of_vision_the_join
     for _ in range(20):
         sensed, angles = interface.sense(observation), np.array(env.unwrapped.arm.joint_angles)
         turned = np.angle(np.exp(1j * (sensed.joint_angles - angles)))
-        places = sensed.target - target, interface.seen_hand(observation) - info["end_effector"]
+        places = sensed.target - target, interface.see(observation).hand - info["end_effector"]
         errors.append([np.abs(turned).max(), *(np.abs(place).max() for place in places)])
         observation, _, _, _, info = env.step(np.array([0.9, -0.5, 0.2], np.float32))
     joints, *places = np.max(errors, axis=0)

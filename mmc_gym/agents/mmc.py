@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -147,7 +146,7 @@ class MMCAgent(NetworkAgent[MMCState]):
         if self.interface.joint_limits is None:
             state = network.run(state, clamps, count)
         else:
-            state = run_within_limits(self.interface, network, state, clamps, Embodiment(), count)
+            state = run_within_limits(self.interface, network, state, clamps, count)
         return state.joint_angles, state
 
 
@@ -156,10 +155,9 @@ def run_within_limits(
     network: MMCNetwork,
     state: MMCState,
     clamps: Clamps,
-    body: Embodiment,
     iterations: int,
 ) -> MMCState:
-    """Run networks by `embodied_run`, and keep their joints within the limits.
+    """Run networks, and keep their joints within the limits.
 
     A joint limit enters as a sensed posture does (`network.embodied`): for an arm with a joint
     beyond one, the nearest posture within the limits is one more computation in the mean, of
@@ -169,22 +167,16 @@ def run_within_limits(
     servos alone stop at the limits, and 53 % if it is set to the posture in which its joints have
     stopped.  Those it does not reach need a way round that it does not look for.
     """
-    if interface.joint_limits is None:
-        return embodied_run(network, state, clamps, body, iterations)
-    told = np.array(network.segment_lengths)
-    lengths = told if body.segment_lengths is None else body.segment_lengths
     weight = network.segment_count + 1.0
     for _ in range(iterations):
         joint_angles = state.joint_angles
         within = interface.within_limits(joint_angles)
         is_beyond = np.asarray((np.abs(wrap_angle(joint_angles - within)) > 1e-9).any(axis=-1))
-        before, state = state, embodied_run(network, state, clamps, body)
+        before, state = state, network.step(state, clamps)
         if is_beyond.any():
-            allowed = segments_from_joint_angles(within, lengths)
-            if body.sensed is not None and body.weight:
-                allowed = (weight * allowed + body.weight * body.sensed) / (weight + body.weight)
-            pulled = replace(body, sensed=allowed, weight=weight + body.weight)
-            state = where(is_beyond, embodied_run(network, before, clamps, pulled), state)
+            allowed = segments_from_joint_angles(within, network.segment_lengths)
+            body = Embodiment(sensed=allowed, weight=weight)
+            state = where(is_beyond, embodied_run(network, before, clamps, body), state)
     return state
 
 

@@ -271,7 +271,7 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         angles = angles + gains.posture[0] * of_angles
         speeds = before.velocity + gains.posture[1] * of_speeds
         felt = hand_position(angles, lengths)
-        shift = told.seen_hand(observation) - felt
+        shift = told.see(observation).hand - felt
         known = np.where(np.isnan(before.shift), shift, before.shift)
         shift = known + gains.vision * (shift - known)
         target = before.target + step * before.target_velocity

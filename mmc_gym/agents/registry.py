@@ -7,18 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal
 
 import gymnasium as gym
 
 from mmc_gym.agents.base import Agent, RandomAgent
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
-from mmc_gym.agents.closed_loop.agent import (
-    LOOPS,
-    ClosedLoopInverseKinematicsAgent,
-    closed_loop_mmc,
-)
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent
 from mmc_gym.agents.ik.closed_form import closed_form
 from mmc_gym.agents.ik.iterative import (
@@ -124,13 +118,6 @@ _BODY = {
     "senses": "posture, speeds, seen hand and target in every step; estimates noise and delay, "
     "detects locked joints and contacts",
 }
-
-_LOOP = "posture, seen hand and target in every step"
-
-
-def _closed_loop(loops: str, description: str, *, adds: str = "", **knowledge: str) -> AgentEntry:
-    build = partial(closed_loop_mmc, loops=LOOPS[loops])
-    return _mmc(description, build, senses=f"{_LOOP}{adds}", **knowledge)
 
 
 def _ik(
@@ -265,37 +252,5 @@ AGENTS: dict[str, AgentEntry] = {
         "as mmc-body, with damped least squares as internal model",
         ik_body,
         Knowledge("inverse kinematics", **_BODY),
-    ),
-    "mmc-feedback": _closed_loop(
-        "feedback",
-        "as mmc, with the sensed posture in the mean, and the seen hand correcting the clamp",
-    ),
-    "mmc-delay": _closed_loop(
-        "delay",
-        "as mmc-feedback, with the delay of the senses estimated and bridged",
-        adds="; estimates their delay",
-    ),
-    "mmc-lengths": _closed_loop(
-        "lengths",
-        "as mmc, with segment lengths identified on line",
-        lengths="told, then identified",
-    ),
-    "mmc-lock": _closed_loop(
-        "lock", "as mmc, with locked joints detected and clamped", adds="; detects locked joints"
-    ),
-    "mmc-closed": _closed_loop(
-        "closed",
-        "as mmc, with all loops closed: feedback, delay, lengths and locks",
-        adds="; estimates delay, detects locks",
-        lengths="told, then identified",
-    ),
-    "ik-dls-feedback": AgentEntry(
-        "as ik-dls, with the feedback of mmc-feedback",
-        partial(
-            ClosedLoopInverseKinematicsAgent,
-            loops=LOOPS["feedback"],
-            solver=damped_least_squares,
-        ),
-        Knowledge("inverse kinematics", senses=_LOOP),
     ),
 }

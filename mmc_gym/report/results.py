@@ -37,7 +37,7 @@ _IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
 
 _PREFERRED = (
     "mmc",
-    "mmc-closed",
+    "mmc-body",
     "mmc-bell",
     "ik-dls",
     "ppo",

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,11 +19,8 @@ import numpy as np
 from mmc_gym._errors import UserError, missing, require_whole, unknown
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Agent
-from mmc_gym.agents.closed_loop.agent import HAND_RATE, POSTURE_WEIGHT, ClosedLoopMMCAgent
-from mmc_gym.agents.closed_loop.observer import Loops
 from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.agents.policy import PolicyAgent, load_policy
-from mmc_gym.benchmark.suite import find_scenarios
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
@@ -44,6 +41,7 @@ if TYPE_CHECKING:
 TUNING_SEED = 2_000_000  # of episodes and trainings: far from all others
 TRAINED_EPISODES = 500
 EPISODE_STEPS = 100
+OBJECTIVE = "part of the time at the target"
 
 NETWORK_IN_USE = {
     "damping": 4.0,
@@ -51,20 +49,6 @@ NETWORK_IN_USE = {
     "velocity_decay": 0.92,
     "iterations_per_step": 3,
 }
-FEEDBACK_SCENARIOS = (
-    "random",
-    "force-field-60",
-    "rotation-30",
-    "hand-mass-10",
-    "longer-20",
-    "shorter-20",
-    "locked-2",
-    "joint-noise-0.02",
-    "vision-noise-0.03",
-    "delay-100",
-)
-"""Where feedback is tuned: nothing is wrong, feedback helps, feedback harms."""
-
 Constants = dict[str, Any]
 
 
@@ -77,31 +61,24 @@ class Target:
         space: lets a trial suggest constants.
         judge: returns the worth of constants, at most 1, after so many environment steps.
         episodes: returns how many it judges by, of so many environment steps.
-        objective: the worth in words.
     """
 
     in_use: Constants
     space: Callable[[BaseTrial], Constants]
     judge: Callable[[Constants, int], float]
     episodes: Callable[[int], int]
-    objective: str = "part of the time at the target"
 
 
 def find_target(name: str) -> Target:
-    """Return the target "mmc", "mmc-feedback", or that of hyperparameters (see `read_recipe`).
+    """Return the target "mmc", or that of hyperparameters (see `read_recipe`).
 
     Raises:
         UserError: for any other name, and for hyperparameters that cannot be trained with.
     """
     if name == "mmc":
-        return _network_target(NETWORK_IN_USE, _suggest_network, ("random",))
-    if name == "mmc-feedback":
-        in_use = {**NETWORK_IN_USE, "posture_weight": POSTURE_WEIGHT, "hand_rate": HAND_RATE}
-        objective = f"{Target.objective}, mean over {', '.join(FEEDBACK_SCENARIOS)}"
-        target = _network_target(in_use, _suggest_feedback, FEEDBACK_SCENARIOS)
-        return replace(target, objective=objective)
+        return Target(NETWORK_IN_USE, _suggest_network, _judge_network, _episodes)
     if name not in names() and Path(name).suffix not in SUFFIXES:
-        raise unknown("name", name, ("mmc", "mmc-feedback", *names()), "the path of a YAML file")
+        raise unknown("name", name, ("mmc", *names()), "the path of a YAML file")
     recipe = read_recipe(name)
     settings = recipe.settings
     return Target(
@@ -112,25 +89,19 @@ def find_target(name: str) -> Target:
     )
 
 
-def _network_target(
-    in_use: Constants, space: Callable[[BaseTrial], Constants], scenarios: Sequence[str]
-) -> Target:
-    """Return the target of a network's constants, judged by the mean over scenarios."""
+def _judge_network(constants: Constants, steps: int) -> float:
+    """Return the part of the time at the target of the agent "mmc" with other constants."""
+    make = partial(make_network_agent, constants)
+    arguments = {"control": "joint_position"}
+    return _time_at_target(make, "MMCReach-v0", arguments, _episodes(steps))
 
-    def episodes(steps: int) -> int:
-        return max(1, steps // EPISODE_STEPS // len(scenarios)) * len(scenarios)
 
-    def judge(constants: Constants, steps: int) -> float:
-        make, each = partial(make_network_agent, constants), episodes(steps) // len(scenarios)
-        found = find_scenarios(scenarios).values()
-        worlds = [(one.env_id, {**one.arguments, "control": "joint_position"}) for one in found]
-        return float(np.mean([_time_at_target(make, *world, each) for world in worlds]))
-
-    return Target(in_use, space, judge, episodes)
+def _episodes(steps: int) -> int:
+    return max(1, steps // EPISODE_STEPS)
 
 
 def make_network_agent(constants: Constants, interface: ReachInterface) -> Agent[Any]:
-    """Return the agent "mmc" with other constants; "mmc-feedback" if they include a hand rate."""
+    """Return the agent "mmc" with other constants."""
     network = MMCNetwork(
         interface.segment_lengths,
         constants["damping"],
@@ -138,11 +109,7 @@ def make_network_agent(constants: Constants, interface: ReachInterface) -> Agent
         velocity_damping=constants["velocity_damping"],
         velocity_decay=constants["velocity_decay"],
     )
-    iterations = constants["iterations_per_step"]
-    if "hand_rate" not in constants:
-        return MMCAgent(interface, network, iterations)
-    loops = Loops(constants["posture_weight"], constants["hand_rate"])
-    return ClosedLoopMMCAgent(interface, loops, network, iterations)
+    return MMCAgent(interface, network, constants["iterations_per_step"])
 
 
 def judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:
@@ -171,18 +138,6 @@ def _suggest_network(trial: BaseTrial) -> Constants:
         "velocity_damping": trial.suggest_float("velocity_damping", 1.0, 10.0),
         "velocity_decay": trial.suggest_float("velocity_decay", 0.3, 1.0),
         "iterations_per_step": trial.suggest_int("iterations_per_step", 1, 5),
-    }
-
-
-def _suggest_feedback(trial: BaseTrial) -> Constants:
-    """Suggest the same, with the weight of the posture taken out of the damping (see `Loops`)."""
-    constants = _suggest_network(trial)
-    weight = trial.suggest_float("posture_weight", 0.0, 1.0)
-    return {
-        **constants,
-        "damping": constants["damping"] - weight,
-        "posture_weight": weight,
-        "hand_rate": trial.suggest_float("hand_rate", 0.0, 1.0),
     }
 
 
@@ -239,7 +194,7 @@ def tune(
     may tune the same in the same folder at a time.
 
     Args:
-        name: "mmc", "mmc-feedback", the name of hyperparameters that ship, or the path of your own.
+        name: "mmc", the name of hyperparameters that ship, or the path of your own.
         trials: how many, those of earlier calls included.
         steps: environment steps of each trial.
         out: folder.
@@ -283,7 +238,7 @@ def tune(
         "name": name,
         "trials": len(complete),
         "steps_per_trial": steps,
-        "objective": target.objective,
+        "objective": OBJECTIVE,
         "episodes": target.episodes(steps),
         "value_of_those_in_use": in_use[0].value,
         "in_use": in_use[0].user_attrs[_CONSTANTS],

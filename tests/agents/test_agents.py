@@ -11,8 +11,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.closed_loop.agent import ClosedLoopMMCAgent
-from mmc_gym.agents.closed_loop.observer import Loops
+from mmc_gym.agents.body_model.agent import Parts
 from mmc_gym.agents.ik.agent import InverseKinematicsAgent
 from mmc_gym.agents.ik.iterative import damped_least_squares
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, network_of_arm, out_of_line
@@ -128,7 +127,7 @@ def test_an_arm_in_one_line_with_its_target_gets_there(name, count, bearing):
         assert end <= (0.9 * start if is_slow else 0.02)
 
 
-@pytest.mark.parametrize("name", ["mmc", "mmc-bell", "mmc-closed"])
+@pytest.mark.parametrize("name", ["mmc", "mmc-bell", "mmc-body"])
 def test_a_target_that_jumps_into_the_line_of_a_stretched_arm_is_reached(name):
     env = gym.make("MMCReach-v0")
     agent, state = make_agent(name, env), None
@@ -157,9 +156,9 @@ LIMITS = ((-3.0, 3.0), (-2.0, 2.0), (-2.0, 2.0))
 @pytest.mark.parametrize(
     ("name", "at_least"),
     [
-        *(("mmc", 0.75), ("mmc-neural", 0.75), ("mmc-closed", 0.7), ("mmc-bell", 0.45)),
+        *(("mmc", 0.75), ("mmc-neural", 0.75), ("mmc-body", 0.7), ("mmc-bell", 0.45)),
         *(("ik-dls", 0.7), ("ik-ccd", 0.7), ("ik-fabrik", 0.55), ("ik-nullspace", 0.9)),
-        *(("ik-closed-form", 0.99), ("minimum-jerk", 0.7), ("pmp", 0.7), ("ik-dls-feedback", 0.7)),
+        *(("ik-closed-form", 0.99), ("minimum-jerk", 0.7), ("pmp", 0.7), ("ik-body", 0.7)),
     ],
 )
 def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_control(name, at_least):
@@ -210,7 +209,7 @@ def test_wide_limits_change_nothing_for_an_arm_that_stays_within():
     np.testing.assert_allclose(actions[:20], actions[20:], atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["mmc", "mmc-bell", "mmc-closed", "ik-dls", "minimum-jerk", "pmp"])
+@pytest.mark.parametrize("name", ["mmc", "mmc-bell", "mmc-body", "ik-dls", "minimum-jerk", "pmp"])
 def test_a_state_of_other_arms_is_an_error(name):
     agent = make_agent(name, gym.make("MMCReach-v0"))
     observations, _ = gym.make_vec("MMCReach-v0", num_envs=4).reset(seed=0)
@@ -308,7 +307,7 @@ def test_vectors_of_any_kind_tell_what_their_environments_do():
         GymnasiumVecEnv(native),
     ):
         assert ReachInterface.of(envs) == told
-        assert make_agent("mmc-lock", envs).interface == told
+        assert make_agent("mmc-body", envs).interface == told
     with pytest.raises(ValueError, match="env must be a reaching environment of mmc_gym"):
         ReachInterface.of(make_vec_env("Pendulum-v1"))
 
@@ -338,7 +337,7 @@ def test_a_wrong_observation_is_an_error(name):
         (lambda told: MMCAgent(told, MMCNetwork(), 1.5), "iterations_per_step must be .*, got 1.5"),
         (lambda told: InverseKinematicsAgent(told, "dls"), "solver must be a function, .*'dls'"),
         (lambda told: network_of_arm(told, dampening=4), "'dampening'; did you mean 'damping'"),
-        (lambda told: Loops(hand_rat=0.1), "'hand_rat'; did you mean 'hand_rate'"),
+        (lambda told: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
     ],
 )
 def test_wrong_arguments_of_agents_are_refused(make, message):
@@ -351,7 +350,6 @@ def test_wrong_arguments_of_agents_are_refused(make, message):
     [
         (MMCAgent, (MMCNetwork(),)),
         (TimedMMCAgent, (MMCNetwork(),)),
-        (ClosedLoopMMCAgent, (Loops(), MMCNetwork(dynamics="paper"))),
         (InverseKinematicsAgent, (damped_least_squares,)),
     ],
 )

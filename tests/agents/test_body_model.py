@@ -1,14 +1,18 @@
 """The agent with an internal model of its body: what each part finds out, and what all reach."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence
 from mmc_gym.agents.body_model.contacts import LONG, RADIUS, Contacts, is_free
-from mmc_gym.agents.body_model.drive import Drive, expected_turn
+from mmc_gym.agents.body_model.drive import Drive, command_of, commanded_turn, expected_turn
 from mmc_gym.agents.body_model.imagination import start_offsets
 from mmc_gym.agents.body_model.locks import Locks
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
@@ -129,6 +133,21 @@ def test_a_lock_is_found_and_a_false_one_freed():
     assert not locks.is_locked.any()
 
 
+def test_a_joint_told_to_lock_is_found_sooner():
+    first, steps = np.array([[1.0, 0.0, 0.0]]), []
+    for lockable in ((1,), ()):
+        posture, step = PostureTrack.start(*np.zeros((2, 1, 3))), 0
+        locks = Locks.start(posture.joint_angles)
+        while not locks.is_locked.any():
+            step += 1
+            turned = posture.joint_angles + 0.1 * first
+            posture = posture.observed(turned, 5.0 * first, STEP)
+            locks = locks.observed(posture, np.full((1, 3), 0.05), np.array([True]), lockable)
+        assert locks.is_locked[0, 1]
+        steps.append(step)
+    assert steps[0] < steps[1] < 20
+
+
 def test_a_contact_is_felt_where_the_arm_cannot_go_on():
     """The arm turns about the middle of its last segment, which is held up from above."""
     joint_angles, lengths = np.array([[0.0, 0.0, 0.0]]), np.ones((1, 3))
@@ -157,6 +176,47 @@ def test_the_drive_inverts_the_servo():
     np.testing.assert_allclose(expected_turn(INTERFACE, now, targets), turn, rtol=1e-6)
 
 
+@pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
+def test_the_servo_model_foretells_where_the_joints_are(control):
+    env = gym.make("MMCReach-v0", control=control)
+    interface = ReachInterface.of(env)
+    observation, _ = env.reset(seed=3, options={"joint_angles": [0.3, 0.6, 0.6]})
+    goal = np.array([0.8, 0.1, 1.0])
+    foretold = np.array([0.3, 0.6, 0.6])
+    for _ in range(40):
+        sensed = interface.sense(observation)
+        foretold = foretold + expected_turn(interface, foretold, goal)
+        observation, *_ = env.step(interface.act(goal, sensed))
+    now = interface.sense(observation).joint_angles
+    np.testing.assert_allclose(now, foretold, atol=0.02)
+
+
+@pytest.mark.parametrize("control", ["joint_delta", "joint_velocity"])
+def test_a_relative_command_turns_a_joint_alike_wherever_it_is(control):
+    interface = replace(INTERFACE, control=control)
+    believed, goal = np.array([0.1, -0.4, 0.0]), np.array([0.3, -1.5, 0.0])
+    command = command_of(interface, believed, goal)
+    turns = [commanded_turn(interface, believed + error, command) for error in (0.0, 0.2)]
+    np.testing.assert_array_equal(*turns)
+    np.testing.assert_allclose(turns[0], expected_turn(interface, believed, goal))
+
+
+@pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
+def test_an_old_posture_is_run_forward_with_the_commands_since(control):
+    interface, random = replace(INTERFACE, control=control), np.random.default_rng(0)
+    now = random.uniform(-1, 1, (3, 3))
+    track = PostureTrack.start(now, np.zeros((3, 3)))
+    delay, path = Delay.start(command_of(interface, now, now)), [now]
+    for _ in range(10):
+        command = command_of(interface, path[-1], random.uniform(-1, 1, (3, 3)))
+        delay = delay.sent(command, track, interface)
+        path.append(path[-1] + commanded_turn(interface, path[-1], command))
+    steps = np.array([0, 4, 10])
+    old = np.stack([path[10 - late][arm] for arm, late in enumerate(steps)])
+    delay = delay._replace(late=steps.astype(float))
+    np.testing.assert_allclose(delay.run_forward(interface, old), path[10], atol=1e-12)
+
+
 @pytest.mark.parametrize(("joints", "count"), [(2, 9), (3, 27), (10, 27)])
 def test_as_many_postures_are_imagined_for_long_arms(joints, count):
     offsets = start_offsets(joints)
@@ -169,10 +229,23 @@ def test_vigour_lies_between_0_and_1():
         Parts(vigour=1.5)
 
 
-def episodes(build, count=100, **arguments):
-    envs = gym.make_vec("MMCReach-v0", num_envs=count, control="joint_position", **arguments)
+def episodes(build, count=100, id="MMCReach-v0", **arguments):
+    envs = gym.make_vec(id, num_envs=count, control="joint_position", **arguments)
     agent = build(ReachInterface.of(envs))
     return list(run_episodes(agent, envs.unwrapped, episode_seeds(4, count), records_effort=False))
+
+
+@settings(max_examples=20)
+@given(st.integers(2, 5), st.integers(0, 2**31), st.sampled_from([mmc_body, ik_body]))
+def test_actions_are_valid_whatever_is_observed(count, seed, build):
+    env = gym.make("MMCReach-v0", segment_lengths=(1.0,) * count)
+    agent, random, state = build(ReachInterface.of(env)), np.random.default_rng(seed), None
+    for _ in range(30):
+        observation = random.uniform(-1, 1, 3 * count + 6).astype(np.float32)
+        if random.random() < 0.2:
+            observation[:] = 0.0
+        action, state = agent.predict(observation, state)
+        assert env.action_space.contains(action)
 
 
 def success(played):
@@ -189,10 +262,36 @@ def test_a_body_that_is_not_as_told_is_found_out_about(build):
         ["locked-2"],
         ["vision-noise-0.1"],
         ["delay-400"],
+        ["force-field"],
+        ["hand-mass", "joint-noise"],
         [VisuomotorRotation(40.0, (0.5, 1.0)), "longer-20"],
     )
     for perturbations in conditions:
         assert success(episodes(build, perturbations=perturbations)) >= 0.95, perturbations
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("build", [mmc_body, ik_body])
+def test_targets_that_jump_or_move_and_goal_observations(build):
+    assert success(episodes(build, task="double-step-200")) >= 0.97
+    assert success(episodes(build, id="MMCReachGoal-v0", perturbations="longer-20")) >= 0.97
+    pursued = episodes(build, 20, id="MMCReachPursuit-v0")
+    distances = [episode.distances[50:] for episode in pursued]
+    assert np.mean(np.array(distances) <= 0.05) >= 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "perturbations",
+    [[], "joint-noise", "vision-noise", "longer-50", "rotation-30", "delay-200", "force-field"],
+)
+def test_a_joint_that_is_free_is_seldom_taken_as_locked(perturbations):
+    envs = gym.make_vec("MMCReach-v0", num_envs=50, perturbations=perturbations)
+    agent, (observations, _), state = mmc_body(ReachInterface.of(envs)), envs.reset(seed=1), None
+    for _ in range(60):
+        actions, state = agent.predict(observations, state)
+        observations, *_ = envs.step(actions)
+    assert state.locks.is_locked.any(axis=-1).mean() <= 0.04
 
 
 @pytest.mark.slow

@@ -130,9 +130,9 @@ def test_success_by_environment_is_a_mean_over_training_seeds():
 
 def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):
     console = Console(file=io.StringIO(), width=80)
-    benchmark(["mmc", "ik-dls-feedback"], tmp_path, ["random"], episodes=2, jobs=1)
+    benchmark(["mmc", "ik-closed-form"], tmp_path, ["random"], episodes=2, jobs=1)
     print_ranking(console, tmp_path)
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= 80
-    (row,) = [line for line in lines if " ik-dls-feedback " in line]
+    (row,) = [line for line in lines if " ik-closed-form " in line]
     assert lines[lines.index(row) + 1].count("]") == 3

@@ -229,8 +229,8 @@ def observed(perturbations: Perturbed, steps: int = 4000) -> tuple[np.ndarray, M
 
 def seen(env: MMCReachEnv, observations: np.ndarray) -> np.ndarray:
     """Where targets and hands are seen in the world, (steps, 4)."""
-    interface = ReachInterface.of(env)
-    return np.hstack([interface.sense(observations).target, interface.seen_hand(observations)])
+    shown = ReachInterface.of(env).see(observations)
+    return np.hstack([shown.target, shown.hand])
 
 
 def assert_white(errors: np.ndarray, std: float) -> None:

@@ -76,7 +76,7 @@ def test_path_ratio_is_over_the_line_to_a_standing_target(make_episode, hands, t
 
 def test_a_path_under_a_rotation_is_no_shorter_than_the_direct_line():
     env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
-    played = run_episodes(make_agent("ik-dls-feedback", env), env, episode_seeds(0, 12))
+    played = run_episodes(make_agent("ik-body", env), env, episode_seeds(0, 12))
     there = [episode for episode in played if episode.distances[-1] <= episode.tolerance]
     assert len(there) > 2
     for episode in there:

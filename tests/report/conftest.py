@@ -49,7 +49,7 @@ class Mover(NamedTuple):
 
 AGENTS = {
     "mmc": Mover(20, 0.06, 0.02),
-    "mmc-closed": Mover(22, 0.05, 0.002),
+    "mmc-body": Mover(22, 0.05, 0.002),
     "ik-dls": Mover(30, 0.02, 0.02),
     "ppo": Mover(28, 0.02, 0.0005, (0, 1)),
     "ppo-smooth": Mover(45, 0.0, 0.001, (0, 1)),

@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("browser")]
 def rotated(tmp_path_factory):
     """A benchmark that was played, with a cursor in place of the hand, and its report."""
     store = tmp_path_factory.mktemp("rotated")
-    benchmark(["mmc", "mmc-closed"], store, ["random", "rotation-30"], episodes=3, jobs=1)
+    benchmark(["mmc", "mmc-body"], store, ["random", "rotation-30"], episodes=3, jobs=1)
     return store, write_report(store, store / "report.html", resamples=20)
 
 
@@ -220,7 +220,7 @@ def test_the_replay_in_the_documentation_shows_what_the_agents_do(browser, keep,
     Where a policy dances about the target after 2 s, rounding has a say: 30 of 255 were seen.
     """
     learned = [f"{name}={name}-0" for name in ("ppo", "sac", "ppo-smooth")]
-    agents = ["mmc", "mmc-bell", "mmc-closed", "ik-dls", *learned]
+    agents = ["mmc", "mmc-bell", "mmc-body", "ik-dls", *learned]
     benchmark(agents, tmp_path, ["random"], episodes=3, jobs=1)
     load(browser, write_report(tmp_path, tmp_path / "report.html", resamples=20))
     seek(browser, 100)

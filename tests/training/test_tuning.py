@@ -114,23 +114,12 @@ def test_constants_that_came_into_use_later_have_a_trial_too(tmp_path, monkeypat
     assert after["trials"] == 3
 
 
-@pytest.mark.parametrize("name", ["mmc", "mmc-feedback"])
-def test_constants_in_use_are_those_of_the_agent_of_that_name(name):
-    target = find_target(name)
+def test_constants_in_use_are_those_of_the_agent():
+    target = find_target("mmc")
     constants = target.space(optuna.trial.FixedTrial(target.in_use))
     where = ("MMCReach-v0", {"perturbations": ["rotation-30"]}, 20, 5)
-    expected = evaluate(lambda interface: make_agent(name, gym.make("MMCReach-v0")), *where)
+    expected = evaluate(lambda interface: make_agent("mmc", gym.make("MMCReach-v0")), *where)
     assert evaluate(partial(tuning.make_network_agent, constants), *where) == expected
-
-
-def test_feedback_is_tuned_where_it_matters(tmp_path):
-    result = tune("mmc-feedback", 1, 2_000, tmp_path)
-    assert result["episodes"] == 20
-    feedback = {"damping": 3.75, "posture_weight": 0.25, "hand_rate": 0.3}
-    assert result["in_use"] == {**IN_USE, **feedback}
-    target = find_target("mmc-feedback")
-    without = {**result["in_use"], "damping": 4.0, "posture_weight": 0.0, "hand_rate": 0.0}
-    assert target.judge(without, 2_000) < result["value_of_those_in_use"] - 0.1
 
 
 def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
@@ -141,8 +130,7 @@ def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
     assert ((tmp_path / "mmc.json").read_bytes(), complete(tmp_path)) == before
 
 
-@pytest.mark.parametrize(("name", "episodes"), [("mmc", 1), ("mmc-feedback", 10)])
-def test_the_number_of_episodes_is_that_of_those_played(name, episodes, tmp_path, monkeypatch):
+def test_the_number_of_episodes_is_that_of_those_played(tmp_path, monkeypatch):
     played: list[int] = []
     evaluate = tuning.evaluate
 
@@ -151,8 +139,8 @@ def test_the_number_of_episodes_is_that_of_those_played(name, episodes, tmp_path
         return evaluate(make, env_id, arguments, episodes, seed)
 
     monkeypatch.setattr(tuning, "evaluate", count)
-    result = tune(name, 1, 50, tmp_path)
-    assert result["episodes"] == sum(played) == episodes
+    result = tune("mmc", 1, 50, tmp_path)
+    assert result["episodes"] == sum(played) == 1
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require_number
+from mmc_gym._errors import require_number, spelt
 from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
 from mmc_gym.agents.body_model.body import Body, BodyEvidence
 from mmc_gym.agents.body_model.contacts import Contacts, Plan, Ways
@@ -65,6 +65,7 @@ CLEAR = 0.01
 """Noise of the joint angles below which the strength of joints shows, radians."""
 
 
+@spelt
 @dataclass(frozen=True)
 class Parts:
     """Which parts an agent has, and how vigorous it is.
