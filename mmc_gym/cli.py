@@ -45,9 +45,10 @@ _app = tyro.extras.SubcommandApp()
 @_app.command
 def compare(
     agents: tuple[str, ...] = (
+        "mmc-body",
+        "ik-body",
         "mmc",
         "mmc-classical",
-        "mmc-neural",
         "ik-dls",
         "ppo",
         "sac",

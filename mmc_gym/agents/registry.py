@@ -160,6 +160,17 @@ def _trained(
 
 
 AGENTS: dict[str, AgentEntry] = {
+    "mmc-body": _mmc(
+        "MMC network as internal model of a body that it finds out about: senses, body, locks, "
+        "imagination, drive",
+        mmc_body,
+        **_BODY,
+    ),
+    "ik-body": AgentEntry(
+        "as mmc-body, with damped least squares as internal model",
+        ik_body,
+        Knowledge("inverse kinematics", **_BODY),
+    ),
     "mmc": _mmc("dynamic MMC network, best setting", dynamic_mmc),
     "mmc-classical": _mmc(
         "classical MMC network with the paper's constants, one iteration per control step",
@@ -241,16 +252,5 @@ AGENTS: dict[str, AgentEntry] = {
             senses="posture, speeds, seen hand and target in every step, filtered",
         ),
         control="joint_velocity",
-    ),
-    "mmc-body": _mmc(
-        "the network as internal model of a body that it finds out about: senses, body, locks, "
-        "imagination, drive",
-        mmc_body,
-        **_BODY,
-    ),
-    "ik-body": AgentEntry(
-        "as mmc-body, with damped least squares as internal model",
-        ik_body,
-        Knowledge("inverse kinematics", **_BODY),
     ),
 }

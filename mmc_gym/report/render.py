@@ -24,8 +24,8 @@ from mmc_gym.report.replay import replay, replayed
 from mmc_gym.report.results import Results, count, listed, read_results
 from mmc_gym.report.scores import COMMON, MARGINS, SUCCESS, Comparison, Estimates, Outcome
 
-FOCUS = ("mmc", "mmc-body")
-"""The agents whose wins and losses are told: the network alone, and as model of its body."""
+FOCUS = ("mmc-body", "mmc")
+"""The agents whose wins and losses are told: the network as model of its body, and alone."""
 
 SMOOTH = "ppo-smooth"
 """The agent that learned with a reward for smoothness: is it as human-like as `NETWORKS`?"""

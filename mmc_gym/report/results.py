@@ -36,8 +36,8 @@ _KINDS: tuple[Kind, ...] = get_args(Kind)
 _IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
 
 _PREFERRED = (
-    "mmc",
     "mmc-body",
+    "mmc",
     "mmc-bell",
     "ik-dls",
     "ppo",
