@@ -125,16 +125,16 @@ def test_a_lock_is_found_and_a_false_one_freed():
     for _ in range(8):  # the first joint is held, the second turns as asked
         turned = posture.joint_angles + 0.1 * second
         posture = posture.observed(turned, 5.0 * second, STEP)
-        locks = locks.observed(posture, asked, is_felt, ())
+        locks = locks.observed(posture, asked, is_felt)
     assert locks.is_locked.tolist() == [[True, False, False]]
     for _ in range(3):
         posture = posture.observed(posture.joint_angles + 0.1, still + 5.0, STEP)
-        locks = locks.observed(posture, asked, is_felt, ())
+        locks = locks.observed(posture, asked, is_felt)
     assert not locks.is_locked.any()
 
 
 def test_a_joint_told_to_lock_is_found_sooner():
-    first, steps = np.array([[1.0, 0.0, 0.0]]), []
+    first, asked, steps = np.array([[1.0, 0.0, 0.0]]), np.full((1, 3), 0.05), []
     for lockable in ((1,), ()):
         posture, step = PostureTrack.start(*np.zeros((2, 1, 3))), 0
         locks = Locks.start(posture.joint_angles)
@@ -142,7 +142,7 @@ def test_a_joint_told_to_lock_is_found_sooner():
             step += 1
             turned = posture.joint_angles + 0.1 * first
             posture = posture.observed(turned, 5.0 * first, STEP)
-            locks = locks.observed(posture, np.full((1, 3), 0.05), np.array([True]), lockable)
+            locks = locks.observed(posture, asked, np.array([True]), lockable=lockable)
         assert locks.is_locked[0, 1]
         steps.append(step)
     assert steps[0] < steps[1] < 20
@@ -306,8 +306,12 @@ def test_ways_round_obstacles_are_found():
 
 
 @pytest.mark.slow
-def test_without_vigour_the_hand_moves_as_people_do():
-    played = episodes(lambda told: mmc_body(told, Parts(vigour=0.0)))
+@pytest.mark.parametrize(
+    ("perturbations", "single_peaks"),
+    [([], 0.95), ("rotation-60", 0.95), ("delay-200", 0.95), ("locked-2", 0.6)],
+)
+def test_without_vigour_the_hand_moves_as_people_do(perturbations, single_peaks):
+    played = episodes(lambda told: mmc_body(told, Parts(vigour=0.0)), perturbations=perturbations)
     assert success(played) >= 0.99
     assert np.median([minimum_jerk_correlation(one) for one in played]) >= 0.95
-    assert np.mean([velocity_peaks(one) == 1 for one in played]) >= 0.95
+    assert np.mean([velocity_peaks(one) == 1 for one in played]) >= single_peaks

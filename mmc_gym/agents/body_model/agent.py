@@ -131,12 +131,14 @@ class Intention(NamedTuple):
         joint_angles: where the joints are by now, radians, (n, N).
         plan: where they are to go.
         begins: whether a movement begins, (n,).
+        changes: whether the plan is another one, of a movement that begins or goes on, (n,).
         aim: the place of the hand for which the movement was imagined, (n,).
     """
 
     joint_angles: Floats
     plan: Plan
     begins: Bools
+    changes: Bools
     aim: Points
 
 
@@ -217,7 +219,14 @@ class BodyAgent(InternalModelAgent[BodyState]):
         asked = commanded_turn(told, before.joint_angles, delay.command_then())
         if parts.finds_locks:
             is_wary = contacts.met > 0 if some(contacts.met) else None
-            locks = locks.observed(posture, asked, delay.is_felt, told.lockable_joints, is_wary)
+            locks = locks.observed(
+                posture,
+                asked,
+                delay.is_felt,
+                lockable=told.lockable_joints,
+                is_wary=is_wary,
+                vigour=parts.vigour,
+            )
         is_clear = (delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
         drive = state.drive.observed(
             before.speeds,
@@ -269,20 +278,22 @@ class BodyAgent(InternalModelAgent[BodyState]):
             goal[misses] = self.imagination.settle(arms, FOLLOW)
         begins = state.target.has_jumped | (state.looks[:, 0] == 1)
         begins |= state.contacts.is_new
-        begins |= locks.has_changed.any(axis=-1) | (np.abs(aim - state.imagined_for) > FARTHER)
+        begins |= np.abs(aim - state.imagined_for) > FARTHER
+        changes = begins | locks.has_changed.any(axis=-1)
         plan = state.plan.arrived(told, now)
-        if some(begins):
+        if some(changes):
             arms = Arms(now, aim, lengths, held)
-            beginning = arms.of(begins)
-            new, cost = self.imagination.best(beginning)
-            kept = self.imagination.cost(beginning, goal[begins])
+            chosen = arms.of(changes)
+            new, cost = self.imagination.best(chosen)
+            kept = self.imagination.cost(chosen, goal[changes])
             goal = goal.copy()
-            goal[begins] = np.where((cost < kept - BETTER)[:, None], new, goal[begins])
-            plan = self.ways.planned(plan._replace(goal=goal), state.contacts, arms, begins)
+            goal[changes] = np.where((cost < kept - BETTER)[:, None], new, goal[changes])
+            plan = self.ways.planned(plan._replace(goal=goal), state.contacts, arms, changes)
         else:
             plan = Plan(goal, plan.detour, plan.is_indirect)
-        begins |= state.plan.is_indirect & ~plan.is_indirect
-        return Intention(now, plan, begins, np.where(begins, aim, state.imagined_for))
+        is_second = state.plan.is_indirect & ~plan.is_indirect  # after a detour
+        imagined_for = np.where(changes | is_second, aim, state.imagined_for)
+        return Intention(now, plan, begins | is_second, changes | is_second, imagined_for)
 
     def _drive(self, state: BodyState, body: Body, intended: Intention) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
@@ -293,7 +304,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         if parts.drives:
             moves: Floats | float = 0.0
             if some(state.target.is_moving):
-                goes_on = state.target.is_moving & ~intended.begins & ~plan.is_indirect
+                goes_on = state.target.is_moving & ~intended.changes & ~plan.is_indirect
                 moves = np.where(goes_on[:, None], told.turn(state.plan.goal, plan.goal), 0.0)
             turn = drive.turn(left, moves, told)
             is_wary = state.contacts.met > 0

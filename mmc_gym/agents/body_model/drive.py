@@ -16,7 +16,8 @@ more than it can do.
 **Vigour.**  Where that fast drive would go, people take their time, and the speed of their hand is
 bell-shaped.  At a vigour below 1 a movement is given 1 − vigour of the time T that a person would
 take, and its hand covers the way as minimum jerk would, by the time base of `network.time_base`: in
-the k-th control step it goes the share σ_k of what is left of the imagined way.
+the k-th control step it goes the share σ_k of what is left of the imagined way.  A lock that is
+found changes the way, but not the time: to begin anew would be to stop first.
 """
 
 from __future__ import annotations

@@ -20,6 +20,8 @@ from mmc_gym.network.chain import Floats
 
 ASKED, ASKED_IF_TOLD = 0.4, 0.15
 """Turn that is asked of a joint before it is taken as locked, radians; and of one told to lock."""
+SLOWLY = 0.25
+"""That much of it is enough where movements are as slow as those of people."""
 ASKED_PER_NOISE = 10.0
 """What the noise of the joint angles adds to that."""
 WARY = 4.0
@@ -64,8 +66,10 @@ class Locks(NamedTuple):
         posture: PostureTrack,
         expected: Floats,
         is_felt: Bools,
-        lockable: tuple[int, ...],
+        *,
+        lockable: tuple[int, ...] = (),
         is_wary: Bools | None = None,
+        vigour: float = 1.0,
     ) -> Locks:
         """Return what is known after another look.
 
@@ -75,6 +79,7 @@ class Locks(NamedTuple):
             is_felt: whether the arm has been felt to move, (n,).
             lockable: the only joints that can lock, where that was told.
             is_wary: whether the arm has met obstacles, (n,); None: none has.
+            vigour: see `Parts`; at less of it, joints do sooner what they are asked.
         """
         noise, seen = posture.deviation, posture.joint_angles
         tolerance = STILL + 3 * noise
@@ -87,7 +92,8 @@ class Locks(NamedTuple):
             freed = self.is_locked & (away > 2 * tolerance + FREED)
             counts &= ~freed
         asked = np.where(counts, self.asked + expected, 0.0)
-        enough = (ASKED_IF_TOLD if lockable else ASKED) + ASKED_PER_NOISE * noise
+        least = (ASKED_IF_TOLD if lockable else ASKED) * (SLOWLY + (1 - SLOWLY) * vigour)
+        enough = least + ASKED_PER_NOISE * noise
         if is_wary is not None:
             enough = enough * np.where(is_wary, WARY, 1.0)[:, None]
         holds = counts & (np.abs(asked) > enough)
