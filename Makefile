@@ -13,6 +13,7 @@ NEXT = @[ "$$VIRTUAL_ENV" = "$(CURDIR)/$(VENV)" ] || \
 VENV_READY := $(VENV)/.stamp-venv
 PACKAGE_READY := $(VENV)/.stamp-package
 DEV_READY := $(VENV)/.stamp-dev
+DOCS_READY := $(VENV)/.stamp-docs
 BENCHMARK_READY := $(VENV)/.stamp-benchmark
 
 # The constraints hold for isolated builds too: pip before 25.3 takes them from PIP_CONSTRAINT,
@@ -24,7 +25,7 @@ export PIP_NO_INPUT := 1
 PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint type imports format packages benchmark clean
+.PHONY: help demo test lint type imports format packages docs benchmark clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -54,12 +55,16 @@ format: $(DEV_READY) ## let ruff repair and format everything
 packages: $(VENV_READY) ## build wheel and source archive, try each in an empty environment
 	$(BIN)/python .ci/packages.py $(ARGS)
 
+docs: $(DOCS_READY) ## build the site into build/site; examples run, so it takes some minutes
+	$(BIN)/python -m sphinx -n -W --keep-going $(ARGS) docs build/site
+
 benchmark: $(BENCHMARK_READY) ## install the peers' packages, then time the environments beside them
 	$(BIN)/python benchmarks/environment_speed.py $(ARGS)
 
 clean: ## remove .venv, build outputs and caches
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
-	find mmc_gym tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	rm -rf docs/_generated docs/envs docs/examples docs/sg_execution_times.rst
+	find mmc_gym tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV_READY):
 	@command -v "$(PYTHON)" >/dev/null 2>&1 || { \
@@ -85,6 +90,11 @@ $(PACKAGE_READY): $(VENV_READY) pyproject.toml constraints.txt
 $(DEV_READY): $(PACKAGE_READY)
 	@echo "Installing what the tests need"
 	@$(PIP_INSTALL) -e '.[dev]'
+	@touch $@
+
+$(DOCS_READY): $(PACKAGE_READY)
+	@echo "Installing what the site is built with"
+	@$(PIP_INSTALL) -e '.[docs]'
 	@touch $@
 
 $(BENCHMARK_READY): $(PACKAGE_READY)

@@ -1,0 +1,173 @@
+"""The site builds without a warning, and its pages show what they should.
+
+Neither examples nor films are made for it: examples have tests of their own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import gymnasium as gym
+import pytest
+from filelock import FileLock
+
+from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.envs.scenarios import PERTURBATION_NAMES, scenario
+from mmc_gym.envs.tasks import TASKS
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+MADE = ("_generated", "envs", "examples", "sg_execution_times.rst", "__pycache__")
+BESIDE = ("AGENTS.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")
+QUICKLY = ("-D", "plot_gallery=0", "-D", "with_pictures=0")
+
+pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="the documentation is not here")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built once, whichever process comes first."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # all workers share it
+    tree, built = folder / "site-source", folder / "site"
+    with FileLock(folder / "site.lock"):
+        if not tree.is_dir():
+            shutil.copytree(DOCS, tree / "docs", ignore=shutil.ignore_patterns(*MADE))
+            shutil.copytree(ROOT / "examples", tree / "examples")
+            for name in BESIDE:
+                shutil.copyfile(ROOT / name, tree / name)
+            build = [sys.executable, "-m", "sphinx", "-n", "-W", "--keep-going", "-q", *QUICKLY]
+            done = subprocess.run([*build, tree / "docs", built], capture_output=True, text=True)
+            (folder / "site.log").write_text(f"{done.returncode}\n{done.stderr}")
+    log = (folder / "site.log").read_text()
+    assert log == "0\n", log
+    return built
+
+
+class Page(HTMLParser):
+    """What is read of a page: links, anchors, and the words of what is no code."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.anchors: set[str] = {""}
+        self.words: list[str] = []
+        self.code = 0
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.anchors |= {found[key] for key in ("id", "name") if found.get(key)}
+        self.links += [found[key] for key in ("href", "src") if found.get(key)]
+        self.code += tag in ("pre", "code", "script", "style")
+
+    def handle_endtag(self, tag):
+        self.code -= tag in ("pre", "code", "script", "style")
+
+    def handle_data(self, data):
+        if not self.code:
+            self.words.append(data)
+
+
+read = cache(Page)
+
+
+def pages(site):
+    """Pages that Sphinx writes; the playground and the report have tests of their own."""
+    found = [
+        path for path in site.rglob("*.html") if path.parts[-2] not in ("playground", "report")
+    ]
+    assert len(found) > 100
+    return found
+
+
+@pytest.mark.slow
+def test_every_scenario_has_a_page(site):
+    with_id = {scenario(name).name for name in PERTURBATION_NAMES}
+    for name in {*SCENARIOS, *TASKS, *with_id}:
+        page = (site / "envs" / f"{name}.html").read_text()
+        assert f"mmc-gym benchmark --environments {name}" in re.sub("<[^>]+>", "", page)
+
+
+@pytest.mark.slow
+def test_every_internal_link_leads_somewhere(site):
+    lost = []
+    for page in pages(site):
+        for link in read(page).links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            target = target / "index.html" if target.is_dir() else target
+            found = target.is_file()
+            if found and target.suffix == ".html" and parts.fragment:
+                found = unquote(parts.fragment) in read(target).anchors
+            if not found:
+                lost.append(f"{page.relative_to(site)}: {link}")
+    assert not lost
+
+
+@pytest.mark.slow
+def test_no_markup_is_left_as_text(site):
+    for page in pages(site):
+        text = "".join(read(page).words)
+        name = str(page.relative_to(site))
+        assert not re.search(r"\|\s*:?-{3}", text), f"{name}: a table"
+        assert not re.search(r"^\s*#{2,} |:(py:)?(class|func|doc):|```", text, re.M), name
+        assert name.startswith("changelog") or "`" not in text, f"{name}: {text}"
+
+
+@pytest.mark.slow
+def test_equations_are_set_and_keep_their_lines(site):
+    concept = (site / "concepts" / "network.html").read_text()
+    assert concept.count('class="math notranslate') > 10
+    assert r"\frac{1}{d}" in concept
+    reference = (site / "api" / "network.html").read_text()
+    listed = re.findall("<pre>(.*?)</pre>", reference, re.DOTALL)
+    lines = re.sub("<[^>]+>", "", "\n".join(listed))
+    assert re.search(r"^dynamic: +v ← rule\(L̃ − L, v\)", lines, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_a_sentence_is_not_taken_for_a_type(site):
+    for page in (site / "api").glob("*.html"):
+        for kind in re.findall(r"Return type<.*?<dd[^>]*>(.*?)</dd>", page.read_text(), re.DOTALL):
+            assert not re.search(r"\. |, the | of the ", re.sub("<[^>]+>", "", kind)), page.name
+
+
+def blocks(path):
+    return re.findall(r"^```python\n(.*?)^```", path.read_text(), re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page",
+    [
+        path.relative_to(DOCS).as_posix()
+        for path in sorted(DOCS.rglob("*.md"))
+        if not {*path.relative_to(DOCS).parts} & {*MADE} and blocks(path)
+    ],
+)
+def test_the_code_of_a_page_runs(page, tmp_path):
+    code = "\n".join(blocks(DOCS / page))
+    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_assistants_are_told_is_true():
+    written = runpy.run_path(str(DOCS / "write_agents_md.py"))["agents_text"]()
+    assert (ROOT / "AGENTS.md").read_text() == written, "run python docs/write_agents_md.py"
+    assert all(name in written for name in (*TASKS, "MMCReach-v0"))
+    assert gym.spec("MMCReach-v0")
