@@ -104,6 +104,22 @@ def test_the_greater_its_weight_the_nearer_the_model_stays_to_the_sensed_posture
     assert moved[-1] < 0.9 * moved[0]
 
 
+@pytest.mark.parametrize("weight", [0.2, 1.0, 5.0])
+@pytest.mark.parametrize("count", [2, 3, 5, 8])
+def test_posture_and_hand_are_fused_where_the_squares_of_what_they_miss_are_least(count, weight):
+    """Those of the hand, and `weight` times those of the segments: the best estimate of both."""
+    network = MMCNetwork((1.0,) * count, damping=count + 1)
+    start, random = network.state_from_joint_angles(postures(0, 20, count)), targets(5, 20)
+    hand = start.end_effector + 0.1 * random
+    body = Embodiment(sensed=start.segments, weight=weight)
+    segments = run_to(network, start, hand, body, 3000).segments
+    missed = hand - segments.sum(axis=1)
+    across = np.stack([-segments[..., 1], segments[..., 0]], axis=-1)
+    slope = (across * (missed[:, None] + weight * start.segments)).sum(axis=-1)
+    np.testing.assert_allclose(slope, 0.0, atol=1e-4)
+    assert (np.linalg.norm(missed, axis=-1) > 1e-4).any()
+
+
 @st.composite
 def locked_arms(draw):
     count = draw(st.integers(2, 5))

@@ -52,7 +52,7 @@ from mmc_gym.agents.body_model.locks import PUSH, Locks
 from mmc_gym.agents.body_model.senses import Bools, Delay, Points, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import Floats, wrap_angle
 
 LAG = 1.5
@@ -351,15 +351,22 @@ def mmc_body(
         is_learned: whether the normalizer is the learned one, as in the paper; else Euclidean.
         is_dynamic: whether the network has velocities, as in the paper; else it is kinematic.
     """
+    network = network_of_body(interface, is_learned=is_learned, is_dynamic=is_dynamic)
+    return BodyAgent(interface, NetworkSolver(network), parts)
+
+
+def network_of_body(
+    interface: ReachInterface, *, is_learned: bool = True, is_dynamic: bool = True
+) -> MMCNetwork:
+    """Return the network that is the internal model of `mmc_body`."""
     joints = len(interface.segment_lengths)
-    network = network_of_arm(
+    return network_of_arm(
         interface,
         damping=(0.55 if is_dynamic else 0.625) * (joints + 1),
         normalizer=LearnedNormalizer.shipped() if is_learned else EuclideanNormalizer(),
         dynamics="paper" if is_dynamic else "kinematic",
         velocity_damping=2.0,
     )
-    return BodyAgent(interface, NetworkSolver(network), parts)
 
 
 def ik_body(interface: ReachInterface, parts: Parts = Parts()) -> BodyAgent:
