@@ -206,6 +206,12 @@ AGENTS: dict[str, AgentEntry] = {
     "ppo-torque": _trained(
         "ppo-torque", "PPO whose actions are torques", training_seeds=3, control="joint_torque"
     ),
+    "ppo-memory": _trained(
+        "ppo-memory",
+        "PPO with a memory of 0.6 s, under perturbations drawn anew for each episode",
+        training_seeds=3,
+        memory=30,
+    ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
         lambda told: RandomAgent(len(told.segment_lengths)),
