@@ -102,10 +102,7 @@ def errors(count: int, arguments: Arguments) -> dict[str, Floats]:
 
 
 def fused(count: int, direction_noise: float, hand_noise: float, arguments: Arguments) -> Floats:
-    """Return root mean squares of the hand's error, segment lengths.
-
-    By posture alone, by sight alone, by the best linear estimate, by the network.
-    """
+    """Return root mean squares of the hand's errors, segment lengths, as the table has them."""
     random, network = np.random.default_rng(arguments.seed), network_of(count, arguments)
     angles = np.cumsum(random.uniform(-np.pi / 2, np.pi / 2, (arguments.arms, count)), axis=-1)
     hand = np.exp(1j * angles).sum(axis=-1)
