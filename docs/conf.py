@@ -66,7 +66,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_extra_path = ["_generated/extra"]
 html_theme_options = {
-    "header_links_before_dropdown": 8,
+    "header_links_before_dropdown": 6,
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
     "show_prev_next": False,
@@ -127,10 +127,19 @@ def _shorten_environments(
         lines[headings[0] :] = [f"More: :doc:`{page}`.", ""]
 
 
+def _shorten_array_types(app: Any, domain: str, kind: str, content: Any) -> None:
+    """Say ndarray, without the generic types of its shape and elements: docstrings have these."""
+    generic = re.compile(r"(~?numpy\.)?ndarray\[tuple\[.*?\], (~?numpy\.)?dtype\[[^]]*\]\]")
+    for of_object in app.env.current_document.autodoc_annotations.values():
+        for name, text in of_object.items():
+            of_object[name] = generic.sub("~numpy.ndarray", text)
+
+
 def setup(app: Any) -> None:
     """Write what is generated; mend docstrings on their way to autodoc."""
     (DOCS / "_generated" / "extra").mkdir(parents=True, exist_ok=True)  # looked for at once
     app.add_config_value("with_pictures", True, "env", types=[bool])
     app.connect("builder-inited", generate.write_all, priority=100)
     app.connect("autodoc-process-docstring", _shorten_environments, priority=100)
+    app.connect("object-description-transform", _shorten_array_types, priority=100)
     app.connect("autodoc-process-docstring", _to_restructured_text, priority=101)

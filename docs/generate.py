@@ -301,7 +301,8 @@ def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
     world, player = make_together(entry, one.env_id, dict(one.arguments))
     episodes = run_episodes(player, world, seeds, records_effort=False)
     world.close()
-    arguments = {**one.arguments, "render_mode": "rgb_array"}
+    named = {"perturbations": [one.name]} if one.family else {}  # for the caption
+    arguments = {**one.arguments, **named, "render_mode": "rgb_array"}
     world, player = make_together(entry, one.env_id, arguments)
     filmed = Filmed(world)
     run_episodes(player, filmed, seeds[:1], records_effort=False)
