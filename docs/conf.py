@@ -40,7 +40,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["playground", "Thumbs.db"]
+exclude_patterns = ["playground"]
 templates_path: list[str] = []
 default_role = "literal"  # `name` in a docstring is code
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]

@@ -36,12 +36,13 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def differences(drawn: Path, name: str) -> np.ndarray:
+def differences(drawn: Path, name: str, frame: int = 0) -> np.ndarray:
     """How far the squares of a picture are from those in the documentation."""
     shown = []
     for path in (drawn, ROOT / "docs" / name):
-        image = Image.open(path).convert("RGB")
-        shown.append(np.asarray(image.reduce(SQUARE), float))
+        with Image.open(path) as image:
+            image.seek(frame)
+            shown.append(np.asarray(image.convert("RGB").reduce(SQUARE), float))
     assert shown[0].shape == shown[1].shape, f"docs/{name} has another size than it is drawn with"
     return np.abs(shown[0] - shown[1]).mean(axis=-1)
 
@@ -52,6 +53,17 @@ def test_the_contact_sheet_shows_every_scenario_as_it_is(tmp_path):
     subprocess.run([sys.executable, example, drawn], check=True, capture_output=True)
     found = differences(drawn, "contact-sheet.png").max()
     assert found < ALIKE, f"draw it anew: python {example} docs/contact-sheet.png"
+
+
+@pytest.mark.slow
+def test_the_film_shows_what_the_agents_do(tmp_path):
+    drawn = tmp_path / "film.gif"
+    script = ROOT / "docs" / "draw_film.py"
+    subprocess.run([sys.executable, script, drawn], check=True, capture_output=True)
+    assert drawn.stat().st_size < 500_000
+    for number in (0, 3, 25, 51):  # starts, the joint locks, ends
+        found = differences(drawn, "film.gif", number).max()
+        assert found < ALIKE, "draw it anew: python docs/draw_film.py"
 
 
 @pytest.mark.slow
