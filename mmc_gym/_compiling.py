@@ -17,8 +17,8 @@ except ModuleNotFoundError as error:
         raise
     raise missing("engine 'analytic' or 'numba'", "numba", "fast") from error
 
-inner = numba.njit(nogil=True, error_model="numpy")
-"""Compile a function that others in its file call."""
+inner = numba.njit(nogil=True, error_model="numpy", forceinline=True)
+"""Compile a function that others in its file call; a loop is no vector if it holds a call to it."""
 
 
 def compiled(function: Any) -> Any:

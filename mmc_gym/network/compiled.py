@@ -91,10 +91,11 @@ def iterate(no_blocks, lengths, rule, is_late, clamped, values, held, result, ti
         result: the state to be, (rows, 2, batch).
         times: how many iterations.
     """
-    block = np.zeros(1, no_blocks.dtype)[0]
+    blocks = np.zeros(1, no_blocks.dtype)
     for i in range(lengths.shape[0]):
-        block.length[i] = lengths[i]
+        blocks[0].length[i] = lengths[i]
     for first in range(0, values.shape[2], LANES):
+        block = blocks[0]  # here, because a record does not keep its array alive
         lanes = min(LANES, values.shape[2] - first)
         _read(block, values, is_late, first, lanes)
         _hold(block, clamped, held, first, lanes)

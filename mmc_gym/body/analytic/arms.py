@@ -60,7 +60,8 @@ class AnalyticArms(ArmBatch):
         self._rods = kernel.make_rods(parameters)
         self._world = kernel.make_world(parameters, servo)
         segments, blocks = len(self._rods), -(-self._count // kernel.LANES)
-        self._state = np.zeros((blocks, segments), kernel.STATE)
+        self._state = kernel.make_state(segments, blocks)
+        self._no_work = kernel.no_work(segments)
         self._show(np.zeros(self._count * (5 * segments + 2)))
         self.reset(np.zeros(self._shape))
 
@@ -104,9 +105,9 @@ class AnalyticArms(ArmBatch):
             other.result()
 
     def _step_blocks(self, first: int, last: int) -> None:
-        substeps = self.parameters.substeps
+        state, output, substeps = self._state, self._output, self.parameters.substeps
         kernel.step_blocks(
-            self._state, self._output, self._rods, self._world, substeps, first, last
+            state, output, self._rods, self._world, self._no_work, substeps, first, last
         )
 
     @override

@@ -27,12 +27,13 @@ kink of the same kind.  The joints of all lanes are solved together, and lanes t
 their solution while others go on.
 
 Lanes never mix and nothing is reassociated or fused, so that an arm's numbers do not depend on its
-neighbours, its lane or the machine's vector width.  Three things make the steps two to four times
-as quick, because the compiler turns loops over lanes into vector instructions only if it sees, or
-can check once before a loop, that nothing it writes is read again: records, whose fields do not
-overlap; the number of lanes as an argument, because constant loops would be unrolled first; and
-segments from the hand inward looked up in `inward`, because its checks fail for loops that run
-backward.
+neighbours, its lane or the machine's vector width.  The compiler turns a loop over lanes into
+vector instructions only if it sees, or can check once before the loop, that nothing it writes is
+read again, and if there are no other loops in it.  So blocks of arms are records of arrays, whose
+fields do not overlap, and whose shapes are part of their type: loops over up to six segments are
+written out (beyond, an arm takes up to twice as long as with loops over lanes alone).  numba
+compiles anew for each number of segments.  The number of lanes is an argument, because constant
+loops would be written out first.
 
 Functions that are called from Python are `compiled`, those that they call are `inner`.  numba keeps
 the former between processes until this file changes, which is why they all stand in it.
@@ -55,24 +56,39 @@ _TINY = 1e-12  # rad/s: less is not worth another guess
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
 
 
-def _record(names: str, lanes: tuple[int, ...] = (LANES,)) -> np.dtype[np.void]:
-    return np.dtype([(name, np.float64, lanes) for name in names.split()])
+def _record(names: str, shape: tuple[int, ...] = ()) -> np.dtype[np.void]:
+    return np.dtype([(name, np.float64, shape) for name in names.split()])
 
 
 # What an arm remembers, per segment and the joint before it: `lag` is the part of the velocity of
 # u_j that closes the pivots; `asked` is what the servo is to do, with at most the impulse `limit`;
 # `held` is the angle of a locked joint, or nan; `yields` is 1 where the servo gave all it could.
-STATE = _record("angle speed lag_x lag_y asked limit held yields")
-# What one physics step works with, per segment, and for all of them.
-WORK = _record(
+STATE = "angle speed lag_x lag_y asked limit held yields"
+# What one physics step works with, per segment, and per arm.
+WORK = (
     "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
-    "needed bound moment_x moment_y inertia right inverse excess"
+    "needed bound moment_x moment_y right inverse excess joint_sine joint_cosine"
 )
-SUMS = _record("x y turn angle changed mobility_xx mobility_xy mobility_yy velocity_x velocity_y")
+SUMS = "push_x push_y push_turn velocity_x velocity_y changed is_done"
 # The segments, each with the joint before it, and what is common to them.
-RODS = _record("length mass centre inertia lowest_angle highest_angle", lanes=())
-SCALARS = _record("substep speed_limit torque_limit gain stop_gain is_position is_torque", lanes=())
+RODS = _record("length mass centre inertia lowest_angle highest_angle")
+SCALARS = _record("substep speed_limit torque_limit gain stop_gain is_position is_torque")
 WORLD = np.dtype([*SCALARS.descr, ("gravity", np.float64, (2,)), ("field", np.float64, (2, 2))])
+
+
+def make_state(segments: int, blocks: int) -> NDArray[np.void]:
+    """Return blocks of arms, one record each: `STATE`, arrays (N, LANES)."""
+    return np.zeros(blocks, _record(STATE, (segments, LANES)))
+
+
+def no_work(segments: int) -> NDArray[np.void]:
+    """Return an empty array of the records that a physics step works with."""
+    fields = [
+        *_record(WORK, (segments, LANES)).descr,
+        *_record(SUMS, (LANES,)).descr,
+        *_record("matrix factor", (segments, segments, LANES)).descr,
+    ]
+    return np.empty(0, fields)
 
 
 def make_rods(parameters: ArmParameters) -> NDArray[np.void]:
@@ -152,26 +168,25 @@ def place(state, output, rods, world, chosen, postures, speeds):
     is_position, is_torque = world[0].is_position > 0.0, world[0].is_torque > 0.0
     for row in range(chosen.shape[0]):
         arm = chosen[row]
-        block, k = arm // LANES, arm % LANES
+        arms, k = state[arm // LANES], arm % LANES
         angle = speed = x = y = parent_angle = parent_speed = 0.0
         for i in range(segments):
-            a = state[block, i]
             angle += postures[row, i]
             speed += speeds[row, i]
-            a.angle[k] = angle
-            a.speed[k] = speed
-            a.lag_x[k] = 0.0
-            a.lag_y[k] = 0.0
-            a.held[k] = np.nan
-            a.yields[k] = 1.0
-            a.limit[k] = 0.0 if is_torque else world[0].substep * world[0].torque_limit
+            arms.angle[i, k] = angle
+            arms.speed[i, k] = speed
+            arms.lag_x[i, k] = 0.0
+            arms.lag_y[i, k] = 0.0
+            arms.held[i, k] = np.nan
+            arms.yields[i, k] = 1.0
+            arms.limit[i, k] = 0.0 if is_torque else world[0].substep * world[0].torque_limit
             least, most = rods[i].lowest_angle, rods[i].highest_angle
             if not is_position:
-                a.asked[k] = 0.0
+                arms.asked[i, k] = 0.0
             elif np.isfinite(least):
-                a.asked[k] = min(max(postures[row, i], least), most)
+                arms.asked[i, k] = min(max(postures[row, i], least), most)
             else:
-                a.asked[k] = angle - parent_angle
+                arms.asked[i, k] = angle - parent_angle
             sine, cosine = _sine_cosine(angle)
             x += rods[i].length * cosine
             y += rods[i].length * sine
@@ -195,208 +210,188 @@ def command(state, output, rods, world, values):
     size = count * segments
     w = world[0]
     for arm in range(count):
-        block, k = arm // LANES, arm % LANES
+        arms, k = state[arm // LANES], arm % LANES
         for i in range(segments):
-            a = state[block, i]
             value = values[arm, i]
             if w.is_torque > 0.0:
-                a.asked[k] = w.speed_limit if value >= 0.0 else -w.speed_limit
-                a.limit[k] = w.substep * min(abs(value), w.torque_limit)
+                arms.asked[i, k] = w.speed_limit if value >= 0.0 else -w.speed_limit
+                arms.limit[i, k] = w.substep * min(abs(value), w.torque_limit)
             elif w.is_position > 0.0:
                 if np.isfinite(rods[i].lowest_angle):
-                    a.asked[k] = min(max(value, rods[i].lowest_angle), rods[i].highest_angle)
+                    arms.asked[i, k] = min(max(value, rods[i].lowest_angle), rods[i].highest_angle)
                 else:
                     angle = output[size + arm * segments + i]
                     way = value - angle
                     turns = np.rint(way / (2.0 * np.pi))
-                    a.asked[k] = angle + (way - turns * (2.0 * np.pi))
+                    arms.asked[i, k] = angle + (way - turns * (2.0 * np.pi))
             else:
-                a.asked[k] = value
+                arms.asked[i, k] = value
 
 
 @compiled
-def step_blocks(state, output, rods, world, substeps, first, last):
+def step_blocks(state, output, rods, world, no_work, substeps, first, last):
     """Simulate the blocks of `state` from `first` to before `last`; write `output`."""
-    count = output.shape[0] // (5 * rods.shape[0] + 2)
     segments = rods.shape[0]
-    work = np.zeros(segments, WORK)
-    sums = np.zeros(1, SUMS)
-    matrix = np.zeros((segments, segments, LANES))
-    factor = np.zeros((segments, segments, LANES))
-    inward = np.arange(segments - 1, -1, -1)
+    count = output.shape[0] // (5 * segments + 2)
+    works = np.zeros(1, no_work.dtype)
     has_field = np.abs(world[0].field).max() > 0.0
     for block in range(first, last):
+        work = works[0]  # here, because a record does not keep its array alive
         arms = state[block]
         lanes = min(LANES, count - block * LANES)
         _look(arms, work, lanes)
-        _release(work, lanes)
         for _ in range(substeps):
-            _move(arms, work, sums[0], rods, world[0], lanes)
+            _move(arms, work, rods, world[0], lanes)
             if has_field:
-                _weigh(work, sums[0], matrix, rods, inward, lanes)
-                _burden(arms, work, sums[0], rods, world[0], inward, lanes)
-                _push(arms, work, sums[0], matrix, factor, rods, world[0], inward, lanes)
-            else:
-                _push_nothing(sums[0], lanes)
-            _ask(arms, work, sums[0], rods, world[0], lanes)
-            if _need(arms, work, sums[0], rods, world[0], inward, lanes):
-                _guess(arms, work, sums[0], world[0], lanes)
-                _weigh(work, sums[0], matrix, rods, inward, lanes)
-                _limit(work, sums[0], matrix, factor, inward, lanes)
+                _weigh(work, rods, lanes)
+                _burden(arms, work, rods, world[0], lanes)
+                _push(arms, work, rods, world[0], lanes)
+            _ask(arms, work, rods, world[0], lanes)
+            if _need(arms, work, rods, world[0], lanes):
+                _guess(arms, work, world[0], lanes)
+                _weigh(work, rods, lanes)
+                _limit(work, lanes)
             else:
                 _release(work, lanes)
-            _turn(arms, work, sums[0], lanes)
-        _read(arms, work, sums[0], output, rods, block, lanes)
+            _turn(arms, work, lanes)
+        _read(arms, work, output, rods, block, lanes)
 
 
 @inner
 def _look(arms, work, lanes):
-    for i in range(arms.shape[0]):
-        a, w = arms[i], work[i]
-        for k in range(lanes):
-            w.sine[k], w.cosine[k] = _sine_cosine(a.angle[k])
+    """Find where the segments point; no joint is bound, and nothing pushes the hand."""
+    for k in range(lanes):
+        work.push_x[k] = 0.0
+        work.push_y[k] = 0.0
+        work.push_turn[k] = 0.0
+        for i in range(arms.angle.shape[0]):
+            work.bound[i, k] = FREE
+            work.sine[i, k], work.cosine[i, k] = _sine_cosine(arms.angle[i, k])
 
 
 @inner
-def _move(arms, work, sums, rods, world, lanes):
-    """Turn the segments; `sums` velocity is what brings the last centre from where its rod was."""
+def _move(arms, work, rods, world, lanes):
+    """Turn the segments; `velocity` is what brings the last centre from where its rod was."""
     h = world.substep
     rate = 1.0 / h
-    segments = arms.shape[0]
-    sums.velocity_x[:lanes] = 0.0
-    sums.velocity_y[:lanes] = 0.0
+    segments = arms.angle.shape[0]
+    for k in range(lanes):
+        work.velocity_x[k] = 0.0
+        work.velocity_y[k] = 0.0
     for i in range(segments):
-        a, w = arms[i], work[i]
         carried = rods[i].centre if i == segments - 1 else rods[i].length
         for k in range(lanes):
-            speed, sine, cosine = a.speed[k], w.sine[k], w.cosine[k]
-            lag_x, lag_y = a.lag_x[k], a.lag_y[k]
-            angle = a.angle[k] + h * speed
+            speed, sine, cosine = arms.speed[i, k], work.sine[i, k], work.cosine[i, k]
+            lag_x, lag_y = arms.lag_x[i, k], arms.lag_y[i, k]
+            angle = arms.angle[i, k] + h * speed
             new_sine, new_cosine = _sine_cosine(angle)
             new_lag_x = (new_cosine - cosine) * rate + speed * sine
             new_lag_y = (new_sine - sine) * rate - speed * cosine
-            w.free_x[k] = lag_x - new_lag_x - sine * speed
-            w.free_y[k] = lag_y - new_lag_y + cosine * speed
-            sums.velocity_x[k] += carried * ((new_cosine - cosine) * rate + lag_x)
-            sums.velocity_y[k] += carried * ((new_sine - sine) * rate + lag_y)
-            a.lag_x[k] = new_lag_x
-            a.lag_y[k] = new_lag_y
-            a.angle[k] = angle
-            w.sine[k] = new_sine
-            w.cosine[k] = new_cosine
+            work.free_x[i, k] = lag_x - new_lag_x - sine * speed
+            work.free_y[i, k] = lag_y - new_lag_y + cosine * speed
+            work.velocity_x[k] += carried * ((new_cosine - cosine) * rate + lag_x)
+            work.velocity_y[k] += carried * ((new_sine - sine) * rate + lag_y)
+            arms.lag_x[i, k] = new_lag_x
+            arms.lag_y[i, k] = new_lag_y
+            arms.angle[i, k] = angle
+            work.sine[i, k] = new_sine
+            work.cosine[i, k] = new_cosine
 
 
 @inner
-def _push_nothing(sums, lanes):
-    for k in range(lanes):
-        sums.x[k] = 0.0
-        sums.y[k] = 0.0
-        sums.turn[k] = 0.0
-
-
-@inner
-def _burden(arms, work, sums, rods, world, inward, lanes):
+def _burden(arms, work, rods, world, lanes):
     """Find the impulse that each joint must give, for its speed to stay as it is: `needed`."""
-    _push_nothing(sums, lanes)
-    for i in range(arms.shape[0]):
-        a, w = arms[i], work[i]
-        for k in range(lanes):
-            w.wanted[k] = a.speed[k] - sums.turn[k]
-            sums.turn[k] = a.speed[k]
-    _push_nothing(sums, lanes)
-    _need(arms, work, sums, rods, world, inward, lanes)
+    for k in range(lanes):
+        work.push_x[k] = 0.0
+        work.push_y[k] = 0.0
+        work.push_turn[k] = 0.0
+        parent = 0.0
+        for i in range(arms.speed.shape[0]):
+            work.wanted[i, k] = arms.speed[i, k] - parent
+            parent = arms.speed[i, k]
+    _need(arms, work, rods, world, lanes)
 
 
 @inner
-def _push(arms, work, sums, matrix, factor, rods, world, inward, lanes):
-    """Find the field's impulse on the hand, `sums` x and y, and its moment, turn.
+def _push(arms, work, rods, world, lanes):
+    """Find the field's impulse on the hand, `push_x` and `push_y`, and its moment, `push_turn`.
 
     `mmc_gym.body.force_field` says how.
     """
-    segments = arms.shape[0]
-    sums.x[:lanes] = 0.0
-    sums.y[:lanes] = 0.0
-    for i in inward:
-        w = work[i]
-        length = rods[i].length
-        for k in range(lanes):
-            sums.x[k] += length * w.cosine[k]
-            sums.y[k] += length * w.sine[k]
-            w.load_x[k] = -sums.y[k]  # the way of the hand per angle of the joint
-            w.load_y[k] = sums.x[k]
-    for k in range(lanes):
-        sums.mobility_xx[k] = 0.0
-        sums.mobility_xy[k] = 0.0
-        sums.mobility_yy[k] = 0.0
-    for axis in range(2):
-        for i in range(segments):
-            a, w = arms[i], work[i]
-            for k in range(lanes):
-                way = w.load_x[k] if axis == 0 else w.load_y[k]
-                w.right[k] = way * a.yields[k]
-            for j in range(segments):
-                b = arms[j]
-                same = 1.0 if i == j else 0.0
-                for k in range(lanes):
-                    both = a.yields[k] * b.yields[k] > 0.0
-                    factor[i, j, k] = matrix[i, j, k] if both else same
-        _solve(work, sums, factor, inward, lanes)
-        for i in range(segments):
-            a, w = arms[i], work[i]
-            for k in range(lanes):
-                along_x = w.load_x[k] * w.excess[k]
-                along_y = w.load_y[k] * w.excess[k]
-                sums.mobility_xx[k] += along_x if axis == 0 else 0.0
-                sums.mobility_xy[k] += along_y if axis == 0 else 0.0
-                sums.mobility_yy[k] += 0.0 if axis == 0 else along_y
-                change = w.needed[k] * w.excess[k]
-                sums.velocity_x[k] -= change if axis == 0 else 0.0
-                sums.velocity_y[k] -= 0.0 if axis == 0 else change
-    sums.turn[:lanes] = 0.0
-    for i in range(segments):
-        a, w = arms[i], work[i]
-        for k in range(lanes):
-            speed = a.speed[k] - sums.turn[k]
-            sums.turn[k] = a.speed[k]
-            sums.velocity_x[k] += speed * w.load_x[k]
-            sums.velocity_y[k] += speed * w.load_y[k]
-    w, speeds = work[segments - 1], arms[segments - 1].speed
+    segments = arms.angle.shape[0]
     reach = rods[segments - 1].length - rods[segments - 1].centre
     half = 0.5 * world.substep
     xx, xy, yx, yy = world.field[0, 0], world.field[0, 1], world.field[1, 0], world.field[1, 1]
     for k in range(lanes):
-        along, across, other = sums.mobility_xx[k], sums.mobility_xy[k], sums.mobility_yy[k]
+        x = y = 0.0
+        for m in range(segments):
+            i = segments - 1 - m
+            x += rods[i].length * work.cosine[i, k]
+            y += rods[i].length * work.sine[i, k]
+            work.load_x[i, k] = -y  # the way of the hand per angle of the joint
+            work.load_y[i, k] = x
+        along = across = other = 0.0  # the hand's mobility
+        velocity_x, velocity_y = work.velocity_x[k], work.velocity_y[k]
+        _let_yield(arms, work, work.load_x, k)
+        for i in range(segments):
+            along += work.load_x[i, k] * work.excess[i, k]
+            across += work.load_y[i, k] * work.excess[i, k]
+            velocity_x -= work.needed[i, k] * work.excess[i, k]
+        _let_yield(arms, work, work.load_y, k)
+        for i in range(segments):
+            other += work.load_y[i, k] * work.excess[i, k]
+            velocity_y -= work.needed[i, k] * work.excess[i, k]
+        parent = 0.0
+        for i in range(segments):
+            speed = arms.speed[i, k] - parent
+            parent = arms.speed[i, k]
+            velocity_x += speed * work.load_x[i, k]
+            velocity_y += speed * work.load_y[i, k]
         a = 1.0 - half * (xx * along + xy * across)
         b = -half * (xx * across + xy * other)
         c = -half * (yx * along + yy * across)
         d = 1.0 - half * (yx * across + yy * other)
         # Twice the mean velocity: the rod's before, and the rigid rods' and their pivots' after.
-        x = sums.velocity_x[k] - reach * w.sine[k] * speeds[k]
-        y = sums.velocity_y[k] + reach * w.cosine[k] * speeds[k]
+        sine, cosine = work.sine[segments - 1, k], work.cosine[segments - 1, k]
+        x = velocity_x - reach * sine * arms.speed[segments - 1, k]
+        y = velocity_y + reach * cosine * arms.speed[segments - 1, k]
         push_x = half * (xx * x + xy * y)
         push_y = half * (yx * x + yy * y)
         scale = 1.0 / (a * d - b * c)
-        sums.x[k] = scale * (d * push_x - b * push_y)
-        sums.y[k] = scale * (a * push_y - c * push_x)
-        sums.turn[k] = reach * (w.cosine[k] * sums.y[k] - w.sine[k] * sums.x[k])
+        x = scale * (d * push_x - b * push_y)
+        y = scale * (a * push_y - c * push_x)
+        work.push_x[k] = x
+        work.push_y[k] = y
+        work.push_turn[k] = reach * (cosine * y - sine * x)
 
 
 @inner
-def _ask(arms, work, sums, rods, world, lanes):
+def _let_yield(arms, work, impulse, k):
+    """Find by how much an impulse speeds up the joints that give way: `excess`."""
+    segments = arms.yields.shape[0]
+    for i in range(segments):
+        work.right[i, k] = impulse[i, k] * arms.yields[i, k]
+        for j in range(segments):
+            both = arms.yields[i, k] * arms.yields[j, k] > 0.0
+            work.factor[i, j, k] = work.matrix[i, j, k] if both else 1.0 if i == j else 0.0
+    _solve(work, k)
+
+
+@inner
+def _ask(arms, work, rods, world, lanes):
     """Find what each joint wants, with which impulses, and how much faster its stop allows."""
     fastest, gain, stop, rate = world.speed_limit, world.gain, world.stop_gain, 1.0 / world.substep
     is_position = world.is_position > 0.0
-    sums.angle[:lanes] = 0.0
-    for i in range(arms.shape[0]):
-        a, w = arms[i], work[i]
-        least, most = rods[i].lowest_angle, rods[i].highest_angle
-        for k in range(lanes):
-            angle = a.angle[k] - sums.angle[k]
-            sums.angle[k] = a.angle[k]
-            wanted = gain * (a.asked[k] - angle) if is_position else a.asked[k]
+    for k in range(lanes):
+        parent = 0.0
+        for i in range(arms.angle.shape[0]):
+            least, most = rods[i].lowest_angle, rods[i].highest_angle
+            angle = arms.angle[i, k] - parent
+            parent = arms.angle[i, k]
+            asked, limit, held = arms.asked[i, k], arms.limit[i, k], arms.held[i, k]
+            wanted = gain * (asked - angle) if is_position else asked
             wanted = fastest if wanted > fastest else wanted
             wanted = -fastest if wanted < -fastest else wanted
-            limit, held = a.limit[k], a.held[k]
             above = stop * (most - angle) if angle > most else np.inf
             below = stop * (least - angle) if angle < least else -np.inf
             lowest = -np.inf if wanted > above else -limit
@@ -405,291 +400,241 @@ def _ask(arms, work, sums, rods, world, lanes):
             wanted = below if wanted < below else wanted
             locked = held == held
             wanted = rate * (held - angle) if locked else wanted
-            w.wanted[k] = wanted
-            w.lowest[k] = -np.inf if locked else lowest
-            w.highest[k] = np.inf if locked else highest
-            w.stop_above[k] = above - wanted
-            w.stop_below[k] = below - wanted
+            work.wanted[i, k] = wanted
+            work.lowest[i, k] = -np.inf if locked else lowest
+            work.highest[i, k] = np.inf if locked else highest
+            work.stop_above[i, k] = above - wanted
+            work.stop_below[i, k] = below - wanted
 
 
 @inner
-def _need(arms, work, sums, rods, world, inward, lanes):
+def _need(arms, work, rods, world, lanes):
     """Find the impulses that give all joints what they want; tell whether any is out of bounds."""
-    segments = arms.shape[0]
+    segments = arms.angle.shape[0]
+    last = segments - 1
     fall_x, fall_y = world.substep * world.gravity[0], world.substep * world.gravity[1]
-    last = work[segments - 1]
     for k in range(lanes):
-        last.right[k] = sums.turn[k]
-        last.moment_x[k] = sums.x[k]
-        last.moment_y[k] = sums.y[k]
-        sums.x[k] = 0.0
-        sums.y[k] = 0.0
-        sums.turn[k] = 0.0
-    for i in range(segments):
-        w = work[i]
-        length, mass, centre = rods[i].length, rods[i].mass, rods[i].centre
-        for k in range(lanes):
-            turn = sums.turn[k] + w.wanted[k]
-            change_x = -w.sine[k] * turn - w.free_x[k]
-            change_y = w.cosine[k] * turn - w.free_y[k]
-            w.load_x[k] = mass * ((sums.x[k] + centre * change_x) - fall_x)
-            w.load_y[k] = mass * ((sums.y[k] + centre * change_y) - fall_y)
-            sums.x[k] += length * change_x
-            sums.y[k] += length * change_y
-            sums.turn[k] = turn
-            w.turn[k] = turn
-    for k in range(lanes):
-        last.load_x[k] -= last.moment_x[k]
-        last.load_y[k] -= last.moment_y[k]
-        sums.turn[k] = -last.right[k]
-        sums.x[k] = 0.0
-        sums.y[k] = 0.0
-        sums.changed[k] = 0.0
-    for i in inward:
-        a, w = arms[i], work[i]
-        length, centre, inertia = rods[i].length, rods[i].centre, rods[i].inertia
-        for k in range(lanes):
-            load_x, load_y = w.load_x[k], w.load_y[k]
-            push_x = length * sums.x[k] + centre * load_x
-            push_y = length * sums.y[k] + centre * load_y
-            torque = w.cosine[k] * push_y - w.sine[k] * push_x
-            needed = sums.turn[k] + torque + inertia * (w.turn[k] - a.speed[k])
-            sums.turn[k] = needed
-            sums.x[k] += load_x
-            sums.y[k] += load_y
-            w.needed[k] = needed
-            w.excess[k] = 0.0
-            beyond = (needed > w.highest[k]) | (needed < w.lowest[k])
-            sums.changed[k] += 1.0 if beyond else 0.0
-    return _any_lane(sums.changed, lanes)
+        x = y = turn = 0.0
+        for i in range(segments):
+            length, mass, centre = rods[i].length, rods[i].mass, rods[i].centre
+            turn = turn + work.wanted[i, k]
+            change_x = -work.sine[i, k] * turn - work.free_x[i, k]
+            change_y = work.cosine[i, k] * turn - work.free_y[i, k]
+            work.load_x[i, k] = mass * ((x + centre * change_x) - fall_x)
+            work.load_y[i, k] = mass * ((y + centre * change_y) - fall_y)
+            x += length * change_x
+            y += length * change_y
+            work.turn[i, k] = turn
+        work.load_x[last, k] -= work.push_x[k]
+        work.load_y[last, k] -= work.push_y[k]
+        needed = -work.push_turn[k]
+        x = y = beyond = 0.0
+        for m in range(segments):
+            i = segments - 1 - m
+            length, centre, inertia = rods[i].length, rods[i].centre, rods[i].inertia
+            load_x, load_y = work.load_x[i, k], work.load_y[i, k]
+            push_x = length * x + centre * load_x
+            push_y = length * y + centre * load_y
+            torque = work.cosine[i, k] * push_y - work.sine[i, k] * push_x
+            needed = needed + torque + inertia * (work.turn[i, k] - arms.speed[i, k])
+            x += load_x
+            y += load_y
+            work.needed[i, k] = needed
+            work.excess[i, k] = 0.0
+            is_beyond = (needed > work.highest[i, k]) | (needed < work.lowest[i, k])
+            beyond += 1.0 if is_beyond else 0.0
+        work.changed[k] = beyond
+    return _any_lane(work.changed, lanes)
 
 
 @inner
-def _turn(arms, work, sums, lanes):
+def _turn(arms, work, lanes):
     """Give the segments the velocities that the joints have found."""
-    sums.turn[:lanes] = 0.0
-    for i in range(arms.shape[0]):
-        a, w = arms[i], work[i]
-        for k in range(lanes):
-            speed = sums.turn[k] + (w.wanted[k] + w.excess[k])
-            sums.turn[k] = speed
-            a.speed[k] = speed
-            a.yields[k] = 1.0 if abs(w.bound[k]) == 1.0 else 0.0
+    for k in range(lanes):
+        speed = 0.0
+        for i in range(arms.speed.shape[0]):
+            speed = speed + (work.wanted[i, k] + work.excess[i, k])
+            arms.speed[i, k] = speed
+            arms.yields[i, k] = 1.0 if abs(work.bound[i, k]) == 1.0 else 0.0
 
 
 @inner
-def _read(arms, work, sums, output, rods, block, lanes):
+def _read(arms, work, output, rods, block, lanes):
     """Write what the arms show: segment angles, joint angles, joint velocities, hands.
 
     Last come the cosines and sines of the joint angles, which observations tell.
     """
-    segments = arms.shape[0]
+    segments = rods.shape[0]
     count = output.shape[0] // (5 * segments + 2)
     size = count * segments
     turned = 3 * size + 2 * count
-    sums.x[:lanes] = 0.0
-    sums.y[:lanes] = 0.0
-    for i in range(segments):
-        w = work[i]
-        length = rods[i].length
-        for k in range(lanes):
-            sums.x[k] += length * w.cosine[k]
-            sums.y[k] += length * w.sine[k]
-    sums.angle[:lanes] = 0.0
-    for i in range(segments):
-        a, w = arms[i], work[i]
-        for k in range(lanes):
-            w.moment_y[k], w.moment_x[k] = _sine_cosine(a.angle[k] - sums.angle[k])
-            sums.angle[k] = a.angle[k]
+    for k in range(lanes):
+        parent = 0.0
+        for i in range(arms.angle.shape[0]):
+            angle = arms.angle[i, k]
+            work.joint_sine[i, k], work.joint_cosine[i, k] = _sine_cosine(angle - parent)
+            parent = angle
     for k in range(lanes):
         arm = block * LANES + k
-        parent_angle = parent_speed = 0.0
+        x = y = parent_angle = parent_speed = 0.0
         for i in range(segments):
-            angle, speed = arms[i].angle[k], arms[i].speed[k]
+            angle, speed = arms.angle[i, k], arms.speed[i, k]
             at = arm * segments + i
-            output[turned + at] = work[i].moment_x[k]
-            output[turned + size + at] = work[i].moment_y[k]
             output[at] = angle
             output[size + at] = angle - parent_angle
             output[2 * size + at] = speed - parent_speed
+            output[turned + at] = work.joint_cosine[i, k]
+            output[turned + size + at] = work.joint_sine[i, k]
+            x += rods[i].length * work.cosine[i, k]
+            y += rods[i].length * work.sine[i, k]
             parent_angle, parent_speed = angle, speed
-        output[3 * size + 2 * arm] = sums.x[k]
-        output[3 * size + 2 * arm + 1] = sums.y[k]
+        output[3 * size + 2 * arm] = x
+        output[3 * size + 2 * arm + 1] = y
 
 
 @inner
-def _weigh(work, sums, matrix, rods, inward, lanes):
+def _weigh(work, rods, lanes):
     """Find the mass matrix M from inertia and first moment of the arm beyond the later joint."""
-    segments = work.shape[0]
-    beyond = 0.0
-    sums.x[:lanes] = 0.0
-    sums.y[:lanes] = 0.0
-    sums.turn[:lanes] = 0.0
-    for j in inward:
-        length, mass, centre = rods[j].length, rods[j].mass, rods[j].centre
-        own = mass * centre * centre + rods[j].inertia + beyond * length * length
-        moment = mass * centre + beyond * length
-        beyond += mass
-        w = work[j]
-        for k in range(lanes):
-            cosine, sine, x, y = w.cosine[k], w.sine[k], sums.x[k], sums.y[k]
-            inertia = (sums.turn[k] + 2.0 * length * (cosine * x + sine * y)) + own
-            sums.turn[k] = inertia
-            sums.x[k] = x + moment * cosine
-            sums.y[k] = y + moment * sine
-            w.inertia[k] = inertia
-            w.moment_x[k] = sums.x[k]
-            w.moment_y[k] = sums.y[k]
-    for j in range(segments):
-        w = work[j]
-        for k in range(lanes):
-            matrix[j, j, k] = w.inertia[k]
-            sums.x[k] = 0.0
-            sums.y[k] = 0.0
-        for m in range(segments - j, segments):
-            i = inward[m]
-            v = work[i]
-            length = rods[i].length
-            for k in range(lanes):
-                x = sums.x[k] + length * v.cosine[k]
-                y = sums.y[k] + length * v.sine[k]
-                sums.x[k] = x
-                sums.y[k] = y
-                matrix[j, i, k] = w.inertia[k] + w.moment_x[k] * x + w.moment_y[k] * y
-            for k in range(lanes):
-                matrix[i, j, k] = matrix[j, i, k]
+    segments = work.sine.shape[0]
+    for k in range(lanes):
+        x = y = inertia = beyond = 0.0
+        for m in range(segments):
+            j = segments - 1 - m
+            length, mass, centre = rods[j].length, rods[j].mass, rods[j].centre
+            own = mass * centre * centre + rods[j].inertia + beyond * length * length
+            moment = mass * centre + beyond * length
+            beyond += mass
+            cosine, sine = work.cosine[j, k], work.sine[j, k]
+            inertia = (inertia + 2.0 * length * (cosine * x + sine * y)) + own
+            x = x + moment * cosine
+            y = y + moment * sine
+            work.matrix[j, j, k] = inertia
+            work.moment_x[j, k] = x
+            work.moment_y[j, k] = y
+        for j in range(segments):
+            x = y = 0.0
+            for m in range(segments):
+                i = segments - 1 - m
+                if i < j:
+                    x = x + rods[i].length * work.cosine[i, k]
+                    y = y + rods[i].length * work.sine[i, k]
+                    along = work.moment_x[j, k] * x
+                    across = work.moment_y[j, k] * y
+                    work.matrix[j, i, k] = work.matrix[j, j, k] + along + across
+                    work.matrix[i, j, k] = work.matrix[j, i, k]
 
 
 @inner
 def _release(work, lanes):
     """Free all joints of their bounds."""
-    for i in range(work.shape[0]):
-        w = work[i]
-        for k in range(lanes):
-            w.bound[k] = FREE
+    for k in range(lanes):
+        for i in range(work.bound.shape[0]):
+            work.bound[i, k] = FREE
 
 
 @inner
-def _guess(arms, work, sums, world, lanes):
+def _guess(arms, work, world, lanes):
     """Guess which bounds bind: those of the last substep, or those that needed impulses pass.
 
-    A torque servo is nearly always at its bound.  A lane that passes none, of which `sums.changed`
-    keeps the number, stays free: alone it would not have come here.
+    A torque servo is nearly always at its bound.  A lane that passes none, of which `changed` keeps
+    the number, stays free: alone it would not have come here.
     """
     is_torque = world.is_torque > 0.0
-    sums.x[:lanes] = 0.0
-    for i in range(work.shape[0]):
-        w = work[i]
-        for k in range(lanes):
-            sums.x[k] += abs(w.bound[k])
-    for i in range(work.shape[0]):
-        a, w = arms[i], work[i]
-        for k in range(lanes):
-            needed, lowest, highest = w.needed[k], w.lowest[k], w.highest[k]
-            above, below = w.stop_above[k], w.stop_below[k]
-            last, asked = w.bound[k], a.asked[k]
+    for k in range(lanes):
+        bounds = 0.0
+        for i in range(arms.asked.shape[0]):
+            bounds += abs(work.bound[i, k])
+        for i in range(arms.asked.shape[0]):
+            needed, lowest, highest = work.needed[i, k], work.lowest[i, k], work.highest[i, k]
+            above, below = work.stop_above[i, k], work.stop_below[i, k]
+            last, asked = work.bound[i, k], arms.asked[i, k]
             new = AT_HIGHEST if needed > highest else FREE
             new = AT_LOWEST if needed < lowest else new
             pushed = AT_HIGHEST if asked > 0.0 else AT_LOWEST
             new = pushed if is_torque else new
-            new = last if sums.x[k] > 0.0 else new
+            new = last if bounds > 0.0 else new
             new = FREE if (new == AT_HIGHEST) & (highest == np.inf) else new
             new = FREE if (new == AT_LOWEST) & (lowest == -np.inf) else new
             new = FREE if (new == STOPPED_ABOVE) & (above == np.inf) else new
             new = FREE if (new == STOPPED_BELOW) & (below == -np.inf) else new
-            w.bound[k] = new if sums.changed[k] > 0.0 else FREE
+            work.bound[i, k] = new if work.changed[k] > 0.0 else FREE
 
 
 @inner
-def _limit(work, sums, matrix, factor, inward, lanes):
+def _limit(work, lanes):
     """Find z, by which each joint's velocity differs from the wanted one: `excess`."""
-    segments = work.shape[0]
+    segments = work.bound.shape[0]
     for attempt in range(10 * segments + 50):
-        _prescribe(work, sums, matrix, factor, lanes)
-        _solve(work, sums, factor, inward, lanes)
         # Changing all wrong guesses at once is quick and may cycle; one at a time never does.
-        if not _revise(work, sums, matrix, attempt > segments + 5, lanes):
+        one_by_one = 1.0 if attempt > segments + 5 else 0.0
+        _prescribe(work, lanes)
+        for k in range(lanes):
+            _solve(work, k)
+        if not _revise(work, one_by_one, lanes):
             break
 
 
 @inner
-def _prescribe(work, sums, matrix, factor, lanes):
+def _prescribe(work, lanes):
     """Set up equations for the joints at a bound; others move as they want or their stop allows."""
-    segments = work.shape[0]
+    segments = work.bound.shape[0]
     for i in range(segments):
-        w = work[i]
         for k in range(lanes):
-            bound, below, above = w.bound[k], w.stop_below[k], w.stop_above[k]
-            lowest, highest = w.lowest[k], w.highest[k]
+            bound, below, above = work.bound[i, k], work.stop_below[i, k], work.stop_above[i, k]
             stop = below if bound > 0.0 else above
-            impulse = highest if bound > 0.0 else lowest
-            w.excess[k] = stop if abs(bound) == 2.0 else 0.0
-            w.right[k] = impulse - w.needed[k]
+            work.excess[i, k] = stop if abs(bound) == 2.0 else 0.0
     for i in range(segments):
-        w = work[i]
         for k in range(lanes):
-            sums.x[k] = w.right[k]
-        for j in range(segments):
-            v = work[j]
-            same = 1.0 if i == j else 0.0
-            for k in range(lanes):
-                entry = matrix[i, j, k]
-                sums.x[k] -= entry * v.excess[k]
-                both = (abs(w.bound[k]) == 1.0) & (abs(v.bound[k]) == 1.0)
-                factor[i, j, k] = entry if both else same
-        for k in range(lanes):
-            excess, right = w.excess[k], sums.x[k]
-            w.right[k] = right if abs(w.bound[k]) == 1.0 else excess
+            bound, lowest, highest = work.bound[i, k], work.lowest[i, k], work.highest[i, k]
+            right = (highest if bound > 0.0 else lowest) - work.needed[i, k]
+            for j in range(segments):
+                entry = work.matrix[i, j, k]
+                right -= entry * work.excess[j, k]
+                both = (abs(bound) == 1.0) & (abs(work.bound[j, k]) == 1.0)
+                same = 1.0 if i == j else 0.0
+                work.factor[i, j, k] = entry if both else same
+            excess = work.excess[i, k]
+            work.right[i, k] = right if abs(bound) == 1.0 else excess
 
 
 @inner
-def _solve(work, sums, factor, inward, lanes):
+def _solve(work, k):
     """Solve factor · excess = right by L D Lᵀ."""
-    segments = work.shape[0]
+    factor, right, excess = work.factor, work.right, work.excess
+    segments = right.shape[0]
     for j in range(segments):
-        v = work[j]
-        for k in range(lanes):
-            v.inverse[k] = 1.0 / factor[j, j, k]
-        for i in range(j + 1, segments):
-            w = work[i]
-            for k in range(lanes):
-                ratio = factor[i, j, k] * v.inverse[k]
-                sums.x[k] = ratio
-                w.right[k] -= ratio * v.right[k]
-            for m in range(j + 1, i + 1):
-                for k in range(lanes):
-                    factor[i, m, k] -= sums.x[k] * factor[m, j, k]
-    for i in inward:
-        w = work[i]
-        for k in range(lanes):
-            sums.x[k] = w.right[k]
-        for j in range(i + 1, segments):
-            v = work[j]
-            for k in range(lanes):
-                sums.x[k] -= factor[j, i, k] * v.excess[k]
-        for k in range(lanes):
-            w.excess[k] = sums.x[k] * w.inverse[k]
+        work.inverse[j, k] = 1.0 / factor[j, j, k]
+        for i in range(segments):
+            if i > j:
+                ratio = factor[i, j, k] * work.inverse[j, k]
+                right[i, k] -= ratio * right[j, k]
+                for m in range(segments):
+                    if j < m <= i:
+                        factor[i, m, k] -= ratio * factor[m, j, k]
+    for m in range(segments):
+        i = segments - 1 - m
+        total = right[i, k]
+        for j in range(segments):
+            if j > i:
+                total -= factor[j, i, k] * excess[j, k]
+        excess[i, k] = total * work.inverse[i, k]
 
 
 @inner
-def _revise(work, sums, matrix, one_by_one, lanes):
+def _revise(work, one_by_one, lanes):
     """Change the guesses that the solution contradicts; tell whether there were any."""
-    segments = work.shape[0]
-    single = 1.0 if one_by_one else 0.0
-    sums.changed[:lanes] = 0.0
-    sums.turn[:lanes] = 0.0
+    segments = work.bound.shape[0]
+    for k in range(lanes):
+        work.changed[k] = 0.0
+        work.is_done[k] = 0.0
     for i in range(segments):
-        w = work[i]
         for k in range(lanes):
-            sums.x[k] = w.needed[k]
-        for j in range(segments):
-            v = work[j]
-            for k in range(lanes):
-                sums.x[k] += matrix[i, j, k] * v.excess[k]
-        for k in range(lanes):
-            bound, excess, impulse = w.bound[k], w.excess[k], sums.x[k]
-            lowest, highest = w.lowest[k], w.highest[k]
-            below, above = w.stop_below[k], w.stop_above[k]
+            impulse = work.needed[i, k]
+            for j in range(segments):
+                impulse += work.matrix[i, j, k] * work.excess[j, k]
+            bound, excess, is_done = work.bound[i, k], work.excess[i, k], work.is_done[k]
+            lowest, highest = work.lowest[i, k], work.highest[i, k]
+            below, above = work.stop_below[i, k], work.stop_above[i, k]
             slack = 1e-9 * abs(impulse)
             new = bound
             new = AT_HIGHEST if (bound == FREE) & (impulse > highest + slack) else new
@@ -700,9 +645,8 @@ def _revise(work, sums, matrix, one_by_one, lanes):
             new = STOPPED_ABOVE if (bound == AT_LOWEST) & (excess > above + _TINY) else new
             new = AT_HIGHEST if (bound == STOPPED_BELOW) & (impulse < highest - slack) else new
             new = AT_LOWEST if (bound == STOPPED_ABOVE) & (impulse > lowest + slack) else new
-            changed = sums.changed[k]
-            new = bound if changed > 0.0 else new
-            w.bound[k] = new
-            sums.changed[k] = single if new != bound else changed
-            sums.turn[k] += 1.0 if new != bound else 0.0
-    return _any_lane(sums.turn, lanes)
+            new = bound if is_done > 0.0 else new
+            work.bound[i, k] = new
+            work.is_done[k] = one_by_one if new != bound else is_done
+            work.changed[k] += 1.0 if new != bound else 0.0
+    return _any_lane(work.changed, lanes)
