@@ -56,8 +56,14 @@ napoleon_use_ivar = True
 nitpick_ignore_regex = [
     # The build needs no network, and so has no lists of what other projects document.
     (r"py:.*", r"(?!mmc_gym\.).*"),
-    # Names of types that are not part of the public interface.
-    (r"py:.*", r"mmc_gym\..*"),
+    # Private classes, and the parts of an agent: annotations name them.
+    (r"py:.*", r"mmc_gym\.(\w+\.)*_\w+"),
+    (r"py:.*", r"mmc_gym\.agents\.body_model\.(?!agent\.).*"),
+    # Type variables, and names of types that are no classes.
+    (r"py:.*", r"mmc_gym\.agents\.base\.State"),
+    (r"py:.*", r"mmc_gym\.envs\.perturbations\.Coordinate"),
+    (r"py:.*", r"mmc_gym\.paper\.experiment\.Part"),
+    (r"py:.*", r"mmc_gym\.measures\.catalogue\.(OfEpisodes?|Quantity)"),
 ]
 
 html_theme = "pydata_sphinx_theme"
