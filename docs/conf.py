@@ -84,6 +84,9 @@ html_show_sourcelink = False
 sphinx_gallery_conf = {
     "examples_dirs": ["../examples"],
     "gallery_dirs": ["examples"],
+    "subsection_order": [
+        f"../examples/{folder}" for folder in ("network", "arm", "learning", "comparing")
+    ],
     "filename_pattern": r"plot_",
     "ignore_pattern": r"__init__\.py",
     "download_all_examples": False,
