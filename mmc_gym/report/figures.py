@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, NullFormatter, PercentFormatter
 
 from mmc_gym._plotting import EXAMPLES, Movement, draw_paths, draw_speed, speed_quartiles
-from mmc_gym.agents.policy import EVALUATION_EPISODES
+from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures import Measure
 from mmc_gym.measures.episode import hand_speed
@@ -218,10 +218,20 @@ def degradation(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure |
 
 
 def _untrained_for(results: Results) -> str:
-    """Return a sentence if all policies were trained without perturbations."""
-    plain = {"MMCReach-v0", "MMCReachGoal-v0"}
-    met = {card.env_id for cards in results.cards.values() for card in cards}
-    return "No policy was trained under these perturbations. " if met and met <= plain else ""
+    """Return a sentence about which policies were trained under perturbations."""
+    met = [name for name, cards in results.cards.items() if any(map(_met_perturbations, cards))]
+    if not any(results.cards.values()):
+        return ""
+    if met:
+        return f"Of the policies, only {listed(met)} met perturbations in training. "
+    return "No policy was trained under these perturbations. "
+
+
+def _met_perturbations(card: PolicyCard) -> bool:
+    """Tell whether a policy was trained in another scenario than the plain one, or in several."""
+    names = repr(card.hyperparameters)
+    is_plain = card.env_id in ("MMCReach-v0", "MMCReachGoal-v0")
+    return not is_plain or "RandomScenarios" in names or "perturbations" in names
 
 
 def learning(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | None:

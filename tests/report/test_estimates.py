@@ -133,6 +133,23 @@ def test_a_description_has_the_digits_of_the_tables(estimates):
     assert "Success at strengths 0, 15, 60 °: mmc 100.0 %, 0.0 %, 0.0 %" in said
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "No policy was trained under these perturbations."),
+        ({"env_id": "MMCReachRotated-v0"}, "Of the policies, only ppo met perturbations"),
+        ({"hyperparameters": {"vec_env_wrapper": [{"x.RandomScenarios": {}}]}}, "only ppo met"),
+    ],
+)
+def test_what_policies_met_in_training_is_said(estimates, changes, said):
+    ppo = estimates.results.identities["ppo"]
+    card = replace(ppo.cards[0], **changes)
+    identities = {**estimates.results.identities, "ppo": replace(ppo, cards=(card,))}
+    results = replace(estimates.results, identities=identities)
+    figure = degradation(Estimates(results, resamples=50), looks(["mmc"]))
+    assert said in figure.caption
+
+
 def test_wins_and_losses_are_told_in_the_same_form(estimates):
     board = estimates.scoreboard("mmc")
     standing = render.standing(board, "mmc")
