@@ -1,8 +1,8 @@
 """Write the pages, films and copies that the site is built from and that are not kept.
 
 A page for each scenario says what its registry entry, its classes and its spaces say, and shows a
-film of two agents with how often they succeed.  Films and counts are made again when anything in
-the package has changed.
+film of some agents with how often they succeed.  Films and counts are made again when anything in
+the package or in this file has changed.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 PAGE_OF_CLASS = {MMCReachEnv: "/envs/reach", MMCReachGoalEnv: "/envs/goal"}
 
-AGENTS = ("mmc", "ppo")  # beside each other, from left to right
+AGENTS = ("mmc", "mmc-body", "ppo")  # beside each other, from left to right
 EPISODES = 50
 EVERY = 4  # control steps between two pictures
 SHRINK = 2
@@ -74,8 +74,8 @@ def write(path: Path, text: str) -> None:
 
 
 def package_digest() -> str:
-    """Return a digest of all that ships in the package."""
-    found = hashlib.sha256()
+    """Return a digest of all that ships in the package, and of this file."""
+    found = hashlib.sha256(Path(__file__).read_bytes())
     for path in sorted(Path(mmc_gym.__file__).parent.rglob("*")):
         if path.suffix in {".py", ".safetensors"}:
             found.update(path.read_bytes())
@@ -203,11 +203,11 @@ def scenario_page(one: Scenario, films: Path, counts: dict[str, int] | None) -> 
     lines = [f"# {one.name}", "", f"{one.description[0].upper()}{one.description[1:]}.", ""]
     if counts is not None:
         shares = ", ".join(f"{name} in {count} of {EPISODES}" for name, count in counts.items())
-        left, right = AGENTS
+        names = f"{', '.join(AGENTS[:-1])} and {AGENTS[-1]}"
         lines += [
-            f"![{left} and {right} in {one.name}](../_generated/{films}/{one.name}.webp)",
+            f"![{names} in {one.name}](../_generated/{films}/{one.name}.webp)",
             "",
-            f"{left} on the left, {right} on the right, in the first of {EPISODES} episodes.",
+            f"From left to right: {names}, in the first of {EPISODES} episodes.",
             *([f"The hand ends at the target: {shares}."] if env else []),
             "",
         ]
