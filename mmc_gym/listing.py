@@ -67,7 +67,7 @@ def list_agents() -> Listing:
     """Return the names of all agents.
 
     >>> list_agents()[:3]
-    ['mmc', 'mmc-classical', 'mmc-neural']
+    ['mmc-body', 'ik-body', 'mmc']
     """
     return Listing(
         Listed("agent", "what it is", "needs"),

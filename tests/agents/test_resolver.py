@@ -100,7 +100,10 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class():
 @pytest.mark.parametrize(
     ("agent", "message"),
     [
-        *((name, "agent '.*' is not accepted. It may be mmc, .*ppo-3") for name in ("xyzzy", "")),
+        *(
+            (name, "agent '.*' is not accepted. It may be mmc-body.*ppo-3")
+            for name in ("xyzzy", "")
+        ),
         ("mcm", "agent 'mcm' is not accepted; did you mean 'mmc'"),
         ("MMC", "agent 'MMC' is not accepted; did you mean 'mmc'"),
         ("ppo-10", "did you mean 'ppo-1'"),
