@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
 from mmc_gym.network import LearnedNormalizer, MMCNetwork, chain
+
+pytest.importorskip("numba", reason='it takes the extra "fast"')
 from mmc_gym.network.compiled import LANES
 
 
