@@ -126,17 +126,8 @@ class InternalModelAgent(Agent[State]):
             raise UserError(
                 f"state must be that of as many arms as are observed, batch {batch}, got {of_state}"
             )
-        if episode_start is None or not np.any(episode_start):
-            return state
-        given = np.asarray(episode_start, dtype=bool)
-        if not batch and given.size == 1:
-            given = given.reshape(())
-        try:
-            started = np.broadcast_to(given, batch)
-        except ValueError as error:
-            accepted = f"of shape {batch}, as the observations are"
-            raise UserError(f"episode_start must be {accepted}, got {given.shape}") from error
-        return where(started, self.start(sensed), state)
+        starts = starting(episode_start, batch)
+        return state if starts is None else where(starts, self.start(sensed), state)
 
 
 class JointTargetAgent(InternalModelAgent[State]):
@@ -158,6 +149,24 @@ class JointTargetAgent(InternalModelAgent[State]):
         state = self.resumed(state, sensed, episode_start)
         joint_targets, state = self.advance(state, sensed)
         return self.interface.act(joint_targets, sensed), state
+
+
+def starting(episode_start: Started, batch: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    """Return for which arms an episode starts, of the shape `batch`; None for none of them.
+
+    Raises:
+        UserError: if `episode_start` has other batch axes.
+    """
+    if episode_start is None or not np.any(episode_start):
+        return None
+    given = np.asarray(episode_start, dtype=bool)
+    if not batch and given.size == 1:
+        given = given.reshape(())
+    try:
+        return np.broadcast_to(given, batch)
+    except ValueError as error:
+        accepted = f"of shape {batch}, as the observations are"
+        raise UserError(f"episode_start must be {accepted}, got {given.shape}") from error
 
 
 # A state is an array with the batch in front, a network's state, or a named tuple of such.

@@ -29,7 +29,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, Started, warn_of_another_arm, where
+from mmc_gym.agents.base import Agent, Started, starting, warn_of_another_arm, where
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import History, View, feature_count, features, turned_actions
@@ -333,11 +333,8 @@ class PolicyAgent(Agent[Any]):
         if np.shape(state) != start.shape:
             shapes = f"of shape {start.shape}, got {np.shape(state)}"
             raise UserError(f"state must be what predict returned for as many arms, {shapes}")
-        if episode_start is None or not np.any(episode_start):
-            return np.asarray(state, np.float32)
-        batch = start.shape[:-2]
-        begins = np.reshape(np.asarray(episode_start, dtype=bool), batch)
-        return where(begins, start, state)
+        starts = starting(episode_start, start.shape[:-2])
+        return np.asarray(state, np.float32) if starts is None else where(starts, start, state)
 
 
 BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {
