@@ -315,3 +315,10 @@ def test_without_vigour_the_hand_moves_as_people_do(perturbations, single_peaks)
     assert success(played) >= 0.99
     assert np.median([minimum_jerk_correlation(one) for one in played]) >= 0.95
     assert np.mean([velocity_peaks(one) == 1 for one in played]) >= single_peaks
+
+
+@pytest.mark.slow
+def test_without_vigour_a_target_that_moves_is_followed_nevertheless():
+    pursued = episodes(lambda told: mmc_body(told, Parts(vigour=0.0)), 20, id="MMCReachPursuit-v0")
+    distances = [episode.distances[75:] for episode in pursued]
+    assert np.mean(np.array(distances) <= 0.05) >= 0.9

@@ -311,9 +311,11 @@ class BodyAgent(InternalModelAgent[BodyState]):
             if parts.vigour < 1:
                 way = imagined_way(now, left, body.lengths)
                 direct = np.abs(hand(plan.next, body.lengths) - hand(now, body.lengths))
-                drive = drive.began(intended.begins, direct, left, told, parts.vigour)
+                begins = intended.begins & ~state.target.is_moving  # which is followed, not reached
+                drive = drive.began(begins, direct, left, told, parts.vigour)
                 share = share_of_turn(way, drive.elapsed, drive.duration)[:, None]
-                turn = in_proportion(turn, left * share)
+                follows = state.target.is_moving & (drive.elapsed >= drive.duration)
+                turn = np.where(follows[:, None], turn, in_proportion(turn, left * share))
             elif some(is_wary):  # straight, as imagined
                 turn = np.where(is_wary[:, None], in_proportion(turn, left), turn)
             noise = state.posture.deviation
