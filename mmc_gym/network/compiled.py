@@ -32,7 +32,8 @@ from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, check_clamped, velocity_rule
 
 LANES = 32  # arms in a block
-_NUDGE = 1e-150  # gives the zero vector a direction, as `EuclideanNormalizer` does
+_NUDGE = 1e-100  # gives the zero vector a direction, as `EuclideanNormalizer` does
+_SHARED = 3  # segments share a division; more zero vectors would underflow together
 
 
 @lru_cache(maxsize=256)
@@ -59,13 +60,16 @@ def _constants(network: MMCNetwork) -> tuple[NDArray[np.void], Floats, Floats, b
     count = network.segment_count
     nodes = count + 1
     shapes = {
-        "vector": nodes * count // 2,
-        "pending": count,  # segments that await their normalization
-        "velocity": count,
-        "total": nodes,  # S_i
+        "vector": (nodes * count // 2, 2),
+        "pending": (count, 2),  # segments that await their normalization
+        "velocity": (count, 2),
+        "total": (nodes, 2),  # S_i
+        "length": (count,),
+        "size": (count,),  # before it is brought to that, see `_normalize`
+        "others": (count,),
     }
-    fields = [(name, np.float64, (rows, 2, LANES)) for name, rows in shapes.items()]
-    no_blocks = np.empty(0, [*fields, ("length", np.float64, (count, LANES))])
+    fields = [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()]
+    no_blocks = np.empty(0, fields)
     rule = (1.0, 0.0) if network.dynamics == "kinematic" else velocity_rule(network)
     return (
         no_blocks,
@@ -94,6 +98,8 @@ def iterate(no_blocks, lengths, rule, is_late, clamped, values, held, result, ti
     blocks = np.zeros(1, no_blocks.dtype)
     for i in range(lengths.shape[0]):
         blocks[0].length[i] = lengths[i]
+    hand = blocks[0].vector.shape[0] - 1
+    is_inverse = clamped.shape[0] == 1 and clamped[0] == hand  # nothing but R is held
     for first in range(0, values.shape[2], LANES):
         block = blocks[0]  # here, because a record does not keep its array alive
         lanes = min(LANES, values.shape[2] - first)
@@ -101,12 +107,16 @@ def iterate(no_blocks, lengths, rule, is_late, clamped, values, held, result, ti
         _hold(block, clamped, held, first, lanes)
         for _ in range(times):
             if is_late:
-                _normalize(block, lanes)
-                _hold(block, clamped, held, first, lanes)
+                for k in range(lanes):
+                    _normalize(block.pending, block, k)
+                if not is_inverse:
+                    _hold(block, clamped, held, first, lanes)
                 _advance_late(block, rule[0], rule[1], rule[2], lanes)
             else:
                 _advance(block, rule[0], rule[1], rule[2], lanes)
-            _hold(block, clamped, held, first, lanes)
+            if not is_inverse:
+                _average_hand(block, rule[0], lanes)
+                _hold(block, clamped, held, first, lanes)
         if times > 0:
             _stop(block, clamped)
         _write(result, block, is_late, first, lanes)
@@ -216,12 +226,16 @@ def _add_up(vector, total, k):
     """Find S_i of every node."""
     nodes = total.shape[0]
     for i in range(nodes):
-        x = y = 0.0
+        # It begins with a vector: with 0 it would be an addition more.
+        is_last = i == nodes - 1
+        row = _row(i - 1, i, nodes) if is_last else _row(i, i + 1, nodes)
+        x = -vector[row, 0, k] if is_last else vector[row, 0, k]
+        y = -vector[row, 1, k] if is_last else vector[row, 1, k]
         for j in range(nodes):
-            if i < j:
+            if i + 1 < j:
                 x += vector[_row(i, j, nodes), 0, k]
                 y += vector[_row(i, j, nodes), 1, k]
-            elif j < i:
+            elif j < i - is_last:
                 x -= vector[_row(j, i, nodes), 0, k]
                 y -= vector[_row(j, i, nodes), 1, k]
         total[i, 0, k] = x
@@ -229,51 +243,72 @@ def _add_up(vector, total, k):
 
 
 @inner
-def _average(vector, total, share, k):
-    """Replace diagonals and R by the mean of their computations."""
+def _average(vector, total, share, i, j, k):
+    """Replace v_ij by the mean of its computations."""
+    row, own = _row(i, j, total.shape[0]), 1.0 - share * total.shape[0]
+    x, y = vector[row, 0, k], vector[row, 1, k]
+    vector[row, 0, k] = share * (total[i, 0, k] - total[j, 0, k]) + own * x
+    vector[row, 1, k] = share * (total[i, 1, k] - total[j, 1, k]) + own * y
+
+
+@inner
+def _average_diagonals(vector, total, share, k):
     nodes = total.shape[0]
-    own = 1.0 - share * nodes
     for i in range(nodes):
         for j in range(nodes):
-            if i + 1 < j:
-                row = _row(i, j, nodes)
-                x, y = vector[row, 0, k], vector[row, 1, k]
-                vector[row, 0, k] = share * (total[i, 0, k] - total[j, 0, k]) + own * x
-                vector[row, 1, k] = share * (total[i, 1, k] - total[j, 1, k]) + own * y
+            if i + 1 < j and j - i < nodes - 1:
+                _average(vector, total, share, i, j, k)
+
+
+@inner
+def _average_hand(block, share, lanes):
+    """Replace R likewise, after all others: the inverse task, which holds it, does without."""
+    last = block.total.shape[0] - 1
+    for k in range(lanes):
+        _average(block.vector, block.total, share, 0, last, k)
 
 
 @inner
 def _advance(block, share, gain, memory, lanes):
     """Do an iteration of the schedule "synchronous"."""
     vector, velocity, total = block.vector, block.velocity, block.total
-    own = 1.0 - share * total.shape[0]
+    nodes, gain = float(total.shape[0]), gain * share
     for k in range(lanes):
         _add_up(vector, total, k)
-        _average(vector, total, share, k)
+        _average_diagonals(vector, total, share, k)
         for i in range(velocity.shape[0]):
             x, y = vector[i, 0, k], vector[i, 1, k]
-            change_x = share * (total[i, 0, k] - total[i + 1, 0, k]) + own * x - x
-            change_y = share * (total[i, 1, k] - total[i + 1, 1, k]) + own * y - y
+            change_x = total[i, 0, k] - total[i + 1, 0, k] - nodes * x
+            change_y = total[i, 1, k] - total[i + 1, 1, k] - nodes * y
             velocity_x = gain * change_x + memory * velocity[i, 0, k]
             velocity_y = gain * change_y + memory * velocity[i, 1, k]
             velocity[i, 0, k] = velocity_x
             velocity[i, 1, k] = velocity_y
-            x += velocity_x + _NUDGE
-            y += velocity_y
-            scale = block.length[i, k] / np.sqrt(x * x + y * y)
-            vector[i, 0, k] = scale * x
-            vector[i, 1, k] = scale * y
+            vector[i, 0, k] = x + velocity_x
+            vector[i, 1, k] = y + velocity_y
+        _normalize(vector, block, k)
 
 
 @inner
-def _normalize(block, lanes):
-    """Bring the pending segments to their lengths."""
-    for i in range(block.pending.shape[0]):
-        for k in range(lanes):
-            x, y = block.pending[i, 0, k] + _NUDGE, block.pending[i, 1, k]
-            scale = block.length[i, k] / np.sqrt(x * x + y * y)
-            block.pending[i, 0, k] = scale * x
-            block.pending[i, 1, k] = scale * y
+def _normalize(segments, block, k):
+    """Bring segments to their lengths: with three divisions in one, 1/a = b c / (a b c)."""
+    size, others, count = block.size, block.others, block.length.shape[0]
+    for first in range(0, count, _SHARED):
+        last = min(first + _SHARED, count)
+        product = 1.0
+        for i in range(first, last):
+            x, y = segments[i, 0, k] + _NUDGE, segments[i, 1, k]
+            segments[i, 0, k] = x
+            size[i, k] = np.sqrt(x * x + y * y)
+            others[i, k] = product
+            product *= size[i, k]
+        rest = 1.0 / product
+        for m in range(first, last):
+            i = first + last - 1 - m
+            scale = block.length[i, k] * (others[i, k] * rest)
+            rest *= size[i, k]
+            segments[i, 0, k] *= scale
+            segments[i, 1, k] *= scale
 
 
 @inner
@@ -283,7 +318,7 @@ def _advance_late(block, share, gain, memory, lanes):
     own = 1.0 - share * (total.shape[0] - 2)  # (d − m)/d
     for k in range(lanes):
         _add_up(vector, total, k)
-        _average(vector, total, share, k)
+        _average_diagonals(vector, total, share, k)
         for i in range(velocity.shape[0]):
             x, y = pending[i, 0, k], pending[i, 1, k]
             triangles_x = total[i, 0, k] - total[i + 1, 0, k] - 2.0 * vector[i, 0, k]

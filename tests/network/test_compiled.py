@@ -122,3 +122,11 @@ except ImportError as error:
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert run.stdout.strip().endswith('pip install "mmc-gym[fast]"'), run.stderr
+
+
+def test_vectors_of_no_length_get_a_direction_too():
+    """All at once: their lengths are divided by together."""
+    plain, compiled = both(segment_lengths=(1.0, 2.0, 0.5, 1.0))
+    state = plain.state_from_segments(np.zeros((4, 2)))
+    found = compiled.run(state, iterations=3)
+    np.testing.assert_allclose(found.values, plain.run(state, iterations=3).values, atol=1e-12)
