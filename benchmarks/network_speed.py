@@ -20,8 +20,6 @@ from rich.table import Table
 from timing import interleaved
 
 from mmc_gym import make_agent
-from mmc_gym.agents.mmc import dynamic_mmc
-from mmc_gym.interface import ReachInterface
 from mmc_gym.network import MMCNetwork
 
 BATCHES = (1, 420, 10_000, 1_000_000)
@@ -97,7 +95,7 @@ def agent_table(arguments: Arguments) -> Table:
         agent = make_agent(name, env)
         _, state = agent.predict(observation)
         calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
-    compiled = dynamic_mmc(ReachInterface.of(env), engine="numba")
+    compiled = make_agent("mmc", env).with_engine("numba")
     _, begun = compiled.predict(observation)
     calls["mmc, engine numba"] = lambda: compiled.predict(observation, begun)
     times = interleaved(calls, arguments.rounds, arguments.seconds)

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,19 @@ class NetworkAgent(JointTargetAgent[State]):
         self.network = network
         self.iterations_per_step = iterations_per_step
 
+    def with_engine(self, engine: NetworkEngine) -> Self:
+        """Return the agent with another engine of its network, see `MMCNetwork`.
+
+        >>> import gymnasium as gym, mmc_gym
+        >>> env = gym.make("MMCReach-v0")
+        >>> agent = mmc_gym.make_agent("mmc", env).with_engine("numba")
+
+        Raises:
+            UserError: if there is no such engine, or it cannot run the network.
+        """
+        network = replace(self.network, engine=engine)
+        return type(self)(self.interface, network, self.iterations_per_step)
+
     @property
     @override
     def facts(self) -> dict[str, str]:
@@ -83,7 +97,8 @@ class NetworkAgent(JointTargetAgent[State]):
 class MMCAgent(NetworkAgent[MMCState]):
     """An MMC network that drives the arm; its state is the network's.
 
-    A network of the engine "numba" makes an action for a single arm in a tenth of the time.
+    With the engine "numba" (`with_engine`) an action for a single arm takes a tenth of the time,
+    and the first one some seconds.
     """
 
     @override
@@ -202,15 +217,8 @@ def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
     return where(is_stuck, network.state_from_joint_angles(bent), state)
 
 
-def dynamic_mmc(
-    interface: ReachInterface,
-    normalizer: Normalizer | None = None,
-    engine: NetworkEngine = "numpy",
-) -> MMCAgent:
+def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None) -> MMCAgent:
     """Return the dynamic network at its best setting; the normalizer is Euclidean if None is given.
-
-    The engine "numba" compiles it, see `MMCNetwork`: its first action takes seconds, all others a
-    tenth of the time.
 
     d = N + 1 is where the linear part converges fastest without oscillation; the rest are the
     paper's constants.  With three iterations per control step all but about one in a thousand
@@ -223,7 +231,6 @@ def dynamic_mmc(
         damping=len(interface.segment_lengths) + 1,
         normalizer=normalizer or EuclideanNormalizer(),
         dynamics="paper",
-        engine=engine,
     )
     return MMCAgent(interface, network, iterations_per_step=3)
 

@@ -25,7 +25,8 @@ def largest_difference(env, agents, steps=100, seed=0, **reset):
 
 def both(env):
     interface = ReachInterface.of(env)
-    return dynamic_mmc(interface), dynamic_mmc(interface, engine="numba")
+    plain = dynamic_mmc(interface)
+    return plain, plain.with_engine("numba")
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
