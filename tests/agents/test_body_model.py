@@ -105,6 +105,14 @@ def test_a_target_that_stands_is_averaged():
     assert np.median(np.abs(track.ahead(np.zeros(ARMS)) - (1.0 + 1.0j))) < 0.03
 
 
+def test_first_looks_that_agree_by_chance_are_outweighed_by_later_ones():
+    random, track = np.random.default_rng(3), TargetTrack.start(np.full(ARMS, 0.1 + 0.0j))
+    for look in range(100):
+        normals = random.standard_normal((2, ARMS)) if look > 4 else np.array([[1.0], [0.0]])
+        track = track.observed(0.1 * (normals[0] + 1j * normals[1]) * np.ones(ARMS), STEP)
+    assert np.median(np.abs(track.ahead(np.zeros(ARMS)))) < 0.03
+
+
 @pytest.mark.parametrize("late", [0, 7])
 def test_delay_is_the_time_until_a_movement_is_felt(late):
     still = np.zeros((1, 3))

@@ -209,7 +209,8 @@ class TargetTrack(NamedTuple):
 
         # It stands, or it moves along a parabola.
         doubt = np.where(age <= SETTLED, noise / self.age, self.doubt) + SAME**2
-        gain = np.where(seen <= SETTLED, 1 / age, doubt / (doubt + noise))
+        # Not below that of a plain mean: noise that seemed small at first would stop it for long.
+        gain = np.maximum(np.where(seen <= SETTLED, 0.0, doubt / (doubt + noise)), 1 / age)
         forget = (JERK * control_step**3 / np.sqrt(noise + SAME**2)) ** (2 / 7)
         forget = np.clip(forget, 1 / self.age, 1.0)
         keep = 1 - forget
