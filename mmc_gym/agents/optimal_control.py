@@ -49,7 +49,7 @@ from typing_extensions import override
 
 from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.ik.agent import hand_position, jacobian, leave_line
-from mmc_gym.interface import Observation, ReachInterface, Sensed
+from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed, turned_back
 from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
 
 
@@ -155,11 +155,37 @@ def kalman_gain(a: Floats, c: Floats, disturbance: Floats, noise: Floats) -> Flo
     return gain
 
 
+def turned_joints(effects: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return U's first column, s and the first rows of Vᵀ, for J = U S Vᵀ of (..., 2, N).
+
+    Their shapes are (..., 2), (..., 2) and (..., 2, N); U is a turn of the plane, and a row is 0
+    where s is.  `numpy.linalg.svd` takes five times as long.
+    """
+    x, y = effects[..., 0, :], effects[..., 1, :]
+    twice = np.arctan2(2.0 * (x * y).sum(axis=-1), (x * x).sum(axis=-1) - (y * y).sum(axis=-1))
+    towards = np.stack((np.cos(0.5 * twice), np.sin(0.5 * twice)), axis=-1)
+    c, s = towards[..., None, :1], towards[..., None, 1:]
+    rows = c * effects + s * effects[..., ::-1, :] * np.array([[1.0], [-1.0]])
+    moves = np.sqrt((rows * rows).sum(axis=-1))
+    return towards, moves, rows / np.maximum(moves, 1e-9)[..., None]
+
+
+def _turned(vector: Floats, towards: Floats) -> Floats:
+    """Return the components of vectors (..., 2) along U's columns, of which this is the first."""
+    x, y = turned_back(vector[..., 0], vector[..., 1], towards[..., 0], towards[..., 1])
+    return np.stack((x, y), axis=-1)
+
+
+def _length(vector: Floats) -> Floats:
+    """Return the lengths of vectors (..., 2), (..., 1)."""
+    return np.hypot(vector[..., :1], vector[..., 1:])
+
+
 class Gains(NamedTuple):
     """All gains of the controller.
 
     Attributes:
-        control: L by the steps that are left of a movement, and by s, (steps + 1, entries, 3);
+        control: L by the steps that are left of a movement, and by s, (3, steps + 1, entries);
             that of z is per segment length of the hand.
         posture: K of a joint's angle and of its velocity, each from its own reading, (2,).
         vision: K of where the hand is seen beside where it is felt.
@@ -185,7 +211,7 @@ def gains(assumed: Assumptions, step: float) -> Gains:
     bump = np.outer([0.5 * step, 1.0], [0.5 * step, 1.0])
     felt, seen = assumed.joint_noise**2 * np.diag([1.0, 100.0]), assumed.vision_noise**2 * np.eye(1)
     return Gains(
-        control,
+        np.ascontiguousarray(np.moveaxis(control, -1, 0)),
         # A joint's velocity is the one that is asked for, whatever it was.
         posture=np.diag(kalman_gain(fresh, np.eye(2), hindered, felt)),
         vision=float(kalman_gain(np.eye(1), np.eye(1), assumed.drift**2 * np.eye(1), seen)[0, 0]),
@@ -253,34 +279,31 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], Estimate | None]:
-        sensed = self.interface.sense(observation)
-        state = self.resumed(state, sensed, episode_start)
-        state = self._perceived(state, sensed, observation)
+        seen = self.interface.see(observation)
+        state = self.resumed(state, seen, episode_start)
+        state = self._perceived(state, seen)
         state = self._driven(state, None if deterministic else self._random)
         # As far ahead as makes a position servo ask for this velocity.
         ahead = state.velocity / self.interface.servo_gain
-        return self.interface.act(sensed.joint_angles + ahead, sensed), state
+        return self.interface.act(seen.joint_angles + ahead, seen), state
 
-    def _perceived(self, before: Estimate, sensed: Sensed, observation: Observation) -> Estimate:
+    def _perceived(self, before: Estimate, seen: Seen) -> Estimate:
         """Return the state as it is sensed now: what was expected, corrected by the gains."""
-        told, gains = self.interface, self.gains
-        step, lengths = told.control_step, told.segment_lengths
+        gains, assumed = self.gains, self.assumed
+        step, lengths = self.interface.control_step, self.interface.segment_lengths
         angles = before.joint_angles + step * before.velocity
-        of_angles = wrap_angle(sensed.joint_angles - angles)
-        of_speeds = told.speed_limit * told.layout.split(observation).speeds - before.velocity
-        angles = angles + gains.posture[0] * of_angles
-        speeds = before.velocity + gains.posture[1] * of_speeds
+        angles = angles + gains.posture[0] * wrap_angle(seen.joint_angles - angles)
+        speeds = before.velocity + gains.posture[1] * (seen.joint_speeds - before.velocity)
         felt = hand_position(angles, lengths)
-        shift = told.see(observation).hand - felt
+        shift = seen.hand - felt
         known = np.where(np.isnan(before.shift), shift, before.shift)
         shift = known + gains.vision * (shift - known)
         target = before.target + step * before.target_velocity
-        of_target = sensed.target - target
-        jumped = np.linalg.norm(of_target, axis=-1, keepdims=True) > JUMP
-        target = np.where(jumped, sensed.target, target + gains.target[0] * of_target)
+        of_target = seen.target - target
+        jumped = _length(of_target) > JUMP
+        target = np.where(jumped, seen.target, target + gains.target[0] * of_target)
         velocity = np.where(jumped, 0.0, before.target_velocity + gains.target[1] * of_target)
-        distance = np.linalg.norm(target - felt - shift, axis=-1, keepdims=True)
-        assumed = self.assumed
+        distance = _length(target - felt - shift)
         duration = np.minimum(assumed.shortest + distance / assumed.speed, assumed.longest)
         begins = jumped | np.isnan(before.remaining)
         return before._replace(
@@ -297,31 +320,29 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         told, assumed = self.interface, self.assumed
         step, lengths = told.control_step, told.segment_lengths
         goal = nearest_reachable(state.target - state.shift, lengths)
-        angles = leave_line(state.joint_angles, goal, lengths)
-        hand, jacobian_x, jacobian_y = jacobian(angles, lengths)
-        effects = np.stack((jacobian_x, jacobian_y), axis=-2)
+        hand, *columns = jacobian(leave_line(state.joint_angles, goal, lengths), lengths)
+        effects = np.stack(columns, axis=-2)
         effects[..., list(told.lockable_joints)] = 0.0  # a joint that may lock moves nothing
-        columns, moves, rows = np.linalg.svd(effects)
-        count = moves.shape[-1]
-        every = np.zeros_like(angles)
-        every[..., :count] = moves
-
-        def along(vector: Floats) -> Floats:  # of a vector (..., 2), by turned joint
-            parts = np.zeros_like(angles)
-            parts[..., :count] = np.einsum("...ij,...i->...j", columns[..., :count], vector)
-            return parts
-
-        of_error, of_velocity, of_drive = self._looked_up(every, state.remaining)
-        velocity, drive = (
-            np.einsum("...ij,...j->...i", rows, each) for each in (state.velocity, state.drive)
+        towards, moves, rows = turned_joints(effects)
+        error = _turned(state.target - state.shift - hand, towards)
+        glide = _turned(state.target_velocity, towards)
+        chased = glide * moves / (moves**2 + SOFT)
+        # Two turned joints move the hand; what else the joints do, `still`, does not.
+        velocity, drive = ((rows * of[..., None, :]).sum(axis=-1) for of in state[1:3])
+        still_velocity, still_drive = (
+            of - (rows * of_turned[..., None]).sum(axis=-2)
+            for of, of_turned in zip(state[1:3], (velocity, drive), strict=True)
         )
-        chased = along(state.target_velocity) * every / (every**2 + SOFT)
-        error = along(state.target - state.shift - hand)
+        of_error, of_velocity, of_drive = self._looked_up(moves, state.remaining)
         command = of_error * error - of_velocity * (velocity - chased) - of_drive * drive
+        of_still = self.gains.control[1:, state.remaining.astype(np.intp), 0]
+        still = -of_still[0] * still_velocity - of_still[1] * still_drive
         if random is not None:
-            command *= 1.0 + assumed.motor_noise * random.standard_normal(command.shape)
-        velocity, drive = velocity + step * drive, drive + step / assumed.lag * (command - drive)
-        velocity, drive = (np.einsum("...ij,...i->...j", rows, each) for each in (velocity, drive))
+            noise = 1.0 + assumed.motor_noise * random.standard_normal((*moves.shape[:-1], 3))
+            command, still = command * noise[..., :2], still * noise[..., 2:]
+        command = (rows * command[..., None]).sum(axis=-2) + still
+        velocity = state.velocity + step * state.drive
+        drive = state.drive + step / assumed.lag * (command - state.drive)
         # All joints as much slower as the fastest must be: the hand keeps its direction.
         fastest = np.abs(velocity).max(axis=-1, keepdims=True)
         share = told.speed_limit / np.maximum(fastest, told.speed_limit)
@@ -329,12 +350,11 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         return state._replace(velocity=share * velocity, drive=share * drive, remaining=remaining)
 
     def _looked_up(self, moves: Floats, remaining: Floats) -> Floats:
-        """Return L of turned joints that move the hand by `moves`, (3, ..., N)."""
-        table = self.gains.control
+        """Return L of turned joints that move the hand by `moves` (..., 2), as (3, ..., 2)."""
         place = np.log(np.maximum(moves, SMALLEST) / SMALLEST)
         place *= (ENTRIES - 1) / math.log(LARGEST / SMALLEST)
         place = np.minimum(place, ENTRIES - 1.001)
         index, row = place.astype(np.intp), remaining.astype(np.intp)
-        share = (place - index)[..., None]
-        found = (1.0 - share) * table[row, index] + share * table[row, index + 1]
-        return np.moveaxis(found, -1, 0)
+        share, table = place - index, self.gains.control
+        below: Floats = table[:, row, index]
+        return below + share * (table[:, row, index + 1] - below)
