@@ -17,6 +17,7 @@ from mmc_gym.agents.optimal_control import (
     reaching_gains,
     staying_cost,
     staying_value,
+    turned_joints,
 )
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import run_episodes
@@ -62,6 +63,21 @@ def test_no_other_gain_costs_less(seed):
     more = expected_cost(other) - staying_value(DEFAULT, STEP, 1.0)
     assert np.linalg.eigvalsh(more).min() > -1e-9 * np.abs(more).max()
     assert np.trace(more) > 0
+
+
+@pytest.mark.parametrize("kind", ["any", "one column", "one direction", "none"])
+def test_the_jacobian_is_taken_apart_as_by_the_singular_value_decomposition(kind):
+    effects = np.random.default_rng(0).normal(size=(20, 2, 4))
+    effects[:, :, 1:] *= kind != "one column"
+    effects[:, 1] *= kind in ("any", "one column")
+    effects *= kind != "none"
+    (x, y), moves, rows = (np.moveaxis(part, 1, 0) for part in turned_joints(effects))
+    columns = np.array([[x, -y], [y, x]])
+    np.testing.assert_allclose(
+        np.einsum("ijn,jn,jnk->nik", columns, moves, rows), effects, atol=1e-12
+    )
+    expected = np.linalg.svd(effects, compute_uv=False)
+    np.testing.assert_allclose(np.sort(moves, axis=0)[::-1].T, expected, atol=1e-9)
 
 
 def test_noise_that_grows_with_the_command_makes_commands_gentler():
