@@ -41,6 +41,7 @@ from mmc_gym._errors import UserError, explain, require, unknown
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES
 from mmc_gym.training.randomised import Memory, RandomScenarios
+from mmc_gym.training.taught import TaughtPolicy, TaughtPPO
 from mmc_gym.training.vec_env import Residual
 
 
@@ -295,7 +296,9 @@ class Settings(_Keys):
         if activation := options.get("policy_kwargs", {}).get("activation_fn"):
             options["policy_kwargs"]["activation_fn"] = ACTIVATIONS[activation]
         try:
-            return self.algorithm(self._policies()[self.policy], env, **options)
+            policy = self._policies()[self.policy]
+            algorithm = TaughtPPO if policy is TaughtPolicy else self.algorithm
+            return algorithm(policy, env, **options)
         except (TypeError, AssertionError) as error:
             name = self.algorithm.__name__
             raise UserError(f"{name} does not take these hyperparameters: {error}") from error
@@ -327,6 +330,8 @@ class PPOSettings(Settings):
     vf_coef: NotNegative = 0.5
     max_grad_norm: Positive = 0.5
     target_kl: Positive | None = None
+    lessons: Share = 0.5
+    lesson_epochs: Count = 2
 
     @override
     def rollout(self, episode_steps: int) -> int:

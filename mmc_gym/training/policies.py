@@ -20,6 +20,7 @@ from typing_extensions import override
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
 from mmc_gym.interface import ObservationLayout
+from mmc_gym.training.taught import TaughtPolicy
 
 ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
     "relu": torch.nn.ReLU,
@@ -106,7 +107,8 @@ class TQCGoalPolicy(_HasView, TQCPolicy):
 
 
 POLICIES: dict[str, type[BasePolicy]] = {
-    f"{__name__}.{policy.__name__}": policy for policy in (PPOTargetPolicy, TQCGoalPolicy)
+    f"{policy.__module__}.{policy.__name__}": policy
+    for policy in (PPOTargetPolicy, TQCGoalPolicy, TaughtPolicy)
 }
 
 
@@ -119,11 +121,16 @@ def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
         ValueError: if the policy has another kind of layers, or none of our views.
     """
     parts: dict[str, Any]
-    distribution: Distribution
-    if isinstance(policy, ActorCriticPolicy):
+    layer: Any
+    hidden: Any
+    distribution: Distribution = "gaussian"
+    if isinstance(policy, TaughtPolicy):
+        *layers, mean = policy.student
+        layer, hidden = FlattenExtractor(policy.observation_space), layers
+        parts = {"mean": mean, "log_std": policy.student_log_std}
+    elif isinstance(policy, ActorCriticPolicy):
         layer, hidden = policy.features_extractor, policy.mlp_extractor.policy_net
         parts = {"mean": policy.action_net, "log_std": policy.log_std}
-        distribution = "gaussian"
     else:
         actor: Any = policy.actor
         layer, hidden = actor.features_extractor, actor.latent_pi

@@ -5,6 +5,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from stable_baselines3.common.env_util import make_vec_env as common_make_vec_env
 
 from mmc_gym._errors import UserError
@@ -14,10 +15,12 @@ from mmc_gym.interface import ObservationLayout, ReachInterface
 from mmc_gym.measures.rollout import run_episodes
 from mmc_gym.training.hyperparameters import read_recipe
 from mmc_gym.training.randomised import Memory, RandomScenarios
+from mmc_gym.training.taught import TaughtPolicy, TaughtPPO
 from mmc_gym.training.training import Training, make_vec_env
 
 ARMS = 8
 BLOCKS = (1, 2, 3)
+PLACE = "mmc_gym.training.randomised"
 LAYOUT = ObservationLayout(3, 3.0)
 
 
@@ -65,7 +68,7 @@ def test_the_vector_environments_of_others_are_replaced_too():
     assert env.reset().shape == (ARMS, 15)
     (drawn_env, *_) = env._groups
     assert drawn_env is not None
-    made = drawn_env.vector_env.unwrapped
+    made: Any = drawn_env.unwrapped
     assert (made.engine, made.control, made.setup.task_name) == (*arguments.values(), "pursuit")
 
 
@@ -106,6 +109,57 @@ def test_a_block_of_memory_has_a_step(blocks):
         Memory(plain(), blocks)
 
 
+TELLING = {"names": ["random"], "groups": 1, "truth": True}
+
+
+def told(name: str, steps: int, action: float = 0.3, **arguments: Any) -> np.ndarray:
+    """The truth that follows observations of equal arms under equal actions, (steps, arms, …)."""
+    env = RandomScenarios(plain(), **{**TELLING, "names": [name], **arguments})
+    env.seed(0)
+    seen = [env.reset()]
+    seen += [env.step(np.full((ARMS, 3), action, np.float32))[0] for _ in range(steps - 1)]
+    assert all(env.observation_space.contains(one) for one in seen[-1])
+    env.close()
+    return np.array(seen)[..., 15:]
+
+
+@pytest.mark.parametrize("name", ["delay-100", "vision-noise-0.1", "joint-noise-0.05"])
+def test_the_truth_is_on_time_and_without_noise(name):
+    np.testing.assert_allclose(told(name, 20), told("random", 20), atol=1e-6)
+
+
+def test_the_truth_tells_of_the_body():
+    """After the observation and the target's velocity: turn, forces, lengths, locks."""
+    half = np.sqrt(0.5)
+    for name, index, expected in (
+        ("rotation-45", slice(0, 2), (half, half - 1)),
+        ("force-field-90", 2, 0.9),
+        ("hand-mass-3", 3, 0.3),
+        ("gravity-60", 4, -0.6),
+        ("longer-20", slice(5, 8), (0.0, 0.0, 0.2)),
+        ("locked-2", slice(8, 11), (0.0, 1.0, 0.0)),
+    ):
+        (body,) = told(name, 1)[..., 17:]
+        np.testing.assert_allclose(body[:, index], np.broadcast_to(expected, body[:, index].shape))
+        rest = np.delete(body, np.r_[index], axis=-1)
+        assert not rest.any()
+
+
+def test_a_joint_that_locks_on_the_way_does_so_in_truth_too():
+    locked = told("locks-2", 12)[..., 17 + 9]
+    np.testing.assert_array_equal(locked[:10], 0.0)
+    np.testing.assert_array_equal(locked[10:], 1.0)
+
+
+def test_the_velocity_of_a_target_is_true_and_a_jump_is_none():
+    moving = told("pursuit", 30, action=0.0)  # the first segment, which looks at it, stays
+    np.testing.assert_allclose(
+        moving[1:, :, 15:17], np.diff(moving[..., 9:11], axis=0) / 0.02, atol=1e-4
+    )
+    assert moving[1:, :, 15:17].any()
+    assert not told("double-step-100", 10)[..., 15:17].any()
+
+
 def observed(count: int = 4) -> np.ndarray:
     """Observations of consecutive steps of one arm, (steps, 15)."""
     env = gym.make("MMCReach-v0", engine="analytic")
@@ -141,7 +195,9 @@ def trained(tmp_path_factory):
     """A policy with a memory after next to no training, and the model that was trained."""
     folder, models = tmp_path_factory.mktemp("memory"), []
     changes = {"n_timesteps": 1, "n_envs": 32, "n_steps": 8, "batch_size": 64}
-    changes |= {"policy_kwargs": {"net_arch": [8]}}
+    changes |= {"policy": "mmc_gym.training.taught.TaughtPolicy"}
+    changes |= {"policy_kwargs": {"net_arch": [8], "teacher": [8]}}
+    changes |= {"vec_env_wrapper": [{f"{PLACE}.RandomScenarios": TELLING}, f"{PLACE}.Memory"]}
     one = Training(read_recipe("ppo-memory").with_changes(**changes), 0, folder, evaluations=1)
     one.save = lambda model: (models.append(model), Training.save(one, model))  # type: ignore[method-assign, assignment]
     one.run()
@@ -153,7 +209,7 @@ def agent_in(env: Any, trained: Any) -> PolicyAgent:
 
 
 def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_trained(trained):
-    env = Memory(plain(), trained[1].blocks)
+    env = Memory(RandomScenarios(plain(), **TELLING), trained[1].blocks)
     agent, model = agent_in(env, trained), trained[2]
     shown, state, started = env.reset(), None, np.ones(ARMS, dtype=bool)
     for _ in range(120):  # over the end of episodes
@@ -163,6 +219,24 @@ def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_traine
         shown, _, started, infos = env.step(actions)
         if started.any():
             assert {len(info["terminal_observation"]) for info in infos} == {shown.shape[1]}
+
+
+def test_a_student_comes_to_do_what_its_teacher_would():
+    """And no lesson changes the teacher."""
+    env = Memory(RandomScenarios(plain(), **TELLING), BLOCKS)
+    model = TaughtPPO(TaughtPolicy, env, lessons=1.0, n_steps=50, batch_size=50, seed=0)
+    observations = torch.as_tensor(env.reset())
+
+    def off() -> tuple[float, np.ndarray]:
+        with torch.no_grad():
+            right, done = model.policy.taught(observations), model.policy.studied(observations)
+        return float((right - done).square().mean()), right.numpy()
+
+    before, taught = off()
+    model.learn(20 * 50 * ARMS)
+    after, same = off()
+    assert after < 0.1 * before
+    np.testing.assert_array_equal(taught, same)
 
 
 def test_one_arm_acts_as_in_a_batch(trained):

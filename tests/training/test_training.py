@@ -28,12 +28,23 @@ from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training, library_versions, train
 
 LEGS = 4
+RANDOM_SCENARIOS = "mmc_gym.training.randomised.RandomScenarios"
+MEMORY = "mmc_gym.training.randomised.Memory"
 RESIDUAL = "mmc_gym.training.vec_env.Residual"
 SMALL = {"n_timesteps": 1600, "n_envs": 4}
 OFF_POLICY = {"learning_starts": 64, "batch_size": 32, "buffer_size": 1200}  # it overflows
 TINY: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 100, "batch_size": 100, "n_epochs": 2, "policy_kwargs": {"net_arch": [8]}},
     "ppo-residual": {"n_steps": 50, "batch_size": 50, "policy_kwargs": {"net_arch": [8]}},
+    "ppo-memory": {
+        **{"n_steps": 100, "batch_size": 100, "n_epochs": 2, "lessons": 0.5},
+        "policy": "mmc_gym.training.taught.TaughtPolicy",
+        "policy_kwargs": {"net_arch": [8], "teacher": [8]},
+        "vec_env_wrapper": [
+            {RANDOM_SCENARIOS: {"groups": 2, "ranges": {"delay": [0, 100]}, "truth": True}},
+            MEMORY,
+        ],
+    },
     "sac": {**OFF_POLICY, "gradient_steps": 1, "policy_kwargs": {"net_arch": [8]}},
     "tqc-her": {
         **OFF_POLICY,
