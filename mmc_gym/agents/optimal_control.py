@@ -28,7 +28,10 @@ is solved once for a table of them, and looked up for the posture as it is now.
 
 **Senses.**  Kalman filters with constant gains, from the dual Riccati equation: of each joint, with
 the command as efference copy; of where the hand is seen beside where it is felt; and of a target
-that may move.  Noise is assumed to be as people's, for nobody tells it, and no delay.
+that may move.  Noise is assumed to be as people's, for nobody tells it, and senses to be on time.
+Where they are assumed to be late, the filters are late as well, and joints and target go on from
+there by the commands since then and by the target's velocity: the estimate of a state that has the
+latest commands in it.
 
 Literature: Todorov & Jordan (2002), Nature Neurosci. 5, 1226–1235.  Todorov (2005), Neural Comput.
 17, 1084–1108.  Todorov & Li (2005), Proc. American Control Conf., 300–306 (linearise where the arm
@@ -39,7 +42,7 @@ is).  Qian et al. (2013), Neural Comput. 25, 697–724.  van Beers, Sittig & Den
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -47,6 +50,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from mmc_gym._errors import require_not_negative
 from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.ik.agent import hand_position, jacobian, leave_line
 from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed, turned_back
@@ -72,6 +76,7 @@ class Assumptions:
         push: what disturbs a joint's velocity in a control step, rad/s.
         drift: by how much the seen hand leaves the felt one in a control step, segment lengths.
         swerve: by how much a target changes its velocity in a control step, segment lengths / s.
+        delay: by how much senses are late, s; rounded to control steps.
     """
 
     shortest: float = 0.3
@@ -88,6 +93,7 @@ class Assumptions:
     push: float = 0.1
     drift: float = 0.01
     swerve: float = 0.3
+    delay: float = 0.0
 
 
 DEFAULT = Assumptions()
@@ -223,12 +229,13 @@ class Estimate(NamedTuple):
     """The controller's state; arrays lead with the batch.
 
     Attributes:
-        joint_angles: where it feels the joints, radians, (..., N).
+        joint_angles: where it feels the joints, at the time of the senses, radians, (..., N).
         velocity: that it feels; after a command, that the servos are asked for, rad/s, (..., N).
         drive: its rate of change, rad/s², (..., N).
         shift: of the seen hand from the felt one, segment lengths, (..., 2).
-        target, target_velocity: segment lengths and a second, (..., 2).
+        target, target_velocity: as sensed, segment lengths and a second, (..., 2).
         remaining: control steps that are left of the movement, (..., 1).
+        asked: velocities that were asked for since the time of the senses, rad/s, (..., steps, N).
     """
 
     joint_angles: Floats
@@ -238,6 +245,7 @@ class Estimate(NamedTuple):
     target: Floats
     target_velocity: Floats
     remaining: Floats
+    asked: Floats
 
 
 class OptimalControlAgent(InternalModelAgent[Estimate]):
@@ -257,18 +265,21 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
             noise_seed: of the noise of its commands, where it is not deterministic; None for none.
 
         Raises:
-            CannotActError: under torque control.
+            UserError: if a delay is negative; as `CannotActError`, under torque control.
         """
         super().__init__(interface)
+        require_not_negative(delay=assumed.delay)
         self.assumed, self.gains = assumed, gains(assumed, interface.control_step)
+        self._late = round(assumed.delay / interface.control_step)
         self._random = None if noise_seed is None else np.random.default_rng(noise_seed)
 
     @override
     def start(self, sensed: Sensed) -> Estimate:
         rest, still = np.zeros_like(sensed.joint_angles), np.zeros_like(sensed.target)
         unseen = np.full_like(sensed.target, np.nan)
+        asked = np.zeros((*rest.shape[:-1], self._late, rest.shape[-1]))
         return Estimate(
-            sensed.joint_angles, rest, rest, unseen, sensed.target, still, unseen[..., :1]
+            sensed.joint_angles, rest, rest, unseen, sensed.target, still, unseen[..., :1], asked
         )
 
     @override
@@ -285,15 +296,17 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         state = self._driven(state, None if deterministic else self._random)
         # As far ahead as makes a position servo ask for this velocity.
         ahead = state.velocity / self.interface.servo_gain
-        return self.interface.act(seen.joint_angles + ahead, seen), state
+        now = seen.joint_angles + self.interface.control_step * state.asked.sum(axis=-2)
+        return self.interface.act(now + ahead, replace(seen, joint_angles=now)), state
 
     def _perceived(self, before: Estimate, seen: Seen) -> Estimate:
         """Return the state as it is sensed now: what was expected, corrected by the gains."""
         gains, assumed = self.gains, self.assumed
         step, lengths = self.interface.control_step, self.interface.segment_lengths
-        angles = before.joint_angles + step * before.velocity
+        asked = np.concatenate((before.asked, before.velocity[..., None, :]), axis=-2)
+        angles = before.joint_angles + step * asked[..., 0, :]
         angles = angles + gains.posture[0] * wrap_angle(seen.joint_angles - angles)
-        speeds = before.velocity + gains.posture[1] * (seen.joint_speeds - before.velocity)
+        speeds = before.velocity + gains.posture[1] * (seen.joint_speeds - asked[..., 0, :])
         felt = hand_position(angles, lengths)
         shift = seen.hand - felt
         known = np.where(np.isnan(before.shift), shift, before.shift)
@@ -313,18 +326,21 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
             target=target,
             target_velocity=velocity,
             remaining=np.where(begins, np.rint(duration / step), before.remaining),
+            asked=asked[..., 1:, :],
         )
 
     def _driven(self, state: Estimate, random: np.random.Generator | None) -> Estimate:
         """Return the state after the optimal command, with noise if there is a generator."""
         told, assumed = self.interface, self.assumed
         step, lengths = told.control_step, told.segment_lengths
-        goal = nearest_reachable(state.target - state.shift, lengths)
-        hand, *columns = jacobian(leave_line(state.joint_angles, goal, lengths), lengths)
+        target = state.target + self._late * step * state.target_velocity
+        goal = nearest_reachable(target - state.shift, lengths)
+        angles = state.joint_angles + step * state.asked.sum(axis=-2)
+        hand, *columns = jacobian(leave_line(angles, goal, lengths), lengths)
         effects = np.stack(columns, axis=-2)
         effects[..., list(told.lockable_joints)] = 0.0  # a joint that may lock moves nothing
         towards, moves, rows = turned_joints(effects)
-        error = _turned(state.target - state.shift - hand, towards)
+        error = _turned(target - state.shift - hand, towards)
         glide = _turned(state.target_velocity, towards)
         chased = glide * moves / (moves**2 + SOFT)
         # Two turned joints move the hand; what else the joints do, `still`, does not.

@@ -142,6 +142,18 @@ def test_a_joint_that_does_not_turn_is_not_relied_on():
     assert success["locked-2-told"] > 0.9
 
 
+@pytest.mark.parametrize("control", ["joint_velocity", "joint_position"])
+def test_senses_that_are_known_to_be_late_do_little_harm(control):
+    env = gym.make_vec("MMCReach-v0", 50, control=control, perturbations="delay-200")
+    success = {}
+    for delay in (0.0, 0.2):
+        agent = OptimalControlAgent(ReachInterface.of(env), replace(DEFAULT, delay=delay))
+        episodes = run_episodes(agent, env, range(50), records_effort=False)
+        success[delay] = np.mean([one.distances[-1] < one.tolerance for one in episodes])
+    assert success[0.0] < 0.5
+    assert success[0.2] > 0.9
+
+
 def test_noise_is_left_where_it_does_not_move_the_hand():
     """Minimal intervention: the joints vary along the uncontrolled manifold (Todorov & Jordan)."""
     env = gym.make_vec("MMCReach-v0", 100, control="joint_velocity")
