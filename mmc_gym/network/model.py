@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -516,33 +516,38 @@ def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray
         network: the network.
         clamped: rows that are held (`Clamps.rows`).
     """
-    count, mean = network.segment_count, mean_operator(network)
-    vectors = len(mean)
+    check_clamped(network, clamped)
+    triangles = triangle_products(network.segment_count)
+    operator: NDArray[np.float64] = linear_part(network, clamped, triangles, np)
+    return operator
 
-    # Where the segments are read from and written to, and where their velocities stand.
+
+def linear_part(network: Any, clamped: Sequence[int], triangles: Any, arrays: Any) -> Any:
+    """Return the matrix of `linear_operator`, in numpy or torch.
+
+    Args:
+        network: an `MMCNetwork`; or a `TorchNetwork`, through whose parameters gradients flow.
+        clamped: rows that are held.
+        triangles: ∂₂∂₂ᵀ, see `triangle_products`.
+        arrays: the module that `triangles` is an array of, numpy or torch.
+    """
+    count, size, vectors = network.segment_count, network.row_count, len(triangles)
     delayed = network.schedule == "delayed"
     dynamic = network.dynamics != "kinematic"
-    size = vectors + count * (delayed + dynamic)
-    check_clamped(network, clamped)
-    identity = np.eye(size)
-    segment, vector = slice(0, count), slice(0, vectors)
-    new = slice(vectors, vectors + count) if delayed else segment
-    velocity = slice(size - count, size)
-
-    operator = np.zeros((size, size))
-    operator[vector, vector] = mean
-    proposed = operator[segment].copy()  # L̃
+    # Rows of the identity stand for what is read of the old state.
+    identity = arrays.eye(size, dtype=triangles.dtype, device=triangles.device)
+    old, velocity = identity[:vectors], identity[size - count :]
+    new = identity[vectors : vectors + count] if delayed else old[:count]
+    mean = old - triangles @ old / network.damping
+    proposed = mean[:count]  # L̃
     if delayed:  # the triangle terms read the old segments, the self term the new ones
-        operator[segment] = identity[new]
-        self_term = np.diag(np.diag(mean)[segment])
-        proposed[:, segment] -= self_term
-        proposed[:, new] += self_term
+        proposed = proposed + (1 - (count - 1) / network.damping) * (new - old[:count])
     if dynamic:
         gain, memory = velocity_rule(network)
-        operator[velocity] = gain * (proposed - identity[new]) + memory * identity[velocity]
-        operator[new] = identity[new] + operator[velocity]  # L̂ = L + v
-    else:
-        operator[new] = proposed
+        velocity = gain * (proposed - new) + memory * velocity
+        proposed = new + velocity  # L̂
+    parts = [new, mean[count:], proposed] if delayed else [proposed, mean[count:]]
+    operator = arrays.concat([*parts, velocity] if dynamic else parts)
     for row in clamped:
         operator[row] = identity[row]
         if row < count and dynamic:
@@ -561,11 +566,17 @@ def check_clamped(network: MMCNetwork, clamped: Sequence[int]) -> None:
 
 def mean_operator(network: MMCNetwork) -> NDArray[np.float64]:
     """Return I − 1/d ∂₂∂₂ᵀ, which makes the means ṽ of the vectors v."""
-    incidence = chain.triangle_incidence(network.segment_count)
-    return np.eye(len(incidence)) - incidence @ incidence.T / network.damping
+    triangles = triangle_products(network.segment_count)
+    return np.eye(len(triangles)) - triangles / network.damping
 
 
-def velocity_rule(network: MMCNetwork) -> tuple[float, float]:
+def triangle_products(segment_count: int) -> NDArray[np.float64]:
+    """Return ∂₂∂₂ᵀ, (vectors, vectors): what the triangles of two vectors have in common."""
+    incidence = chain.triangle_incidence(segment_count)
+    return incidence @ incidence.T
+
+
+def velocity_rule(network: Any) -> tuple[Any, Any]:
     """Return the factors of (L̃ − L) and of the old velocity in the new velocity."""
     d_v, decay = network.velocity_damping, network.velocity_decay
     if network.dynamics == "paper":

@@ -175,8 +175,20 @@ def test_three_clamped_segments_bring_the_end_effector_at_a_known_rate(damping, 
 
 @every_kind
 @pytest.mark.parametrize("count", [2, 3, 5])
-@every_normalizer
-def test_the_network_computes_the_equations_as_written(dynamics, schedule, count, normalizer):
+@pytest.mark.parametrize(
+    ("engine", "normalizer"),
+    [
+        ("numpy", EuclideanNormalizer()),
+        ("numba", EuclideanNormalizer()),
+        ("torch", EuclideanNormalizer()),
+        ("numpy", LearnedNormalizer.shipped()),
+        ("torch", LearnedNormalizer.shipped("paper")),
+    ],
+    ids=repr,
+)
+def test_the_network_computes_the_equations_as_written(
+    dynamics, schedule, count, engine, normalizer, iterate
+):
     network = MMCNetwork(
         segment_lengths=tuple(np.linspace(0.6, 1.4, count)),
         damping=count + 4,
@@ -187,16 +199,17 @@ def test_the_network_computes_the_equations_as_written(dynamics, schedule, count
         normalizer=normalizer,
     )
     segments = random_segments(count) * np.array(network.segment_lengths)[:, None]
-    for clamps in (
+    for vectors in (
         {},
         {(0, count): np.array([0.4, 0.9])},
         {(i, i + 1): v for i, v in enumerate(random_segments(count, 1))},
         {(1, 2): np.array([0.0, 0.8]), (0, count): np.array([0.4, 0.9])},
     ):
-        state = network.state_from_segments(segments)
-        _, history = network.trajectory(state, network.clamp(clamps), 12)
-        expected = written_out(network, segments, clamps, 12)
-        np.testing.assert_allclose(history, expected, atol=1e-12)
+        expected = written_out(network, segments, vectors, 12)
+        state, clamps = network.state_from_segments(segments), network.clamp(vectors)
+        for iterations in (1, 2, 12):
+            found = iterate(engine, network, state, clamps, iterations).segments
+            np.testing.assert_allclose(found, expected[iterations - 1], atol=1e-12)
 
 
 # Tasks

@@ -1,0 +1,317 @@
+"""The network as a torch module: gradients flow through its iterations, on any device.
+
+`model` has the equations, and the linear part of an iteration is made by the same function.  The
+iterations need no value on the host, so that an accelerator never waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mmc_gym._errors import UserError, require, require_whole, unknown
+from mmc_gym.network import chain
+from mmc_gym.network.chain import Pair
+from mmc_gym.network.model import MMCNetwork, linear_part, triangle_products
+from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer
+
+_STRAIGHT = 64  # roundings within which vectors are in one line
+
+
+@dataclass(frozen=True, eq=False)
+class TorchState:
+    """Values of all variables of a batch of networks, as `MMCState` has them.
+
+    The properties show them with the batch first.
+
+    Attributes:
+        values: one row per variable with the batch on the last axes, (rows, 2, ...).
+        segment_count: N.
+    """
+
+    values: Tensor
+    segment_count: int
+
+    @property
+    def vectors(self) -> Tensor:
+        """All vectors v_ij, shape (..., N(N+1)/2, 2), in the order of `chain.vector_pairs`."""
+        rows = self.values[: self.segment_count * (self.segment_count + 1) // 2]
+        return rows.movedim((0, 1), (-2, -1))
+
+    @property
+    def segments(self) -> Tensor:
+        """Segment vectors, normalized, shape (..., N, 2)."""
+        return self.vectors[..., : self.segment_count, :]
+
+    @property
+    def joint_angles(self) -> Tensor:
+        """Relative joint angles of the segments in ]−π, π], shape (..., N)."""
+        x, y = self.segments.unbind(-1)
+        angles = torch.atan2(y, x)
+        turns = angles.diff(prepend=torch.zeros_like(angles[..., :1]))
+        return torch.pi - (torch.pi - turns) % (2 * torch.pi)
+
+    @property
+    def end_effector(self) -> Tensor:
+        """Sum of the segments: the position of the hand in this posture, shape (..., 2)."""
+        return self.segments.sum(-2)
+
+
+class TorchNetwork(torch.nn.Module):
+    """An `MMCNetwork` in torch, equal to it up to rounding (1e-12 in float64).
+
+    What is held is a mapping from pairs of nodes to vectors (..., 2), as for `MMCNetwork.clamp`.
+    Tensors of another device or dtype are brought to the module's.  They are not looked at, so
+    what is not finite gives what is not finite.
+
+    A learned normalizer has its weights as parameters, and its biases, unless all of a layer are
+    zero: so an odd one stays odd.  The other parameters need no gradient until they are told to,
+    as in `network.damping.requires_grad_()`.
+
+    Attributes:
+        segment_lengths: lengths, (N,).
+        damping: d.
+        velocity_damping: d_v.
+        velocity_decay: factor on the velocity in each iteration.
+        normalizer: a module that takes vectors (n, 2, batch) and lengths (n, 1), and returns the
+            vectors brought to these lengths; any other may be put in its place.
+
+    Args:
+        network: the network to make; by default the paper's, `MMCNetwork()`.
+        device: device of its parameters, torch's default if None.
+        dtype: their type, torch's default if None.
+
+    Raises:
+        UserError: for a normalizer of another kind.
+
+    >>> network = TorchNetwork(MMCNetwork(damping=4), dtype=torch.float64)
+    >>> angles = torch.tensor([0.3, 0.6, 0.6], dtype=torch.float64, requires_grad=True)
+    >>> state = network.state_from_joint_angles(angles)
+    >>> state = network(state, network.inverse([-1.0, 1.5]), iterations=10)
+    >>> state.joint_angles.sum().backward()
+    >>> angles.grad.shape
+    torch.Size([3])
+    """
+
+    segment_lengths: torch.nn.Parameter
+    damping: torch.nn.Parameter
+    velocity_damping: torch.nn.Parameter
+    velocity_decay: torch.nn.Parameter
+    triangles: Tensor
+
+    def __init__(
+        self,
+        network: MMCNetwork | None = None,
+        *,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        network = MMCNetwork() if network is None else network
+        dtype = torch.get_default_dtype() if dtype is None else dtype
+        require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")
+        self.segment_count, self.row_count = network.segment_count, network.row_count
+        self.dynamics, self.schedule = network.dynamics, network.schedule
+
+        def tensor(value: Any) -> Tensor:
+            return torch.tensor(value, device=device, dtype=dtype)
+
+        for name in ("segment_lengths", "damping", "velocity_damping", "velocity_decay"):
+            value = tensor(getattr(network, name))
+            setattr(self, name, torch.nn.Parameter(value, requires_grad=False))
+        triangles = tensor(triangle_products(self.segment_count))
+        self.register_buffer("triangles", triangles, persistent=False)
+        self.normalizer: torch.nn.Module
+        if isinstance(network.normalizer, LearnedNormalizer):
+            self.normalizer = _Learned(network.normalizer, tensor)
+        else:
+            accepted = "an EuclideanNormalizer or LearnedNormalizer"
+            fine = type(network.normalizer) is EuclideanNormalizer
+            require(fine, "normalizer", network.normalizer, accepted)
+            self.normalizer = _Euclidean()
+
+    def to_numpy(self) -> MMCNetwork:
+        """Return the network of numpy with the present parameters, such as those learned.
+
+        Raises:
+            UserError: if a parameter has left its range, such as a damping that is too small; or
+                for a normalizer that was put in place of the one that was made.
+        """
+        if not isinstance(self.normalizer, _Euclidean | _Learned):
+            raise UserError(f"normalizer must be the one that was made, got {self.normalizer}")
+        return MMCNetwork(
+            segment_lengths=tuple(self.segment_lengths.tolist()),
+            damping=self.damping.item(),
+            normalizer=self.normalizer.to_numpy(),
+            dynamics=self.dynamics,
+            velocity_damping=self.velocity_damping.item(),
+            velocity_decay=self.velocity_decay.item(),
+            schedule=self.schedule,
+        )
+
+    def state_from_joint_angles(self, joint_angles: Any) -> TorchState:
+        """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
+        angles = self._tensor("joint_angles", joint_angles, (self.segment_count,)).cumsum(-1)
+        units = torch.stack([angles.cos(), angles.sin()], dim=-1)
+        return self.state_from_segments(self.segment_lengths[:, None] * units)
+
+    def state_from_segments(self, segments: Any) -> TorchState:
+        """Return the state at rest with these segment vectors (..., N, 2), the others consistent.
+
+        They are not normalized before the first iteration.
+        """
+        count = self.segment_count
+        segments = self._tensor("segments", segments, (count, 2)).movedim((-2, -1), (0, 1))
+        nodes = torch.cat([torch.zeros_like(segments[:1]), segments.cumsum(0)])
+        others = [nodes[j] - nodes[i] for i, j in chain.vector_pairs(count)[count:]]
+        parts = [segments, torch.stack(others)]
+        if self.schedule == "delayed":
+            parts.append(segments)
+        if self.dynamics != "kinematic":
+            parts.append(torch.zeros_like(segments))
+        return TorchState(torch.cat(parts), count)
+
+    def inverse(self, target: Any) -> dict[Pair, Any]:
+        """Hold the end effector at `target` (..., 2): the inverse task."""
+        return {(0, self.segment_count): target}
+
+    def forward(
+        self, state: TorchState, clamps: Mapping[Pair, Any] | None = None, iterations: int = 1
+    ) -> TorchState:
+        """Return the state after `iterations` iterations; `state` itself stays as it is.
+
+        It does what `MMCNetwork.run` does, and bends what lies in one line as that does.
+
+        Args:
+            state: where to begin.
+            clamps: vectors held, by their pair of nodes; (..., 2) each.  Batch axes of the state
+                and of clamps are broadcast against each other.
+            iterations: how many.
+
+        Raises:
+            UserError: if the state comes from another kind of network, a pair is no vector of the
+                chain, shapes do not fit, or `iterations` is no whole number of at least 0.
+        """
+        require_whole("iterations", iterations, least=0)
+        accepted = "a TorchState of a network of this kind"
+        fine = isinstance(state, TorchState) and len(state.values) == self.row_count
+        require(fine and state.segment_count == self.segment_count, "state", state, accepted)
+        held = self._held(clamps)
+        begin = state.values.movedim((0, 1), (-2, -1))
+        shapes = [begin.shape[:-2], *(value.shape[:-1] for value in held.values())]
+        try:
+            batch = np.broadcast_shapes(*shapes)
+        except ValueError as error:
+            raise UserError(f"clamps must have batch axes that fit, got {shapes}") from error
+        values = begin.expand(*batch, -1, -1).movedim((-2, -1), (0, 1))
+        held = {row: value.expand(*batch, -1).movedim(-1, 0) for row, value in held.items()}
+        values = self._out_of_line(values, held)
+        values = torch.stack([held.get(row, one) for row, one in enumerate(values.unbind())])
+        flat = values.view(self.row_count, 2, prod(batch))
+        operator = linear_part(self, tuple(held), self.triangles, torch)
+        for _ in range(iterations):
+            if self.schedule == "delayed":
+                flat = self._normalized(flat, held)
+            flat = (operator @ flat.flatten(1)).view_as(flat)
+            if self.schedule == "synchronous":
+                flat = self._normalized(flat, held)
+        return TorchState(flat.view_as(values), self.segment_count)
+
+    def _normalized(self, values: Tensor, held: Mapping[int, Tensor]) -> Tensor:
+        """Return values (rows, 2, batch) with those segments normalized that are not held."""
+        start = len(self.triangles) if self.schedule == "delayed" else 0
+        end = start + self.segment_count
+        segments = values[start:end]
+        normalized = self.normalizer(segments, self.segment_lengths[:, None])
+        if any(start <= row < end for row in held):
+            both = zip(segments.unbind(), normalized.unbind())
+            rows = [old if row in held else new for row, (old, new) in enumerate(both, start)]
+            normalized = torch.stack(rows)
+        return torch.cat([values[:start], normalized, values[end:]])
+
+    def _out_of_line(self, values: Tensor, held: Mapping[int, Tensor]) -> Tensor:
+        """Return states (rows, 2, ...), bent where they could never leave the line they lie in."""
+        count, hand = self.segment_count, len(self.triangles) - 1
+        if hand not in held:
+            return values
+        segments, target, lengths = values[:count], held[hand], self.segment_lengths
+        with torch.no_grad():
+            reach, eps = lengths.sum(), torch.finfo(values.dtype).eps
+            others = torch.cat([segments[1:], torch.stack(list(held.values()))])
+            across = (segments[0, 0] * others[:, 1] - segments[0, 1] * others[:, 0]).abs()
+            is_in_line = (across <= _STRAIGHT * eps * lengths[0] * reach).all(0)
+            # Where the hand can get: as in `chain.nearest_reachable`, but without asking the host.
+            inner = (2 * lengths.max() - reach).clamp(min=0.0)
+            radius = torch.hypot(*target).clamp(inner, reach)
+            bearing = torch.atan2(target[1], target[0])
+            way = torch.stack([bearing.cos(), bearing.sin()]) * radius - segments.sum(0)
+            is_stuck = is_in_line & (torch.hypot(*way) > 1e-3 * reach)
+            is_stuck &= (target != values[hand]).any()
+        bent = TorchState(values, count).joint_angles + chain.BEND
+        return torch.where(is_stuck, self.state_from_joint_angles(bent).values, values)
+
+    def _held(self, clamps: Mapping[Pair, Any] | None) -> dict[int, Tensor]:
+        """Return what each held row is held at, (..., 2)."""
+        pairs = chain.vector_pairs(self.segment_count)
+        accepted = "a mapping from pairs of nodes to vectors, such as {(0, 1): (1.0, 0.0)}"
+        require(clamps is None or isinstance(clamps, Mapping), "clamps", clamps, accepted)
+        held = {}
+        for pair, value in (clamps or {}).items():
+            if pair not in pairs:
+                raise unknown("clamp", pair, pairs)
+            held[pairs.index(pair)] = self._tensor(f"clamp {pair}", value, (2,))
+        if self.schedule == "delayed":  # the pending value of a clamped segment is held as well
+            segments = [row for row in held if row < self.segment_count]
+            held |= {len(pairs) + row: held[row] for row in segments}
+        return held
+
+    def _tensor(self, name: str, value: Any, trailing: tuple[int, ...]) -> Tensor:
+        """Return the value as a tensor of this module's whose last axes are `trailing`."""
+        try:
+            tensor = torch.as_tensor(value, dtype=self.damping.dtype, device=self.damping.device)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise UserError(f"{name} must be a tensor or numbers, got {value!r}") from error
+        shape = tuple(tensor.shape)
+        accepted = f"of shape (..., {', '.join(map(str, trailing))})"
+        require(shape[-len(trailing) :] == trailing, name, shape, accepted)
+        return tensor
+
+
+class _Euclidean(torch.nn.Module):
+    """L = ℓ · L̃ / |L̃|, see `EuclideanNormalizer`."""
+
+    def forward(self, vectors: Tensor, lengths: Tensor) -> Tensor:
+        x, y = vectors.unbind(1)
+        x = x + torch.finfo(x.dtype).tiny ** 0.5  # gives the zero vector a direction
+        scale = lengths / (x * x + y * y).sqrt()
+        return torch.stack([scale * x, scale * y], dim=1)
+
+    def to_numpy(self) -> EuclideanNormalizer:
+        return EuclideanNormalizer()
+
+
+class _Learned(torch.nn.Module):
+    """L = ℓ · f(L̃ / ℓ) with the MLP f, see `LearnedNormalizer`."""
+
+    def __init__(self, normalizer: LearnedNormalizer, tensor: Callable[[Any], Tensor]) -> None:
+        super().__init__()
+        self.weights = torch.nn.ParameterList(map(tensor, normalizer.weights))
+        self.biases = torch.nn.ParameterList(map(tensor, normalizer.biases))
+        for parameter, bias in zip(self.biases, normalizer.biases):
+            parameter.requires_grad_(bool(bias.any()))
+
+    def forward(self, vectors: Tensor, lengths: Tensor) -> Tensor:
+        values = (vectors / lengths[:, None]).movedim(1, -1)
+        for weight, bias in zip(self.weights, self.biases):
+            values = torch.nn.functional.linear(values, weight, bias).tanh()
+        return values.movedim(-1, 1) * lengths[:, None]
+
+    def to_numpy(self) -> LearnedNormalizer:
+        weights, biases = ([one.tolist() for one in of] for of in (self.weights, self.biases))
+        return LearnedNormalizer(weights, biases)

@@ -1,0 +1,47 @@
+"""The engines that iterate a network, behind one call."""
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import torch
+
+from mmc_gym.network import MMCState, chain
+from mmc_gym.network.differentiable import TorchNetwork, TorchState
+
+
+def iterate_numpy(network, state, clamps, iterations):
+    return network.run(state, clamps, iterations)
+
+
+def iterate_numba(network, state, clamps, iterations):
+    return replace(network, engine="numba").run(state, clamps, iterations)
+
+
+def iterate_torch(network, state, clamps, iterations):
+    values = torch.from_numpy(state.values)
+    twin = TorchNetwork(network, dtype=values.dtype)
+    # Pending segments are held along with the segments.
+    pairs = dict(enumerate(chain.vector_pairs(network.segment_count)))
+    held = {
+        pairs[row]: torch.from_numpy(np.moveaxis(value, 0, -1))
+        for row, value in zip(clamps.rows, clamps.values)
+        if row in pairs
+    }
+    with torch.no_grad():
+        end = twin(TorchState(values, state.segment_count), held, iterations)
+    return MMCState(end.values.numpy(), state.segment_count)
+
+
+@pytest.fixture(scope="session")
+def iterate():
+    """A function of engine, network, state, clamps and number of iterations."""
+    engines = {"numpy": iterate_numpy, "numba": iterate_numba, "torch": iterate_torch}
+
+    def run(engine, *arguments):
+        if engine == "numba" and not find_spec("numba"):
+            pytest.skip('it takes the extra "fast"')
+        return engines[engine](*arguments)
+
+    return run

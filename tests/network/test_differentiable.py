@@ -1,0 +1,204 @@
+"""The network in torch: its gradients, what it learns, and where its tensors are."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+
+from mmc_gym._errors import UserError
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, chain
+from mmc_gym.network.differentiable import TorchNetwork
+
+KINDS = list(product(["kinematic", "paper", "reference"], ["synchronous", "delayed"]))
+every_kind = pytest.mark.parametrize(("dynamics", "schedule"), KINDS)
+every_normalizer = pytest.mark.parametrize("learned", [False, True])
+SCALARS = ("segment_lengths", "damping", "velocity_damping", "velocity_decay")
+
+
+def twin(*, learned=False, **arguments):
+    """A network and its like in torch."""
+    normalizer = LearnedNormalizer.shipped("paper") if learned else EuclideanNormalizer()
+    network = MMCNetwork((1.0, 0.7, 1.3), damping=5, normalizer=normalizer, **arguments)
+    return network, TorchNetwork(network, dtype=torch.float64)
+
+
+def doubles(*numbers):
+    return torch.tensor(numbers, dtype=torch.float64, requires_grad=True)
+
+
+# Gradients
+
+
+@every_kind
+@every_normalizer
+@pytest.mark.parametrize("pairs", [[(0, 3)], [(0, 1), (1, 3)]], ids=["inverse", "mixed"])
+def test_gradients_flow_through_iterations_to_all_that_they_depend_on(
+    dynamics, schedule, learned, pairs
+):
+    _, network = twin(dynamics=dynamics, schedule=schedule, learned=learned)
+    network.requires_grad_(True)
+
+    def end(angles, targets, *parameters):
+        named = dict(zip(dict(network.named_parameters()), parameters, strict=True))
+        state = network.state_from_joint_angles(angles)
+        clamps = dict(zip(pairs, targets))
+        state = torch.func.functional_call(network, named, (state, clamps, 3))
+        return state.values, state.joint_angles
+
+    angles, targets = doubles([0.3, 0.6, 0.9], [2.5, -2.0, 1.0]), doubles([[1.0, 0.9]], [[-1, 0.4]])
+    parameters = tuple(network.parameters())
+    assert torch.autograd.gradcheck(end, (angles, targets, *parameters), fast_mode=True)
+    unused = ("velocity_damping", "velocity_decay") if dynamics == "kinematic" else ()
+    used = [one for name, one in network.named_parameters() if name not in unused]
+    sum(one.sum() for one in end(angles, targets, *parameters)).backward()
+    assert all(one.grad.abs().sum() > 0 for one in (angles, targets, *used))
+
+
+def test_the_settled_forward_task_has_the_jacobian_of_the_arm():
+    _, network = twin()
+
+    def hand(angles):
+        posture = network.state_from_joint_angles(angles)
+        clamps = {(i, i + 1): posture.segments[i] for i in range(3)}
+        other = network.state_from_joint_angles([1.0, 1.0, 1.0])
+        return network(other, clamps, 400).vectors[-1]
+
+    postures = doubles([0.3, 0.6, 0.9], [2.5, -2.0, 1.0])
+    found = torch.vmap(torch.func.jacrev(hand))(postures)
+    nodes = chain.node_positions(
+        network.state_from_joint_angles(postures).segments.detach().numpy()
+    )
+    levers = nodes[:, -1:] - nodes[:, :-1]
+    expected = np.stack([-levers[..., 1], levers[..., 0]], axis=1)
+    np.testing.assert_allclose(found.detach().numpy(), expected, atol=1e-9)
+
+
+def test_an_arm_that_was_bent_has_gradients_too():
+    network = TorchNetwork(MMCNetwork(damping=4), dtype=torch.float64)
+    angles, target = doubles([0.0, 0.0, 0.0], [0.3, 0.6, 0.6]), doubles(2.0, 0.0)
+    state = network(network.state_from_joint_angles(angles), network.inverse(target), 300)
+    torch.testing.assert_close(state.end_effector, target.expand(2, 2), atol=0.02, rtol=0)
+    state.end_effector.square().sum().backward()
+    assert torch.isfinite(angles.grad).all() and torch.isfinite(target.grad).all()
+
+
+# Parameters
+
+
+@every_kind
+@every_normalizer
+def test_the_network_of_numpy_comes_back_as_it_was(dynamics, schedule, learned):
+    network, same = twin(dynamics=dynamics, schedule=schedule, learned=learned)
+    back = same.to_numpy()
+    for name in (*SCALARS, "dynamics", "schedule"):
+        assert getattr(back, name) == getattr(network, name)
+    vectors = np.random.default_rng(0).normal(size=(5, 2))
+    np.testing.assert_array_equal(back.normalizer(vectors), network.normalizer(vectors))
+
+
+def test_a_learned_normalizer_learns_and_the_rest_when_it_is_told_to():
+    _, network = twin(learned=True)
+    learning = [name for name, one in network.named_parameters() if one.requires_grad]
+    assert len(learning) == 6 and all(name.startswith("normalizer.") for name in learning)
+    assert not [name for name in twin()[1].named_parameters() if name[1].requires_grad]
+    network.damping.requires_grad_()
+    state = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    network(state, network.inverse([1.0, 1.0]), 5).end_effector.sum().backward()
+    assert network.damping.grad.abs() > 0 and network.segment_lengths.grad is None
+
+
+def test_an_odd_normalizer_stays_odd():
+    network = TorchNetwork(MMCNetwork(normalizer=LearnedNormalizer.shipped("accurate")))
+    optimizer = torch.optim.SGD(network.parameters(), lr=0.1)
+    state = network.state_from_joint_angles([0.3, 0.6, 0.6])
+    network(state, network.inverse([1.0, 1.0]), 5).end_effector.sum().backward()
+    optimizer.step()
+    learned = network.to_numpy().normalizer
+    assert np.abs(learned.weights[0] - LearnedNormalizer.shipped().weights[0]).max() > 1e-4
+    vectors = np.random.default_rng(0).normal(size=(50, 2))
+    np.testing.assert_allclose(learned(-vectors), -learned(vectors), atol=1e-15)
+
+
+def test_a_damping_that_was_learned_too_small_is_refused():
+    _, network = twin()
+    network.damping.data -= 4
+    with pytest.raises(UserError, match=r"damping must be .*, got 1\.0"):
+        network.to_numpy()
+
+
+# Devices
+
+
+class Devices(TorchDispatchMode):
+    """Notes the devices of all tensors that are made."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = set()
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        result = function(*args, **(kwargs or {}))
+        self.found |= {one.device.type for one in tree_leaves(result) if torch.is_tensor(one)}
+        return result
+
+
+@every_kind
+@every_normalizer
+def test_every_tensor_is_on_the_device_and_none_is_asked_for_its_value(dynamics, schedule, learned):
+    """Tensors on "meta" have no values: whoever asks for one gets an error."""
+    normalizer = LearnedNormalizer.shipped() if learned else EuclideanNormalizer()
+    described = MMCNetwork(dynamics=dynamics, schedule=schedule, normalizer=normalizer)
+    network = TorchNetwork(described, device="meta").requires_grad_(True)
+    angles, targets = torch.ones(5, 3, device="meta"), torch.ones(4, 1, 2, device="meta")
+    with Devices() as devices:
+        state = network.state_from_joint_angles(angles)
+        state = network(state, {(0, 3): targets, (1, 2): targets}, 3)
+        (state.joint_angles.sum() + state.end_effector.sum()).backward()
+    assert devices.found == {"meta"}
+    assert network.damping.grad.device.type == "meta"
+    assert state.segments.shape == (4, 5, 3, 2)
+
+
+def test_what_is_given_is_brought_to_the_module():
+    network = TorchNetwork(device="cpu", dtype=torch.float32)
+    state = network.state_from_joint_angles(np.array([0.3, 0.6, 0.6]))
+    state = network(state, network.inverse(torch.ones(5, 2, dtype=torch.float64)))
+    assert state.values.dtype == torch.float32 and state.segments.shape == (5, 3, 2)
+    assert network.double().state_from_joint_angles([0.3, 0.6, 0.6]).values.dtype == torch.float64
+
+
+# Errors
+
+
+def at_rest(network):
+    return network.state_from_joint_angles([0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda n: TorchNetwork("paper"), "network must be an MMCNetwork, got 'paper'"),
+        (
+            lambda n: n.state_from_joint_angles([0.1, 0.2]),
+            r"joint_angles must be of shape \(\.+, 3",
+        ),
+        (lambda n: n.state_from_joint_angles("ab"), "joint_angles must be .*, got 'ab'"),
+        (lambda n: n.state_from_segments([0.0] * 3), r"segments must be of shape \(\.+, 3, 2\)"),
+        (lambda n: n([0.1, 0.2, 0.3]), "state must be a TorchState"),
+        (lambda n: n(at_rest(twin(dynamics="paper")[1])), "state must be a TorchState"),
+        (lambda n: n(at_rest(n), {(3, 0): [1.0, 1.0]}), r"clamp \(3, 0\) is not accepted"),
+        (lambda n: n(at_rest(n), {(0, 3): [1.0]}), r"clamp \(0, 3\) must be of shape \(\.+, 2\)"),
+        (lambda n: n(at_rest(n), [1.0, 1.0]), "clamps must be a mapping from pairs of nodes"),
+        (lambda n: n(at_rest(n), {}, -1), "iterations must be a whole number of at least 0"),
+        (
+            lambda n: n(n.state_from_joint_angles(torch.ones(2, 3)), {(0, 3): torch.ones(3, 2)}),
+            r"clamps must have batch axes that fit, got .*\[2\].*\[3\]",
+        ),
+    ],
+)
+def test_impossible_calls_are_refused(call, message):
+    with pytest.raises(UserError, match=message):
+        call(twin()[1])

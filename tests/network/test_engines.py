@@ -1,0 +1,110 @@
+"""Every engine computes what numpy does."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, chain
+from mmc_gym.network.model import NO_CLAMPS
+
+every_engine = pytest.mark.parametrize("engine", ["numba", "torch"])
+MANY = 33  # more than the compiled network iterates side by side
+
+
+def random_state(network, shape, seed=0, dtype=np.float64):
+    """A state in which nothing is at rest."""
+    random = np.random.default_rng(seed)
+    angles = random.uniform(-np.pi, np.pi, (*shape, network.segment_count)).astype(dtype)
+    state = network.run(network.state_from_joint_angles(angles), iterations=1)
+    state.values[:] += random.normal(0, 0.1, state.values.shape)
+    return state
+
+
+@pytest.mark.slow  # numba compiles anew for each number of segments
+@every_engine
+@given(
+    count=st.integers(2, 5),
+    dynamics=st.sampled_from(["kinematic", "paper", "reference"]),
+    schedule=st.sampled_from(["synchronous", "delayed"]),
+    learned=st.booleans(),
+    excess=st.floats(0.5, 20),
+    velocity_damping=st.floats(1, 10),
+    velocity_decay=st.floats(0, 1),
+    iterations=st.integers(0, 12),
+    batch=st.sampled_from([(), (3,), (2, 1, 2), (MANY,)]),
+    data=st.data(),
+)
+@settings(max_examples=150)
+def test_it_computes_what_numpy_does(
+    engine, count, dynamics, schedule, learned, excess, velocity_damping, velocity_decay,
+    iterations, batch, data, iterate,
+):  # fmt: skip
+    """Whatever the number of segments, the rules and what is clamped."""
+    lengths = data.draw(st.lists(st.floats(0.3, 3), min_size=count, max_size=count))
+    is_learned = learned and engine == "torch"
+    network = MMCNetwork(
+        segment_lengths=tuple(lengths),
+        damping=(count + 1) / 2 + excess,
+        normalizer=LearnedNormalizer.shipped("paper") if is_learned else EuclideanNormalizer(),
+        dynamics=dynamics,
+        schedule=schedule,
+        velocity_damping=velocity_damping,
+        velocity_decay=velocity_decay,
+    )
+    random = np.random.default_rng(data.draw(st.integers(0, 999)))
+    pairs = data.draw(st.lists(st.sampled_from(chain.vector_pairs(count)), unique=True))
+    shape = data.draw(st.sampled_from([(), batch]))
+    clamps = network.clamp({pair: random.uniform(-2, 2, (*shape, 2)) for pair in pairs})
+    state = random_state(network, batch, seed=int(random.integers(999)))
+    expected = network.run(state, clamps, iterations)
+    found = iterate(engine, network, state, clamps, iterations)
+    np.testing.assert_allclose(found.values, expected.values, rtol=0, atol=1e-12)
+
+
+@every_engine
+@pytest.mark.parametrize("dynamics", ["kinematic", "paper"])
+@pytest.mark.parametrize("schedule", ["synchronous", "delayed"])
+def test_it_bends_the_arms_that_numpy_bends(engine, dynamics, schedule, iterate):
+    network = MMCNetwork((1.5, 1.0, 0.3), damping=4, dynamics=dynamics, schedule=schedule)
+    postures = [
+        [0.7, 0, 0],
+        [0, 0, 0],
+        [0, 0, 0],
+        [0, np.pi, 0],
+        [0, 1e-6, 0],
+        [0, 0, 0],
+        [1, 2, 3],
+    ]
+    targets = [[0, 0], [2.0, 0], [2.0, 1e-6], [0.9, 0], [2.0, 0], [4.0, 0], [1.0, 1.0]]
+    state, clamps = network.state_from_joint_angles(postures), network.inverse(targets)
+    for iterations in (0, 40):
+        found = iterate(engine, network, state, clamps, iterations)
+        expected = network.run(state, clamps, iterations)
+        np.testing.assert_allclose(found.values, expected.values, atol=1e-12)
+
+
+@every_engine
+def test_single_precision_is_kept_and_close(engine, iterate):
+    network = MMCNetwork(schedule="delayed", dynamics="reference")
+    state = random_state(network, (6,), dtype=np.float32)
+    clamps = network.inverse(np.ones((6, 2), np.float32))
+    found = iterate(engine, network, state, clamps, 30).values
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, network.run(state, clamps, 30).values, atol=1e-4)
+
+
+@every_engine
+def test_an_empty_batch_does_no_harm(engine, iterate):
+    network = MMCNetwork()
+    empty = network.state_from_joint_angles(np.empty((0, 3)))
+    end = iterate(engine, network, empty, network.inverse([1.0, 1.0]), 3)
+    assert end.batch_shape == (0,)
+
+
+@every_engine
+def test_vectors_of_no_length_get_a_direction_too(engine, iterate):
+    network = MMCNetwork(segment_lengths=(1.0, 2.0, 0.5, 1.0))
+    state = network.state_from_segments(np.zeros((4, 2)))
+    found = iterate(engine, network, state, NO_CLAMPS, 3)
+    np.testing.assert_allclose(found.values, network.run(state, iterations=3).values, atol=1e-12)
