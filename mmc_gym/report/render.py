@@ -22,7 +22,7 @@ from mmc_gym.report import figures, tables
 from mmc_gym.report.panels import looks
 from mmc_gym.report.replay import replay, replayed
 from mmc_gym.report.results import Results, count, listed, read_results
-from mmc_gym.report.scores import COMMON, MARGINS, SUCCESS, Comparison, Estimates, Outcome
+from mmc_gym.report.scores import COMMON, MARGINS, SUCCESS, TIME, Comparison, Estimates, Outcome
 
 FOCUS = ("mmc-body", "mmc")
 """The agents whose wins and losses are told: the network as model of its body, and alone."""
@@ -31,6 +31,9 @@ SMOOTH = "ppo-smooth"
 """The agent that learned with a reward for smoothness: is it as human-like as `NETWORKS`?"""
 
 NETWORKS = ("mmc", "mmc-bell")
+
+RANKED = (SUCCESS, TIME)
+"""The measures in which `FOCUS` is compared with each rival: those that agents are ranked by."""
 
 EXAMPLES = 3
 """Environments that a sentence names, those of the largest differences."""
@@ -85,6 +88,12 @@ def context(estimates: Estimates) -> dict[str, Any]:
         "lead": lead(estimates),
         "ranking": tables.ranking_table(estimates),
         "standings": [standing(board, agent) for agent, board in boards.items()],
+        "against": {
+            agent: tables.rivals_table(
+                results, agent, estimates.against_each(agent, RANKED), RANKED
+            )
+            for agent in boards
+        },
         "verdicts": [verdict(board, smooth or "", name) for name, board in likeness.items()],
         "heat": tables.heat_table(estimates),
         "told": tables.told_table(results),

@@ -8,6 +8,7 @@ arrives beats nobody by how little it moved.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -264,6 +265,30 @@ class Estimates:
             for measure in self.results.measures
         )
         return [comparison for comparison in compared if comparison is not None]
+
+    def against_each(
+        self, agent: str, measures: Sequence[Measure]
+    ) -> dict[str, dict[str, Counter[Outcome]]]:
+        """Count the outcomes over all environments, by rival and name of the measure.
+
+        Every other agent is a rival, but for the random one, and the hand without an arm.
+        """
+        results = self.results
+        rivals = [
+            other
+            for other in results.agents
+            if other != agent and results.kind(other) not in ("baseline", "ideal")
+        ]
+        counts: dict[str, dict[str, Counter[Outcome]]] = {}
+        for rival in rivals:
+            counts[rival] = {}
+            for measure in measures:
+                compared = (
+                    self.compare(environment, measure, agent, [rival])
+                    for environment in results.environments
+                )
+                counts[rival][measure.name] = Counter(one.outcome for one in compared if one)
+        return counts
 
     def likeness(self, agent: str, rival: str) -> list[Comparison]:
         """Compare two agents in the measures of human-likeness, each with its margin."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from statistics import median
 from typing import Any, NamedTuple
@@ -193,6 +194,34 @@ def board_table(results: Results, board: Sequence[Comparison], agent: str) -> Ta
         ),
         f"Above: {agent}; below: the rival with the best value. "
         f"{results.sample_sizes([agent, *rivals], environments)}",
+    )
+
+
+def rivals_table(
+    results: Results,
+    agent: str,
+    counts: Mapping[str, Mapping[str, Counter[Outcome]]],
+    measures: Sequence[Measure],
+) -> Table:
+    """Return an agent beside each of its rivals, from `Estimates.against_each`."""
+    rows = []
+    for rival, by_measure in counts.items():
+        cells = []
+        for measure in measures:
+            found = by_measure[measure.name]
+            alike = found["unclear"] + found["equal"]
+            text = f"▲{found['better']} ○{alike} ▼{found['worse']}"
+            cells.append(Cell(text) if found else _NOTHING)
+        rows.append(Row(rival, tuple(cells), results.kind(rival)))
+    return Table(
+        f"{agent} beside each of its rivals",
+        "board",
+        (Heading("rival"), *(Heading(one.label, "environments") for one in measures)),
+        tuple(rows),
+        f"In how many environments {agent} is clearly better (▲) or worse (▼) than this rival, and "
+        "in how many there is no clear difference (○). Only those count in which both have a value "
+        "in half of their episodes. "
+        f"{results.sample_sizes([agent, *counts], results.environments)}",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,14 @@ from mmc_gym.report.scores import (
     Value,
     judge,
 )
-from mmc_gym.report.tables import LAWS, heat_table, law_table, ranking_table, score_table
+from mmc_gym.report.tables import (
+    LAWS,
+    heat_table,
+    law_table,
+    ranking_table,
+    rivals_table,
+    score_table,
+)
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +164,18 @@ def test_wins_and_losses_are_told_in_the_same_form(estimates):
     assert standing.counts.total() == len(board)
     assert any(line.startswith("time to target") for line in standing.better)
     assert any("rotation-15 (0.0 against 100.0 % of ppo" in line for line in standing.worse)
+
+
+def test_an_agent_is_counted_against_each_rival_in_every_environment(estimates):
+    counts = estimates.against_each("mmc", [SUCCESS])
+    environments = len(estimates.results.environments)
+    assert set(counts) == set(estimates.results.agents) - {"mmc", "random", REFERENCE}
+    assert all(found["success"].total() == environments for found in counts.values())
+    turned = estimates.against_each("ppo", [SUCCESS])["mmc"]["success"]
+    assert turned["better"] == counts["ppo"]["success"]["worse"] > 0
+    table = rivals_table(estimates.results, "mmc", counts, [SUCCESS])
+    shown = [sum(map(int, re.findall(r"\d+", row.cells[0].text))) for row in table.rows]
+    assert shown == [environments] * len(counts)
 
 
 def worse(measure, key, mine, theirs):
