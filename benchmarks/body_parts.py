@@ -1,26 +1,40 @@
-"""What each part of `mmc-body` is worth: success with all parts, without one of them, with none.
+"""What is each part of `mmc-body` worth, each switch of its network, and its vigour?
 
-Episodes are paired: all agents meet the same postures, targets and noise.
+Three tables.  Episodes are paired: all agents meet the same postures, targets and noise.
+
+- Parts: success with all of them, without one, with none; and of an agent that is told the truth in
+  place of what the parts find out (`known_body.py`).
+- Switches of the network: the paper's own, learned normalizer and velocities, against the Euclidean
+  normalizer and kinematics.
+- Vigour: from as fast as the servos allow (1) to as people move (0).  A movement to two targets has
+  two peaks, however human it is, and one that follows a target has many.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from itertools import product
 
+import gymnasium as gym
+import numpy as np
 import tyro
+from known_body import KnownBody
+from playing import Make, Played, body_model, percent, play
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-import mmc_gym  # noqa: F401  registers the environments
-from mmc_gym.agents.base import Agent
-from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
+from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body, network_of_body
+from mmc_gym.agents.body_model.imagination import SETTLE, hand
 from mmc_gym.benchmark.suite import find_scenarios
+from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.interface import ReachInterface
-from mmc_gym.measures.rollout import evaluate
+from mmc_gym.measures import Episode, run_episodes
+from mmc_gym.measures.reaching import success, time_to_target
+from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
+from mmc_gym.network.chain import segments_from_joint_angles
 
 SCENARIOS = (
     "random",
@@ -38,6 +52,7 @@ SCENARIOS = (
     "delay-200",
     "obstacles-2",
 )
+HUMAN = ("random", "rotation-60", "locked-2", "locks-2", "delay-200", "double-step-200", "pursuit")
 PARTS = {
     "filters": "no filters",
     "bridges_delay": "no delay",
@@ -47,6 +62,11 @@ PARTS = {
     "drives": "no drive",
     "avoids": "no contacts",
 }
+VIGOURS = (1.0, 0.5, 0.0)
+SETTLED = 0.01
+"""A posture that misses its target by less has settled, segment lengths."""
+BELL = 0.95
+"""A movement that correlates more with minimum jerk is bell-shaped."""
 
 
 @dataclass(frozen=True)
@@ -54,40 +74,163 @@ class Arguments:
     """What to measure.
 
     Attributes:
-        scenarios: names, see `mmc-gym list scenarios`.
+        tables: which of parts, switches and vigour.
+        scenarios: names, see `mmc-gym list scenarios`; without any those that tell most.
         episodes: of each agent in each scenario.
-        seed: of the first episode.
-        model: internal model of the agents.
+        seed: of the episodes.
+        model: internal model of the agents whose parts are left out, mmc or ik.
     """
 
-    scenarios: tuple[str, ...] = SCENARIOS
+    tables: tuple[str, ...] = ("parts", "switches", "vigour")
+    scenarios: tuple[str, ...] = ()
     episodes: int = 200
     seed: int = 30_000
     model: str = "mmc"
 
+    def played(self, agent: Make, scenario: Scenario) -> Played:
+        """Return the episodes of an agent."""
+        return play(agent, scenario, self.episodes, self.seed)
 
-def agents(model: str) -> dict[str, Callable[[ReachInterface], Agent[Any]]]:
-    """Return what makes each agent, by its heading."""
-    build = {"mmc": mmc_body, "ik": ik_body}[model]
+    def each(self, scenarios: Sequence[str]) -> list[Scenario]:
+        """Return the scenarios asked for, or else these."""
+        return list(find_scenarios(self.scenarios or scenarios).values())
+
+
+def of_parts(arguments: Arguments) -> Table:
+    """Return the table of the parts."""
+    build = {"mmc": mmc_body, "ik": ik_body}[arguments.model]
     without = {heading: Parts(**{part: False}) for part, heading in PARTS.items()}
     chosen = {"all": Parts(), **without, "none": Parts(**dict.fromkeys(PARTS, False))}
-    return {heading: partial(build, parts=parts) for heading, parts in chosen.items()}
+    agents = {heading: body_model(parts, build) for heading, parts in chosen.items()}
+    if arguments.model == "mmc":
+        agents = {"told the truth": KnownBody, **agents}
+    title = f"{arguments.model}-body: success %, {arguments.episodes} episodes"
+    table = _table(title, "scenario", *agents)
+    for scenario in track(arguments.each(SCENARIOS), transient=True):
+        found = (percent(arguments.played(make, scenario)) for make in agents.values())
+        table.add_row(scenario.name, *found)
+    return table
+
+
+def of_switches(arguments: Arguments) -> Table:
+    """Return the table of the network's switches: success, median time to target; its cost."""
+    switches = {
+        f"{'learned' if is_learned else 'Euclidean'}\n{'dynamic' if is_dynamic else 'kinematic'}": {
+            "is_learned": is_learned,
+            "is_dynamic": is_dynamic,
+        }
+        for is_learned, is_dynamic in product((True, False), repeat=2)
+    }
+    agents = {heading: body_model(**how) for heading, how in switches.items()}
+    title = f"switches of the network: success %, time to target s, {arguments.episodes} episodes"
+    table = _table(title, "", *agents)
+    for scenario in track(arguments.each(SCENARIOS), transient=True):
+        played = [arguments.played(make, scenario) for make in agents.values()]
+        table.add_row(scenario.name, *(f"{percent(one)}  {_time(one[0]):.2f}" for one in played))
+    table.add_section()
+    missed = [misses(**how) for how in switches.values()]
+    table.add_row(
+        f"iterations to a median miss of {SETTLED}", *(f"{_first(one, SETTLED)}" for one in missed)
+    )
+    table.add_row(
+        f"median miss after {SETTLE}, in lengths", *(f"{one[SETTLE - 1]:.4f}" for one in missed)
+    )
+    times = action_times(list(agents.values()))
+    table.add_row("time per action of one arm, µs", *(f"{1e6 * time:.0f}" for time in times))
+    return table
+
+
+def of_vigour(arguments: Arguments) -> Table:
+    """Return the table of vigour; all but success are of the episodes that ended at the target."""
+    table = _table(
+        f"vigour: {arguments.episodes} episodes",
+        "scenario",
+        "vigour",
+        "success %",
+        "told the truth",
+        "time to target, s",
+        "correlation with\nminimum jerk, median",
+        f"above {BELL}, %",
+        "one velocity\npeak, %",
+    )
+    for scenario in track(arguments.each(HUMAN), transient=True):
+        for vigour in VIGOURS:
+            parts = Parts(vigour=vigour)
+            played = arguments.played(body_model(parts), scenario)
+            told = arguments.played(partial(KnownBody, parts=parts), scenario)
+            arrived = [one for one in played[0] if success(one)]
+            likeness = np.array([minimum_jerk_correlation(one) for one in arrived])
+            likeness = likeness[~np.isnan(likeness)]  # hands that began at the target
+            peaks = np.array([velocity_peaks(one) for one in arrived])
+            table.add_row(
+                scenario.name if vigour == VIGOURS[0] else "",
+                f"{vigour:g}",
+                percent(played),
+                percent(told),
+                f"{_time(arrived):.2f}",
+                f"{np.median(likeness):.3f}",
+                f"{100 * np.mean(likeness >= BELL):.1f}",
+                f"{100 * np.mean(peaks[~np.isnan(peaks)] == 1):.1f}",
+            )
+        table.add_section()
+    return table
+
+
+def misses(*, is_learned: bool, is_dynamic: bool, arms: int = 500) -> np.ndarray:
+    """Return the median distance of imagined hands from their targets after 1, 2, … iterations."""
+    arm = ReachInterface((1.0,) * 3, "joint_position", 6.0, 12.0, 0.02)
+    network = network_of_body(arm, is_learned=is_learned, is_dynamic=is_dynamic)
+    starts, wanted = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, arms, 3))
+    lengths = np.array(network.segment_lengths)
+    target = segments_from_joint_angles(wanted, network.segment_lengths).sum(axis=1)
+    state, clamps = network.state_from_joint_angles(starts), network.inverse(target)
+    places = target[:, 0] + 1j * target[:, 1]
+    found = []
+    for _ in range(10 * SETTLE):
+        state = network.run(state, clamps, 1)
+        found.append(np.median(np.abs(hand(state.joint_angles, lengths) - places)))
+    return np.array(found)
+
+
+def action_times(agents: Sequence[Make], rounds: int = 7) -> np.ndarray:
+    """Return the median time per action of one arm, seconds; agents take turns."""
+    env = gym.make("MMCReach-v0", control="joint_position")
+    players = [make(env) for make in agents]
+    times = [
+        [
+            np.median(
+                np.concatenate([one.action_times for one in run_episodes(player, env, [seed])])
+            )
+            for player in players
+        ]
+        for seed in range(rounds)
+    ]
+    return np.median(times, axis=0)
+
+
+def _time(episodes: Sequence[Episode]) -> float:
+    return float(np.nanmedian([time_to_target(one) for one in episodes]))
+
+
+def _first(misses: np.ndarray, least: float) -> str:
+    below = np.flatnonzero(misses < least)
+    return str(below[0] + 1) if below.size else f"> {len(misses)}"
+
+
+def _table(title: str, first: str, *headings: str) -> Table:
+    table = Table(first, title=title)
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    return table
+
+
+TABLES = {"parts": of_parts, "switches": of_switches, "vigour": of_vigour}
 
 
 def main(arguments: Arguments) -> None:
-    """Print the table."""
-    table = Table(title=f"{arguments.model}-body: success %, {arguments.episodes} episodes")
-    table.add_column("scenario")
-    made = agents(arguments.model)
-    for heading in made:
-        table.add_column(heading, justify="right")
-    for scenario in track(list(find_scenarios(arguments.scenarios).values()), transient=True):
-        where = (scenario.env_id, {**scenario.arguments, "control": "joint_position"})
-        scores = [
-            evaluate(make, *where, arguments.episodes, arguments.seed) for make in made.values()
-        ]
-        table.add_row(scenario.name, *(f"{100 * score['success']:.1f}" for score in scores))
-    Console(width=150).print(table)
+    """Print the tables."""
+    for name in arguments.tables:
+        Console(width=160).print(TABLES[name](arguments))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,75 @@
+"""An agent that is told the truth: the yardstick of `mmc-body`, no rival.
+
+It has the drive, the imagination, the filters and the contacts of `mmc-body`, but nothing to find
+out: it knows the true lengths, how the cursor is turned, the delay, which joints are locked, and of
+joints that lock on the way that they do, in the control step in which it happens.
+
+    mmc-gym benchmark --agents known-body=benchmarks.known_body:KnownBody
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from typing_extensions import override
+
+from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, Parts, network_of_body
+from mmc_gym.agents.body_model.body import Body
+from mmc_gym.agents.body_model.imagination import NetworkSolver
+from mmc_gym.agents.body_model.locks import PLACED, Locks
+from mmc_gym.envs.spec import ReachSetup
+from mmc_gym.interface import ReachInterface, Seen, Sensed
+
+ALL = Parts()
+
+
+class KnownBody(BodyAgent):
+    """`mmc-body` with the truth in place of what three of its parts find out."""
+
+    control = "joint_position"  # by which it is compared, as `mmc-body` is
+
+    def __init__(self, env: Any, parts: Parts = ALL) -> None:
+        """Make the agent of an environment, whose setup it is told."""
+        interface = ReachInterface.of(env)
+        finds_nothing = replace(
+            parts, identifies_body=False, bridges_delay=False, finds_locks=False
+        )
+        super().__init__(interface, NetworkSolver(network_of_body(interface)), finds_nothing)
+        self.setup: ReachSetup = env.unwrapped.setup
+
+    @override
+    def start(self, sensed: Sensed) -> BodyState:
+        state, arms = super().start(sensed), len(sensed.joint_angles)
+        shift, turn = 0j, 1 + 0j
+        if (rotation := self.setup.rotation) is not None:
+            shift = complex(*rotation.cursor(0.0, 0.0))
+            turn = complex(*rotation.cursor(1.0, 0.0)) - shift
+        lengths = np.tile(self.setup.body.segment_lengths, (arms, 1))
+        body = Body(lengths, np.full(arms, turn), np.full(arms, shift))
+        return state._replace(
+            evidence=state.evidence._replace(body=body),
+            delay=state.delay._replace(late=np.full(arms, float(self.setup.delay))),
+        )
+
+    @override
+    def _sense(self, state: BodyState, seen: Seen) -> BodyState:
+        state = super()._sense(state, seen)
+        if self.setup.lock_step is None:
+            return state
+        return state._replace(locks=self._true_locks(state))
+
+    def _true_locks(self, state: BodyState) -> Locks:
+        """Return the locks in this control step; late senses show their places later."""
+        since = state.looks[:, 0] - 1 - (self.setup.lock_step or 0)
+        by_now = state.delay.run_forward(self.interface, state.posture.joint_angles)
+        late, seen = self.setup.delay, state.posture.joint_angles
+        place = state.locks.place
+        place = np.where((since <= 0)[:, None], by_now, place)
+        place = np.where((since == late)[:, None], seen, place)
+        place = np.where((since > late)[:, None], place + PLACED * (seen - place), place)
+        is_locked = np.zeros(place.shape, bool)
+        is_locked[:, list(self.setup.body.lockable_joints)] = (since >= 0)[:, None]
+        changed = is_locked & ((since == 0) | (since == late))[:, None]
+        return Locks(place, np.zeros_like(place), is_locked, changed)

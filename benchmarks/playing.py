@@ -1,0 +1,74 @@
+"""Agents that play scenarios, all the same episodes, and the cells of tables about them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from mmc_gym._errors import MismatchWarning
+from mmc_gym.agents.base import Agent
+from mmc_gym.agents.body_model.agent import Parts, mmc_body
+from mmc_gym.benchmark.entries import find_entries, make_for
+from mmc_gym.benchmark.statistics import trainings_interval
+from mmc_gym.envs.scenarios import Scenario
+from mmc_gym.interface import CannotActError, ReachInterface
+from mmc_gym.measures import Episode, episode_seeds, run_episodes
+from mmc_gym.measures.reaching import success
+
+Make: TypeAlias = Callable[[Any], Agent[Any]]
+"""Makes an agent for an environment."""
+Played: TypeAlias = list[tuple[Episode, ...]]
+"""The episodes of each training of an agent; one training if it is not trained."""
+
+ALL = Parts()
+
+
+def body_model(parts: Parts = ALL, build: Callable[..., Agent[Any]] = mmc_body, **how: Any) -> Make:
+    """Return what makes a body model of these parts."""
+    return lambda env: build(ReachInterface.of(env), parts, **how)
+
+
+def play(agent: str | Make, scenario: Scenario, episodes: int, seed: int) -> Played:
+    """Return the episodes of an agent: those of the battery, if the seed is 0.
+
+    Every agent meets the same postures, targets and noise.  There are none of one that cannot act
+    in the scenario.
+    """
+    instances = scenario.instances(episodes)
+    seeds = episode_seeds(seed, len(instances))
+    played = []
+    for entry in find_entries([agent] if isinstance(agent, str) else {"agent": agent}):
+        try:
+            with warnings.catch_warnings():  # another arm is meant
+                warnings.simplefilter("ignore", MismatchWarning)
+                env, player = make_for(entry, scenario.make, "joint_position")
+        except CannotActError:
+            continue
+        with closing(env), closing(scenario.make_vec(len(seeds), env.unwrapped.control)) as arms:
+            played.append(
+                run_episodes(player, arms, seeds, options=instances, records_effort=False)
+            )
+    return played
+
+
+def successes(played: Played) -> np.ndarray:
+    """Return 1 for a success and 0 for a failure, (trainings, episodes)."""
+    return np.array([[success(one) for one in episodes] for episodes in played])
+
+
+def percent(played: Played, *, interval: bool = False) -> str:
+    """Return the success in percent, with its interval over trainings and episodes if it has any.
+
+    There is none where all episodes ended alike.
+    """
+    if not played:
+        return "–"
+    found = trainings_interval(successes(played), "mean")
+    text = f"{100 * found.estimate:.1f}"
+    if interval and found.low < found.high:
+        text += f" [{100 * found.low:.0f}, {100 * found.high:.0f}]"
+    return text
