@@ -174,8 +174,9 @@ class ReachSetup:
     def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
         """Return the readings of n arms, (n, …), under noises from the generator of each."""
         for noise in self.noises:
-            draws = noise.draws(self.joint_count)
-            normals = np.stack([random.standard_normal(draws) for random in randoms])
+            normals = np.empty((len(randoms), noise.draws(self.joint_count)))
+            for random, row in zip(randoms, normals, strict=True):
+                random.standard_normal(out=row)
             readings = noise.disturb(readings, normals)
         return readings
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections import deque
 from collections.abc import Sequence
 from copy import deepcopy
@@ -25,13 +25,13 @@ from mmc_gym.body.engines import make_arms
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import GoalEnvironment
 from mmc_gym.envs.rewards import distances, reward_and_info
-from mmc_gym.envs.spec import GoalSetup, Options, ReachEnvironment, as_numbers, check_names
+from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, check_names
 from mmc_gym.envs.workspace import Point
 from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
     from mmc_gym.body.analytic.arms import AnalyticArms
-    from mmc_gym.envs.compiled import CompiledOutcome
+    from mmc_gym.envs.compiled import CompiledStep
     from mmc_gym.envs.render.renderer import Renderer, Scene
 
 Info = dict[str, Any]
@@ -119,6 +119,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         # Observations on their way, oldest first: that one is shown.
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
         self._compiled = self._compile()
+        # Whether a thread may take its arms through a whole step, without a look at all of them.
+        self._may_go_through = (
+            self._compiled is not None
+            and setup.task.advance == "time"
+            and setup.rotation is None
+            and render_mode is None
+        )
         self._renderers: list[Renderer] = []
         traced = self._all if render_mode is not None else ()
         self._traces: list[deque[Point]] = [deque(maxlen=setup.trace_length) for _ in traced]
@@ -163,22 +170,25 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """
         self._require_running()
         waiting = np.flatnonzero(self._is_over)  # they are reset instead of stepped
-        self._body.command(self._commands(actions, waiting))
-        self._body.step()
+        values = self._checked(actions, waiting)
         self._steps += 1
-        if self._traces:
-            for trace, (x, y) in zip(self._traces, self._body.end_effectors.tolist()):
-                trace.append((x, y))
-        self._advance_events()
-        if len(waiting):
-            self._place(waiting, Options())
-        observation, rewards, info = self._outcome(_EVERY)
+        if self._may_go_through and not len(waiting):
+            self._move_targets()
+            observation, rewards, info = self._outcome(_EVERY, values)
+        else:
+            self._move(values)
+            self._move_targets()
+            if len(waiting):
+                self._place(waiting, Options())
+            observation, rewards, info = self._outcome(_EVERY)
+        if self.setup.lock_step:
+            self._body.lock(np.flatnonzero(self._steps == self.setup.lock_step))
         self._late = [*self._late[1:], observation]
         if len(waiting):
             self._show_start(waiting, pick(observation, waiting))
             rewards[waiting] = 0.0
         terminations = np.zeros(self.num_envs, dtype=bool)
-        truncations = self._steps >= (self.max_episode_steps or math.inf)
+        truncations = self._steps >= (self.max_episode_steps or sys.maxsize)
         infos = spread(info, np.ones(self.num_envs, dtype=bool))
         if self.autoreset_mode != AutoresetMode.SAME_STEP:
             self._is_over = truncations.copy()
@@ -258,7 +268,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _place(self, arms: Indices, options: Options) -> None:
         """Draw trials for these arms, and place them."""
-        randoms = [self._randoms[arm] for arm in arms]
+        randoms = [self._randoms[arm] for arm in arms.tolist()]
         if self.setup.draws_pairs and options == Options():
             postures, targets = self.setup.workspace.draw_pairs(randoms)
             self._paths[arms, 0], self._last_places[arms] = targets, 0
@@ -278,11 +288,19 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._traces[arm].clear()
             self._traces[arm].append(tuple(self._body.end_effectors[arm].tolist()))
 
-    def _advance_events(self) -> None:
-        """Let the rest of a step happen: targets move on, and joints lock."""
+    def _move(self, values: NDArray[np.floating]) -> None:
+        """Let the arms carry out their actions."""
+        _, scale, is_relative = self.setup.action
+        commands = np.multiply(values, scale, dtype=np.float64)
+        self._body.command(commands + self._body.joint_angles if is_relative else commands)
+        self._body.step()
+        if self._traces:
+            for trace, (x, y) in zip(self._traces, self._body.end_effectors.tolist()):
+                trace.append((x, y))
+
+    def _move_targets(self) -> None:
+        """Let the targets go on to where they are after this step."""
         setup, last = self.setup, self._last_places
-        if setup.lock_step:
-            self._body.lock(np.flatnonzero(self._steps == setup.lock_step))
         if setup.path_length == 1:
             return
         if setup.task.advance == "reach":
@@ -311,52 +329,57 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         ends = {"final_obs": final_observations, "final_info": final}
         return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
 
-    def _compile(self) -> CompiledOutcome | None:
-        """Return what makes the outcomes of all arms of the analytic engine, if it can."""
-        if self.setup.engine != "analytic" or self.setup.noises or self.make_setup is GoalSetup:
+    def _compile(self) -> CompiledStep | None:
+        """Return what steps all arms of the analytic engine; None for another engine."""
+        if self.setup.engine != "analytic":
             return None
-        from mmc_gym.envs.compiled import CompiledOutcome  # needs numba
+        from mmc_gym.envs.compiled import CompiledStep  # needs numba
 
-        return CompiledOutcome(self.setup, cast("AnalyticArms", self._body))
+        return CompiledStep(self.setup, cast("AnalyticArms", self._body))
 
-    def _outcome(self, arms: Indices | slice) -> tuple[Any, NDArray[np.float64], Info]:
-        """Return observation, reward and info of the present state of these arms."""
-        setup, body, targets = self.setup, self._body, self._targets[arms]
-        hands = self._seen_hands(arms)
+    def _outcome(
+        self, arms: Indices | slice, actions: NDArray[np.floating] | None = None
+    ) -> tuple[Any, NDArray[np.float64], Info]:
+        """Return observation, reward and info of the present state of these arms.
+
+        If they `_may_go_through`, they carry out actions first.
+        """
+        setup, targets, hands = self.setup, self._targets[arms], self._seen_hands(arms)
+        angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
+        readings = Readings(angles, velocities, hands, targets)
+        may_succeed = self._is_at_last_target(arms)
         if self._compiled is not None and arms is _EVERY:
-            oldest: Any = self._late[0]  # was shown in the last step
-            may_succeed = self._is_at_last_target(arms)
+            observation: Any = self._late[0]  # was shown in the last step
             rewards, info = self._compiled(
-                oldest, hands=hands, targets=targets, may_succeed=may_succeed, speeds=self._speeds
+                actions,
+                hands=hands,
+                targets=targets,
+                may_succeed=may_succeed,
+                speeds=self._speeds,
+                observation=observation,
             )
-            return oldest, rewards, info | self._places_of(arms, hands)
-        readings = Readings(body.joint_angles[arms], body.joint_velocities[arms], hands, targets)
-        distance = distances(hands, targets)
-        is_success = distance <= self.success_distance
-        is_success &= self._is_at_last_target(arms)
-        speeds = relative_speeds(readings.joint_velocities, setup.told.speed_limit)
-        before = self._speeds[arms].T
-        rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
-        self._speeds[arms] = speeds
-        info |= self._places_of(arms, hands)
+        else:
+            observation = None if setup.noises else setup.observe(readings)
+            distance = distances(hands, targets)
+            is_success = (distance <= self.success_distance) & may_succeed
+            speeds = relative_speeds(velocities, setup.told.speed_limit)
+            before = self._speeds[arms].T
+            rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
+            self._speeds[arms] = speeds
+            ends = self._body.end_effectors[arms].copy()
+            info |= {"end_effector": ends, "target": targets.copy()}
+        if setup.rotation is not None:
+            info["cursor"] = hands
         if setup.noises:
-            randoms = [self._randoms[arm] for arm in self._all[arms]]
-            readings = setup.disturb(readings, randoms)
-        return setup.observe(readings), rewards, info
+            randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
+            observation = setup.observe(setup.disturb(readings, randoms))
+        return observation, rewards, info
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
         """Tell which arms succeed by being at their target."""
         if self.setup.task.advance == "time":
             return np.ones(len(self._all[arms]), dtype=bool)
         return np.asarray(self._places[arms] == self._last_places[arms])
-
-    def _places_of(self, arms: Indices | slice, hands: NDArray[np.float64]) -> Info:
-        """Return the infos about where hands, targets and cursors are."""
-        info = {
-            "end_effector": self._body.end_effectors[arms].copy(),
-            "target": self._targets[arms].copy(),
-        }
-        return info if self.setup.rotation is None else info | {"cursor": hands}
 
     def _shown(self) -> Any:
         """Return the observation of now."""
@@ -381,22 +404,23 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             arms = np.flatnonzero(self._is_over).tolist()
             raise ResetNeeded(f"reset the arms whose episodes are over before step(): {arms}")
 
-    def _commands(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.float64]:
-        """Return the commands to the servos, (n, N); actions of waiting arms do not matter."""
-        values = as_numbers("actions", actions).astype(np.float64)
+    def _checked(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.floating]:
+        """Return the actions, (n, N), float32 or float64; those of waiting arms do not matter."""
+        values = np.ascontiguousarray(as_numbers("actions", actions))
+        if values.dtype not in (np.float32, np.float64):
+            values = values.astype(np.float64)
         if values.shape != self.action_space.shape:
             raise UserError(
                 f"actions must have shape {self.action_space.shape}, got {values.shape}"
             )
-        values[waiting] = 0.0
-        if not np.abs(values).max() <= 1.0:  # true for NaN too
+        if len(waiting):
+            values = values.copy()
+            values[waiting] = 0.0
+        if not (values.max() <= 1.0 and values.min() >= -1.0):  # true for NaN too
             arm = int(np.argmin((np.abs(values) <= 1.0).all(axis=-1)))
             raise UserError(
                 f"actions must lie within -1 and 1, got {values[arm].tolist()} for arm {arm}"
             )
-        values *= self.setup.action.scale
-        if self.setup.action.is_relative:
-            values += self._body.joint_angles
         return values
 
 
@@ -424,13 +448,14 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
     """Return Gymnasium's vector infos: arrays for all arms with the rows of those in the mask."""
     infos: dict[str, Any] = {}
     everywhere = mask.all()
-    for name, values in info.items():
+    masks = np.repeat(mask[None], len(info), axis=0)  # no two infos are one array
+    for (name, values), own in zip(info.items(), masks, strict=True):
         if everywhere:
             infos[name] = values
         else:
             infos[name] = np.zeros((len(mask), *values.shape[1:]), values.dtype)
             infos[name][mask] = values
-        infos[f"_{name}"] = mask.copy()
+        infos[f"_{name}"] = own
     return infos
 
 

@@ -15,11 +15,12 @@ This engine does not tell the effort of its servos: `records_effort` has no effe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import require
@@ -90,25 +91,41 @@ class AnalyticArms(ArmBatch):
 
     @override
     def _command(self, values: Floats) -> None:
-        kernel.command(self._state, self._output, self._rods, self._world, values)
+        self.command_arms(values, 1.0, False, 0, self._count)
 
     @override
     def step(self) -> None:
+        self.share_out(self.step_arms)
+
+    def share_out(self, work: Callable[[int, int], None]) -> None:
+        """Call `work(first, last)` for all arms, in shares from arm `first` to before arm `last`.
+
+        Each thread does one share, and this one, too.
+        """
         shares = max(1, min(self._threads, self._count // _WORTH_A_THREAD))
-        edges = [len(self._state) * share // shares for share in range(shares + 1)]
-        others = [
-            self._executor().submit(self._step_blocks, first, last)
-            for first, last in pairwise(edges[1:])
-        ]
-        self._step_blocks(0, edges[1])
+        blocks = [len(self._state) * share // shares for share in range(1, shares)]
+        edges = [0, *(kernel.LANES * block for block in blocks), self._count]
+        others = [self._executor().submit(work, first, last) for first, last in pairwise(edges[1:])]
+        work(*edges[:2])
         for other in others:
             other.result()
 
-    def _step_blocks(self, first: int, last: int) -> None:
-        state, output, substeps = self._state, self._output, self.parameters.substeps
-        kernel.step_blocks(
-            state, output, self._rods, self._world, self._no_work, substeps, first, last
-        )
+    def command_arms(
+        self, values: NDArray[np.floating], scale: float, is_relative: bool, first: int, last: int
+    ) -> None:
+        """Hand `scale` times `values`, (count, N), to the servos of a share of the arms.
+
+        If they are relative, the present joint angles are added.  `values` are of float32 or
+        float64, in the order of C.
+        """
+        arms = self._state, self._output, self._rods, self._world
+        kernel.command(*arms, values, scale, is_relative, *_blocks(first, last))
+
+    def step_arms(self, first: int, last: int) -> None:
+        """Simulate one control step of a share of the arms."""
+        arms = self._state, self._output, self._rods, self._world
+        substeps = self.parameters.substeps
+        kernel.step_blocks(*arms, self._no_work, substeps, *_blocks(first, last))
 
     @override
     def _lock(self, arms: Indices) -> None:
@@ -119,6 +136,11 @@ class AnalyticArms(ArmBatch):
     @override
     def pivot_gaps(self) -> Floats:
         return np.zeros(self._count)  # by construction
+
+
+def _blocks(first: int, last: int) -> tuple[int, int]:
+    """Return the blocks of arms that begin a block, up to before arm `last`."""
+    return first // kernel.LANES, -(-last // kernel.LANES)
 
 
 class AnalyticArm(SingleArm):
@@ -146,7 +168,7 @@ class AnalyticArm(SingleArm):
 
     @override
     def step(self) -> None:
-        self._arms._step_blocks(0, 1)
+        self._arms.step_arms(0, 1)
         self._read()
 
     def _read(self) -> None:

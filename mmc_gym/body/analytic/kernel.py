@@ -203,29 +203,36 @@ def place(state, output, rods, world, chosen, postures, speeds):
 
 
 @compiled
-def command(state, output, rods, world, values):
-    """Hand one value per joint and arm to the servos."""
-    segments = rods.shape[0]
-    count = values.shape[0]
+def command(state, output, rods, world, values, scale, is_relative, first_block, last_block):
+    """Hand one value per joint and arm to the servos: `scale` times `values`, (count, N).
+
+    If they are relative, the present joint angle is added.
+    """
+    segments, count = rods.shape[0], values.shape[0]
     size = count * segments
     w = world[0]
-    for arm in range(count):
-        arms, k = state[arm // LANES], arm % LANES
+    is_torque, is_position = w.is_torque > 0.0, w.is_position > 0.0
+    for block in range(first_block, last_block):
+        arms, first = state[block], block * LANES
+        lanes = min(LANES, count - first)
         for i in range(segments):
-            value = values[arm, i]
-            if w.is_torque > 0.0:
-                arms.asked[i, k] = w.speed_limit if value >= 0.0 else -w.speed_limit
-                arms.limit[i, k] = w.substep * min(abs(value), w.torque_limit)
-            elif w.is_position > 0.0:
-                if np.isfinite(rods[i].lowest_angle):
-                    arms.asked[i, k] = min(max(value, rods[i].lowest_angle), rods[i].highest_angle)
-                else:
-                    angle = output[size + arm * segments + i]
+            least, most = rods[i].lowest_angle, rods[i].highest_angle
+            is_limited = np.isfinite(least)
+            for k in range(lanes):
+                angle = output[size + (first + k) * segments + i]
+                value = scale * values[first + k, i]
+                value = value + angle if is_relative else value
+                if is_torque:
+                    arms.asked[i, k] = w.speed_limit if value >= 0.0 else -w.speed_limit
+                    arms.limit[i, k] = w.substep * min(abs(value), w.torque_limit)
+                elif is_position and is_limited:
+                    arms.asked[i, k] = min(max(value, least), most)
+                elif is_position:
                     way = value - angle
                     turns = np.rint(way / (2.0 * np.pi))
                     arms.asked[i, k] = angle + (way - turns * (2.0 * np.pi))
-            else:
-                arms.asked[i, k] = value
+                else:
+                    arms.asked[i, k] = value
 
 
 @compiled
