@@ -32,7 +32,7 @@ from mmc_gym._console import interval, number, print_rows, text_for
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
+from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate, draw
 from mmc_gym.benchmark.store import (
     CellKey,
     Manifest,
@@ -85,8 +85,9 @@ def rank_agents(
         found = success.estimate(agent, "mean")
         improvement = Estimate(math.nan, math.nan, math.nan, (), 0, 0)
         if baseline in success.scores.values:
-            pair = scores[scores["agent"].isin([agent, baseline])]
-            bootstrap = Bootstrap.of(pair, "settled", resamples, seed)
+            two = [name for name in settled.scores.values if name in (agent, baseline)]
+            pair = replace(settled.scores, values={one: settled.scores.of(one) for one in two})
+            bootstrap = Bootstrap(pair, draw(pair, resamples, seed))
             improvement = bootstrap.improvement(agent, baseline)
         row = {
             "agent": agent,
@@ -201,7 +202,7 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
         console.print(text_for(console, f"nothing to rank: {REFERENCE} is a hand without an arm"))
         return pd.DataFrame()
     made_of = cells_digest(folder)
-    episodes = read_episodes(folder)
+    episodes = read_episodes(folder, ["success", "time_to_target", "duration"])
     try:
         ranking = rank_agents(episodes, [one.key for one in manifest.not_played])
     except UserError as error:

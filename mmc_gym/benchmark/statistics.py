@@ -40,16 +40,19 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
 
 from mmc_gym.measures.catalogue import Measure, Statistic
 from mmc_gym.measures.episode import Floats
 
 CONFIDENCE = 0.95
+TAILS = ((1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2)
+"""The ends of a percentile interval, as quantiles."""
+
 RESAMPLES = 2_000
 """Resamples of every bootstrap, unless another number is asked for."""
 
 COLUMNS = ("agent", "training_seed", "environment", "instance")
-_UNTRAINED = "no training"
 _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
 _BATCH = 250  # resamples at once: bounds the memory
 
@@ -83,11 +86,9 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
     total = np.cumsum(weights, axis=-1)
     whole = total[:, -1:].copy()
     inside = np.clip(total, 0.25 * whole, 0.75 * whole, out=total)
-    # Σ x_k (c_k − c_{k−1}) by parts, without another array of this size.
-    steps = np.diff(values, append=0.0)
-    summed = -(inside @ steps) - values[0] * 0.25 * whole[:, 0]
+    parts = np.diff(inside, axis=-1, prepend=0.25 * whole)
     with np.errstate(invalid="ignore"):
-        mean = summed / (0.5 * whole[:, 0])
+        mean = parts @ values / (0.5 * whole[:, 0])
     clipped: Floats = np.clip(mean, values[0], values[-1])  # rounding leads a hair beyond
     return clipped
 
@@ -156,34 +157,31 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
     missing = [column for column in (*COLUMNS, value) if column not in frame.columns]
     if missing or frame.empty:
         raise ValueError(f"frame must have rows with {[*COLUMNS, value]}, it lacks {missing}")
-    seeds = frame["training_seed"].astype(object).where(frame["training_seed"].notna(), _UNTRAINED)
-    table = frame.assign(training_seed=seeds)
-    twice = table.loc[table.duplicated(list(COLUMNS)), list(COLUMNS)]
-    if len(twice):
-        first = twice.iloc[0].to_dict()
+    is_twice = frame.duplicated(list(COLUMNS)).to_numpy()
+    if is_twice.any():
+        first = frame.loc[is_twice, list(COLUMNS)].iloc[0].to_dict()
         raise ValueError(f"frame must have each episode once, got {first} repeatedly")
-    instances = {
-        environment: sorted(set(group["instance"]))
-        for environment, group in table.groupby("environment", sort=False)
-    }
-    sizes = tuple(map(len, instances.values()))
+    # Numbers in place of names: -1 without a training seed.
+    environment, seed = (
+        pd.factorize(frame[column])[0] for column in ("environment", "training_seed")
+    )
+    instance = pd.factorize(frame["instance"], sort=True)[0]
+    most = instance.max() + 1
+    sizes = tuple(np.bincount(np.unique(environment * most + instance) // most).tolist())
+    scores = frame[value].to_numpy(dtype=np.float64)
     values, count = {}, {}
-    for agent, group in table.groupby("agent", sort=False):
-        policies = list(dict.fromkeys(group["training_seed"]))
-        episodes = group.set_index(["environment", "training_seed", "instance"])[value]
-        if len(episodes) != len(policies) * sum(sizes):
+    for agent in frame["agent"].unique():
+        mine = np.flatnonzero(frame["agent"] == agent)
+        policy, policies = pd.factorize(seed[mine])
+        if len(mine) != len(policies) * sum(sizes):
             raise ValueError(
                 f"frame must have all instances of all environments for each of the training seeds "
-                f"of {agent!r}, {len(policies)} × {sum(sizes)} episodes, got {len(episodes)}"
+                f"of {agent!r}, {len(policies)} × {sum(sizes)} episodes, got {len(mine)}"
             )
-        values[str(agent)] = tuple(
-            episodes.loc[environment]
-            .unstack()
-            .reindex(index=policies, columns=columns)
-            .to_numpy(dtype=np.float64)
-            for environment, columns in instances.items()
-        )
-        count[str(agent)] = 0 if policies == [_UNTRAINED] else len(policies)
+        order = np.lexsort((instance[mine], policy, environment[mine]))
+        tables = np.split(scores[mine][order], len(policies) * np.cumsum(sizes)[:-1])
+        values[str(agent)] = tuple(table.reshape(len(policies), -1) for table in tables)
+        count[str(agent)] = 0 if policies.tolist() == [-1] else len(policies)
     return Scores(sizes, values, count)
 
 
@@ -338,20 +336,23 @@ class Bootstrap:
         """Return an agent's statistic in the data themselves and in all resamples, (R + 1,)."""
         tables, policies = self.scores.of(agent), self.draws.policies[agent]
         values = np.concatenate([table.ravel() for table in tables])
-        order = np.argsort(values, kind="stable")
-        order = order[: values.size - int(np.isnan(values).sum())]  # NaNs are the last
-        policy = np.concatenate([np.repeat(np.arange(len(t)), t.shape[1]) for t in tables])[order]
-        starts = np.cumsum([0, *self.scores.instances])
-        instance = np.concatenate(
-            [np.tile(np.arange(t.shape[1]) + start, len(t)) for t, start in zip(tables, starts)]
-        )[order]
-        equal = np.concatenate([table / table.shape[1] for table in self.draws.instances], axis=1)
+        is_known = ~np.isnan(values)
+        distinct, place = np.unique(values[is_known], return_inverse=True)
+        # Environments of as many instances share their draw, and so does what is drawn of them.
+        shared = {draws.shape[1]: draws / draws.shape[1] for draws in self.draws.instances}
+        sizes = len(policies.T) * np.array(list(shared))
+        first = dict(zip(shared, np.cumsum(sizes) - sizes))
+        drawn = np.concatenate([first[t.shape[1]] + np.arange(t.size) for t in tables])[is_known]
+        times = coo_array(
+            (np.ones(len(place)), (place, drawn)), shape=(len(distinct), sizes.sum())
+        ).tocsr()
         found = []
-        for first in range(0, len(policies), _BATCH):
-            rows = slice(first, first + _BATCH)
-            weights = np.take(equal[rows], instance, axis=1)
-            weights *= np.take(policies[rows], policy, axis=1)
-            found.append(_WEIGHTED[statistic](values[order], weights))
+        for begin in range(0, len(policies), _BATCH):
+            rows = slice(begin, begin + _BATCH)
+            of_policies = policies[rows].T[:, None]
+            each = [of_policies * shares[rows].T for shares in shared.values()]
+            weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
+            found.append(_WEIGHTED[statistic](distinct, np.ascontiguousarray(weights.T)))
         return np.concatenate(found)
 
     def summarize(self, distribution: Floats, *agents: str) -> Estimate:
@@ -539,6 +540,5 @@ def percentile_interval(resampled: Floats) -> tuple[float, float]:
     present, _ = _present(resampled)
     if not present.size:
         return math.nan, math.nan
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(present, (tail, 1 - tail)).tolist()
+    low, high = np.quantile(present, TAILS).tolist()
     return low, high

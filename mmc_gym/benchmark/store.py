@@ -38,6 +38,7 @@ MANIFEST = "manifest.json"
 EPISODES, PATHS, SETS = "episodes", "paths", "sets"
 SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
 _CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
+_EPISODE = ("agent", "training_seed", "environment", "instance")  # columns that name one
 _CURSOR = ("cursor_x", "cursor_y")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
 
@@ -201,12 +202,12 @@ def _checksum(schema: pa.Schema, content: str) -> str:
     return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
 
 
-def _read(path: Path) -> pa.Table:
+def _read(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a table; raise a `UserError` that names the file if it is damaged, or not of ours."""
     try:
-        table = pq.ParquetFile(path, page_checksum_verification=True).read()
-        _kept(table.schema)
-        return table
+        file = pq.ParquetFile(path, page_checksum_verification=True)
+        _kept(file.schema_arrow)
+        return file.read(columns, use_threads=False)  # so small a file is read sooner by one
     except (FileNotFoundError, PermissionError):
         raise
     except (OSError, pa.ArrowException, ValueError) as error:
@@ -260,26 +261,40 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
     return found
 
 
-def read_episodes(folder: Path | str) -> pd.DataFrame:
+def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """Return all episodes of a store; `episodes_file` names the columns.
+
+    Args:
+        folder: of the store.
+        columns: that are read, and agent, training_seed, environment, instance; all if None.
 
     Raises:
         UserError: if there are none, or a file is damaged.
     """
-    frame = _read_all(Path(folder), EPISODES)
+    folder = Path(folder)
+    chosen = None if columns is None else list(dict.fromkeys([*_EPISODE, *columns]))
+    frame = _read_all(_files(folder, EPISODES), chosen)
     if frame.empty:
         why = "".join(f"; {line}" for line in reasons(read_manifest(folder).not_played))
         raise UserError(f"folder must hold a benchmark's episodes, got {str(folder)!r}{why}")
     return frame
 
 
-def read_paths(folder: Path | str) -> pd.DataFrame:
-    """Return all paths of a store, empty if none were kept; `paths_file` names the columns.
+def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd.DataFrame:
+    """Return paths of a store, empty if none were kept; `paths_file` names the columns.
+
+    Args:
+        folder: of the store.
+        cells: whose paths are read, if they were kept; of all cells if None.
 
     Raises:
         UserError: if a file is damaged.
     """
-    frame = _read_all(Path(folder), PATHS)
+    files = _files(Path(folder), PATHS)
+    if cells is not None:
+        names = {cell.file_name for cell in cells}
+        files = [file for file in files if file.name in names]
+    frame = _read_all(files)
     if len(frame):
         for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
             frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
@@ -292,7 +307,7 @@ def read_sets(folder: Path | str) -> pd.DataFrame:
     Raises:
         UserError: if a file is damaged.
     """
-    frame = _read_all(Path(folder), SETS)
+    frame = _read_all(_files(Path(folder), SETS))
     return frame if len(frame) else pd.DataFrame(columns=SET_COLUMNS)
 
 
@@ -311,8 +326,8 @@ def _files(folder: Path, kind: str) -> list[Path]:
     return sorted((folder / kind).glob("[!.]*.parquet"))
 
 
-def _read_all(folder: Path, kind: str) -> pd.DataFrame:
-    tables = [_read(path).replace_schema_metadata(None) for path in _files(folder, kind)]
+def _read_all(files: Iterable[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
+    tables = [_read(file, columns).replace_schema_metadata(None) for file in files]
     if not tables:
         return pd.DataFrame()
     # A store may have been begun before a measure was there, or hold arms of different joints.

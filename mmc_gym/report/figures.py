@@ -122,7 +122,8 @@ def profiles(estimates: Estimates, look: Mapping[str, Look]) -> PanelFigure | No
         rows = results.episodes["environment"].isin(chosen)
         rows &= results.episodes["agent"].isin(list(look))
         frame = _met_by_all(results.episodes[rows])
-        met = [name for name in chosen if name in set(frame["environment"])]
+        there = set(frame["environment"].unique())
+        met = [name for name in chosen if name in there]
         left_out += len(chosen) - len(met)
         if not met:
             continue

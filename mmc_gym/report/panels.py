@@ -45,6 +45,7 @@ def to_svg(figure: Figure, key: str) -> str:
 
 WIDTH, HEIGHT = 3.5, 2.7  # inches; about the width of a phone
 _LABEL_GAP = 0.075  # of the height of the axes, between two names
+_NAMES = 1.06  # where they begin, of the width of the axes
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c", "#a06a00", "#1b1b1b", "#56a0d3")
 _LINES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), "-")
@@ -163,23 +164,26 @@ def name_lines(
     order = sorted(ends, key=lambda agent: ends[agent][1])
     heights = spread([ends[agent][1] for agent in order], _LABEL_GAP)
     for agent, height in zip(order, heights, strict=True):
-        axes.annotate(
+        colour, (x, y) = look[agent].colour, ends[agent]
+        # An annotation's arrow would take as long as all the rest of the figure.
+        axes.text(
+            _NAMES,
+            height,
             shortened(agent),
-            xy=ends[agent],
-            xytext=(1.06, height),
-            xycoords="axes fraction",
-            textcoords="axes fraction",
             va="center",
             fontsize=8,
-            color=look[agent].colour,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": look[agent].colour,
-                "linewidth": 0.5,
-                "relpos": (0, 0.5),  # from before the name, so that no line crosses another
-                "shrinkA": 1,
-            },
-            annotation_clip=False,
+            color=colour,
+            transform=axes.transAxes,
+        )
+        axes.plot(
+            (x, _NAMES - 0.01),
+            (y, height),
+            color=colour,
+            linewidth=0.5,
+            transform=axes.transAxes,
+            clip_on=False,
+            scalex=False,
+            scaley=False,
         )
 
 

@@ -48,6 +48,9 @@ _PREFERRED = (
 )
 _SHOWN_AT_MOST = 7
 
+_USED = ("success", "time_to_target", "final_distance", "duration")
+"""Columns of episodes that the report needs, whatever its tables show."""
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -119,8 +122,9 @@ class Results:
 
     Attributes:
         manifest: how they were made, and which cells could not be played.
-        episodes: as `read_episodes` returns them, NaN where `leave_out_failures` says so.
-        paths: as `read_paths` returns them.
+        episodes: as `read_episodes` returns them, without measures that tables do not show; NaN
+            where `leave_out_failures` says so.
+        paths: of the `main_agents`, as `read_paths` returns them.
         environments: by key, in the order of the manifest.
         identities: who each agent is.
         agents: by kind, and within a kind as `AGENTS` lists them.
@@ -285,16 +289,18 @@ def read_results(store: Path) -> Results:
     """
     manifest = read_manifest(store)
     measures = measures_of(manifest.measures)
-    episodes = leave_out_failures(_plain_seeds(read_episodes(store)), measures.values())
+    shown = [one.name for one in measures.values() if one.shown]
+    played = read_episodes(store, [*shown, *_USED])
+    episodes = leave_out_failures(_plain_seeds(played), measures.values())
     present = set(episodes["environment"])
     identities = {
         agent: identify([policy.source for policy in manifest.agents.get(agent, ())])
         for agent in dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     }
-    return Results(
+    results = Results(
         manifest=manifest,
         episodes=episodes,
-        paths=_paths(store),
+        paths=pd.DataFrame(),
         environments={
             key: _environment(manifest.environments.get(key, {}))
             for key in dict.fromkeys([*manifest.environments, *sorted(present)])
@@ -311,6 +317,7 @@ def read_results(store: Path) -> Results:
         sets=_plain_seeds(read_sets(store)),
         ranking=read_ranking(store),
     )
+    return replace(results, paths=_paths(store, results))
 
 
 def _ordered(identities: Mapping[str, Identity]) -> tuple[str, ...]:
@@ -329,8 +336,16 @@ def _environment(settings: Mapping[str, Any]) -> Environment:
     return Environment(**{name: settings[name] for name in names if settings[name] is not None})
 
 
-def _paths(store: Path) -> pd.DataFrame:
-    paths = read_paths(store)
+def _paths(store: Path, results: Results) -> pd.DataFrame:
+    paths = read_paths(
+        store,
+        [
+            CellKey(agent, policy.training_seed, environment)
+            for agent in results.main_agents
+            for policy in results.manifest.agents.get(agent, ())
+            for environment in results.environments
+        ],
+    )
     if paths.empty:
         return paths  # the report can do without
     # Categories are quick to compare.
