@@ -80,6 +80,8 @@ SCENARIOS = (
     of_segments(4, task="pursuit"),
     of_segments(5),
     of_segments(7),
+    of_segments(7, "rotation-30"),
+    of_segments(10),
 )
 
 

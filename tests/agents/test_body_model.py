@@ -280,6 +280,12 @@ def test_a_body_that_is_not_as_told_is_found_out_about(build):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("build", [mmc_body, ik_body])
+def test_arms_of_many_segments_reach_as_well(build):
+    assert success(episodes(build, segment_lengths=(1.0,) * 10)) >= 0.98
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("build", [mmc_body, ik_body])
 def test_targets_that_jump_or_move_and_goal_observations(build):
     assert success(episodes(build, task="double-step-200")) >= 0.97
     assert success(episodes(build, id="MMCReachGoal-v0", perturbations="longer-20")) >= 0.97

@@ -88,8 +88,13 @@ class NetworkSolver:
     network: MMCNetwork
 
     def __call__(self, arms: Arms, iterations: int) -> Floats:
-        """Run networks that are at rest in these postures; see `Solver`."""
+        """Run networks that are at rest in these postures; see `Solver`.
+
+        Of more than three segments they iterate more often, with the square of their number: it
+        takes longer until all segments have heard of the target.
+        """
         joint_angles, aim, lengths, held = arms
+        iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
         units = np.exp(1j * np.cumsum(joint_angles, axis=-1))
         network = self.network
         # Single precision is that of the senses, and four times as quick.
