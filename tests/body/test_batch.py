@@ -18,7 +18,7 @@ from mmc_gym.body.pymunk import batch as batch_module
 
 @pytest.fixture
 def few_arms_in_a_space(monkeypatch):
-    monkeypatch.setattr(batch_module, "ARMS_PER_SPACE", 4)
+    monkeypatch.setattr(batch_module, "ARMS_PER_GROUP", 4)
 
 
 def assert_equal(arms, singles):

@@ -1,7 +1,7 @@
 """Many equal arms that know nothing of each other, in a few pymunk Spaces: array in, array out.
 
     arms      0 … 63    64 … 127    128 …
-    Space        0          1         2  …     stepped one after the other, or by several threads
+    group        0          1         2  …     stepped one after the other, or by several threads
 
 One call into Chipmunk steps all arms of a Space, and one reads them.  Every arm moves bit for bit
 as a single `Arm` does: Chipmunk solves the joints of a Space one after the other, and those of an
@@ -27,24 +27,35 @@ from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
 
 
-class SharedSpace:
-    """Arms that share a Space: `count` of them, from number `first` on."""
+class ArmGroup:
+    """Arms that are stepped and read together: `count` of them, from number `first` on.
+
+    They share a Space; but arms with obstacles, which would collide with each other, have one each.
+    """
 
     def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
         self.first, self.count, self.arms = first, count, slice(first, first + count)
         self._parameters, self._servo = parameters, servo
-        self._buffer, self._push_buffer = Buffer(), Buffer()
-        bodies = count * len(parameters.segment_lengths) + bool(parameters.obstacles)
-        self._pushes = np.zeros((bodies, 3))  # force x, y and torque; the obstacles are one body
-        self._push_buffer.set_float_buf(self._pushes)
-        self._yields = np.ones((count, len(parameters.segment_lengths)))
-        self._build()
+        joints = len(parameters.segment_lengths)
+        self._arms_per_space = 1 if parameters.obstacles else count
+        # A row for each body; all obstacles of a Space are one more, its last.
+        rows = self._arms_per_space * joints + bool(parameters.obstacles)
+        self._pushes = np.zeros((count // self._arms_per_space, rows, 3))  # force x, y and torque
+        self._push_buffers = [Buffer() for _ in self._pushes]
+        for buffer, pushes in zip(self._push_buffers, self._pushes):
+            buffer.set_float_buf(pushes)
+        self._buffer = Buffer()
+        self._yields = np.ones((count, joints))
+        self._spaces = [make_space(parameters) for _ in self._pushes]
+        self.linkages = [self._build(member) for member in range(count)]
+        self._find_servos()
 
-    def _build(self) -> None:
-        self._space = make_space(self._parameters)
-        self.linkages = [
-            Linkage(self._space, self._parameters, self._servo) for _ in range(self.count)
-        ]
+    def _build(self, member: int) -> Linkage:
+        """Build an arm into its Space."""
+        space = self._spaces[member // self._arms_per_space]
+        return Linkage(space, self._parameters, self._servo)
+
+    def _find_servos(self) -> None:
         self._servo_handles = [
             servo._constraint for linkage in self.linkages for servo in linkage.servos
         ]
@@ -61,20 +72,20 @@ class SharedSpace:
 
     def step(self, effort: tuple[Floats, Floats] | None) -> None:
         """Simulate one control step; write the servos' impulses and work (count, N) to `effort`."""
-        space, p = self._space._space, self._parameters
+        p = self._parameters
         before = self._joint_velocities() if effort else np.empty(0)
         for array in effort or ():
             array[:] = 0.0
         for _ in range(p.substeps):
             if p.force_field is not None:
                 self._push_hands()
-            chipmunk.cpSpaceStep(space, p.substep)
+            for space in self._spaces:
+                chipmunk.cpSpaceStep(space._space, p.substep)
             if p.force_field is not None:
-                self._yields[:] = [linkage.yields(p.substep) for linkage in self.linkages]
+                self._find_yields()
             if effort:
                 after = self._joint_velocities()
-                sizes = list(map(chipmunk.cpConstraintGetImpulse, self._servo_handles))
-                given = np.array(sizes).reshape(self.count, -1)
+                given = self._of_servos(chipmunk.cpConstraintGetImpulse)
                 impulses, work = effort
                 impulses += given
                 work += given * np.abs(before + after) / 2
@@ -82,15 +93,22 @@ class SharedSpace:
 
     def _joint_velocities(self) -> Floats:
         absolute = self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0]
-        return np.diff(absolute, axis=-1, prepend=0.0)
+        velocities = absolute.copy()
+        velocities[:, 1:] -= absolute[:, :-1]
+        return velocities
+
+    def _of_servos(self, function: Callable[[Any], float]) -> Floats:
+        return np.array([*map(function, self._servo_handles)]).reshape(self.count, -1)
 
     def _get(self, fields: BodyFields) -> Floats:
         """Read these fields of all segments, (count, N, values); valid until the next call."""
         self._buffer.clear()
-        get_space_bodies(self._space, fields, self._buffer)
-        values = np.frombuffer(self._buffer.float_buf()).reshape(len(self._pushes), -1)
+        for space in self._spaces:
+            get_space_bodies(space, fields, self._buffer)
+        values = np.frombuffer(self._buffer.float_buf()).reshape(*self._pushes.shape[:2], -1)
         joints = len(self._parameters.segment_lengths)
-        return values[: self.count * joints].reshape(self.count, joints, -1)
+        of_segments = values[:, : self._arms_per_space * joints]
+        return of_segments.reshape(self.count, joints, -1)
 
     def read(self, angles: Floats, velocities: Floats) -> None:
         """Write the segments' angles and angular velocities to two arrays (count, N)."""
@@ -113,9 +131,20 @@ class SharedSpace:
             list(zip(*centres)),
             list(zip(*velocities)),
         )
-        last = self._pushes[joints - 1 : self.count * joints : joints]
-        last[:] = np.transpose(pushes) / p.substep
-        set_space_bodies(self._space, BodyFields.FORCE | BodyFields.TORQUE, self._push_buffer)
+        last = self._pushes[:, joints - 1 : self._arms_per_space * joints : joints]
+        last[:] = (np.transpose(pushes) / p.substep).reshape(last.shape)
+        for space, buffer in zip(self._spaces, self._push_buffers):
+            set_space_bodies(space, BodyFields.FORCE | BodyFields.TORQUE, buffer)
+
+    def _find_yields(self) -> None:
+        """Find out which joints gave all they could, as `Linkage.yields` does."""
+        p = self._parameters
+        if p.joint_limits is not None or p.lockable_joints:
+            self._yields[:] = [linkage.yields(p.substep) for linkage in self.linkages]
+            return
+        given = self._of_servos(chipmunk.cpConstraintGetImpulse)
+        most = self._of_servos(chipmunk.cpConstraintGetMaxForce)
+        self._yields[:] = given >= (1 - 1e-9) * most * p.substep
 
     def reset(
         self,
@@ -128,16 +157,19 @@ class SharedSpace:
         substep = self._parameters.substep
         linkages = [self.linkages[member] for member in members]
         if self._parameters.obstacles:
-            self._build()
-            linkages = self.linkages
+            for member in members:
+                self._spaces[member] = make_space(self._parameters)
+                self.linkages[member] = self._build(member)
+            self._find_servos()
+            linkages = [self.linkages[member] for member in members]
         elif len(linkages) == self.count:
-            forget_impulses(self._space, linkages, substep)
+            forget_impulses(self._spaces[0], linkages, substep)
         else:  # the other arms must not move
             for linkage in linkages:
-                linkage.move_joints(self._space, scratch)
+                linkage.move_joints(self._spaces[0], scratch)
             forget_impulses(scratch, linkages, substep)
             for linkage in linkages:
-                linkage.move_joints(scratch, self._space)
+                linkage.move_joints(scratch, self._spaces[0])
         for linkage, posture, speeds in zip(linkages, joint_angles, joint_velocities):
             linkage.place(posture, speeds)
         self._yields[members] = 1.0
@@ -158,15 +190,14 @@ cosine = _like_the_c_library(np.cos, math.cos)
 sine = _like_the_c_library(np.sin, math.sin)
 
 
-ARMS_PER_SPACE = 64  # with more, there are fewer calls, but less fits the cache
+ARMS_PER_GROUP = 64  # with more, there are fewer calls, but less fits the cache
 _WORTH_A_THREAD = 16  # arms
 
 
 class Arms(ArmBatch):
     """Arms simulated by pymunk; `ArmBatch` documents what they are and do.
 
-    Arms with obstacles have a Space each, because otherwise they would collide with each other, and
-    each costs as much as an `Arm`.
+    Arms with obstacles have a Space each, because otherwise they would collide with each other.
 
     Example:
         >>> arms = Arms(count=2, servo="torque")
@@ -191,10 +222,10 @@ class Arms(ArmBatch):
         self.joint_velocities, self._segment_velocities = np.zeros(shape), np.zeros(shape)
         self.end_effectors = np.zeros((self._count, 2))
         fair = max(_WORTH_A_THREAD, -(-self._count // self._threads))
-        most = 1 if parameters.obstacles else min(ARMS_PER_SPACE, fair)
-        self._arms_per_space = most
-        self._spaces = [
-            SharedSpace(parameters, servo, first, min(most, self._count - first))
+        most = min(ARMS_PER_GROUP, fair)
+        self._arms_per_group = most
+        self._groups = [
+            ArmGroup(parameters, servo, first, min(most, self._count - first))
             for first in range(0, self._count, most)
         ]
         self._settings: Floats = np.zeros(shape)  # of the servos: phases or rates
@@ -225,28 +256,28 @@ class Arms(ArmBatch):
 
     @override
     def step(self) -> None:
-        shared = min(self._threads, len(self._spaces)) > 1
+        shared = min(self._threads, len(self._groups)) > 1
         running = []
         # Setting servos takes too little time for two threads to share: this one sets those of a
-        # Space while others simulate the Spaces before it.
-        for space in self._spaces:
+        # group while others simulate the groups before it.
+        for group in self._groups:
             if self._commanded:
-                space.drive(self._settings[space.arms], self._torques[space.arms])
+                group.drive(self._settings[group.arms], self._torques[group.arms])
             if shared:
-                running.append(self._executor().submit(self._simulate, space))
+                running.append(self._executor().submit(self._simulate, group))
             else:
-                self._simulate(space)
+                self._simulate(group)
         self._commanded = False
         for each in running:
             each.result()
         self._derive(slice(None))
 
-    def _simulate(self, space: SharedSpace) -> None:
-        arms, effort = space.arms, None
+    def _simulate(self, group: ArmGroup) -> None:
+        arms, effort = group.arms, None
         if self.records_effort:
             effort = self.servo_impulses[arms], self.servo_work[arms]
-        space.step(effort)
-        space.read(self.segment_angles[arms], self._segment_velocities[arms])
+        group.step(effort)
+        group.read(self.segment_angles[arms], self._segment_velocities[arms])
 
     def _derive(self, arms: slice | Indices) -> None:
         """Update what follows from the segments' angles and velocities."""
@@ -265,8 +296,8 @@ class Arms(ArmBatch):
 
     @override
     def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
-        for space, part, members in self._by_space(arms):
-            space.reset(members, postures[part].tolist(), speeds[part].tolist(), self._scratch)
+        for group, part, members in self._by_group(arms):
+            group.reset(members, postures[part].tolist(), speeds[part].tolist(), self._scratch)
         self.segment_angles[arms] = np.cumsum(postures, axis=1)
         self._segment_velocities[arms] = np.cumsum(speeds, axis=1)
         self._derive(arms)
@@ -274,14 +305,14 @@ class Arms(ArmBatch):
 
     @override
     def _lock(self, arms: Indices) -> None:
-        for space, _, members in self._by_space(arms):
+        for group, _, members in self._by_group(arms):
             for member in members:
-                angles = self.joint_angles[space.first + member]
-                space.linkages[member].lock(angles.tolist())
+                angles = self.joint_angles[group.first + member]
+                group.linkages[member].lock(angles.tolist())
 
     @override
     def pivot_gaps(self) -> Floats:
-        linkages = (linkage for space in self._spaces for linkage in space.linkages)
+        linkages = (linkage for group in self._groups for linkage in group.linkages)
         return np.array([linkage.pivot_gap() for linkage in linkages])
 
     def __reduce__(self) -> NoReturn:
@@ -290,13 +321,13 @@ class Arms(ArmBatch):
             "joints remember; pickle the parameters and build new arms, or use an Arm each"
         )
 
-    def _by_space(self, arms: Indices) -> Iterable[tuple[SharedSpace, Indices, list[int]]]:
-        """Go through the Spaces that hold some of `arms`: which of `arms`, and of the Space's."""
-        owners = arms // self._arms_per_space
+    def _by_group(self, arms: Indices) -> Iterable[tuple[ArmGroup, Indices, list[int]]]:
+        """Go through the groups that hold some of `arms`: which of `arms`, and of the group's."""
+        owners = arms // self._arms_per_group
         for owner in np.unique(owners).tolist():
             part = np.flatnonzero(owners == owner)
-            space = self._spaces[owner]
-            yield space, part, (arms[part] - space.first).tolist()
+            group = self._groups[owner]
+            yield group, part, (arms[part] - group.first).tolist()
 
 
 def _remainder(x: Floats, y: float) -> Floats:
