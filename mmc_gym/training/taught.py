@@ -3,8 +3,8 @@
 A policy that must find out about noise, delays and its body from a memory learns slowly by its
 rewards.  One that is told the truth does not, and can say at any moment what it would do.  So first
 a teacher, actor and critic, learns by PPO what the truth is good for.  Then its student acts, and
-learns to do, by its memory, what the teacher would do in its place: least squares, on what the
-student itself runs into (dataset aggregation; here only the latest of it is kept).
+learns to do, by its memory, what the teacher would do in its place: weighted least squares, on what
+the student itself runs into (dataset aggregation; here only the latest of it is kept).
 
 Literature: Ross, Gordon & Bagnell (2011), A reduction of imitation learning and structured
 prediction to no-regret online learning, AISTATS, https://arxiv.org/abs/1011.0686.  Lee, Hwangbo,
@@ -31,6 +31,9 @@ from mmc_gym.training.randomised import truth_size
 
 NOISE = 0.05
 """Standard deviation of a student's noise, so that it meets a little more than what it does."""
+CALM = 0.004
+"""Mean square of actions at which an error counts half as much as at rest: success is decided at
+the target, where little is to be done."""
 
 
 class TruthLayer(BaseFeaturesExtractor):
@@ -171,7 +174,8 @@ class TaughtPPO(PPO):
                 wanted, actions = right[batch], policy.studied(observations[batch])
                 # What is asked for beyond the bounds is clipped to them, and right.
                 beyond = (wanted * actions >= 1.0) & (wanted.abs() >= 1.0)
-                loss = torch.where(beyond, 0.0, actions - wanted).square().mean()
+                errors = torch.where(beyond, 0.0, actions - wanted).square()
+                loss = (errors / (CALM + wanted.square().mean(dim=-1, keepdim=True))).mean()
                 policy.optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 policy.optimizer.step()
