@@ -413,7 +413,7 @@ def refine(
                 values, errors = candidate_values, candidate_errors
                 damping = max(damping / 3, 1e-12)
                 break
-            damping *= 4
+            damping = min(4 * damping, 1e300)  # where nothing more is gained, it goes on growing
         if after_iteration:
             after_iteration(normalizer)
     return normalizer

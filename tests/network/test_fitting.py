@@ -139,6 +139,13 @@ def test_refining_reduces_the_angle_error_of_any_normalizer():
         np.testing.assert_array_equal(weight, copy)
 
 
+def test_refining_goes_on_where_nothing_is_left_to_gain():
+    rough = LearnedNormalizer([np.eye(2)], [np.zeros(2)])
+    vectors = np.repeat([[0.6, 0.8]], 100, axis=0)
+    found = refine(rough, vectors, Refinement(iterations=80, length_weight=0))(vectors[0])
+    assert found[0] * 0.8 == pytest.approx(found[1] * 0.6, rel=1e-12)
+
+
 def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
     recipes = {"accurate": SHORT_ACCURATE, "paper": SHORT}
     monkeypatch.setattr(fitting, "RECIPES", recipes)
