@@ -1,0 +1,60 @@
+"""
+Does a normalizer learn better inside the network?
+==================================================
+
+Yes, by gradient descent: the hand's error, led back through the iterations, says which errors of
+the normalizer matter. But to imitate the exact one by a second-order method is better still.
+"""
+
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+
+from mmc_gym.network import MMCNetwork
+from mmc_gym.network.differentiable import TorchNetwork
+from mmc_gym.network.fitting import ACCURATE, Refinement, train_normalizers
+
+# %%
+# Eight hidden units learn to bring vectors to their length by imitation: 60 epochs of Adam; four
+# times as many; and 60 that Levenberg and Marquardt's method refines.
+
+short = replace(ACCURATE, samples=3600, epochs=60, refinement=Refinement(iterations=0))
+recipes = {"60 epochs": short, "240 epochs": replace(short, epochs=240)}
+recipes["60 epochs, refined"] = replace(short, refinement=Refinement())
+learned = {name: train_normalizers((8,), one)[0].normalizer for name, one in recipes.items()}
+
+# %%
+# The first goes on inside the network: 60 iterations towards random targets, and gradients through
+# the next 20. Hands should be at their targets, and segments keep their lengths.
+
+network = TorchNetwork(MMCNetwork(damping=4, normalizer=learned["60 epochs"]))
+optimizer = torch.optim.Adam(network.parameters(), lr=0.03)
+schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
+for _ in range(300):
+    starts, others = np.pi * (2 * torch.rand(2, 256, 3) - 1)
+    target = network.state_from_joint_angles(others).end_effector
+    with torch.no_grad():
+        state = network(network.state_from_joint_angles(starts), network.inverse(target), 60)
+    state = network(state, network.inverse(target), 20)
+    loss = (state.end_effector - target).norm(dim=-1).mean()
+    loss += (state.segments.norm(dim=-1) - 1).abs().mean()
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+    schedule.step()
+learned["60 epochs, then in the network"] = network.to_numpy().normalizer
+plt.figure(figsize=(7, 3.6), layout="constrained")
+starts, others = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, 1000, 3))
+for (name, one), line in zip(learned.items(), (":", "-.", "--", "-")):
+    plain = MMCNetwork(damping=4, normalizer=one)
+    target = plain.state_from_joint_angles(others).end_effector
+    state = plain.run(plain.state_from_joint_angles(starts), plain.inverse(target), 100)
+    distance = np.linalg.norm(state.end_effector - target, axis=-1)
+    plt.semilogx(np.sort(distance), np.arange(1000) / 10, line, color="black", label=name)
+    print(f"{name}: hands {np.median(distance):.3f} from their targets, median")
+plt.axis((1e-5, 1, -2, 102))
+plt.gca().set(xlabel="distance to the target [segment lengths]", ylabel="hands nearer [%]")
+plt.legend(loc="upper left")
+plt.show()
