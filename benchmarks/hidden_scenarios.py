@@ -1,8 +1,11 @@
-"""How do agents do in scenarios that nobody tuned on, and no policy was trained in?
+"""How do agents do in scenarios that nobody tuned on?
 
 None of them is in the battery: other strengths and signs, two perturbations at once, other arms.
+`ppo-memory` has met the like of some in training: rotations to both sides, delays of any length,
+now and then two perturbations at once.  The other policies have met none.
+
 All agents meet the same postures, targets and noise.  Success in percent, with the 95 % interval
-over trainings and episodes; – where an agent cannot act.
+over trainings and episodes, where not all end alike; – where an agent cannot act.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Who stands where in the battery: success by family, and each agent against each.
+"""Who stands where in the battery: success by family, agents against each of their rivals.
 
-Both tables are read from stores of `mmc-gym benchmark`.  The yardstick that is told the truth about
+The tables are read from stores of `mmc-gym benchmark`.  The yardstick that is told the truth about
 its body has a store of its own, as it is nobody's rival:
 
     mmc-gym benchmark
@@ -10,6 +10,7 @@ its body has a store of its own, as it is nobody's rival:
 Success is the mean over the scenarios of a family, with 95 % intervals over training seeds and
 instances.  "24 35 0" against a rival: clearly better in 24 scenarios, no clear difference in 35,
 clearly worse in none.  Only scenarios count in which both have a value in half of their episodes.
+The last table has the scenarios in which some rival is ahead in success by more than 2 points.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from rich.table import Table
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.report.results import read_results
-from mmc_gym.report.scores import Estimates
+from mmc_gym.report.scores import SUCCESS, Estimates
 
 COLUMNS = ("known-body", "mmc-body", "ik-body", "optimal-control", "ppo-memory", "ppo", "mmc")
+BEHIND = 0.02
 
 
 @dataclass(frozen=True)
@@ -93,13 +95,37 @@ def against_each(agent: str, estimates: Estimates) -> Table:
     return table
 
 
+def behind(agent: str, estimates: Estimates) -> Table:
+    """Return where the best rival is ahead, with the interval of the difference."""
+    rivals = [
+        other
+        for other in estimates.results.agents
+        if estimates.results.kind(other) not in ("baseline", "ideal") and other != agent
+    ]
+    table = Table(title=f"{agent} is more than {100 * BEHIND:g} points behind the best rival")
+    for heading in ("scenario", agent, "best rival", "its success", "difference"):
+        table.add_column(heading, justify="left" if heading == "scenario" else "right")
+    for environment in estimates.results.environments:
+        one = estimates.compare(environment, SUCCESS, agent, rivals)
+        if one is not None and one.difference.estimate < -BEHIND - 1e-9:
+            difference, low, high = (100 * value for value in one.difference)
+            table.add_row(
+                environment,
+                f"{100 * one.mine.estimate:.1f}",
+                one.rival,
+                f"{100 * one.theirs.estimate:.1f}",
+                f"{difference:.1f} [{low:.0f}, {high:.0f}]",
+            )
+    return table
+
+
 def main(arguments: Arguments) -> None:
     """Print the tables."""
     estimates = Estimates(read_results(arguments.stores[0]))
     console = Console(width=170)
     console.print(by_family(arguments, estimates))
     for agent in arguments.focus:
-        console.print(against_each(agent, estimates))
+        console.print(against_each(agent, estimates), behind(agent, estimates))
 
 
 if __name__ == "__main__":
