@@ -113,15 +113,17 @@ def test_first_looks_that_agree_by_chance_are_outweighed_by_later_ones():
     assert np.median(np.abs(track.ahead(np.zeros(ARMS)))) < 0.03
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.5], ids=["exact", "noisy speeds"])
 @pytest.mark.parametrize("late", [0, 7])
-def test_delay_is_the_time_until_a_movement_is_felt(late):
+def test_delay_is_the_time_until_a_movement_is_felt(late, noise):
     still = np.zeros((1, 3))
-    posture, delay = PostureTrack.start(still, still), Delay.start(still)
+    posture, delay = PostureTrack.start(still, still + noise), Delay.start(still)
     for look in range(12):
         delay = delay.sent(posture.joint_angles + 1.0, posture, INTERFACE)
-        speeds = still + 3.0 * (look >= late)
-        posture = posture.observed(posture.joint_angles + STEP * speeds, speeds, STEP)
-        delay = delay.observed(posture)
+        turn = 3.0 * (look >= late)  # what is late stays as it was, with its noise
+        before, speeds = posture, still + (turn or noise)
+        posture = before.observed(before.seen + STEP * turn, speeds, STEP)
+        delay = delay.observed(before, posture)
     assert delay.steps == late
 
 

@@ -215,7 +215,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
             target = state.target._replace(mean=place, has_jumped=jumps)
         delay, locks, contacts = state.delay, state.locks, state.contacts
         if parts.bridges_delay:
-            delay = delay.observed(posture)
+            delay = delay.observed(before, posture)
         asked = commanded_turn(told, before.joint_angles, delay.command_then())
         if parts.finds_locks:
             is_wary = contacts.met > 0 if some(contacts.met) else None

@@ -276,11 +276,15 @@ class Delay(NamedTuple):
         zero = np.zeros(len(command))
         return cls(held, zero, zero, zero > 0)
 
-    def observed(self, posture: PostureTrack) -> Delay:
-        """Return the memory after another look at the posture."""
+    def observed(self, before: PostureTrack, posture: PostureTrack) -> Delay:
+        """Return the memory after another look at the posture.
+
+        What is seen exactly as before is late: even noise would have changed it.
+        """
         if every(self.is_felt) and every(posture.age > EARLY):
             return self
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
+        moves &= (posture.seen != before.seen).any(axis=-1)
         late = np.where(self.is_felt, self.late, np.clip(self.due - 1, 0, LONGEST_DELAY))
         # A first look may have taken noise for movement: so at first it has to go on.
         keeps = (posture.age[:, 0] > EARLY) | (posture.noise[:, 0] < SAME**2)
