@@ -60,8 +60,9 @@ class AnalyticArms(ArmBatch):
         )
         self._rods = kernel.make_rods(parameters)
         self._world = kernel.make_world(parameters, servo)
-        segments, blocks = len(self._rods), -(-self._count // kernel.LANES)
-        self._state = kernel.make_state(segments, blocks)
+        segments = len(self._rods)
+        self._lanes = kernel.lanes_of(segments)
+        self._state = kernel.make_state(segments, self._count)
         self._no_work = kernel.no_work(segments)
         self._show(np.zeros(self._count * (5 * segments + 2)))
         self.reset(np.zeros(self._shape))
@@ -104,7 +105,7 @@ class AnalyticArms(ArmBatch):
         """
         shares = max(1, min(self._threads, self._count // _WORTH_A_THREAD))
         blocks = [len(self._state) * share // shares for share in range(1, shares)]
-        edges = [0, *(kernel.LANES * block for block in blocks), self._count]
+        edges = [0, *(self._lanes * block for block in blocks), self._count]
         others = [self._executor().submit(work, first, last) for first, last in pairwise(edges[1:])]
         work(*edges[:2])
         for other in others:
@@ -119,28 +120,27 @@ class AnalyticArms(ArmBatch):
         float64, in the order of C.
         """
         arms = self._state, self._output, self._rods, self._world
-        kernel.command(*arms, values, scale, is_relative, *_blocks(first, last))
+        kernel.command(*arms, values, scale, is_relative, *self._blocks(first, last))
 
     def step_arms(self, first: int, last: int) -> None:
         """Simulate one control step of a share of the arms."""
         arms = self._state, self._output, self._rods, self._world
         substeps = self.parameters.substeps
-        kernel.step_blocks(*arms, self._no_work, substeps, *_blocks(first, last))
+        kernel.step_blocks(*arms, self._no_work, substeps, *self._blocks(first, last))
+
+    def _blocks(self, first: int, last: int) -> tuple[int, int]:
+        """Return the blocks of arms that begin a block, up to before arm `last`."""
+        return first // self._lanes, -(-last // self._lanes)
 
     @override
     def _lock(self, arms: Indices) -> None:
         for joint in self.parameters.lockable_joints:
             held = self._state["held"][:, joint]
-            held[arms // kernel.LANES, arms % kernel.LANES] = self.joint_angles[arms, joint]
+            held[arms // self._lanes, arms % self._lanes] = self.joint_angles[arms, joint]
 
     @override
     def pivot_gaps(self) -> Floats:
         return np.zeros(self._count)  # by construction
-
-
-def _blocks(first: int, last: int) -> tuple[int, int]:
-    """Return the blocks of arms that begin a block, up to before arm `last`."""
-    return first // kernel.LANES, -(-last // kernel.LANES)
 
 
 class AnalyticArm(SingleArm):

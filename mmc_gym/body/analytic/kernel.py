@@ -32,7 +32,7 @@ vector instructions only if it sees, or can check once before the loop, that not
 read again, and if there are no other loops in it.  So blocks of arms are records of arrays, whose
 fields do not overlap, and whose shapes are part of their type: loops over few segments are written
 out, and a step of three takes two thirds of the time that it takes with loops over lanes alone (one
-of six as long, of ten half as long again).  numba compiles anew for each number of segments.  The
+of ten a quarter more).  numba compiles anew for each number of segments.  The
 number of lanes is an argument, because constant loops would be written out first.
 
 Functions that are called from Python are `compiled`, those that they call are `inner`.  numba keeps
@@ -51,7 +51,6 @@ from mmc_gym.body.parameters import ArmParameters, Servo
 
 # What binds a joint: nothing, a bound of its servo, or its stop while the servo is at a bound.
 FREE, AT_HIGHEST, AT_LOWEST, STOPPED_ABOVE, STOPPED_BELOW = 0.0, 1.0, -1.0, -2.0, 2.0
-LANES = 32  # arms in a block
 _TINY = 1e-12  # rad/s: less is not worth another guess
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
 
@@ -76,17 +75,24 @@ SCALARS = _record("substep speed_limit torque_limit gain stop_gain is_position i
 WORLD = np.dtype([*SCALARS.descr, ("gravity", np.float64, (2,)), ("field", np.float64, (2, 2))])
 
 
-def make_state(segments: int, blocks: int) -> NDArray[np.void]:
-    """Return blocks of arms, one record each: `STATE`, arrays (N, LANES)."""
-    return np.zeros(blocks, _record(STATE, (segments, LANES)))
+def lanes_of(segments: int) -> int:
+    """Return how many arms are in a block: so many that what it works with fits the cache."""
+    return 32 if segments <= 4 else 8
+
+
+def make_state(segments: int, count: int) -> NDArray[np.void]:
+    """Return blocks of arms, one record each: `STATE`, arrays (N, lanes)."""
+    lanes = lanes_of(segments)
+    return np.zeros(-(-count // lanes), _record(STATE, (segments, lanes)))
 
 
 def no_work(segments: int) -> NDArray[np.void]:
     """Return an empty array of the records that a physics step works with."""
+    lanes = lanes_of(segments)
     fields = [
-        *_record(WORK, (segments, LANES)).descr,
-        *_record(SUMS, (LANES,)).descr,
-        *_record("matrix factor", (segments, segments, LANES)).descr,
+        *_record(WORK, (segments, lanes)).descr,
+        *_record(SUMS, (lanes,)).descr,
+        *_record("matrix factor", (segments, segments, lanes)).descr,
     ]
     return np.empty(0, fields)
 
@@ -166,9 +172,10 @@ def place(state, output, rods, world, chosen, postures, speeds):
     size = count * segments
     turned = 3 * size + 2 * count
     is_position, is_torque = world[0].is_position > 0.0, world[0].is_torque > 0.0
+    block_size = state[0].angle.shape[1]
     for row in range(chosen.shape[0]):
         arm = chosen[row]
-        arms, k = state[arm // LANES], arm % LANES
+        arms, k = state[arm // block_size], arm % block_size
         angle = speed = x = y = parent_angle = parent_speed = 0.0
         for i in range(segments):
             angle += postures[row, i]
@@ -213,8 +220,9 @@ def command(state, output, rods, world, values, scale, is_relative, first_block,
     w = world[0]
     is_torque, is_position = w.is_torque > 0.0, w.is_position > 0.0
     for block in range(first_block, last_block):
-        arms, first = state[block], block * LANES
-        lanes = min(LANES, count - first)
+        arms = state[block]
+        first = block * arms.angle.shape[1]
+        lanes = min(arms.angle.shape[1], count - first)
         for i in range(segments):
             least, most = rods[i].lowest_angle, rods[i].highest_angle
             is_limited = np.isfinite(least)
@@ -245,7 +253,8 @@ def step_blocks(state, output, rods, world, no_work, substeps, first, last):
     for block in range(first, last):
         work = works[0]  # here, because a record does not keep its array alive
         arms = state[block]
-        lanes = min(LANES, count - block * LANES)
+        first_arm = block * arms.angle.shape[1]
+        lanes = min(arms.angle.shape[1], count - first_arm)
         _look(arms, work, lanes)
         for _ in range(substeps):
             _move(arms, work, rods, world[0], lanes)
@@ -261,7 +270,7 @@ def step_blocks(state, output, rods, world, no_work, substeps, first, last):
             else:
                 _release(work, lanes)
             _turn(arms, work, lanes)
-        _read(arms, work, output, rods, block, lanes)
+        _read(arms, work, output, rods, first_arm, lanes)
 
 
 @inner
@@ -466,7 +475,7 @@ def _turn(arms, work, lanes):
 
 
 @inner
-def _read(arms, work, output, rods, block, lanes):
+def _read(arms, work, output, rods, first, lanes):
     """Write what the arms show: segment angles, joint angles, joint velocities, hands.
 
     Last come the cosines and sines of the joint angles, which observations tell.
@@ -482,7 +491,7 @@ def _read(arms, work, output, rods, block, lanes):
             work.joint_sine[i, k], work.joint_cosine[i, k] = _sine_cosine(angle - parent)
             parent = angle
     for k in range(lanes):
-        arm = block * LANES + k
+        arm = first + k
         x = y = parent_angle = parent_speed = 0.0
         for i in range(segments):
             angle, speed = arms.angle[i, k], arms.speed[i, k]
