@@ -19,6 +19,7 @@ EXAMPLES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("
 # What each prints, of what it claims.
 SHOWS = {
     "bring_your_own.py": r"mmc ends at the target in all 10 episodes.*still and turner in none",
+    "plain_torch.py": r"9[5-9]\.\d% of the targets after",
     "arm/plot_a_movement.py": r"the hand is 0\.0\d+ segment lengths from its target",
     "arm/plot_contact_sheet.py": r"7 tasks, \d\d perturbations",
     "arm/plot_locked_joint.py": r"mmc: [12]\d% .*\nmmc-body: [6-9]\d%",
@@ -45,6 +46,7 @@ SLOW = {
     "bring_your_own.py",
     "learning/plot_backpropagation.py",
     "learning/plot_normalizer_in_the_loop.py",
+    "plain_torch.py",
     "learning/plot_plain_sb3.py",
     "comparing/plot_benchmark_with_pandas.py",
 }
