@@ -5,24 +5,31 @@ and writes each byte once, as any iteration must that keeps its input.  `run` it
 arms that stay in the cache; `step` is a single iteration, whose result is a new state.
 They take turns, and ratios are medians over the rounds of each round's own ratio.
 
-Below it, microseconds per action of the `mmc` agent beside the shipped PPO policy's.
+Below it, microseconds per action of the `mmc` agent beside the shipped PPO policy's; and the
+network in torch beside numpy and numba, as it is, and with gradients back to where it began.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
 
 import gymnasium as gym
 import numpy as np
+import torch
 import tyro
 from rich.console import Console
 from rich.table import Table
 from timing import interleaved
 
 from mmc_gym import make_agent
-from mmc_gym.network import MMCNetwork
+from mmc_gym.network import LearnedNormalizer, MMCNetwork
+from mmc_gym.network.differentiable import TorchNetwork
 
 BATCHES = (1, 420, 10_000, 1_000_000)
+TORCH_BATCHES = (1_000, 10_000, 100_000)
 ITERATIONS = 20  # of `run`, per call
 NETWORKS = {
     "kinematic": MMCNetwork(),
@@ -38,10 +45,14 @@ class Arguments:
     Attributes:
         rounds: rounds, in each of which each has one turn.
         seconds: least duration of a turn.
+        tables: what to time.
+        device: of torch, such as "cuda"; numpy and numba stay on the processor.
     """
 
     rounds: int = 9
     seconds: float = 0.02
+    tables: tuple[Literal["network", "agents", "torch"], ...] = ("network", "agents", "torch")
+    device: str = "cpu"
 
 
 def network_table(arguments: Arguments) -> Table:
@@ -85,9 +96,6 @@ def network_table(arguments: Arguments) -> Table:
 
 def agent_table(arguments: Arguments) -> Table:
     """Time of one `predict` for a single observation, torch on one thread."""
-    import torch
-
-    torch.set_num_threads(1)
     env = gym.make("MMCReach-v0")
     observation, _ = env.reset(seed=0)
     calls = {}
@@ -109,11 +117,71 @@ def agent_table(arguments: Arguments) -> Table:
     return table
 
 
+def torch_table(arguments: Arguments) -> Table:
+    """Time per arm and iteration of numpy, numba and torch, one thread each."""
+    table = Table(
+        title=f"torch on {arguments.device}: ns per arm and iteration, {ITERATIONS} of them"
+    )
+    for heading in ("network", "precision"):
+        table.add_column(heading)
+    for heading in ("batch", "numpy", "numba", "torch", "torch / numpy", "with gradients"):
+        table.add_column(heading, justify="right")
+    learned = MMCNetwork(normalizer=LearnedNormalizer.shipped())
+    networks = {"kinematic": NETWORKS["kinematic"], "dynamic": NETWORKS["dynamic"]}
+    for name, network in (networks | {"learned": learned}).items():
+        for dtype in (np.float64, np.float32):
+            for batch in TORCH_BATCHES:
+                calls = torch_calls(network, np.dtype(dtype), batch, arguments.device)
+                times = interleaved(calls, arguments.rounds, arguments.seconds)
+                scale = 1e9 / batch / ITERATIONS
+                cells = {key: f"{np.median(value) * scale:,.1f}" for key, value in times.items()}
+                ratio = np.median(times["torch"] / times["numpy"])
+                found = (cells.get(key, "–") for key in ("numpy", "numba", "torch"))
+                row = (np.dtype(dtype).name, f"{batch:,}", *found, f"{ratio:.1f}")
+                table.add_row(name, *row, cells["gradients"])
+    return table
+
+
+def torch_calls(
+    network: MMCNetwork, dtype: np.dtype, batch: int, device: str
+) -> dict[str, Callable[[], object]]:
+    """Return runs of one network by each engine that can."""
+    random = np.random.default_rng(0)
+    posture = random.uniform(-np.pi, np.pi, (batch, 3)).astype(dtype)
+    target = random.uniform(-1.5, 1.5, (batch, 2)).astype(dtype)
+    state, clamps = network.state_from_joint_angles(posture), network.inverse(target)
+    calls = {"numpy": partial(network.run, state, clamps, ITERATIONS)}
+    if not isinstance(network.normalizer, LearnedNormalizer):
+        calls["numba"] = partial(replace(network, engine="numba").run, state, clamps, ITERATIONS)
+    twin = TorchNetwork(network, device=device, dtype=getattr(torch, dtype.name))
+    angles = torch.from_numpy(posture).to(device).requires_grad_()
+    held = twin.inverse(torch.from_numpy(target).to(device))
+
+    def wait() -> None:
+        if device != "cpu":
+            torch.accelerator.synchronize()
+
+    def run() -> None:
+        with torch.no_grad():
+            twin(begin, held, ITERATIONS)
+        wait()
+
+    def run_back() -> None:
+        twin(twin.state_from_joint_angles(angles), held, ITERATIONS).end_effector.sum().backward()
+        wait()
+
+    with torch.no_grad():
+        begin = twin.state_from_joint_angles(angles)
+    return calls | {"torch": run, "gradients": run_back}
+
+
 def main(arguments: Arguments) -> None:
-    """Print both tables."""
+    """Print the tables."""
+    torch.set_num_threads(1)
     console = Console(width=100)
-    console.print(network_table(arguments))
-    console.print(agent_table(arguments))
+    tables = {"network": network_table, "agents": agent_table, "torch": torch_table}
+    for name in arguments.tables:
+        console.print(tables[name](arguments))
 
 
 if __name__ == "__main__":
