@@ -1,6 +1,7 @@
 """The agent with an internal model of its body: what each part finds out, and what all reach."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
@@ -11,11 +12,12 @@ from hypothesis import strategies as st
 from mmc_gym._errors import UserError
 from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
 from mmc_gym.agents.body_model.body import BodyEvidence
-from mmc_gym.agents.body_model.contacts import LONG, RADIUS, Contacts, is_free
+from mmc_gym.agents.body_model.contacts import LONG, RADIUS, SHORT, Contacts
 from mmc_gym.agents.body_model.drive import Drive, command_of, commanded_turn, expected_turn
 from mmc_gym.agents.body_model.imagination import start_offsets
 from mmc_gym.agents.body_model.locks import Locks
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
+from mmc_gym.agents.body_model.ways import room
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import episode_seeds, run_episodes
@@ -158,25 +160,50 @@ def test_a_joint_told_to_lock_is_found_sooner():
     assert steps[0] < steps[1] < 20
 
 
-def test_a_contact_is_felt_where_the_arm_cannot_go_on():
-    """The arm turns about the middle of its last segment, which is held up from above."""
+@pytest.mark.parametrize(("speed", "steps"), [(0.1, SHORT), (0.0, LONG)])
+def test_a_contact_is_felt_where_the_arm_cannot_go_on(speed, steps):
+    """The arm turns about the middle of its last segment, which is held up from above.
+
+    It is felt sooner if the arm struck what holds it.
+    """
     joint_angles, lengths = np.array([[0.0, 0.0, 0.0]]), np.ones((1, 3))
-    asked = np.array([[0.1, 0.0, 0.0]])
+    asked, before = np.array([[0.1, 0.0, 0.0]]), np.array([[speed, 0.0, 0.0]])
     turn = np.array([[0.05, 0.0, -0.25]])  # 2.5 · 0.05 − 0.5 · 0.25 = 0
-    contacts, seen = Contacts.start(1, 3), np.array([True])
-    for _ in range(LONG):
-        assert not contacts.met.any()
-        contacts = contacts.observed(joint_angles, turn, asked, lengths, seen)
-    assert contacts.met.tolist() == [1.0]
+    contacts, looks = Contacts.start(1, 3), 0
+    while not contacts.met.any():
+        looks += 1
+        contacts = contacts.observed(
+            joint_angles,
+            turn,
+            before=before if looks == 1 else turn,
+            asked=asked,
+            lengths=lengths,
+            counts=np.array([True]),
+        )
+    assert looks == steps
     assert abs(contacts.discs[0, 0] - (2.5 + 1j * RADIUS)) < 0.05
+
+
+def test_a_load_that_gathers_speed_is_no_contact():
+    lengths, asked, contacts = np.ones((1, 3)), np.full((1, 3), 0.1), Contacts.start(1, 3)
+    joint_angles, turns = np.zeros((1, 3)), 0.1 * np.linspace(0, 1, 50)[:, None, None]
+    for before, turn in pairwise(np.broadcast_to(turns, (50, 1, 3))):
+        joint_angles = joint_angles + turn
+        contacts = contacts.observed(
+            joint_angles, turn, before=before, asked=asked, lengths=lengths, counts=np.ones(1, bool)
+        )
+    assert not contacts.met.any()
 
 
 def test_a_movement_through_a_disc_is_not_free_and_one_round_it_is():
     start, end, discs = np.zeros(3), np.array([1.5, 0.0, 0.0]), np.array([2.0 + 1.5j])
     lengths, folded = np.ones(3), np.array([0.0, 2.0, 2.0])
-    assert not is_free(INTERFACE, start, end, lengths, discs)
-    assert is_free(INTERFACE, start, -end, lengths, discs)
-    assert is_free(INTERFACE, folded, folded + end, lengths, discs)
+
+    def spare(begin, goal):
+        return room(INTERFACE, begin, goal, lengths, discs)[0]
+
+    assert spare(start, end) < 0 < spare(start, -end)
+    assert spare(folded, folded + end) > 0
 
 
 def test_the_drive_inverts_the_servo():

@@ -5,7 +5,7 @@
 - `senses`: where joints and target are, behind noise, and how late they are seen;
 - `body`: lengths of the segments, and how the seen hand is turned;
 - `locks`: joints that do not turn;
-- `contacts`: obstacles, once they are felt, and ways round them;
+- `contacts` and `ways`: obstacles, once they are felt, and ways round them;
 - `imagination`: in which posture to be at the target, found by an internal model;
 - `drive`: what to ask of the servos on the way there.
 
@@ -28,7 +28,7 @@ from typing_extensions import override
 from mmc_gym._errors import require_number, spelt
 from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
 from mmc_gym.agents.body_model.body import Body, BodyEvidence
-from mmc_gym.agents.body_model.contacts import Contacts, Plan, Ways
+from mmc_gym.agents.body_model.contacts import Contacts
 from mmc_gym.agents.body_model.drive import (
     Drive,
     command_of,
@@ -50,6 +50,7 @@ from mmc_gym.agents.body_model.imagination import (
 )
 from mmc_gym.agents.body_model.locks import PUSH, Locks
 from mmc_gym.agents.body_model.senses import Bools, Delay, Points, PostureTrack, TargetTrack
+from mmc_gym.agents.body_model.ways import Plan, Ways
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
@@ -59,6 +60,8 @@ LAG = 1.5
 """Control steps until the joints are where a command takes them."""
 FARTHER = 0.3
 """A target that has moved by this is imagined anew, segment lengths."""
+BACK = 0.3
+"""Share by which arms that go round obstacles come back to their way in a control step."""
 BETTER = 0.1
 """A newly imagined posture must be so much cheaper than the one that is followed, radians."""
 CLEAR = 0.01
@@ -167,7 +170,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
             delay=Delay.start(command_of(self.interface, joint_angles, joint_angles)),
             evidence=BodyEvidence.start(self.interface.segment_lengths, len(joint_angles)),
             locks=Locks.start(joint_angles),
-            plan=Plan(joint_angles, joint_angles, np.zeros(len(joint_angles), bool)),
+            plan=Plan.start(joint_angles),
             imagined_for=target,
             drive=Drive.start(*joint_angles.shape),
             contacts=Contacts.start(*joint_angles.shape),
@@ -218,13 +221,11 @@ class BodyAgent(InternalModelAgent[BodyState]):
             delay = delay.observed(before, posture)
         asked = commanded_turn(told, before.joint_angles, delay.command_then())
         if parts.finds_locks:
-            is_wary = contacts.met > 0 if some(contacts.met) else None
             locks = locks.observed(
                 posture,
                 asked,
                 delay.is_felt,
                 lockable=told.lockable_joints,
-                is_wary=is_wary,
                 vigour=parts.vigour,
             )
         is_clear = (delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
@@ -238,7 +239,14 @@ class BodyAgent(InternalModelAgent[BodyState]):
         )
         if parts.avoids:
             lengths, counts = state.evidence.body.lengths, is_clear & ~locks.is_locked.any(axis=-1)
-            contacts = contacts.observed(posture.joint_angles, posture.turn, asked, lengths, counts)
+            contacts = contacts.observed(
+                posture.joint_angles,
+                posture.turn,
+                before=before.turn,
+                asked=asked,
+                lengths=lengths,
+                counts=counts,
+            )
             drive = drive.recovered(contacts.is_new)
         after = state._replace(
             looks=looks,
@@ -290,10 +298,21 @@ class BodyAgent(InternalModelAgent[BodyState]):
             goal[changes] = np.where((cost < kept - BETTER)[:, None], new, goal[changes])
             plan = self.ways.planned(plan._replace(goal=goal), state.contacts, arms, changes)
         else:
-            plan = Plan(goal, plan.detour, plan.is_indirect)
-        is_second = state.plan.is_indirect & ~plan.is_indirect  # after a detour
+            plan = plan._replace(goal=goal)
+        is_second = plan.ahead < state.plan.ahead  # a leg of a way round
         imagined_for = np.where(changes | is_second, aim, state.imagined_for)
         return Intention(now, plan, begins | is_second, changes | is_second, imagined_for)
+
+    def _straight(self, drive: Drive, intended: Intention) -> Floats:
+        """Return by how much joints are to turn to go straight, as imagined, radians, (n, N)."""
+        told, now, plan = self.interface, intended.joint_angles, intended.plan
+        way = told.turn(plan.begin, plan.next)
+        square = np.maximum((way * way).sum(axis=-1, keepdims=True), 1e-9)
+        share = np.clip(((now - plan.begin) * way).sum(axis=-1, keepdims=True) / square, 0, 1)
+        aside = plan.begin + share * way - now
+        left = (1 - share) * way
+        turn: Floats = in_proportion(drive.turn(left, 0.0, told), left) + BACK * aside
+        return turn
 
     def _drive(self, state: BodyState, body: Body, intended: Intention) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
@@ -316,8 +335,8 @@ class BodyAgent(InternalModelAgent[BodyState]):
                 share = share_of_turn(way, drive.elapsed, drive.duration)[:, None]
                 follows = state.target.is_moving & (drive.elapsed >= drive.duration)
                 turn = np.where(follows[:, None], turn, in_proportion(turn, left * share))
-            elif some(is_wary):  # straight, as imagined
-                turn = np.where(is_wary[:, None], in_proportion(turn, left), turn)
+            elif some(is_wary):
+                turn = np.where(is_wary[:, None], self._straight(state.drive, intended), turn)
             noise = state.posture.deviation
             joint_targets, drive = drive.targets(now, turn, left, noise, told)
         if some(locks.is_locked):

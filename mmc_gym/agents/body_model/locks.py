@@ -24,8 +24,8 @@ SLOWLY = 0.25
 """That much of it is enough where movements are as slow as those of people."""
 ASKED_PER_NOISE = 10.0
 """What the noise of the joint angles adds to that."""
-WARY = 4.0
-"""So many times more is asked of the joints of an arm that has met obstacles."""
+WRONGLY = 4.0
+"""So many times more is asked of a joint that was taken as locked, and then turned."""
 STILL, STILL_PER_ASKED = 0.004, 0.12
 """A joint within this of where it was is still, radians, and with this share of what was asked."""
 SLOW, SLOW_PER_NOISE = 0.25, 15.0
@@ -48,18 +48,20 @@ class Locks(NamedTuple):
         asked: the turns that were asked of it there, radians.
         is_locked: whether it is taken as locked.
         has_changed: whether that has changed with the last observation.
+        was_wrong: whether it was taken as locked, and then turned.
     """
 
     place: Floats
     asked: Floats
     is_locked: Bools
     has_changed: Bools
+    was_wrong: Bools
 
     @classmethod
     def start(cls, joint_angles: Floats) -> Locks:
         """Return that all joints are free."""
         free = np.zeros(joint_angles.shape, bool)
-        return cls(joint_angles, np.zeros_like(joint_angles), free, free)
+        return cls(joint_angles, np.zeros_like(joint_angles), free, free, free)
 
     def observed(
         self,
@@ -68,7 +70,6 @@ class Locks(NamedTuple):
         is_felt: Bools,
         *,
         lockable: tuple[int, ...] = (),
-        is_wary: Bools | None = None,
         vigour: float = 1.0,
     ) -> Locks:
         """Return what is known after another look.
@@ -78,7 +79,6 @@ class Locks(NamedTuple):
             expected: by how much the servo model has the joints turned, radians, (n, N).
             is_felt: whether the arm has been felt to move, (n,).
             lockable: the only joints that can lock, where that was told.
-            is_wary: whether the arm has met obstacles, (n,); None: none has.
             vigour: see `Parts`; at less of it, joints do sooner what they are asked.
         """
         noise, seen = posture.deviation, posture.joint_angles
@@ -87,23 +87,24 @@ class Locks(NamedTuple):
         moves = away > tolerance + STILL_PER_ASKED * np.abs(self.asked)
         moves |= np.abs(posture.speeds) > SLOW + SLOW_PER_NOISE * noise
         counts = ~moves & (is_felt[:, None] | (posture.age > LATEST))
-        was_locked = some(self.is_locked)
+        was_locked, was_wrong = some(self.is_locked), self.was_wrong
         if was_locked:
             freed = self.is_locked & (away > 2 * tolerance + FREED)
             counts &= ~freed
+            was_wrong = was_wrong | freed
         asked = np.where(counts, self.asked + expected, 0.0)
         least = (ASKED_IF_TOLD if lockable else ASKED) * (SLOWLY + (1 - SLOWLY) * vigour)
         enough = least + ASKED_PER_NOISE * noise
-        if is_wary is not None:
-            enough = enough * np.where(is_wary, WARY, 1.0)[:, None]
+        if some(was_wrong):
+            enough = enough * np.where(was_wrong, WRONGLY, 1.0)
         holds = counts & (np.abs(asked) > enough)
         if lockable:
             holds[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
         if not was_locked:
-            return Locks(np.where(moves | holds, seen, self.place), asked, holds, holds)
+            return Locks(np.where(moves | holds, seen, self.place), asked, holds, holds, was_wrong)
         is_locked = (self.is_locked & ~freed) | holds
         place = self.place + PLACED * (seen - self.place)
         place = np.where(
             self.is_locked & is_locked, place, np.where(moves | holds, seen, self.place)
         )
-        return Locks(place, asked, is_locked, is_locked != self.is_locked)
+        return Locks(place, asked, is_locked, is_locked != self.is_locked, was_wrong)
