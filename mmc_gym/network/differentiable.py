@@ -76,8 +76,8 @@ class TorchNetwork(torch.nn.Module):
 
     Attributes:
         segment_lengths: lengths, (N,).
-        damping: d.
-        velocity_damping: d_v.
+        damping: d, the weight of the present value in the mean.
+        velocity_damping: d_v, how slowly the velocity follows.
         velocity_decay: factor on the velocity in each iteration.
         normalizer: a module that takes vectors (n, 2, batch) and lengths (n, 1), and returns the
             vectors brought to these lengths; any other may be put in its place.
