@@ -11,6 +11,7 @@ its `moving_part`.  That cuts minimum jerk at `MINIMUM_JERK_SPAN`, which changes
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -187,8 +188,11 @@ def minimum_jerk_rmse(episode: Episode) -> float:
     return difference_from_minimum_jerk(episode.movement_speeds, MINIMUM_JERK_SPAN)
 
 
+@lru_cache(maxsize=1024)
 def _minimum_jerk_profile(steps: int, span: tuple[float, float]) -> Floats:
-    return np.diff(minimum_jerk(np.linspace(*span, steps + 1)))
+    profile: Floats = np.diff(minimum_jerk(np.linspace(*span, steps + 1)))
+    profile.flags.writeable = False  # it is shared
+    return profile
 
 
 def spectral_arc_length(speeds: ArrayLike, control_step: float) -> float:

@@ -57,18 +57,21 @@ def closed_form(
     array([0.      , 1.570796])
     """
     found = solutions(target, segment_lengths, joint_angles)
-    changes = wrap_angle(found - joint_angles[..., None, :])
+    changes = found - joint_angles[..., None, :]
     beyond: Floats | float = 0.0
-    if joint_limits is not None:
+    if joint_limits is None:
+        # As `wrap_angle`, but for the last bits, in a fifth of the time.
+        ways = changes - 2 * np.pi * np.rint(changes / (2 * np.pi))
+    else:
         low, high = np.transpose(joint_limits)
         within = (low + high) / 2 + wrap_angle(found - (low + high) / 2)
         allowed = np.clip(within, low, high)
         beyond = np.abs(within - allowed).max(axis=-1)
         beyond = np.where(beyond > _SLACK, _FAR + beyond * _FAR, 0.0)
-        changes = allowed - joint_angles[..., None, :]
-    nearest = ((changes * changes).sum(axis=-1) + beyond).argmin(axis=-1)
+        changes = ways = allowed - joint_angles[..., None, :]
+    nearest = (np.einsum("...i,...i", ways, ways) + beyond).argmin(axis=-1)
     change = np.take_along_axis(changes, nearest[..., None, None], axis=-2)[..., 0, :]
-    return joint_angles + change
+    return joint_angles + (wrap_angle(change) if joint_limits is None else change)
 
 
 def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Floats) -> Floats:
