@@ -25,7 +25,7 @@ export PIP_NO_INPUT := 1
 PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint type imports format packages docs benchmark clean
+.PHONY: help demo test lint type imports format packages docs speed clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -58,8 +58,8 @@ packages: $(VENV_READY) ## build wheel and source archive, try each in an empty 
 docs: $(DOCS_READY) ## build the site into build/site; examples run, so it takes some minutes
 	$(BIN)/python -m sphinx -n -W --keep-going $(ARGS) docs build/site
 
-benchmark: $(BENCHMARK_READY) ## install the peers' packages, then time the environments beside them
-	$(BIN)/python benchmarks/environment_speed.py $(ARGS)
+speed: $(BENCHMARK_READY) ## install the peers' packages, time environments, network and agents beside them
+	$(BIN)/python benchmarks/speed.py $(ARGS)
 
 clean: ## remove .venv, build outputs and caches
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis

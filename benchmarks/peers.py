@@ -110,6 +110,28 @@ def dm_control(domain: str, task: str) -> Player:
     return Player(play, steps, env.close)
 
 
+def gymnax(name: str, num_envs: int) -> Player:
+    """Arms of gymnax, stepped together by XLA, on as many threads as it likes."""
+    import gymnax
+    import jax
+
+    env, parameters = gymnax.make(name)
+    reset = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))
+    step = jax.jit(jax.vmap(env.step, in_axes=(0, 0, 0, None)))
+    keys = jax.random.split(jax.random.PRNGKey(0), num_envs)
+    space, steps = env.action_space(parameters), parameters.max_steps_in_episode
+    drawn = np.random.default_rng(0).uniform(-1.0, 1.0, (steps, num_envs, *space.shape))
+    actions = [jax.numpy.asarray(one, dtype=space.dtype) for one in drawn]
+
+    def play() -> None:
+        _, state = reset(keys, parameters)
+        for action in actions:
+            _, state, reward, _, _ = step(keys, state, action, parameters)
+            reward.block_until_ready()
+
+    return Player(play, num_envs * steps, lambda: None)
+
+
 @dataclass(frozen=True)
 class Entry:
     """One row of a table.
@@ -162,6 +184,7 @@ VECTOR = (
     _vector_entry(PEER, "async", 64, "async"),
     _envpool_entry(64, 1),
     _envpool_entry(64, 2),
+    Entry("gymnax Reacher-misc", "jax", partial(gymnax, "Reacher-misc", 4096), 4096, 2),
     _vector_entry(OURS, "sync", 64, "sync"),
     _vector_entry(OURS, "async", 64, "async"),
     *(_native_entry("native", arms, threads) for arms in (64, 256) for threads in (1, 2)),
@@ -178,13 +201,14 @@ ENGINES = ("pymunk", "analytic")
 GROWTH = tuple(
     _native_entry(engine, arms, threads, engine=engine)
     for engine in ENGINES
-    for arms in (1, 16, 64, 256, 1024, 4096)
+    for arms in (1, 16, 64, 256, 1024, 4096, *((16_384, 65_536) if engine == "analytic" else ()))
     for threads in (1, 2)
 )
 
 WHAT_THEY_SIMULATE = f"""\
 Steps are those of all arms; resets are in the time.  What is simulated in a step of 0.02 s:
 {PEER}, EnvPool: 2 joints, MuJoCo, 2 substeps of Runge-Kutta, 4th order; reset after 50 steps.
+gymnax: 2 joints without dynamics: they turn as the action says, at once; reset after 100 steps.
 dm_control: 2 joints, MuJoCo, 1 substep of Euler, no contacts; reset after 1000 steps.
 {OURS}: 3 joints with servos, 4 substeps of pymunk or of the analytic engine; reset after 100 steps.
 MuJoCo works on the thread that calls it.  EnvPool and {OURS} have their own threads."""

@@ -1,0 +1,137 @@
+"""Runs of `make speed` kept as JSON: reading, writing, comparing and drawing them.
+
+    runs/speed/2026-11-22T03-17-00Z.json    one run: the machine, and a row for each thing timed
+
+A machine is faster today than tomorrow, and another one faster still.  So what is compared between
+runs is each row's ratio to its peer, which was timed by turns with it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mmc_gym._files import write_atomically
+from mmc_gym._plotting import save_figure
+
+LOSS = 0.20
+"""Part of its ratio that a row may lose before the check fails."""
+
+EARLIER = 7
+"""Runs before the last, whose median it is compared with."""
+
+FEWEST = 3
+"""Earlier runs with a row, below which it is not compared."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One thing that was timed.
+
+    Attributes:
+        name: what it is, the same in all runs.
+        ours: whether it is of this package; only these are compared with earlier runs.
+        seconds: per step of one arm, iteration of one arm, or action: the median over the rounds.
+        peer: name of the row that it took turns with, and is compared with.
+        ratio: how many times as fast as the peer, the median over the rounds.
+        low: first quartile of the ratio.
+        high: third quartile.
+    """
+
+    name: str
+    ours: bool
+    seconds: float
+    peer: str
+    ratio: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of `make speed`.
+
+    Attributes:
+        time: when it ended, UTC, ISO 8601.
+        machine: the machine, and the versions of what was timed.
+        rows: in the order of the tables.
+    """
+
+    time: str
+    machine: str
+    rows: tuple[Row, ...]
+
+
+def now() -> str:
+    """Return the present time, UTC, ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def write_run(run: Run, folder: Path) -> Path:
+    """Write a run into the folder of all runs, and return its file."""
+    stem = datetime.fromisoformat(run.time).strftime("%Y-%m-%dT%H-%M-%SZ")
+    return write_atomically(folder / f"{stem}.json", json.dumps(asdict(run), indent=1) + "\n")
+
+
+def read_runs(folder: Path) -> list[Run]:
+    """Return all runs of a folder, the oldest first."""
+    runs = []
+    for file in sorted(folder.glob("[!.]*.json")):
+        content = json.loads(file.read_text())
+        rows = tuple(Row(**row) for row in content.pop("rows"))
+        runs.append(Run(**content, rows=rows))
+    return sorted(runs, key=lambda run: run.time)
+
+
+def losses(runs: Sequence[Run]) -> list[str]:
+    """Return a line for each row of the last run that lost more than `LOSS` of its ratio.
+
+    It is compared with the median of the ratios in the `EARLIER` runs before.  What was not timed
+    in `FEWEST` of them, or not with the same peer, is not compared.
+    """
+    if not runs:
+        return []
+    *before, last = runs
+    found = []
+    for row in last.rows:
+        known = [
+            earlier.ratio
+            for run in before[-EARLIER:]
+            for earlier in run.rows
+            if (earlier.name, earlier.peer) == (row.name, row.peer)
+        ]
+        if not row.ours or len(known) < FEWEST:
+            continue
+        usual = float(np.median(known))
+        if row.ratio < (1 - LOSS) * usual:
+            found.append(
+                f"{row.name}: {row.ratio:.3g} times as fast as {row.peer}, "
+                f"usually {usual:.3g}: a loss of {1 - row.ratio / usual:.0%}"
+            )
+    return found
+
+
+def draw_history(runs: Sequence[Run], stem: Path) -> list[Path]:
+    """Draw the ratio of each of our rows over all runs, as parts of its median; write the files."""
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    times = [datetime.fromisoformat(run.time) for run in runs]
+    for name in dict.fromkeys(row.name for run in runs for row in run.rows if row.ours):
+        ratios = np.array(
+            [next((r.ratio for r in run.rows if r.name == name), np.nan) for run in runs]
+        )
+        axes.plot(times, ratios / np.nanmedian(ratios), marker=".", linewidth=0.9, label=name)
+    axes.axhline(1 - LOSS, color="0.4", linestyle=":", linewidth=0.9)
+    axes.set_ylabel("ratio to the peer / its median")
+    axes.set_title(f"Speed beside peers, run by run; dotted: a loss of {LOSS:.0%}")
+    axes.tick_params(axis="x", rotation=30)
+    figure.legend(loc="outside right upper", fontsize=6, frameon=False)
+    return save_figure(figure, stem)

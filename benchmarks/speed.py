@@ -1,0 +1,376 @@
+"""Speed of this package beside its peers: environments, the network, and agents.
+
+Run it with `make speed`, or `python benchmarks/speed.py`; peers that are not installed (they are in
+the `benchmark` extra) are named and left out.  What is timed takes turns, and a ratio is the median
+over the rounds of each round's own ratio.  Kept under `runs/speed` are the numbers of each run, and
+figures of steps per second and of the cost of an arm by the number of arms; `--check` fails on a
+loss of speed since the runs before, see `history`.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
+from math import nan
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+import tyro
+from gymnasium.error import DependencyNotInstalled
+from history import Row, Run, draw_history, losses, now, read_runs, write_run
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from peers import (
+    ENGINES,
+    GROWTH,
+    OURS,
+    PEER,
+    REFERENCE,
+    SINGLE,
+    VECTOR,
+    WHAT_THEY_SIMULATE,
+    Entry,
+    Player,
+)
+from rich.console import Console
+from rich.table import Table
+from timing import interleaved
+
+from mmc_gym import make_agent
+from mmc_gym._grid import one_torch_thread
+from mmc_gym._plotting import save_figure
+from mmc_gym.network import MMCNetwork
+
+Times: TypeAlias = Mapping[Entry, NDArray[np.float64]]
+PACKAGES = ("numpy", "gymnasium", "pymunk", "numba", "mujoco", "dm_control", "envpool", "gymnax")
+NETWORKS = (1, 100, 10_000, 1_000_000)  # how many run together
+ITERATIONS = 20  # of a network, per call
+COPY = "copy of the state"  # reads and writes each byte once, as any iteration must
+AGENTS = ("mmc", "mmc-body", "ppo")
+
+
+@dataclass
+class Arguments:
+    """Time the environments in turn.
+
+    Attributes:
+        rounds: rounds, in each of which every environment has one turn.
+        seconds: a turn is as many episodes as fit into this time, at least one.
+        growth_rounds: rounds for the numbers of arms; 0 leaves them out.
+        out: folder of all runs.
+        check: whether to fail on a loss of speed since the runs before.
+    """
+
+    rounds: int = 10
+    seconds: float = 0.06
+    growth_rounds: int = 3
+    out: Path = Path("runs/speed")
+    check: bool = False
+
+
+def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Player]:
+    """Make those whose packages are installed, and name the others."""
+    made = {}
+    # Processes fork off while this one still has no threads.
+    for entry in sorted(entries, key=lambda entry: entry.variant != "async"):
+        try:
+            made[entry] = entry.make()
+        except (ImportError, DependencyNotInstalled) as error:
+            reason = str(error).partition("\n")[0]
+            console.print(f"not installed: {entry.environment} {entry.variant} ({reason})")
+    return made
+
+
+def seconds_per_step(made: Mapping[Entry, Player], rounds: int, seconds: float) -> Times:
+    """Return the mean time of a step, one value per round."""
+    times = interleaved({entry: one.play for entry, one in made.items()}, rounds, seconds)
+    for one in made.values():
+        one.close()
+    return {entry: values / made[entry].steps for entry, values in times.items()}
+
+
+def speed(seconds: NDArray[np.float64]) -> str:
+    """Return steps per second to three digits."""
+    return f"{float(f'{1 / np.median(seconds):.3g}'):,.0f}"
+
+
+def ratios(times: Times, entry: Entry, reference: Entry) -> tuple[str, str]:
+    """Return how many times as fast as the reference: median and quartiles over the rounds."""
+    if reference not in times:
+        return "–", "–"
+    low, middle, high = np.percentile(times[reference] / times[entry], [25, 50, 75])
+    digits = 2 if middle < 10 else 1
+    return f"{middle:.{digits}f}", f"{low:.{digits}f} – {high:.{digits}f}"
+
+
+def single_table(times: Times) -> Table:
+    """Make the table of single environments."""
+    headings = ("µs per step", "steps per second", f"ratio to {PEER}", "quartiles")
+    table = empty_table("one arm", ("environment", ""), headings)
+    for entry in filter(times.__contains__, SINGLE):
+        microseconds = f"{np.median(times[entry]) * 1e6:.1f}"
+        numbers = (microseconds, speed(times[entry]), *ratios(times, entry, REFERENCE))
+        table.add_row(entry.environment, entry.variant, *numbers)
+    return table
+
+
+def vector_table(times: Times) -> Table:
+    """Make the table of vector environments, beside EnvPool's with as many threads."""
+    headings = ("arms", "threads", "steps per second", f"to {PEER}", "quartiles", "to EnvPool")
+    title = f"many arms; ratios to one {PEER}, and to EnvPool with as many threads"
+    table = empty_table(title, ("environment", ""), headings)
+    peers = {entry.threads: entry for entry in VECTOR if entry.variant == "EnvPool"}
+    for entry in filter(times.__contains__, VECTOR):
+        peer = peers.get(entry.threads)
+        to_peer = ratios(times, entry, peer)[0] if peer else "–"
+        threads = "processes" if entry.variant == "async" else str(entry.threads)
+        numbers = (speed(times[entry]), *ratios(times, entry, REFERENCE), to_peer)
+        table.add_row(entry.environment, entry.variant, str(entry.arms), threads, *numbers)
+    return table
+
+
+def growth_table(times: Times) -> Table:
+    """Make the table of the native vector environment by number of arms."""
+    headings = ("arms", "1 thread", "2 threads", "ratio", "µs per arm", "KiB per arm")
+    table = empty_table("native, steps per second by number of arms", ("engine",), headings)
+    for engine in ENGINES:
+        alone, two = (
+            [entry for entry in times if (entry.variant, entry.threads) == (engine, threads)]
+            for threads in (1, 2)
+        )
+        memory = bytes_per_arm(engine, [entry.arms for entry in alone]) if alone else []
+        for one, both, size in zip(alone, two, memory, strict=True):
+            numbers = (
+                speed(times[one]),
+                speed(times[both]),
+                ratios(times, both, one)[0],
+                f"{np.median(times[one]) * 1e6:.2f}",
+                f"{size / 1024:.1f}" if one.arms >= 256 else "",  # few arms vanish in a page
+            )
+            table.add_row(engine, f"{one.arms:,}", *numbers, end_section=both is two[-1])
+    return table
+
+
+def bytes_per_arm(engine: str, counts: Sequence[int]) -> list[float]:
+    """Return by how much a fresh process grows per arm of vector environments of these sizes."""
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(_grow, (engine, counts))
+
+
+def _grow(engine: str, counts: Sequence[int]) -> list[float]:
+    envs, sizes = [], []
+    for count in (1, *counts):  # the first one brings the libraries
+        envs.append(gym.make_vec(OURS, num_envs=count, engine=engine))
+        envs[-1].reset(seed=0)
+        for _ in range(2):
+            envs[-1].step(envs[-1].action_space.sample())
+        sizes.append(_resident_size())
+    grown = (after - before for before, after in pairwise(sizes))
+    return [size / count for size, count in zip(grown, counts, strict=True)]
+
+
+def _resident_size() -> float:
+    """Return the resident size of this process in bytes; NaN where there is no /proc."""
+    pages = Path("/proc/self/statm")
+    return int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if pages.exists() else nan
+
+
+def network_times(arguments: Arguments) -> dict[str, dict[int, NDArray[np.float64]]]:
+    """Return seconds per arm and iteration by network and number, and of a copy of the state."""
+    random, found = np.random.default_rng(0), dict[str, dict[int, NDArray[np.float64]]]()
+    for count in NETWORKS:
+        posture = random.uniform(-np.pi, np.pi, (count, 3))
+        target = random.uniform(-1.5, 1.5, (count, 2))
+        calls: dict[str, Any] = {}
+        for engine in ("numpy", "numba"):
+            network = MMCNetwork(dynamics="paper", engine=engine)
+            state, clamps = network.state_from_joint_angles(posture), network.inverse(target)
+            calls[COPY] = state.values.copy
+            calls[engine] = lambda n=network, s=state, c=clamps: n.run(s, c, ITERATIONS)
+        times = interleaved(calls, arguments.rounds, arguments.seconds / 3)
+        for name, seconds in times.items():
+            iterations = 1 if name == COPY else ITERATIONS
+            found.setdefault(name, {})[count] = seconds / iterations / count
+    return found
+
+
+def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
+    """Return seconds per action of agents, for one arm."""
+    env = gym.make(OURS)
+    observation, _ = env.reset(seed=0)
+    agents = {name: make_agent(name, env) for name in AGENTS}
+    agents["mmc, compiled"] = make_agent("mmc", env).with_engine("numba")
+    calls = {}
+    for name, agent in agents.items():
+        _, state = agent.predict(observation)
+        calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
+    with one_torch_thread():
+        return interleaved(calls, arguments.rounds, arguments.seconds / 3)
+
+
+def rows_of(
+    times: Mapping[Any, NDArray[np.float64]], names: Mapping[Any, str], peer: Any
+) -> list[Row]:
+    """Return what is kept of some that took turns; without their peer nothing is."""
+    if peer not in times:
+        return []
+    rows = []
+    for key, seconds in times.items():
+        low, middle, high = np.percentile(times[peer] / seconds, [25, 50, 75]).tolist()
+        ours = not is_peer(key) if isinstance(key, Entry) else key != peer
+        median = float(np.median(seconds))
+        rows.append(Row(names[key], ours, median, names[peer], middle, low, high))
+    return rows
+
+
+def rows_table(title: str, unit: str, scale: float, rows: Iterable[Row]) -> Table:
+    """Make a table of kept rows."""
+    table = empty_table(title, ("",), (unit, "ratio", "quartiles"))
+    for row in rows:
+        numbers = (
+            f"{row.seconds * scale:.3g}",
+            f"{row.ratio:.3g}",
+            f"{row.low:.3g} – {row.high:.3g}",
+        )
+        table.add_row(row.name, *numbers)
+    return table
+
+
+def is_peer(entry: Entry) -> bool:
+    """Tell whether an environment is not of this package."""
+    return not entry.environment.startswith("MMC")
+
+
+def name_of(entry: Entry) -> str:
+    """Return the name of an entry, the same in all runs."""
+    kind = f"{entry.environment} {entry.variant}".strip()
+    threads = "processes" if entry.variant == "async" else threads_of(entry)
+    return kind if entry.arms == 1 else f"{kind}, {entry.arms:,} arms, {threads}"
+
+
+def threads_of(entry: Entry) -> str:
+    """Return how many threads step the arms."""
+    return f"{entry.threads} thread{'s' * (entry.threads > 1)}"
+
+
+def draw_growth(growth: Times, times: Times, folder: Path) -> None:
+    """Draw steps per second by number of arms, beside the peers' own."""
+    figure, axes = new_axes("arms", "steps per second, of all arms")
+    for style, entries in lines_of(growth):
+        label = f"{entries[0].variant}, {threads_of(entries[0])}"
+        arms = [entry.arms for entry in entries]
+        axes.plot(arms, [1 / np.median(growth[entry]) for entry in entries], label=label, **style)
+    peers = [entry for entry in times if entry.variant != "sync" and is_peer(entry)]
+    for entry, marker in zip(peers, "sDv^PX*<>", strict=False):
+        speed_of = 1 / np.median(times[entry])
+        axes.plot(entry.arms, speed_of, marker, color="0.3", label=name_of(entry))
+    axes.legend(fontsize=7)
+    save_figure(figure, folder / "steps-per-second")
+
+
+def draw_costs(
+    growth: Times, networks: Mapping[str, Mapping[int, NDArray[np.float64]]], folder: Path
+) -> None:
+    """Draw the time that one arm takes, by number of arms: a step, and a network's iteration."""
+    figure, axes = new_axes("arms", "time per arm [µs]")
+    for style, entries in lines_of(growth):
+        label = f"step, {entries[0].variant}, {threads_of(entries[0])}"
+        arms = [entry.arms for entry in entries]
+        costs = [1e6 * np.median(growth[entry]) for entry in entries]
+        axes.plot(arms, costs, label=label, **style)
+    for marker, (name, by_count) in zip("+x*", networks.items(), strict=True):
+        label = COPY if name == COPY else f"iteration of the network, {name}"
+        costs = [1e6 * np.median(seconds) for seconds in by_count.values()]
+        axes.plot(list(by_count), costs, f"{marker}:", color="0.4", label=label)
+    axes.legend(fontsize=7)
+    save_figure(figure, folder / "cost-per-arm")
+
+
+def lines_of(growth: Times) -> list[tuple[dict[str, Any], list[Entry]]]:
+    """Return the entries of each line by number of arms, and how it is drawn."""
+    lines = []
+    for engine, colour in zip(ENGINES, ("#0072b2", "#d55e00"), strict=True):
+        for threads, style in ((1, "o-"), (2, "s--")):
+            entries = [e for e in growth if (e.variant, e.threads) == (engine, threads)]
+            look = {"color": colour, "marker": style[0], "linestyle": style[1:], "markersize": 4}
+            lines += [(look, entries)] if entries else []
+    return lines
+
+
+def new_axes(x: str, y: str) -> tuple[Figure, Any]:
+    """Return a figure with logarithmic axes."""
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    axes.set(xscale="log", yscale="log", xlabel=x, ylabel=y)
+    axes.grid(color="0.9", linewidth=0.6)
+    return figure, axes
+
+
+def empty_table(title: str, words: Iterable[str], numbers: Iterable[str]) -> Table:
+    """Make a table with columns of words, then of numbers."""
+    table = Table(title=title)
+    for heading in words:
+        table.add_column(heading, no_wrap=True)
+    for heading in numbers:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def machine() -> str:
+    """Name the machine and the versions."""
+    found = [f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
+    for package in PACKAGES:
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            continue
+    return ", ".join(found)
+
+
+def main(arguments: Arguments) -> None:
+    """Print the tables, keep the numbers, draw the figures; fail on a loss if that is asked."""
+    console = Console(width=120, highlight=False)
+    console.print(machine())
+    made = make_all((*SINGLE, *VECTOR), console)
+    times = seconds_per_step(made, arguments.rounds, arguments.seconds)
+    console.print(single_table(times))
+    console.print(vector_table(times))
+    console.print(WHAT_THEY_SIMULATE)
+    rows = rows_of(times, {entry: name_of(entry) for entry in times}, REFERENCE)
+    networks, agents = network_times(arguments), agent_times(arguments)
+    kept = []
+    for count in NETWORKS[2:]:  # a copy of few is a matter of the call
+        found = {name: seconds[count] for name, seconds in networks.items()}
+        kept += rows_of(found, {name: f"network, {name}, {count:,} arms" for name in found}, COPY)
+    title = "an iteration of the network, dynamic; ratio to a copy of its state"
+    console.print(rows_table(title, "ns per arm", 1e9, kept))
+    acting = rows_of(agents, {name: f"one action of {name}" for name in agents}, "ppo")
+    console.print(rows_table("an action for one arm; ratio to ppo", "µs", 1e6, acting))
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.growth_rounds:
+        made = make_all(GROWTH, console)
+        growth = seconds_per_step(made, arguments.growth_rounds, 0.02)
+        console.print(growth_table(growth))
+        draw_growth(growth, times, arguments.out)
+        draw_costs(growth, networks, arguments.out)
+    file = write_run(Run(now(), machine(), (*rows, *kept, *acting)), arguments.out)
+    runs = read_runs(arguments.out)
+    draw_history(runs, arguments.out / "history")
+    console.print(f"wrote {file}, and figures beside it; {len(runs)} runs are there")
+    if lost := losses(runs):
+        console.print("\n".join(["slower than before:", *lost]))
+        if arguments.check:
+            raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
