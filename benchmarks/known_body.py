@@ -72,4 +72,4 @@ class KnownBody(BodyAgent):
         is_locked = np.zeros(place.shape, bool)
         is_locked[:, list(self.setup.body.lockable_joints)] = (since >= 0)[:, None]
         changed = is_locked & ((since == 0) | (since == late))[:, None]
-        return Locks(place, np.zeros_like(place), is_locked, changed)
+        return state.locks._replace(place=place, is_locked=is_locked, has_changed=changed)

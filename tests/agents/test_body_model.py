@@ -1,7 +1,9 @@
 """The agent with an internal model of its body: what each part finds out, and what all reach."""
 
+import runpy
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -23,6 +25,7 @@ from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 
+KNOWN_BODY = Path(__file__).parents[2] / "benchmarks" / "known_body.py"
 STEP = 0.02
 ARMS = 20
 INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
@@ -305,6 +308,19 @@ def test_a_body_that_is_not_as_told_is_found_out_about(build):
     )
     for perturbations in conditions:
         assert success(episodes(build, perturbations=perturbations)) >= 0.95, perturbations
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not KNOWN_BODY.is_file(), reason="the benchmarks are not here")
+@pytest.mark.parametrize("perturbations", ["locks-1", "locks-2", ["rotation-30", "delay-200"]])
+def test_nothing_is_lost_by_having_to_find_out_about_the_body(perturbations):
+    told_the_truth = runpy.run_path(str(KNOWN_BODY))["KnownBody"]
+    envs = gym.make_vec(
+        "MMCReach-v0", num_envs=100, control="joint_position", perturbations=perturbations
+    )
+    seeds = episode_seeds(4, 100)
+    told = run_episodes(told_the_truth(envs), envs.unwrapped, seeds, records_effort=False)
+    assert success(episodes(mmc_body, perturbations=perturbations)) >= success(told) - 0.02
 
 
 @pytest.mark.slow
