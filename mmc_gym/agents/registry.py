@@ -208,9 +208,10 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "ppo-memory": _trained(
         "ppo-memory",
-        "PPO with a memory of 0.6 s, under perturbations drawn anew for each episode",
+        "a memory of 1.4 s, taught by PPO that is told the truth, under perturbations drawn anew "
+        "for each episode",
         training_seeds=3,
-        memory=30,
+        memory=68,
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",

@@ -41,7 +41,7 @@ def test_every_file_says_what_it_is_and_describes_a_model(name):
     settings = recipe.settings
     env = make_vec_env(recipe.env_id, settings.n_envs, settings.env_kwargs)
     model = settings.make_model(env, seed=0)
-    assert type(model) is SETTINGS[recipe.algorithm].algorithm
+    assert isinstance(model, SETTINGS[recipe.algorithm].algorithm)
     assert model.n_envs == before["n_envs"]
     assert recipe.hyperparameters == before
     for key in ("gamma", "batch_size", "tau", "gae_lambda", "buffer_size", "train_freq"):
