@@ -61,13 +61,16 @@ from mmc_gym.measures import (
 )
 from mmc_gym.measures.catalogue import digest, own_measures, register
 
-TIMED = 3
+TIMED = 1
 """Episodes that are played one by one as well: what an action takes is known of them."""
+
+COMPARED = 3
+"""As many of an agent that may not act on batches: it is to do the same alone and together."""
 
 PATHS_KEPT = 12
 """Instances whose paths are kept, of the lowest training seed that takes part."""
 
-RECORDING = 2
+RECORDING = 3
 """Raised whenever the same episodes would be recorded or measured otherwise: all is played anew."""
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
@@ -188,10 +191,11 @@ def _play(cell: Cell) -> _Recorded:
     env, agent = make_for(cell.entry, make_env, cell.control, is_own_env=is_own)
     world: Any = env.unwrapped
     control, joints = world.control, len(world.parameters.segment_lengths)
-    timed = run_episodes(agent, env, seeds[:TIMED], options=instances[:TIMED])
-    together: tuple[Episode, ...] = ()
     vector = cell.scenario.make_vec(len(seeds), control)
     acts_on_batches = cell.entry.agent.acts_on_batches and vector is not None
+    alone_first = TIMED if acts_on_batches else COMPARED
+    timed = run_episodes(agent, env, seeds[:alone_first], options=instances[:alone_first])
+    together: tuple[Episode, ...] = ()
     if vector is not None:
         try:
             together = run_episodes(factory(env), vector, seeds, options=instances)
@@ -207,7 +211,7 @@ def _play(cell: Cell) -> _Recorded:
     times = [
         replace(episode, action_times=one.action_times) for episode, one in zip(together, timed)
     ]
-    return _Recorded([*times, *together[TIMED:]], control, True, joints)
+    return _Recorded([*times, *together[len(times) :]], control, True, joints)
 
 
 def _are_same(alone: Sequence[Episode], together: Sequence[Episode]) -> bool:

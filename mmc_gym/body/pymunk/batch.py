@@ -1,7 +1,7 @@
 """Many equal arms that know nothing of each other, in a few pymunk Spaces: array in, array out.
 
-    arms      0 … 63    64 … 127    128 …
-    group        0          1         2  …     stepped one after the other, or by several threads
+    arms      0 … 127    128 … 255    256 …
+    group         0           1          2  …    stepped one after the other, or by several threads
 
 One call into Chipmunk steps all arms of a Space, and one reads them.  Every arm moves bit for bit
 as a single `Arm` does: Chipmunk solves the joints of a Space one after the other, and those of an
@@ -190,7 +190,7 @@ cosine = _like_the_c_library(np.cos, math.cos)
 sine = _like_the_c_library(np.sin, math.sin)
 
 
-ARMS_PER_GROUP = 64  # with more, there are fewer calls, but less fits the cache
+ARMS_PER_GROUP = 128  # with more, there are fewer calls, but less fits the cache
 _WORTH_A_THREAD = 16  # arms
 
 
