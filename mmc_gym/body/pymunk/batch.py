@@ -98,7 +98,8 @@ class ArmGroup:
         return velocities
 
     def _of_servos(self, function: Callable[[Any], float]) -> Floats:
-        return np.array([*map(function, self._servo_handles)]).reshape(self.count, -1)
+        servos = self._servo_handles
+        return np.fromiter(map(function, servos), np.float64, len(servos)).reshape(self.count, -1)
 
     def _get(self, fields: BodyFields) -> Floats:
         """Read these fields of all segments, (count, N, values); valid until the next call."""
