@@ -43,8 +43,9 @@ STRONGEST, WEAKEST = 60.0, 2.0
 """Acceleration that joints are taken to have at first, and least, rad/s²."""
 SHORT = 0.3
 """A joint that lacks more of the speed asked of it does what it can, rad/s."""
-LEARNED, RECOVERED = 0.4, 0.03
-"""Shares by which the acceleration follows what a joint shows, and comes back."""
+LEARNED, RISEN, RECOVERED = 0.4, 0.1, 0.03
+"""Shares by which the acceleration follows what a joint shows; by which it rises, for other joints
+may have helped; and by which it comes back."""
 
 FULL = 0.8
 """A joint that is sent so far ahead is at full speed throughout a control step, radians."""
@@ -164,7 +165,8 @@ class Drive(NamedTuple):
             return self
         gained = (speeds - before) * np.sign(lacked) / told.control_step
         old = self.acceleration
-        shown = old + LEARNED * (np.clip(gained, WEAKEST, STRONGEST) - old)
+        shown = np.clip(gained, WEAKEST, STRONGEST) - old
+        shown = old + np.where(shown > 0, RISEN, LEARNED) * shown
         idle = old + RECOVERED * recovers[:, None] * (STRONGEST - old)
         return self._replace(acceleration=np.where(saturates, shown, idle))
 
