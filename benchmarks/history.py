@@ -12,6 +12,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mmc_gym._files import write_atomically
-from mmc_gym._plotting import save_figure
+from mmc_gym._plotting import LINES, save_figure
 
 LOSS = 0.20
 """Part of its ratio that a row may lose before the check fails."""
@@ -124,12 +125,15 @@ def draw_history(runs: Sequence[Run], stem: Path) -> list[Path]:
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     times = [datetime.fromisoformat(run.time) for run in runs]
-    for name in dict.fromkeys(row.name for run in runs for row in run.rows if row.ours):
+    names = dict.fromkeys(row.name for run in runs for row in run.rows if row.ours)
+    for name, marker, line in zip(names, cycle("osD^vPX"), cycle(LINES)):  # 28 looks in grey, too
         ratios = np.array(
             [next((r.ratio for r in run.rows if r.name == name), np.nan) for run in runs]
         )
-        axes.plot(times, ratios / np.nanmedian(ratios), marker=".", linewidth=0.9, label=name)
+        look = {"marker": marker, "markersize": 3, "linestyle": line, "linewidth": 0.9}
+        axes.plot(times, ratios / np.nanmedian(ratios), label=name, **look)
     axes.axhline(1 - LOSS, color="0.4", linestyle=":", linewidth=0.9)
+    axes.set_xlabel("time of the run [day and time, UTC]")
     axes.set_ylabel("ratio to the peer / its median")
     axes.set_title(f"Speed beside peers, run by run; dotted: a loss of {LOSS:.0%}")
     axes.tick_params(axis="x", rotation=30)
