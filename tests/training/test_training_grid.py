@@ -36,7 +36,8 @@ def test_two_processes_train_what_one_does(trained, tmp_path):
 
 
 @pytest.mark.slow
-def test_ray_trains_what_one_process_does(trained, tmp_path):
+def test_ray_trains_what_one_process_does(trained, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "local")  # else it joins another test's cluster, which ends
     train_all(POLICIES, tmp_path, steps=STEPS, cluster="ray")
     assert contents(tmp_path) == contents(trained)
 
