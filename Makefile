@@ -25,7 +25,7 @@ export PIP_NO_INPUT := 1
 PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint type imports format packages docs speed clean
+.PHONY: help demo test lint type imports format packages docs paper speed clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
@@ -58,13 +58,16 @@ packages: $(VENV_READY) ## build wheel and source archive, try each in an empty 
 docs: $(DOCS_READY) ## build the site into build/site; examples run, so it takes some minutes
 	$(BIN)/python -m sphinx -n -W --keep-going $(ARGS) docs build/site
 
+paper: $(PACKAGE_READY) ## run the paper's experiments; figures, data and a table of published beside measured
+	$(BIN)/python -m studies.paper $(ARGS)
+
 speed: $(BENCHMARK_READY) ## install the peers' packages, time environments, network and agents beside them
 	$(BIN)/python benchmarks/speed.py $(ARGS)
 
 clean: ## remove .venv, build outputs and caches
 	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	rm -rf docs/_generated docs/envs docs/examples docs/sg_execution_times.rst
-	find mmc_gym tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+	find mmc_gym studies tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV_READY):
 	@command -v "$(PYTHON)" >/dev/null 2>&1 || { \

@@ -62,7 +62,6 @@ nitpick_ignore_regex = [
     # Type variables, and names of types that are no classes.
     (r"py:.*", r"mmc_gym\.agents\.base\.State"),
     (r"py:.*", r"mmc_gym\.envs\.perturbations\.Coordinate"),
-    (r"py:.*", r"mmc_gym\.paper\.experiment\.Part"),
     (r"py:.*", r"mmc_gym\.measures\.catalogue\.(OfEpisodes?|Quantity)"),
 ]
 

@@ -11,7 +11,8 @@ from mmc_gym import envs as envs  # registers the environments
 from mmc_gym.agents import make_agent
 
 if TYPE_CHECKING:
-    from mmc_gym import agents, benchmark, body, measures, network, paper, report, training
+    from mmc_gym import agents, benchmark, body, measures, network, report, training
+    from mmc_gym._errors import UserError
     from mmc_gym.benchmark.compare import compare
     from mmc_gym.listing import (
         list_agents,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 __version__ = version("mmc-gym")
 __all__ = [
+    "UserError",
     "__version__",
     "agents",
     "benchmark",
@@ -39,7 +41,6 @@ __all__ = [
     "make_agent",
     "measures",
     "network",
-    "paper",
     "report",
     "run_episodes",
     "train",
@@ -47,6 +48,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "UserError": "_errors",
     "compare": "benchmark.compare",
     "list_agents": "listing",
     "list_measures": "listing",

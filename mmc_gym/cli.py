@@ -1,6 +1,6 @@
 """The command line: one function for each command.
 
-    mmc-gym compare | benchmark | report | train | tune | curves | reproduce
+    mmc-gym compare | benchmark | report | train | tune | curves
             | play | record | list | show | completion
 
 A mistake of the user's ends with one line on stderr and status 2, a cell of a grid that failed with
@@ -332,28 +332,6 @@ def curves(folder: Path | None = None, out: Path = Path("runs/curves")) -> None:
     from mmc_gym.training.curves import learning_curves
 
     learning_curves(folder, out)
-
-
-@_app.command
-def reproduce(
-    experiments: Positional[tuple[str, ...]] = (),
-    out: Path = Path("runs/reproduce"),
-    quick: bool = False,
-    seed: int = 0,
-    jobs: int | None = None,
-) -> None:
-    """Run the paper's experiments; write figures, data, and a table beside what was published.
-
-    Args:
-        experiments: Names of experiments (default: all).
-        out: Folder for figures, data and table; networks found in it are not trained again.
-        quick: Run a small part of each experiment, to see that everything works.
-        seed: Seed of everything random.
-        jobs: Number of processes (default: one per core).
-    """
-    from mmc_gym.paper import run
-
-    run.reproduce(experiments, out, quick, seed, jobs)
 
 
 @_app.command

@@ -24,7 +24,6 @@ SHIPPED = {
     "mmc_gym/training/hyperparams/*.yml",
     "mmc_gym/agents/pretrained/*.json",
     "mmc_gym/agents/pretrained/*.safetensors",
-    "mmc_gym/paper/templates/*.html.j2",
     "mmc_gym/report/templates/*.css",
     "mmc_gym/report/templates/*.html.j2",
     "mmc_gym/report/templates/*.js",

@@ -15,7 +15,7 @@ from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.tasks import TASKS, DoubleStep, PointToPoint, Pursuit, ViaPoints
 from mmc_gym.interface import ReachInterface
-from mmc_gym.paper.protocol import PAIRS, TARGETS
+from studies.paper.protocol import PAIRS, TARGETS
 
 STILL = np.zeros(3, np.float32)
 

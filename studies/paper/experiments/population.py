@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from mmc_gym._plotting import COLOURS, LINES, write_number
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
-from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
-from mmc_gym.paper.figures import make_panels, styled
-from mmc_gym.paper.networks import Units, trained_architectures
+from studies.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
+from studies.paper.figures import make_panels, styled
+from studies.paper.networks import Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
 WEIGHT_DECAY = 0.0005

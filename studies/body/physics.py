@@ -1,7 +1,7 @@
 """Is success a property of the arm, or of the solver?  And does a force field do no work?
 
-    python benchmarks/physics.py                       # all agents, 1,000 episodes a cell
-    python benchmarks/physics.py --agents mmc ppo sac
+    python -m studies.body.physics                       # all agents, 1,000 episodes a cell
+    python -m studies.body.physics --agents mmc ppo sac
 
 Success of each agent in `MMCReach-v0`, of training seed 0 if it is trained; with a lock that never
 locks; on the exact engine; with physics steps half as long; and with twice as many sweeps of the

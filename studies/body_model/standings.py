@@ -4,8 +4,9 @@ The tables are read from stores of `mmc-gym benchmark`.  The yardstick that is t
 its body has a store of its own, as it is nobody's rival:
 
     mmc-gym benchmark
-    mmc-gym benchmark --agents known-body=benchmarks.known_body:KnownBody --out runs/known-body
-    python benchmarks/standings.py
+    mmc-gym benchmark --out runs/known-body \
+        --agents known-body=studies.body_model.known_body:KnownBody
+    python -m studies.body_model.standings
 
 Success is the mean over the scenarios of a family, with 95 % intervals over training seeds and
 instances.  "24 35 0" against a rival: clearly better in 24 scenarios, no clear difference in 35,

@@ -20,8 +20,6 @@ from itertools import product
 import gymnasium as gym
 import numpy as np
 import tyro
-from known_body import KnownBody
-from playing import Make, Played, body_model, percent, play
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -35,6 +33,8 @@ from mmc_gym.measures import Episode, run_episodes
 from mmc_gym.measures.reaching import success, time_to_target
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 from mmc_gym.network.chain import segments_from_joint_angles
+from studies.body_model.known_body import KnownBody
+from studies.body_model.playing import Make, Played, body_model, percent, play
 
 SCENARIOS = (
     "random",

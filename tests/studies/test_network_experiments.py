@@ -7,12 +7,12 @@ import pytest
 
 from mmc_gym.network import LearnedNormalizer
 from mmc_gym.network.fitting import PAPER
-from mmc_gym.paper import networks
-from mmc_gym.paper.experiment import Settings, write_result
-from mmc_gym.paper.experiments import normalization, population
-from mmc_gym.paper.experiments.population import DIRECTIONS, layer_tunings, tuning
-from mmc_gym.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES, RUNS, architecture_name
-from mmc_gym.paper.published import NORMALIZATION_PUBLISHED
+from studies.paper import networks
+from studies.paper.experiment import Settings, write_result
+from studies.paper.experiments import normalization, population
+from studies.paper.experiments.population import DIRECTIONS, layer_tunings, tuning
+from studies.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES, RUNS, architecture_name
+from studies.paper.published import NORMALIZATION_PUBLISHED
 
 
 def test_the_paper_s_twelve_architectures_of_five_runs_have_published_errors():

@@ -24,8 +24,8 @@ from mmc_gym.measures.speed import peakedness, phase_of_peak
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
-from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, how_many, over_runs
-from mmc_gym.paper.figures import (
+from studies.paper.experiment import Captioned, Result, Row, Settings, how_many, over_runs
+from studies.paper.figures import (
     DISTANCE,
     VELOCITY,
     draw_courses,
@@ -33,8 +33,8 @@ from mmc_gym.paper.figures import (
     draw_postures,
     draw_profiles,
 )
-from mmc_gym.paper.networks import trained_architectures
-from mmc_gym.paper.protocol import (
+from studies.paper.networks import trained_architectures
+from studies.paper.protocol import (
     ACCURATE,
     EUCLIDEAN,
     FAR,
@@ -47,7 +47,7 @@ from mmc_gym.paper.protocol import (
     record_runs,
     summarize_networks,
 )
-from mmc_gym.paper.published import (
+from studies.paper.published import (
     CLASSICAL_PUBLISHED,
     DYNAMIC_EUCLIDEAN,
     DYNAMIC_PUBLISHED,

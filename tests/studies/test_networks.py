@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import fitting as training
-from mmc_gym.paper import networks as normalizers
-from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.networks import trained_architectures
+from studies.paper import networks as normalizers
+from studies.paper.experiment import Settings
+from studies.paper.networks import trained_architectures
 
 FEW = ((2,), (3, 2))
 

@@ -11,9 +11,9 @@ complete before.  Success is a hand within the success distance when the episode
 its median over seeds, the worst and the best.  Minutes are wall time, without the evaluations, of
 as many trainings at once as `--jobs` says; the files have processor time, too.
 
-    python benchmarks/plain_learners.py --learners ppo cleanrl --out runs/plain-learners
-    python benchmarks/plain_learners.py --learners sac td3 --steps 200000
-    python benchmarks/plain_learners.py --learners --plot plain.png   # only shows what is there
+    python -m studies.learners.plain_learners --learners ppo cleanrl --out runs/plain-learners
+    python -m studies.learners.plain_learners --learners sac td3 --steps 200000
+    python -m studies.learners.plain_learners --learners --plot plain.png   # trains nothing
 
 A training that is interrupted begins anew, but what was evaluated is kept.  One that is finished is
 not run again: after a change of the environment's code choose another folder.
@@ -34,7 +34,6 @@ import numpy as np
 import pandas as pd
 import tyro
 import yaml
-from cleanrl_ppo import CleanRLPPO
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -49,6 +48,7 @@ from mmc_gym._grid import run_grid
 from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.measures.reaching import final_distance, success
 from mmc_gym.measures.rollout import run_episodes
+from studies.learners.cleanrl_ppo import CleanRLPPO
 
 Learner = Literal["ppo", "sac", "td3", "cleanrl"]
 

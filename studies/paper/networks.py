@@ -3,7 +3,7 @@
 The runs of an architecture are trained as one batch of tensors, architectures in as many processes
 as asked for.  Every finished one is a file, named by recipe and seed, so that interrupted work goes
 on where it was.  All twelve take 76 seconds of one core; the sixty networks one by one take 349
-(`python benchmarks/normalization_training.py`).
+(`python -m studies.network.normalization_training`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mmc_gym._grid import run_grid
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.fitting import PAPER, Recipe, train_normalizers
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors, mean_squared_error
-from mmc_gym.paper.experiment import Settings, pack_arrays
+from studies.paper.experiment import Settings, pack_arrays
 
 Units: TypeAlias = "tuple[int, ...]"
 

@@ -33,9 +33,9 @@ from mmc_gym._plotting import COLOURS
 from mmc_gym.network.chain import Floats, Pair, chain_vectors, vector_pairs
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from mmc_gym.paper.experiment import Captioned, Result, Row, Settings
-from mmc_gym.paper.figures import add_legend, look, make_panels, styled
-from mmc_gym.paper.protocol import ACCURATE, EUCLIDEAN
+from studies.paper.experiment import Captioned, Result, Row, Settings
+from studies.paper.figures import add_legend, look, make_panels, styled
+from studies.paper.protocol import ACCURATE, EUCLIDEAN
 
 ARMS = 1000
 ITERATIONS = 500

@@ -22,9 +22,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import tyro
-from known_body import KnownBody
 from matplotlib.patches import Circle
-from playing import play, successes
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -34,6 +32,8 @@ from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.envs.workspace import Workspace
 from mmc_gym.measures import Episode
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles
+from studies.body_model.known_body import KnownBody
+from studies.body_model.playing import play, successes
 
 CAUSES = ("out of reach", "left", "stuck", "late")
 REST, AT_REST = 15, 0.02

@@ -11,11 +11,11 @@ import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from mmc_gym.cli import main
-from mmc_gym.paper import networks, run
-from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, write_result
-from mmc_gym.paper.published import POINTS
-from mmc_gym.paper.run import EXPERIMENTS, Experiment, print_report, reproduce
+from studies.paper import networks, run
+from studies.paper.__main__ import main
+from studies.paper.experiment import Captioned, Result, Row, Settings, write_result
+from studies.paper.published import POINTS
+from studies.paper.run import EXPERIMENTS, Experiment, print_report, reproduce
 
 
 def make_figure():
@@ -169,7 +169,7 @@ def test_mistakes_end_with_one_line_before_anything_is_written(
     arguments, message, tmp_path, capsys
 ):
     with pytest.raises(SystemExit) as stop:
-        main(["reproduce", *arguments, "--out", str(tmp_path / "out")])
+        main([*arguments, "--out", str(tmp_path / "out")])
     assert stop.value.code == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -204,7 +204,7 @@ def test_the_command_runs_named_experiments_end_to_end(tmp_path, capsys, monkeyp
     recipe = replace(networks.QUICK_RECIPE, samples=400, epochs=3)
     monkeypatch.setattr(networks, "QUICK_RECIPE", recipe)
     arguments = ["population", "normalization", "--quick", "--seed", "3", "--jobs", "1"]
-    main(["reproduce", *arguments, "--out", str(tmp_path)])
+    main([*arguments, "--out", str(tmp_path)])
     assert "[16]: validation MSE" in capsys.readouterr().out
     for name in ("normalization", "population"):
         content = json.loads((tmp_path / name / "result.json").read_text("utf-8"))

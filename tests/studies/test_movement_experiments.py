@@ -5,25 +5,25 @@ import pytest
 
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.model import linear_operator
-from mmc_gym.paper import protocol
-from mmc_gym.paper.experiment import Settings, write_result
-from mmc_gym.paper.experiments import movements
-from mmc_gym.paper.experiments.bettered import (
+from studies.paper import protocol
+from studies.paper.experiment import Settings, write_result
+from studies.paper.experiments import movements
+from studies.paper.experiments.bettered import (
     LENGTHS,
     measure,
     minimum_jerk_movements,
     record_timed_movements,
 )
-from mmc_gym.paper.experiments.forward_and_mixed import (
+from studies.paper.experiments.forward_and_mixed import (
     NETWORKS,
     TASKS,
     errors,
     factor,
     random_tasks,
 )
-from mmc_gym.paper.networks import TrainedArchitecture, architecture_name
-from mmc_gym.paper.protocol import OVERSHOOT, PAIRS, TARGETS
-from mmc_gym.paper.run import EXPERIMENTS
+from studies.paper.networks import TrainedArchitecture, architecture_name
+from studies.paper.protocol import OVERSHOOT, PAIRS, TARGETS
+from studies.paper.run import EXPERIMENTS
 
 ACCURATE = LearnedNormalizer.shipped("accurate")
 RUNS = (LearnedNormalizer.shipped("paper"), ACCURATE)

@@ -33,8 +33,8 @@ from mmc_gym.network.normalizers import (
     angle_errors,
 )
 from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
-from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
-from mmc_gym.paper.figures import (
+from studies.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
+from studies.paper.figures import (
     DISTANCE,
     VELOCITY,
     draw_courses,
@@ -44,7 +44,7 @@ from mmc_gym.paper.figures import (
     make_panels,
     styled,
 )
-from mmc_gym.paper.protocol import (
+from studies.paper.protocol import (
     ACCURATE,
     EUCLIDEAN,
     FAR,
@@ -55,7 +55,7 @@ from mmc_gym.paper.protocol import (
     record_movements,
     shapes,
 )
-from mmc_gym.paper.published import KINEMATIC_PUBLISHED, NORMALIZATION_PUBLISHED
+from studies.paper.published import KINEMATIC_PUBLISHED, NORMALIZATION_PUBLISHED
 
 NEAR_ONE: Floats = np.linspace(0.9, 1.1, 41)
 """Lengths at which an arm at rest asks for its segments, segment lengths."""

@@ -22,8 +22,8 @@ from mmc_gym.measures.reaching import largest_retreat
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from mmc_gym.paper.experiment import Settings
-from mmc_gym.paper.networks import trained_architectures
+from studies.paper.experiment import Settings
+from studies.paper.networks import trained_architectures
 
 _ANGLES = np.arange(7) * (np.pi / 6)
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)

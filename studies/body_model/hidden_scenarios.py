@@ -16,14 +16,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import tyro
-from known_body import KnownBody
-from playing import Make, percent, play
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from mmc_gym.envs.perturbations import ForceField, SegmentLength, VisuomotorRotation
 from mmc_gym.envs.scenarios import Scenario, find_perturbation
+from studies.body_model.known_body import KnownBody
+from studies.body_model.playing import Make, percent, play
 
 AGENTS: tuple[str | Make, ...] = (
     "mmc-body",

@@ -30,15 +30,15 @@ from rich.text import Text
 from mmc_gym._console import encodable, make_console, print_shares, progress_bar
 from mmc_gym._errors import unknown
 from mmc_gym._files import check_folder, write_atomically
-from mmc_gym.paper.experiment import Result, Row, Settings, format_value, write_result
-from mmc_gym.paper.experiments import (
+from studies.paper.experiment import Result, Row, Settings, format_value, write_result
+from studies.paper.experiments import (
     bettered,
     forward_and_mixed,
     movements,
     normalization,
     population,
 )
-from mmc_gym.paper.published import POINTS
+from studies.paper.published import POINTS
 
 TITLE = "The paper's experiments, published and measured"
 PAPER = (
@@ -282,7 +282,7 @@ def to_html(sections: Mapping[str, Section], quick: bool, folder: Path) -> str:
         return base64.b64encode((folder / part.folder / f"{stem}.png").read_bytes()).decode()
 
     templates = Environment(
-        loader=PackageLoader("mmc_gym.paper"),
+        loader=PackageLoader("studies.paper"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -28,10 +28,10 @@ from mmc_gym._plotting import COLOURS, LINES
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.fitting import PAPER
 from mmc_gym.network.normalizers import LearnedNormalizer
-from mmc_gym.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
-from mmc_gym.paper.figures import make_panels, styled
-from mmc_gym.paper.networks import QUICK_RECIPE, TrainedArchitecture, trained_architectures
-from mmc_gym.paper.published import NORMALIZATION_PUBLISHED, MeanAndDeviation
+from studies.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
+from studies.paper.figures import make_panels, styled
+from studies.paper.networks import QUICK_RECIPE, TrainedArchitecture, trained_architectures
+from studies.paper.published import NORMALIZATION_PUBLISHED, MeanAndDeviation
 
 _FIELDS = ("[8]", "[16]")
 

@@ -1,6 +1,6 @@
 """Seconds to train the paper's normalization networks, five runs together and one at a time.
 
-Run it with `python benchmarks/normalization_training.py`.  Only a few epochs are trained, and
+Run it with `python -m studies.network.normalization_training`.  Only a few epochs are trained, and
 extrapolated: what an epoch costs does not change in the course of a training.  Seconds are the
 process' own time on one thread, so that other work on the machine hardly disturbs them.
 """
@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mmc_gym.network.fitting import PAPER, train_normalizers
-from mmc_gym.paper.networks import ARCHITECTURES, RUNS, Units, architecture_name
+from studies.paper.networks import ARCHITECTURES, RUNS, Units, architecture_name
 
 
 @dataclass

@@ -4,7 +4,7 @@ It has the drive, the imagination, the filters and the contacts of `mmc-body`, b
 out: it knows the true lengths, how the cursor is turned, the delay, which joints are locked, and of
 joints that lock on the way that they do, in the control step in which it happens.
 
-    mmc-gym benchmark --agents known-body=benchmarks.known_body:KnownBody
+    mmc-gym benchmark --agents known-body=studies.body_model.known_body:KnownBody
 """
 
 from __future__ import annotations

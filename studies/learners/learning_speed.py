@@ -1,11 +1,11 @@
 """Seconds from nothing to a policy that reaches its targets: PPO on many analytic arms.
 
-Run it with `python benchmarks/learning_speed.py`.  stable-baselines3's PPO learns on the analytic
-engine (extra `fast`), and its policies are scored on pymunk, on targets that they never saw.  The
-clock stands still while they are copied; they are scored once the training is over.  Processor
-seconds stand beside those of the wall, which others on the machine lengthen.  Printed are the
-medians over the seeds, when 95 % and 98 % of the targets were reached for the first time, and where
-the processor time went.
+Run it with `python -m studies.learners.learning_speed`.  stable-baselines3's PPO learns on the
+analytic engine (extra `fast`), and its policies are scored on pymunk, on targets that they never
+saw.  The clock stands still while they are copied; they are scored once the training is over.
+Processor seconds stand beside those of the wall, which others on the machine lengthen.  Printed are
+the medians over the seeds, when 95 % and 98 % of the targets were reached for the first time, and
+where the processor time went.
 """
 
 from __future__ import annotations

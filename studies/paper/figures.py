@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats, node_positions
-from mmc_gym.paper.protocol import EUCLIDEAN, Recording
+from studies.paper.protocol import EUCLIDEAN, Recording
 
 DISTANCE = "distance [of start to target]"
 VELOCITY = "velocity [of start to target / iteration]"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import EuclideanNormalizer, MMCNetwork
-from mmc_gym.paper.experiments import movements
-from mmc_gym.paper.protocol import (
+from studies.paper.experiments import movements
+from studies.paper.protocol import (
     EXAMPLE_TARGET,
     INNER,
     PAIRS,

@@ -1,0 +1,1 @@
+"""Whether success is a property of the arm or of its solver."""

@@ -1,0 +1,1 @@
+"""What learners reach with their own defaults, and how fast."""
