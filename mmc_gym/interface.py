@@ -366,7 +366,7 @@ class ReachInterface:
         Raises:
             UserError: if it is none of this package's reaching environments, or they differ.
         """
-        body, control = told_by(env, "parameters"), told_by(env, "control")
+        body, control = read_attribute(env, "parameters"), read_attribute(env, "control")
         if body is None or control is None:
             raise UserError(f"env must be a reaching environment of mmc_gym, got {env!r}")
         return cls(
@@ -557,7 +557,7 @@ def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
     return turned
 
 
-def told_by(env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any] | Any, name: str) -> Any:
+def read_attribute(env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any] | Any, name: str) -> Any:
     """Return an attribute of any environment that `ReachInterface.of` accepts; None if it has none.
 
     Raises:

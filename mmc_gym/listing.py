@@ -166,8 +166,8 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
         yield "perturbation", f"{one}: {_about(one)}"
     yield "agents", "\n".join(_told(found, setup))
     trials = "are drawn" if task.trial_count is None else f"are those of {task.trial_count} trials"
-    seconds = task.episode_steps * setup.told.control_step
-    length = f"{task.episode_steps} steps of {setup.told.control_step:g} s ({seconds:g} s)"
+    seconds = task.episode_steps * setup.given_body.control_step
+    length = f"{task.episode_steps} steps of {setup.given_body.control_step:g} s ({seconds:g} s)"
     yield "episodes", f"{length}; starts and targets {trials}"
     for kind in ("action", "observation"):
         space = getattr(env, f"{kind}_space")
@@ -206,8 +206,8 @@ def _told(found: Scenario, setup: Any) -> Iterator[str]:
         yield "are not told"
     else:
         yield f"are not told; with {found.name}-told they are"
-    for one in fields(setup.told):
-        told, true = getattr(setup.told, one.name), getattr(setup.body, one.name)
+    for one in fields(setup.given_body):
+        told, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)
         if told != true:
             yield f"{one.name}: {_short(true)}, told {_short(told)}"
 

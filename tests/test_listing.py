@@ -51,7 +51,7 @@ def test_what_it_says_makes_a_scenario_does_make_it(name):
     assert ways
     for way in ways:
         made = eval(way, {"gym": gym}).unwrapped.setup
-        assert (made.body, made.told) == (expected.body, expected.told)
+        assert (made.body, made.given_body) == (expected.body, expected.given_body)
         assert (made.task, made.perturbations) == (expected.task, expected.perturbations)
 
 

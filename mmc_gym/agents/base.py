@@ -17,7 +17,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError, require
 from mmc_gym._notebook import facts_table
-from mmc_gym.interface import Observation, ReachInterface, Sensed, told_by
+from mmc_gym.interface import Observation, ReachInterface, Sensed, read_attribute
 from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
 
@@ -210,7 +210,7 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
     Another engine is no such difference: engines simulate the same arm.  Nor are perturbations:
     they are meant.  Nothing is said where either arm is unknown.
     """
-    here = told_by(env, "unperturbed")
+    here = read_attribute(env, "unperturbed")
     if trained is None or here is None:
         return
     differences = "; ".join(_differences(trained, here))

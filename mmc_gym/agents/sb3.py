@@ -40,7 +40,7 @@ from mmc_gym.interface import (
     Control,
     ControlError,
     Observation,
-    told_by,
+    read_attribute,
 )
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ class ModelAgent(Agent[Any]):
                 raise CannotActError(
                     f"{name} must be of shape {_shape(mine)} for {self.label}, got {_shape(here)}"
                 )
-        control = told_by(env, "control")
+        control = read_attribute(env, "control")
         if None not in (self.trained_in.control, control) and control != self.trained_in.control:
             raise ControlError(
                 f"control must be {self.trained_in.control!r} for {self.label}, got {control!r}",
@@ -185,7 +185,11 @@ def agent_of_model(model: Any) -> ModelAgent:
 
 def _world(env: Any) -> World:
     try:
-        return World(told_by(env, "control"), told_by(env, "unperturbed"), tuple(_wrappers(env)))
+        return World(
+            read_attribute(env, "control"),
+            read_attribute(env, "unperturbed"),
+            tuple(_wrappers(env)),
+        )
     except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
         return World()
 
@@ -265,7 +269,7 @@ class SavedModel:
         except (gym.error.Error, ImportError, TypeError, ValueError):  # it is not there any more
             control = given.get("control")
             return World(control if control in CONTROLS else None)
-        found = World(told_by(env, "control"), told_by(env, "unperturbed"))
+        found = World(read_attribute(env, "control"), read_attribute(env, "unperturbed"))
         env.close()
         return found
 

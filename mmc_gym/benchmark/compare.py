@@ -20,7 +20,7 @@ from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_e
 from mmc_gym.benchmark.statistics import summarize
 from mmc_gym.benchmark.store import episode_columns
 from mmc_gym.envs.making import EnvLike, name_of
-from mmc_gym.interface import told_by
+from mmc_gym.interface import read_attribute
 from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures, run_episodes
 from mmc_gym.measures.rollout import check_environment
 
@@ -108,7 +108,9 @@ def compare(
         episodes=table,
         summary=summary,
         env_kwargs=given,
-        controls={entry.label: str(told_by(made, "control")) for entry, made in zip(entries, envs)},
+        controls={
+            entry.label: str(read_attribute(made, "control")) for entry, made in zip(entries, envs)
+        },
     )
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
     if console is not None:

@@ -34,7 +34,7 @@ class CompiledStep:
         """Prepare for the arms of an environment."""
         self._arms, self._action = arms, setup.action
         self._settings = np.zeros(1, SETTINGS)
-        self._settings["speed_limit"] = setup.told.speed_limit
+        self._settings["speed_limit"] = setup.given_body.speed_limit
         for name in ("success_distance", *WEIGHTS):
             self._settings[name] = getattr(setup, name)
         # Goals are not clipped.

@@ -257,7 +257,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         """Return observation, reward and info of the present state."""
         arm, setup, target = self._arm, self.setup, self._target
         hand = arm.end_effector if setup.rotation is None else self._seen_hand()
-        limit = setup.told.speed_limit
+        limit = setup.given_body.speed_limit
         speeds = [
             -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
             for velocity in arm.joint_velocities

@@ -66,7 +66,7 @@ class ReachSetup:
 
     Attributes:
         unperturbed: physical parameters of the arm, as the arguments give them.
-        told: those that agents are told: with the perturbations that they are told of.
+        given_body: those that agents are given: with the perturbations that they are given.
         body: those of the arm that is simulated; perturbations make the difference.
         task_name: the name that the task was given by, if any.
         caption: task and perturbations, for a picture; empty if they are the plain ones.
@@ -78,7 +78,7 @@ class ReachSetup:
         frame_rate: pictures a second, one each control step.
         trace_length: places on the trace of the hand that a picture shows, a second's.
         action_space, observation_space: of one arm.
-        layout: of the observations; its `reach` is the sum of the told lengths.
+        layout: of the observations; its `reach` is the sum of the given lengths.
         farthest: distance from the base within which the hand, or its cursor, always is.
         may_exceed_reach: whether that is beyond `reach`, so that observations must be clipped.
     """
@@ -128,24 +128,24 @@ class ReachSetup:
         self.caption = ", ".join(n if isinstance(n, str) else type(n).__name__ for n in named)
         self.unperturbed = ArmParameters(**arm_parameters)
         self._apply_perturbations(self.unperturbed)
-        self.action = action_meaning(control, self.told)
-        lengths = self.told.segment_lengths
+        self.action = action_meaning(control, self.given_body)
+        lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
         self.layout = ObservationLayout(self.joint_count, self.reach)
         self.observation_space = self.layout.space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
-        self.frame_rate = round(1 / self.told.control_step)
+        self.frame_rate = round(1 / self.given_body.control_step)
         self.trace_length = max(2, self.frame_rate)
-        self.path_length = self.task.path_length(self.told.control_step)
+        self.path_length = self.task.path_length(self.given_body.control_step)
         self.task.check(self.workspace)
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
         self._draw(np.random.default_rng(0), Options())
 
     def _apply_perturbations(self, parameters: ArmParameters) -> None:
         changes, step = self.perturbations, parameters.control_step
-        told = [change for change in changes if change.told]
+        given = [change for change in changes if change.told]
         self.body = reduce(lambda arm, change: change.change_body(arm), changes, parameters)
-        self.told = reduce(lambda arm, change: change.change_body(arm), told, parameters)
+        self.given_body = reduce(lambda arm, change: change.change_body(arm), given, parameters)
         self.noises = [change for change in changes if isinstance(change, Noise)]
         delays = [change.seconds for change in changes if isinstance(change, SensoryDelay)]
         self.delay = round(sum(delays) / step)
@@ -155,11 +155,11 @@ class ReachSetup:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
         self.lock_step = round(times.pop() / step) if times else None
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
-        self.workspace = Workspace(self.body, self.told, locked)
+        self.workspace = Workspace(self.body, self.given_body, locked)
         self.rotation = self.workspace.rotation = self._rotation()
         shift = self.rotation.cursor(0.0, 0.0) if self.rotation else (0.0, 0.0)
         self.farthest = sum(self.body.segment_lengths) + math.hypot(*shift)
-        self.may_exceed_reach = self.farthest > sum(self.told.segment_lengths)
+        self.may_exceed_reach = self.farthest > sum(self.given_body.segment_lengths)
 
     def _rotation(self) -> VisuomotorRotation | None:
         """Return the rotation, if there is one, about the point that it is meant to turn about."""
@@ -184,7 +184,7 @@ class ReachSetup:
         """Return the observations of n arms for their readings, (n, …)."""
         return self.layout.encode(
             readings.joint_angles,
-            relative_speeds(readings.joint_velocities, self.told.speed_limit),
+            relative_speeds(readings.joint_velocities, self.given_body.speed_limit),
             hand=readings.hand,
             target=readings.target,
             clip=self.may_exceed_reach or bool(self.noises),
@@ -313,7 +313,7 @@ class GoalSetup(ReachSetup):
     def observe(self, readings: Readings) -> Any:
         return self.layout.encode_goals(
             readings.joint_angles,
-            relative_speeds(readings.joint_velocities, self.told.speed_limit),
+            relative_speeds(readings.joint_velocities, self.given_body.speed_limit),
             hand=readings.hand,
             target=readings.target,
         )
@@ -332,7 +332,7 @@ class ReachEnvironment:
     setup: ReachSetup
     _spec: EnvSpec | None = None
 
-    parameters = property(attrgetter("setup.told"), doc="The arm as agents are told it.")
+    parameters = property(attrgetter("setup.given_body"), doc="The arm as agents are given it.")
     unperturbed = property(attrgetter("setup.unperturbed"), doc="The arm without perturbations.")
     engine = property(attrgetter("setup.engine"), doc="The engine that moves the arm.")
     control = property(attrgetter("setup.control"), doc="The control mode.")
@@ -341,12 +341,12 @@ class ReachEnvironment:
     success_distance = property(
         attrgetter("setup.success_distance"), doc="How near a target is reached, segment lengths."
     )
-    reach = property(attrgetter("setup.reach"), doc="Sum of the told segment lengths.")
+    reach = property(attrgetter("setup.reach"), doc="Sum of the given segment lengths.")
 
     @property
     def max_joint_delta(self) -> float:
         """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
-        return action_meaning("joint_delta", self.setup.told).scale
+        return action_meaning("joint_delta", self.setup.given_body).scale
 
     @property
     def spec(self) -> EnvSpec | None:

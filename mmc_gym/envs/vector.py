@@ -362,7 +362,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             observation = None if setup.noises else setup.observe(readings)
             distance = distances(hands, targets)
             is_success = (distance <= self.success_distance) & may_succeed
-            speeds = relative_speeds(velocities, setup.told.speed_limit)
+            speeds = relative_speeds(velocities, setup.given_body.speed_limit)
             before = self._speeds[arms].T
             rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
             self._speeds[arms] = speeds

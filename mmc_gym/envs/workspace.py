@@ -46,22 +46,25 @@ class Workspace:
     rotation: VisuomotorRotation | None = None
 
     def __init__(
-        self, body: ArmParameters, told: ArmParameters | None = None, locked: Sequence[int] = ()
+        self,
+        body: ArmParameters,
+        given_body: ArmParameters | None = None,
+        locked: Sequence[int] = (),
     ) -> None:
         """Make the workspace of `body`.
 
         Args:
             body: the arm that moves.
-            told: the arm that agents take it for, if it is another: the workspace is then what
-                both can reach.
+            given_body: the arm as agents are given it, if that is another one: the workspace is
+                then what both can reach.
             locked: indices of joints that are locked all the time.
 
         Raises:
             UserError: if there is nothing that both can reach.
         """
-        self.body, self.told = body, told or body
+        self.body, self.given_body = body, given_body or body
         self.locked = tuple(locked)
-        rings = [reachable_radii(arm.segment_lengths) for arm in (self.body, self.told)]
+        rings = [reachable_radii(arm.segment_lengths) for arm in (self.body, self.given_body)]
         self.inner = max(inner for inner, _ in rings)
         self.outer = min(outer for _, outer in rings)
         if self.inner > self.outer * (1 + REACH_TOLERANCE):
@@ -129,10 +132,10 @@ class Workspace:
         raise self._no_target(NoTarget)
 
     def _no_target(self, kind: type[UserError]) -> UserError:
-        body, told = self.body, self.told
+        body, given = self.body, self.given_body
         return kind(
             "perturbations must leave targets in reach, got segment_lengths "
-            f"{body.segment_lengths}, taken for {told.segment_lengths}, locked joints "
+            f"{body.segment_lengths}, given as {given.segment_lengths}, locked joints "
             f"{self.locked}, joint_limits {body.joint_limits}, obstacles {body.obstacles} and "
             f"rotation {self.rotation}"
         )

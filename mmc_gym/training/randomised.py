@@ -224,7 +224,7 @@ class Truth(gym.vector.VectorWrapper[Any, Any, Any]):
         moved, self._targets = targets - self._targets, targets
         moved[np.abs(moved).max(axis=-1) > JUMP] = 0.0
         count = setup.joint_count
-        x, y = moved.T / setup.told.control_step
+        x, y = moved.T / setup.given_body.control_step
         velocity = turned_back(x, y, true[:, 0], true[:, count])
         locked = self._locks & (setup.lock_step is not None and self._step >= setup.lock_step)
         of_all = np.broadcast_to((*self._body, *locked), (len(true), len(self._body) + count))

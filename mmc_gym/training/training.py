@@ -40,7 +40,7 @@ from mmc_gym.agents.policy import (
     save_policy,
 )
 from mmc_gym.agents.policy_network import PolicyNetwork
-from mmc_gym.interface import ReachInterface, told_by
+from mmc_gym.interface import ReachInterface, read_attribute
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.checkpoints import load_checkpoint, read_head, save_checkpoint
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
@@ -254,8 +254,8 @@ class Training:
             versions=library_versions(),
             scores={},
             learning_curve=[],
-            engine=told_by(self._world, "engine"),
-            body=told_by(self._world, "unperturbed"),
+            engine=read_attribute(self._world, "engine"),
+            body=read_attribute(self._world, "unperturbed"),
             blocks=() if memory is None else memory.blocks,
         )
         return network, card

@@ -63,7 +63,7 @@ def cause(episode: Episode, setup: ReachSetup) -> str:
     """Return why an episode failed."""
     hands, targets = episode.seen_hands, episode.targets
     if setup.lock_step:
-        workspace = Workspace(setup.body, setup.told, setup.body.lockable_joints)
+        workspace = Workspace(setup.body, setup.given_body, setup.body.lockable_joints)
         workspace.rotation = setup.rotation
         if not workspace.contains(targets[-1], episode.joint_angles[-1]):
             return "out of reach"

@@ -455,7 +455,7 @@ def test_perturbations_can_be_combined(names: list[str]) -> None:
         (None, "perturbations None is not accepted. It may be .* or a Perturbation$"),
         (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
         (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach, .*degrees=180.0"),
-        ("longer-500", r"must leave targets in reach, .*6\.0\), taken for \(1\.0, 1\.0, 1\.0\)"),
+        ("longer-500", r"must leave targets in reach, .*6\.0\), given as \(1\.0, 1\.0, 1\.0\)"),
         (["rotation-30", "rotation-45"], "at most one rotation"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),

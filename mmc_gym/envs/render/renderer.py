@@ -129,7 +129,7 @@ class Renderer:
         if body.hand_mass:
             canvas.draw_hand_mass(nodes[-1], body.hand_mass)
         if scene.ghost is not None:
-            canvas.draw_ghost(scene.ghost, self._setup.told.segment_lengths)
+            canvas.draw_ghost(scene.ghost, self._setup.given_body.segment_lengths)
         lock_step = self._setup.lock_step
         is_locked = lock_step is not None and scene.steps >= lock_step
         for joint in body.lockable_joints if is_locked else ():
@@ -148,7 +148,9 @@ class Renderer:
         setup = self._setup
         seen = setup.layout.split(observation.astype(float))
         relative = np.arctan2(seen.sines, seen.cosines)
-        nodes = shapes.node_positions(np.cumsum(relative).tolist(), setup.told.segment_lengths)
+        nodes = shapes.node_positions(
+            np.cumsum(relative).tolist(), setup.given_body.segment_lengths
+        )
         points = np.stack((seen.target - seen.offset, seen.target))
         hand, target = ((x, y) for x, y in in_the_world(points, relative).tolist())
         self._canvas.draw_sensed(nodes, hand, target)
