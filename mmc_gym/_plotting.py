@@ -36,7 +36,7 @@ STYLE: Any = {
 }
 
 
-class Movement(NamedTuple):
+class PlottedMovement(NamedTuple):
     """One movement, as figures draw it.
 
     Attributes:
@@ -72,7 +72,7 @@ class ShownFigure(Figure):
 
 
 def paths_and_profiles(
-    movements: Mapping[str, Sequence[Movement]],
+    movements: Mapping[str, Sequence[PlottedMovement]],
     reach: float,
     tolerance: float,
     control_step: float,
@@ -119,7 +119,12 @@ def paths_and_profiles(
 
 
 def draw_paths(
-    axes: Axes, movements: Sequence[Movement], reach: float, tolerance: float, *, halo: bool = False
+    axes: Axes,
+    movements: Sequence[PlottedMovement],
+    reach: float,
+    tolerance: float,
+    *,
+    halo: bool = False,
 ) -> None:
     """Draw the hand paths of the first `EXAMPLES` movements, with their targets and the reach.
 
@@ -185,7 +190,7 @@ def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = N
     return whole
 
 
-def speed_quartiles(movements: Sequence[Movement]) -> Floats:
+def speed_quartiles(movements: Sequence[PlottedMovement]) -> Floats:
     """Return the quartiles over all movements of the speed in each step, (3, longest)."""
     padded = np.full((len(movements), max(len(one.speeds) for one in movements)), np.nan)
     for row, movement in zip(padded, movements, strict=True):

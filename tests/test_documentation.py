@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mmc_gym._plotting import Movement, paths_and_profiles, save_figure
+from mmc_gym._plotting import PlottedMovement, paths_and_profiles, save_figure
 from mmc_gym.agents import make_agent, resolve
 from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
 from mmc_gym.cli import compare, main
@@ -88,7 +88,7 @@ def test_the_comparison_shows_what_the_agents_do(tmp_path):
         episodes[name] = run_episodes(make_agent(name, env), env, seeds, records_effort=False)
     episodes[REFERENCE] = minimum_jerk_episodes(episodes["mmc"])
     movements = {
-        name: [Movement(one.hands, one.target, one.speeds) for one in found]
+        name: [PlottedMovement(one.hands, one.target, one.speeds) for one in found]
         for name, found in episodes.items()
     }
     save_figure(paths_and_profiles(movements, 3.0, 0.05, 0.02), tmp_path / "drawn")

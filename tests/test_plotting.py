@@ -6,13 +6,13 @@ import matplotlib
 import numpy as np
 import pytest
 
-from mmc_gym._plotting import Movement, paths_and_profiles, save_figure
+from mmc_gym._plotting import PlottedMovement, paths_and_profiles, save_figure
 
 
 def movement(number, steps=100):
     speeds = np.sin(np.linspace(0, np.pi, steps)) * (1 + number)
     hands = np.stack([np.cumsum([0.0, *speeds]) * 0.02, np.full(steps + 1, 0.1 * number)], axis=-1)
-    return Movement(hands, hands[-1] + 0.1, speeds)
+    return PlottedMovement(hands, hands[-1] + 0.1, speeds)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ comparison = mmc_gym.compare(["mmc", "ik-dls", "ppo"], episodes=40)
 print(comparison.headline)
 
 # %%
-# ``print(comparison)`` shows the whole table, and ``to_latex()`` sets it. Here is a part of it,
+# ``print(comparison)`` shows the whole table. Here is a part of it,
 # with its intervals over episodes. The ideal hand has no arm, and follows a minimum-jerk movement.
 
 measures = ["success", "time_to_target", "path_ratio", "velocity_peaks", "joint_work"]

@@ -66,7 +66,7 @@ def compare(
         >>> comparison
         <Comparison of random in MMCReach-v0, 2 episodes each>
         >>> comparison.headline
-        'random ends at the target in none of 2 episodes.'
+        'success at the end: random 0.0 %'
         >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
         {'random': 2, 'minimum jerk (ideal)': 2}
     """

@@ -1,12 +1,11 @@
-"""What a comparison found: shown as a table, a figure, a frame, LaTeX, or in a notebook."""
+"""The result of a comparison, shown as a table, a figure, a frame, or in a notebook."""
 
 from __future__ import annotations
 
 import io
 import json
-import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
 from importlib.metadata import version
@@ -22,15 +21,12 @@ from mmc_gym._files import write_atomically
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES
 from mmc_gym.measures import MEASURES, Episode
-from mmc_gym.measures.catalogue import Measure, shown_measures
+from mmc_gym.measures.catalogue import shown_measures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
-
-# Signs that pdfLaTeX does not know as they are.
-_LATEX = {"−": "$-$", "≤": r"$\leq$", "½": r"$\frac{1}{2}$", "µ": r"\textmu{}"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,28 +77,11 @@ class Comparison:
 
     @property
     def headline(self) -> str:
-        """The result in a sentence: who ends at the target most often, soonest, and least often."""
-        successes = self.episodes.groupby("agent")["success"].mean()[self.agents]
-        best, worst = successes.max(), successes.min()
-        leaders = list(successes.index[successes == best])
-        ends = "ends" if len(leaders) == 1 else "end"
-        sentence = f"{_listed(leaders)} {ends} at the target in {self._share(leaders)} episodes"
-        times = self.to_frame().loc[leaders, "time_to_target"].dropna()
-        if len(times):
-            soonest = f"{times.idxmin()} soonest, " if len(leaders) > 1 else ""
-            sentence += f" ({soonest}after {times.min():.2f} s in the median)"
-        if worst < best:
-            losers = list(successes.index[successes == worst])
-            sentence += f"; {_listed(losers)} in {self._share(losers).removesuffix(' of the')}"
-        return f"{sentence}."
-
-    def _share(self, agents: Sequence[str]) -> str:
-        """Return in how many of all episodes these agents, which are alike in it, succeeded."""
-        played = self.episodes[self.episodes["agent"] == agents[0]]["success"]
-        if len({self.trainings[agent] for agent in agents}) > 1:
-            rate = float(played.mean())
-            return "none of the" if rate == 0 else "all" if rate == 1 else f"{rate:.1%} of the"
-        return _of_all(played.sum(), len(played))
+        """The success of each agent, in a line."""
+        means = self.episodes.groupby("agent")["success"].mean()[self.agents]
+        success = MEASURES["success"]
+        shares = ", ".join(f"{agent} {success.quantity(mean)}" for agent, mean in means.items())
+        return f"{success.label}: {shares}"
 
     @property
     def note(self) -> str:
@@ -131,7 +110,8 @@ class Comparison:
     def _replication(self) -> str:
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
         over_both = (
-            f"The intervals of {_listed(several)} replicate over trainings (so many) and episodes. "
+            f"The intervals of {', '.join(several)} replicate over trainings (so many) and "
+            "episodes. "
             if several
             else ""
         )
@@ -186,26 +166,6 @@ class Comparison:
         frame = self.summary.pivot(index="agent", columns="measure", values=value)
         return frame.loc[list(self.recorded), list(self.summary["measure"].unique())]
 
-    def to_latex(self, measures: Sequence[str] | None = None, *, intervals: bool = True) -> str:
-        r"""Return the table for LaTeX: a row for each measure, a column for each agent.
-
-        It needs `\\usepackage{booktabs}`.
-
-        Args:
-            measures: their names, in this order; by default those that the table shows.
-            intervals: whether they stand beside the estimates.
-
-        Raises:
-            UserError: for an unknown measure.
-        """
-        table = self._table(self._measures(measures), intervals=intervals, with_training=False)
-        table = table.rename(index=_in_a_line).map(_in_a_line)
-        columns = "l" + "r" * len(table.columns)
-        text = table.to_latex(escape=True, column_format=columns)
-        for sign, latex in _LATEX.items():
-            text = text.replace(sign, latex)
-        return text
-
     def plot(self, figure: Figure | None = None) -> Figure:
         """Return a figure: hand paths above, speed profiles below, a column for each agent.
 
@@ -213,10 +173,10 @@ class Comparison:
             figure: to draw on, such as `plt.figure(layout="constrained")`, which `plt.show()` then
                 shows; a new one if None.
         """
-        from mmc_gym._plotting import Movement, paths_and_profiles
+        from mmc_gym._plotting import PlottedMovement, paths_and_profiles
 
         movements = {
-            agent: [Movement(one.seen_hands, one.target, one.speeds) for one in episodes]
+            agent: [PlottedMovement(one.seen_hands, one.target, one.speeds) for one in episodes]
             for agent, episodes in self.recorded.items()
         }
         one = next(iter(self.recorded.values()))[0]
@@ -225,7 +185,7 @@ class Comparison:
     def print(self, console: Console | None = None) -> None:
         """Print headline, table and note; to standard output by default."""
         console = console or make_console()
-        table = self._table(shown_measures())
+        table = self._table()
         best = [MEASURES[one.name].best.replace("neither", "") for one in shown_measures()]
         labels = {"": list(table.index), "best": [*best, ""]}
         console.print(text_for(console, self.headline))
@@ -258,48 +218,23 @@ class Comparison:
         return text.rstrip()
 
     def _repr_html_(self) -> str:
-        table = self._table(shown_measures()).to_html(border=0)
+        table = self._table().to_html(border=0)
         return f"<p><b>{escape(self.headline)}</b></p>{table}<p>{escape(self.note)}</p>"
 
-    def _measures(self, names: Sequence[str] | None) -> tuple[Measure, ...]:
-        for name in names or ():
-            require_choice("measures", name, MEASURES)
-        return shown_measures() if names is None else tuple(MEASURES[name] for name in names)
-
-    def _table(
-        self, measures: Sequence[Measure], *, intervals: bool = True, with_training: bool = True
-    ) -> pd.DataFrame:
+    def _table(self) -> pd.DataFrame:
         """Return the table as it is printed, all text: a row a measure, a column an agent."""
-        summary = self.summary if intervals else self.summary.assign(low=math.nan, missing=0)
         rows: dict[Any, Any] = {
-            (row["agent"], row["measure"]): row for row in summary.to_dict("records")
+            (row["agent"], row["measure"]): row for row in self.summary.to_dict("records")
         }
+        shown = shown_measures()
         columns = {
-            agent: [cell(rows[agent, one.name], one.decimals) for one in measures]
+            agent: [cell(rows[agent, one.name], one.decimals) for one in shown]
             for agent in self.recorded
         }
-        headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in measures]
-        if with_training:
-            headings.append("training\n[env steps]")
-            for agent, steps in self.training_steps.items():
-                columns[agent].append("unknown" if steps is None else f"{steps:,}")
-        return pd.DataFrame(columns, index=headings)
-
-
-def _in_a_line(text: str) -> str:
-    return text.replace("\n", " ")
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names as in a sentence: "mmc, ppo and sac"."""
-    *others, last = names
-    return f"{', '.join(others)} and {last}" if others else last
-
-
-def _of_all(successes: float, total: int) -> str:
-    """Return how many of all episodes, as in a sentence."""
-    words = {0: f"none of {total}", total: f"all {total}"}
-    return words.get(int(successes), f"{successes:.0f} of {total}")
+        for agent, steps in self.training_steps.items():
+            columns[agent].append("unknown" if steps is None else f"{steps:,}")
+        headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
+        return pd.DataFrame(columns, index=[*headings, "training\n[env steps]"])
 
 
 def _csv(frame: pd.DataFrame) -> str:

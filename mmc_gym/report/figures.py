@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FuncFormatter, NullFormatter, PercentFormatter
 
-from mmc_gym._plotting import EXAMPLES, Movement, draw_paths, draw_speed, speed_quartiles
+from mmc_gym._plotting import EXAMPLES, PlottedMovement, draw_paths, draw_speed, speed_quartiles
 from mmc_gym.agents.policy import EVALUATION_EPISODES, PolicyCard
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures import Measure
@@ -362,7 +362,9 @@ def movements(results: Results, look: Mapping[str, Look]) -> PanelFigure | None:
     )
 
 
-def _draw_movements(drawn_of: Sequence[Movement], results: Results, fastest: float) -> Figure:
+def _draw_movements(
+    drawn_of: Sequence[PlottedMovement], results: Results, fastest: float
+) -> Figure:
     with drawn(*_MOVEMENT_SIZE) as (figure, axes):
         axes.remove()
         above, below = figure.subplots(2, 1, height_ratios=(1.45, 1))
@@ -377,11 +379,11 @@ def _draw_movements(drawn_of: Sequence[Movement], results: Results, fastest: flo
     return figure
 
 
-def _movements_of(rows: pd.DataFrame, control_step: float) -> list[Movement]:
+def _movements_of(rows: pd.DataFrame, control_step: float) -> list[PlottedMovement]:
     """Return the movements of an agent, in the order of the instances."""
     found = []
     for _, steps in rows.sort_values("step").groupby("instance"):
         hands = steps[["hand_x", "hand_y"]].to_numpy(np.float64)
         target = steps[["target_x", "target_y"]].to_numpy(np.float64)[-1]
-        found.append(Movement(hands, target, hand_speed(hands, control_step)))
+        found.append(PlottedMovement(hands, target, hand_speed(hands, control_step)))
     return found
