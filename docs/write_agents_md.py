@@ -39,8 +39,8 @@ def agents_text() -> str:
         "## Contract",
         "",
         f"Agents have `predict{inspect.signature(Predictor.predict)}`, for one observation or a",
-        "batch of them. An agent's memory is `state`; nothing is kept in attributes. Lengths are in",
-        "segment lengths, angles in radians, time in seconds; arrays lead with batch axes.",
+        "batch of them. An agent's memory is `state`; nothing is kept in attributes. Lengths are",
+        "in segment lengths, angles in radians, time in seconds; arrays lead with batch axes.",
         "The same seed gives the same result. A wrong argument raises `UserError`, a `ValueError`",
         "that names the argument, the value and what is accepted.",
         "",
@@ -58,8 +58,8 @@ def agents_text() -> str:
         "",
         *commands(),
         "",
-        "`mmc-gym COMMAND --help` describes the options; `make test` runs lint, types, import rules",
-        "and tests.",
+        "`mmc-gym COMMAND --help` describes the options; `make test` runs lint, types, import",
+        "rules and tests.",
         "",
     ]
     return "\n".join(lines)
