@@ -25,17 +25,21 @@ export PIP_NO_INPUT := 1
 PIP_INSTALL = $(BIN)/python -m pip install --quiet -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint type imports format packages docs paper speed clean
+.PHONY: help demo test test-all lint type imports format packages docs paper speed clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
 
 demo: $(PACKAGE_READY) ## install mmc-gym into .venv and compare the shipped policies
 	$(BIN)/mmc-gym compare $(ARGS)
 	$(NEXT)
 
-test: lint type imports ## install the dev extra into .venv, then lint, types, import rules, all tests
-	$(BIN)/python -m pytest -n auto --dist worksteal $(ARGS)
+test: lint type imports ## install the dev extra into .venv, then lint, types, import rules, quick tests
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow" $(ARGS)
+	$(NEXT)
+
+test-all: $(DEV_READY) ## what `make test` leaves out: site, browser, Ray, studies, whole trainings
+	$(BIN)/python -m pytest -n auto --dist worksteal -m slow $(ARGS)
 	$(NEXT)
 
 lint: $(DEV_READY) ## ruff: rules and format
@@ -58,7 +62,7 @@ packages: $(VENV_READY) ## build wheel and source archive, try each in an empty 
 docs: $(DOCS_READY) ## build the site into build/site; examples run, so it takes some minutes
 	$(BIN)/python -m sphinx -n -W --keep-going $(ARGS) docs build/site
 
-paper: $(PACKAGE_READY) ## run the paper's experiments; figures, data and a table of published beside measured
+paper: $(PACKAGE_READY) ## run the paper's experiments: figures, data, published beside measured
 	$(BIN)/python -m studies.paper $(ARGS)
 
 speed: $(BENCHMARK_READY) ## install the peers' packages, time environments, network and agents beside them

@@ -30,10 +30,13 @@ SQUARE = 8
 
 # Another matplotlib may put labels elsewhere.
 pinned = f"matplotlib=={version('matplotlib')}" in (ROOT / "constraints.txt").read_text()
-pytestmark = pytest.mark.skipif(
-    not pinned or not (ROOT / "docs").is_dir(),
-    reason="the pictures are drawn by the matplotlib of constraints.txt, and not in the archive",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not pinned or not (ROOT / "docs").is_dir(),
+        reason="needs the matplotlib of constraints.txt, and the pictures, which no archive has",
+    ),
+]
 
 
 def differences(drawn: Path, name: str, frame: int = 0) -> np.ndarray:
@@ -55,7 +58,6 @@ def test_the_contact_sheet_shows_every_scenario_as_it_is(tmp_path):
     assert found < ALIKE, f"draw it anew: python {example} docs/contact-sheet.png"
 
 
-@pytest.mark.slow
 def test_the_film_shows_what_the_agents_do(tmp_path):
     drawn = tmp_path / "film.gif"
     script = ROOT / "docs" / "draw_film.py"
@@ -66,14 +68,12 @@ def test_the_film_shows_what_the_agents_do(tmp_path):
         assert found < ALIKE, "draw it anew: python docs/draw_film.py"
 
 
-@pytest.mark.slow
 def test_the_learning_curves_are_those_of_what_ships(tmp_path):
     main(["curves", "--out", str(tmp_path)])
     found = differences(tmp_path / "learning_curves.png", "learning-curves.png").max()
     assert found < ALIKE, "copy learning_curves.png of `mmc-gym curves` to docs/learning-curves.png"
 
 
-@pytest.mark.slow
 def test_the_comparison_shows_what_the_agents_do(tmp_path):
     agents = inspect.signature(compare).parameters["agents"].default
     seeds, episodes = episode_seeds(0, 200), {}

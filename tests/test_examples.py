@@ -42,15 +42,6 @@ SHOWS = {
     "network/plot_three_tasks.py": r"forward: end effector R \[-1\. +1\.5\]",
     "network/plot_velocity_profiles.py": r"kinematic: fastest in iteration 1,.*time base: .* 2\d,",
 }
-SLOW = {
-    "bring_your_own.py",
-    "learning/plot_backpropagation.py",
-    "learning/plot_normalizer_in_the_loop.py",
-    "plain_torch.py",
-    "learning/plot_plain_sb3.py",
-    "comparing/plot_benchmark_with_pandas.py",
-}
-
 
 REGISTRIES = (FAMILIES, MEASURES, TASKS, TASK_SCENARIOS, gym.registry)
 
@@ -75,10 +66,8 @@ def has_labels(axes) -> bool:
     return any((*x, figure.get_supxlabel(), is_bar)) and any((*y, figure.get_supylabel()))
 
 
-@pytest.mark.parametrize(
-    "example",
-    [pytest.param(one, marks=pytest.mark.slow) if one in SLOW else one for one in EXAMPLES],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_shows_what_it_says(example, nothing_is_left, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [example])

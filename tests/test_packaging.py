@@ -125,23 +125,27 @@ def test_the_version_is_the_distribution_s():
     assert run_python("import mmc_gym; print(mmc_gym.__version__)").strip() == version("mmc-gym")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("archive", ["wheel", "sdist"])
 def test_archive_holds_every_file_of_the_package(archive, request):
     assert package_files() <= request.getfixturevalue(archive)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("archive", ["wheel", "sdist"])
 @pytest.mark.parametrize("pattern", sorted(SHIPPED))
 def test_archive_ships_the_data(archive, pattern, request):
     assert fnmatch.filter(request.getfixturevalue(archive), pattern)
 
 
+@pytest.mark.slow
 def test_wheel_holds_the_licence_and_nothing_beside_the_package(wheel):
     tops = {PurePosixPath(name).parts[0] for name in wheel}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"mmc_gym"}
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in wheel)
 
 
+@pytest.mark.slow
 def test_sdist_holds_what_a_rebuild_and_its_tests_need(sdist):
     needed = {"LICENSE", "README.md", "pyproject.toml", "constraints.txt", "Makefile"}
     needed |= {"SECURITY.md", "tests/test_packaging.py", "docs/contact-sheet.png"}

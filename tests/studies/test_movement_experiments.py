@@ -25,6 +25,8 @@ from studies.paper.networks import TrainedArchitecture, architecture_name
 from studies.paper.protocol import OVERSHOOT, PAIRS, TARGETS
 from studies.paper.run import EXPERIMENTS
 
+pytestmark = pytest.mark.slow
+
 ACCURATE = LearnedNormalizer.shipped("accurate")
 RUNS = (LearnedNormalizer.shipped("paper"), ACCURATE)
 NORMALIZERS = {"Euclidean": EuclideanNormalizer(), "accurate": ACCURATE}

@@ -14,6 +14,8 @@ from studies.paper.experiments.population import DIRECTIONS, layer_tunings, tuni
 from studies.paper.networks import ARCHITECTURES, QUICK_ARCHITECTURES, RUNS, architecture_name
 from studies.paper.published import NORMALIZATION_PUBLISHED
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_paper_s_twelve_architectures_of_five_runs_have_published_errors():
     assert (len(ARCHITECTURES), RUNS, PAPER.epochs) == (12, 5, 400)
@@ -70,7 +72,6 @@ def test_silent_units_are_counted_and_left_out():
     assert (len(none.width), none.size, none.active.max(), none.largest_gap) == (0, 3, 0, 360)
 
 
-@pytest.mark.slow
 def test_a_small_set_is_trained_compared_and_drawn(tmp_path, monkeypatch):
     recipe = replace(networks.QUICK_RECIPE, samples=800, epochs=20)
     monkeypatch.setattr(networks, "QUICK_RECIPE", recipe)
@@ -95,7 +96,6 @@ def test_a_small_set_is_trained_compared_and_drawn(tmp_path, monkeypatch):
     }
 
 
-@pytest.mark.slow
 def test_the_experiment_measures_and_draws_every_layer(tmp_path, monkeypatch):
     recipe = replace(networks.QUICK_RECIPE, samples=400, epochs=3)
     monkeypatch.setattr(networks, "QUICK_RECIPE", recipe)

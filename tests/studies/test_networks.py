@@ -12,6 +12,8 @@ from studies.paper import networks as normalizers
 from studies.paper.experiment import Settings
 from studies.paper.networks import trained_architectures
 
+pytestmark = pytest.mark.slow
+
 FEW = ((2,), (3, 2))
 
 
@@ -170,7 +172,6 @@ def test_another_version_trains_anew(version, tmp_path, calls):
     assert f"was made by version {version or 'unknown'}" in notes[0]
 
 
-@pytest.mark.slow
 def test_processes_give_what_one_process_gives(tmp_path, monkeypatch):
     monkeypatch.setattr(normalizers, "_FEW_EPOCHS", 0)
     # Spawned processes know nothing of the recipe's replacement but what they are sent.

@@ -18,6 +18,8 @@ from studies.paper.protocol import (
     summarize,
 )
 
+pytestmark = pytest.mark.slow
+
 
 def test_there_are_21_targets_and_every_ordered_pair_of_them():
     assert TARGETS.shape == (21, 2)

@@ -17,6 +17,8 @@ from studies.paper.experiment import Captioned, Result, Row, Settings, write_res
 from studies.paper.published import POINTS
 from studies.paper.run import EXPERIMENTS, Experiment, print_report, reproduce
 
+pytestmark = pytest.mark.slow
+
 
 def make_figure():
     figure = Figure(figsize=(2, 1))
@@ -199,7 +201,6 @@ def test_every_experiment_is_described_in_a_line():
         assert len(experiment.description.splitlines()) == 1
 
 
-@pytest.mark.slow
 def test_the_command_runs_named_experiments_end_to_end(tmp_path, capsys, monkeypatch):
     recipe = replace(networks.QUICK_RECIPE, samples=400, epochs=3)
     monkeypatch.setattr(networks, "QUICK_RECIPE", recipe)
