@@ -1,28 +1,28 @@
-"""Bootstrap intervals over training seeds, and over the instances that all agents meet.
+"""Bootstrap intervals over training seeds, and over the instances that all agents play.
 
     agent A               instance 1   2   3  …  of environment E
     training seed 1                ·   ·   ·         w_1         w_s: how often seed s is drawn
     training seed 2                ·   ·   ·         w_2
                                   u_1 u_2 u_3                    u_i: how often instance i is drawn
 
-A resample draws as many training seeds of each agent as it has, and as many instances as there
-are, both with replacement; the score of seed s at instance i then counts w_s u_i times.  So the
-interval covers both that another training gives another policy, and that other starts and targets
-are easier or harder.  Episodes of one policy are never drawn as if each came from its own training.
+Each resample draws training seeds of every agent and instances, with replacement, as many as there
+are.  The score of seed s at instance i then counts w_s u_i times.  So the interval covers that
+another training gives another policy, and that other starts and targets are easier or harder.
+Episodes of one policy are never drawn as if each came from its own training.
 
-    paired        The u_i are the same for all agents: what makes an instance hard for all of them
-                  drops out of their differences.
+    paired        The u_i are the same for all agents.  What makes an instance hard for all of them
+                  cancels in their differences.
     stratified    Each environment counts equally, whatever its number of instances.
-    shared        The u_i are the same for all environments with as many instances.  The benchmark
-                  draws the i-th start and target from the same seed everywhere: what is hard
-                  without perturbation is hard under all of them.  With a draw of its own for each
-                  environment that would seem to average out (95 % intervals would cover 50 to
-                  70 %).  Sets with nothing in common but their size lose nothing.
+    shared        The u_i are the same for all environments with the same number of instances.  The
+                  benchmark draws the i-th start and target from the same seed everywhere, so an
+                  instance that is hard without perturbation is hard under all perturbations.  With
+                  separate draws that would seem to average out, and 95 % intervals would cover
+                  only 50 to 70 %.  Environments without common instances lose nothing.
     seeds         A seed is one policy: it is drawn in all environments or in none.
-    no training   An untrained agent has one policy, and only instances are drawn.  A single trained
-                  policy is treated alike: its interval cannot tell what another training gives.
+    no training   An untrained agent has one policy, so only instances are drawn.  A single trained
+                  policy is treated alike: its interval does not cover other trainings.
 
-A plain sample is the smallest case: one policy in one environment (`bootstrap_interval`).
+A plain sample is the simplest case: one policy in one environment (`bootstrap_interval`).
 
 Source: Agarwal, Schwarzer, Castro, Courville & Bellemare (2021), Deep reinforcement learning at the
 edge of the statistical precipice, NeurIPS 34, https://arxiv.org/abs/2108.13264.  Unlike there,
@@ -50,13 +50,12 @@ TAILS = ((1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2)
 """The ends of a percentile interval, as quantiles."""
 
 RESAMPLES = 2_000
-"""Resamples of every bootstrap, unless another number is asked for."""
+"""Default number of resamples."""
 
 COLUMNS = ("agent", "training_seed", "environment", "instance")
 _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
 _BATCH = 250  # resamples at once: bounds the memory
 
-Better: TypeAlias = Literal["high", "low"]
 PooledStatistic: TypeAlias = Statistic | Literal["iqm"]
 """Mean, median or interquartile mean of all episodes of an agent."""
 
@@ -70,10 +69,10 @@ def weighted_mean(values: Floats, weights: Floats) -> Floats:
 
 
 def weighted_iqm(values: Floats, weights: Floats) -> Floats:
-    """Return the interquartile mean, that of the middle half of the weight.
+    """Return the interquartile mean, the mean of the middle half of the weight.
 
-    Values at the quartiles count in part.  Nearly as robust as the median, and nearly as precise as
-    the mean.
+    Values at the quartiles count in part.  It is nearly as robust as the median and nearly as
+    precise as the mean.
 
     Example:
         >>> weighted_iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]), np.ones((1, 8)))
@@ -89,17 +88,17 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
     parts = np.diff(inside, axis=-1, prepend=0.25 * whole)
     with np.errstate(invalid="ignore"):
         mean = parts @ values / (0.5 * whole[:, 0])
-    clipped: Floats = np.clip(mean, values[0], values[-1])  # rounding leads a hair beyond
+    clipped: Floats = np.clip(mean, values[0], values[-1])  # rounding may leave the range
     return clipped
 
 
 def weighted_median(values: Floats, weights: Floats) -> Floats:
-    """Return the median; the middle of two where the weights part there."""
+    """Return the median; the mean of two values where the weights split evenly between them."""
     if values.size == 0:
         return np.full(len(weights), np.nan)
     total = np.cumsum(weights, axis=-1)
     half = total[:, -1:] / 2
-    slack = 1e-9 * half  # weights are multiples of one over numbers of instances
+    slack = 1e-9 * half  # weights are multiples of 1 / number of instances
     last = values.size - 1
     low = np.minimum((total < half - slack).sum(axis=-1), last)
     high = np.minimum((total <= half + slack).sum(axis=-1), last)
@@ -136,7 +135,7 @@ class Scores:
 
 
 class Draws(NamedTuple):
-    """Counts of draws in R resamples; row 0 draws all once: the data themselves."""
+    """Counts of draws in R resamples; row 0 counts each once, and so gives the data themselves."""
 
     policies: Mapping[str, Floats]  # by agent, (R + 1, policies)
     instances: tuple[Floats, ...]  # by environment, (R + 1, instances)
@@ -151,8 +150,7 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
         value: the column of the scores, NaN where an episode has none.
 
     Raises:
-        ValueError: if a column is missing, an episode is there twice, or a policy has not met all
-            instances.
+        ValueError: if a column is missing, an episode occurs twice, or a policy lacks instances.
     """
     missing = [column for column in (*COLUMNS, value) if column not in frame.columns]
     if missing or frame.empty:
@@ -186,9 +184,10 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
 
 
 def draw(scores: Scores, resamples: int, seed: int) -> Draws:
-    """Draw policies, and instances: one draw for all environments with as many of them.
+    """Draw policies and instances.
 
-    Instances depend on the seed and their number alone, neither on agents nor on environments.
+    Environments with the same number of instances share their draw, which depends on nothing but
+    the seed and that number.
     """
     of_instances = {
         count: _counts((seed, _INSTANCES, count), count, resamples)
@@ -201,14 +200,14 @@ def draw(scores: Scores, resamples: int, seed: int) -> Draws:
     return Draws(of_policies, tuple(of_instances[count] for count in scores.instances))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _counts(seed: tuple[int, ...], count: int, resamples: int) -> Floats:
-    """Draw `count` out of as many, over and over: how often each was drawn, (R + 1, count)."""
+    """Draw `count` times out of `count`, and return how often each was drawn, (R + 1, count)."""
     drawn = np.random.default_rng(seed).integers(count, size=(resamples, count))
     cells: NDArray[np.intp] = drawn + np.arange(resamples)[:, None] * count
     times = np.bincount(cells.ravel(), minlength=resamples * count).reshape(resamples, count)
     counts = np.concatenate([np.ones((1, count)), times])
-    counts.flags.writeable = False  # it is shared
+    counts.flags.writeable = False  # the cache shares it
     return counts
 
 
@@ -217,11 +216,13 @@ class Estimate:
     """A statistic over training seeds and instances, with its 95 % interval.
 
     Attributes:
-        estimate: of the data themselves, in the interval from `low` to `high`.
+        estimate: value for the data themselves.
+        low: lower end of the interval.
+        high: upper end.
         seeds: number of training seeds of the agent, or of each of two; 0 without training.
-        instances: number of instances, the same for all agents.
-        environments: in how many environments they are.
-        missing: number of episodes, of both of two agents, that have no score (NaN).
+        instances: number of instances in all environments, the same for all agents.
+        environments: number of environments.
+        missing: number of episodes without a score (NaN), of one agent or of both.
     """
 
     estimate: float
@@ -235,7 +236,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """Scores of agents and one set of draws: all its answers are of the same resamples."""
+    """Scores of agents and one set of draws, so that all estimates use the same resamples."""
 
     scores: Scores
     draws: Draws
@@ -244,7 +245,7 @@ class Bootstrap:
     def of(
         cls, frame: pd.DataFrame, value: str = "value", resamples: int = RESAMPLES, seed: int = 0
     ) -> Bootstrap:
-        """Arrange a tidy frame, and draw; arguments and errors as in `arrange` and `draw`.
+        """Arrange a tidy frame and draw; arguments and errors are those of `arrange` and `draw`.
 
         Example:
             >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
@@ -267,8 +268,7 @@ class Bootstrap:
     def difference(self, agent: str, other: str, statistic: PooledStatistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances.
 
-        Both are resampled with the same instances, and each with its own training seeds.  For the
-        mean it is the mean of the differences at each instance.
+        Both are resampled with the same instances, and each with its own training seeds.
 
         Raises:
             ValueError: if there is no such agent.
@@ -276,12 +276,12 @@ class Bootstrap:
         one, less = (self.distribution(name, statistic) for name in (agent, other))
         return self.summarize(one - less, agent, other)
 
-    def improvement(self, agent: str, other: str, better: Better = "high") -> Estimate:
-        """Estimate the probability that a policy of `agent` does better than one of `other`.
+    def improvement(self, agent: str, other: str) -> Estimate:
+        """Estimate the probability that a policy of `agent` scores higher than one of `other`.
 
-        Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of the
-        one and of the other, both at the same instance; a pair is left out where either score is
-        NaN.  ½ for an agent and its copy.
+        Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of each,
+        at the same instance.  Pairs in which a score is NaN are left out.  ½ for an agent and its
+        copy.
 
         Raises:
             ValueError: if there is no such agent.
@@ -292,8 +292,7 @@ class Bootstrap:
         for one, two, instances in pairs:
             mine, theirs = one[:, None], two[None]  # (policies, policies, instances) together
             compared = ~np.isnan(mine) & ~np.isnan(theirs)
-            ahead = mine > theirs if better == "high" else mine < theirs
-            wins = np.where(mine == theirs, 0.5, ahead) * compared
+            wins = np.where(mine == theirs, 0.5, mine > theirs) * compared
             weights = policies[agent][:, :, None] * policies[other][:, None]
             sums = [
                 (np.tensordot(instances, table.astype(np.float64), (1, 2)) * weights).sum((1, 2))
@@ -303,42 +302,13 @@ class Bootstrap:
                 chances.append(sums[0] / sums[1])
         return self.summarize(np.mean(chances, axis=0), agent, other)
 
-    def profile(self, thresholds: ArrayLike, better: Better = "high") -> pd.DataFrame:
-        """Estimate the share of each agent's episodes that are better than τ, for all τ.
-
-        The bands are pointwise.  An episode without a score (NaN) is better than no τ.
-        Environments count equally.
-
-        Args:
-            thresholds: τ, (m,).
-            better: "high": the share above τ, "low": below.
-
-        Returns:
-            A row per agent and τ: agent, threshold, and the fields of `Estimate`, seeds a number.
-        """
-        levels = np.asarray(thresholds, dtype=np.float64)
-        column, rows = levels[:, None], []
-        for agent, values in self.scores.values.items():
-            shares = np.zeros((len(self.draws.instances[0]), levels.size))
-            for table, instances in zip(values, self.draws.instances):
-                for policy, weight in zip(table, self.draws.policies[agent].T):
-                    beyond = policy > column if better == "high" else policy < column
-                    above = instances @ beyond.T.astype(np.float64)
-                    shares += weight[:, None] * above / (policy.size * len(table) * len(values))
-            for level, share in zip(levels.tolist(), shares.T):
-                found = vars(self.summarize(share, agent))
-                rows.append(
-                    {"agent": agent, "threshold": level, **found, "seeds": found["seeds"][0]}
-                )
-        return pd.DataFrame(rows)
-
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
-        """Return an agent's statistic in the data themselves and in all resamples, (R + 1,)."""
+        """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
         tables, policies = self.scores.of(agent), self.draws.policies[agent]
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
-        # Environments of as many instances share their draw, and so does what is drawn of them.
+        # Environments with the same number of instances share their draw, and so their weights.
         shared = {draws.shape[1]: draws / draws.shape[1] for draws in self.draws.instances}
         sizes = len(policies.T) * np.array(list(shared))
         first = dict(zip(shared, np.cumsum(sizes) - sizes))
@@ -356,7 +326,7 @@ class Bootstrap:
         return np.concatenate(found)
 
     def summarize(self, distribution: Floats, *agents: str) -> Estimate:
-        """Return the `Estimate` of a distribution of one agent, or of a difference of two."""
+        """Return the `Estimate` of a distribution, of one agent or of the difference of two."""
         low, high = percentile_interval(distribution[1:])
         return Estimate(
             estimate=float(distribution[0]),
@@ -379,10 +349,10 @@ class Interval:
 
     Attributes:
         estimate: NaN for an empty sample.
-        low: lower end, NaN for fewer than two values, as `high` is.
-        high: upper end.
-        count: number of values it is about.
-        missing: number of values that were NaN, and left out.
+        low: lower end; NaN for fewer than two values.
+        high: upper end; NaN for fewer than two values.
+        count: number of values.
+        missing: number of NaNs, which are left out.
     """
 
     estimate: float
@@ -398,14 +368,14 @@ def bootstrap_interval(
     """Return the mean or median of `values` (n,) with its 95 % percentile bootstrap interval.
 
     Percentile, not BCa: the jackknife in BCa fails for the median.  Where all values are equal,
-    so are all resamples, and the interval has no width: it cannot know what did not occur (with
-    n successes in n episodes, a failure rate of up to 3/n is still plausible).
+    all resamples are, and the interval has no width.  It does not cover what did not occur: after
+    n successes in n episodes a failure rate of up to 3/n is still plausible.
 
     Args:
         values: one per episode; NaNs are left out and counted.
         statistic: "mean" or "median".
         seed: of the resampling.
-        resamples: how many.
+        resamples: number of resamples.
 
     Source:
         Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 13.
@@ -424,7 +394,7 @@ def bootstrap_interval(
         scores = Scores((count,), {"": (present[None],)}, {"": 0})
         found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
         low, high = percentile_interval(found[1:])
-    # A mean may be a rounding error beyond the values.
+    # Rounding may put a mean outside the range of the values.
     least, most = present.min(), present.max()
     estimate, low, high = (float(np.clip(end, least, most)) for end in (estimate, low, high))
     return Interval(estimate, low, high, count, missing)
@@ -433,19 +403,19 @@ def bootstrap_interval(
 def success_interval(
     successes: ArrayLike, episodes: int, seed: int = 0, resamples: int = RESAMPLES
 ) -> Interval:
-    """Return the mean success of several trainings, with its 95 % interval over both samplings.
+    """Return the mean success of several trainings, with its 95 % interval over seeds and episodes.
 
-    A resample draws training seeds, and for each of them as many episodes as it played: a
-    binomial number of successes.  The seeds alone would give ten trainings that all succeed in
-    499 of 500 episodes an interval without width, though other episodes may find more failures.
-    A single training has no interval: it cannot tell what another would give.
+    A resample draws training seeds, and for each of them a binomial number of successes in as many
+    episodes as it played.  Drawing seeds alone would give ten trainings that all succeed in 499 of
+    500 episodes an interval without width, though other episodes may show more failures.  A single
+    training has no interval, because nothing is known of other trainings.
 
     Args:
         successes: fraction of the episodes of each training that succeeded, (seeds,); NaNs are
             left out and counted.
-        episodes: how many each training played.
+        episodes: number of episodes of each training.
         seed: of the resampling.
-        resamples: how many.
+        resamples: number of resamples.
 
     Example:
         >>> found = success_interval([0.998, 0.998, 0.998], episodes=500)
@@ -468,13 +438,13 @@ def trainings_interval(
 ) -> Interval:
     """Return the mean or median of several trainings on the same episodes, with its interval.
 
-    A resample draws training seeds and episodes, see above.
+    A resample draws training seeds and episodes, see the top of this module.
 
     Args:
         values: of each training in each episode, (seeds, episodes); NaNs are left out and counted.
         statistic: "mean" or "median".
         seed: of the resampling.
-        resamples: how many.
+        resamples: number of resamples.
 
     Example:
         >>> found = trainings_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
@@ -493,7 +463,7 @@ def trainings_interval(
 
 
 def _present(values: ArrayLike) -> tuple[Floats, int]:
-    """Return the values that are not NaN, and how many are."""
+    """Return the values that are not NaN, and the number of NaNs."""
     sample = np.asarray(values, dtype=np.float64)
     missing = np.isnan(sample)
     return sample[~missing], int(missing.sum())
@@ -503,9 +473,9 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
     """Return the interval of each measure for each agent.
 
     Args:
-        episodes: one row per agent and episode, with a column "agent" and one per measure; where
-            an agent has several trainings, with a column "training_seed", their episodes in the
-            same order.
+        episodes: one row per agent and episode, with a column "agent" and one per measure.  Agents
+            with several trainings need a column "training_seed", and the same order of episodes in
+            each training.
         measures: columns to summarize.
         seed: of the resampling.
 

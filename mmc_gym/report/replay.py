@@ -2,8 +2,8 @@
 
 Positions and angles are in thousandths, distances from the target in ten-thousandths.  Every value
 but the first of a series is the difference from the one before, so that most have one to three
-digits.  Where a cursor stands for the hand, under a visuomotor rotation, both are there, and the
-distance is the cursor's, as it is in success and in all measures.
+digits.  Under a visuomotor rotation, where agents see a cursor in place of the hand, the data hold
+both, and the distance is the cursor's, as it is in success and in all measures.
 """
 
 from __future__ import annotations
@@ -26,30 +26,32 @@ BUDGET = 1_500_000  # bytes
 
 _SIDE_BY_SIDE = 4  # agents, to begin with
 _COLOURS = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "TRACE", "TARGET")
-_FITS = 0.02  # by which an arm may miss its hand, segment lengths
+_FITS = 0.02  # largest distance between an arm's end and its hand, segment lengths
 _SEEN_APART = 0.001  # segment lengths between a hand and a cursor
 _COARSE, _FINE = 1_000, 10_000  # parts of one
 
 
-def replay(results: Results, environments: Sequence[str], agents: Sequence[str]) -> dict[str, Any]:
-    """Return movements by environment, instance and agent.
+def replay(results: Results) -> dict[str, Any]:
+    """Return movements of the main agents by environment, instance and agent.
 
     Of trained agents the first training seed is shown.  Instances are left out, the last first,
     until everything is within `BUDGET`.
     """
+    agents = results.main_agents
     for instances in range(INSTANCES, 0, -1):
         scenes = {
             key: found
-            for key in environments[:ENVIRONMENTS]
+            for key in _shown_environments(results)
             if (found := _scenes(results, key, agents, instances))
         }
+        there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
         data = {
             "step": results.manifest.control_step,
             "lengths": list(results.manifest.segment_lengths),
             "tolerance": results.manifest.tolerance,
-            "agents": [a for a in agents if any(a in s["agents"] for s in chain(*scenes.values()))],
+            "agents": [agent for agent in agents if agent in there],
             "scenes": scenes,
-            "chosen": _one_of_each_kind(results, agents),
+            "chosen": agents[:_SIDE_BY_SIDE],
             "colours": {name.lower(): _hex(getattr(shapes, name)) for name in _COLOURS},
         }
         if len(json.dumps(data, separators=(",", ":"))) <= BUDGET:
@@ -57,7 +59,7 @@ def replay(results: Results, environments: Sequence[str], agents: Sequence[str])
     return data
 
 
-def replayed(results: Results) -> list[str]:
+def _shown_environments(results: Results) -> list[str]:
     """Return the base, another environment without perturbation, the strongest of each family."""
     if results.paths.empty:
         return []
@@ -67,14 +69,7 @@ def replayed(results: Results) -> list[str]:
     ]
     strongest = [keys[-1] for keys in results.families.values()]
     found = dict.fromkeys([results.base, *plain[:1], *strongest, *plain[1:]])
-    return [key for key in found if key in recorded]
-
-
-def _one_of_each_kind(results: Results, agents: Sequence[str]) -> list[str]:
-    """Return the agents that the replay begins with."""
-    first = list({results.kind(agent): agent for agent in reversed(agents)}.values())
-    chosen = list(dict.fromkeys([*reversed(first), *agents]))[:_SIDE_BY_SIDE]
-    return [agent for agent in agents if agent in chosen]
+    return [key for key in found if key in recorded][:ENVIRONMENTS]
 
 
 def _hex(colour: Sequence[int]) -> str:
@@ -109,7 +104,7 @@ def _scenes(
     return scenes
 
 
-def _movement(steps: pd.DataFrame, told: Sequence[float]) -> dict[str, Any]:
+def _movement(steps: pd.DataFrame, given: Sequence[float]) -> dict[str, Any]:
     hand, cursor, target = (
         steps[[f"{name}_x", f"{name}_y"]].to_numpy(np.float64)
         for name in ("hand", "cursor", "target")
@@ -125,24 +120,24 @@ def _movement(steps: pd.DataFrame, told: Sequence[float]) -> dict[str, Any]:
         movement["cursor"] = [_compact(column) for column in cursor.T]
     if angles.size > 0 and not np.isnan(angles).any():
         movement["angles"] = [_compact(column) for column in angles.T]
-        movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, told)]
+        movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, given)]
     return movement
 
 
 def _lengths(
-    angles: NDArray[np.float64], hand: NDArray[np.float64], told: Sequence[float]
+    angles: NDArray[np.float64], hand: NDArray[np.float64], given: Sequence[float]
 ) -> list[float]:
-    """Return segment lengths with which the postures lead to the hand, the nearest to the told.
+    """Return the segment lengths that lead from the postures to the hand, nearest to the given.
 
-    The body may have other lengths than agents are told.
+    The body may have other segment lengths than agents are given.
     """
     turned = np.cumsum(angles, axis=1)
     design = np.concatenate([np.cos(turned), np.sin(turned)])
-    missed = np.concatenate([hand[:, 0], hand[:, 1]]) - design @ np.asarray(told)
+    missed = np.concatenate([hand[:, 0], hand[:, 1]]) - design @ np.asarray(given)
     if np.abs(missed).max() <= _FITS:
-        return list(told)
+        return list(given)
     change, *_ = np.linalg.lstsq(design, missed, rcond=None)
-    return [max(float(length), 0.0) for length in np.asarray(told) + change]
+    return [max(float(length), 0.0) for length in np.asarray(given) + change]
 
 
 def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:

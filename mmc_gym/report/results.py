@@ -1,11 +1,10 @@
-"""Reading a benchmark's store: episodes, paths, environments, and who the agents are."""
+"""Read a benchmark's store: episodes, paths, environments, and who the agents are."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,8 +15,9 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import UNKNOWN, Kind
-from mmc_gym.benchmark.ranking import read_ranking
+from mmc_gym.benchmark.ranking import rank_agents, read_ranking
 from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import (
     CellKey,
     Manifest,
@@ -35,31 +35,20 @@ _KINDS: tuple[Kind, ...] = get_args(Kind)
 
 _IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
 
-_PREFERRED = (
-    "mmc-body",
-    "mmc",
-    "mmc-bell",
-    "ik-dls",
-    "ppo",
-    "ppo-smooth",
-    "sac",
-    "tqc-her",
-    "minimum-jerk",
-)
 _SHOWN_AT_MOST = 7
 
-_USED = ("success", "time_to_target", "final_distance", "duration")
-"""Columns of episodes that the report needs, whatever its tables show."""
+_USED = ("success", "time_to_target", "duration")
+"""Columns of episodes that the ranking needs, whatever the tables show."""
 
 
 @dataclass(frozen=True)
-class Identity:
+class AgentIdentity:
     """Who an agent is.
 
     Attributes:
         name: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
-        knowledge: its kind, what it is told, and what it senses.
-        cards: of all its trainings in the benchmark; empty if any is not there.
+        knowledge: its kind, what it is given, and what it senses.
+        cards: of all its trainings in the benchmark; empty if one of them is missing.
         damaged: why a card cannot be read, a line each.
     """
 
@@ -70,32 +59,32 @@ class Identity:
 
     @property
     def description(self) -> str:
-        """A line; empty if it does not ship with the package."""
+        """A line; empty if the agent does not ship with the package."""
         return AGENTS[self.name].description if self.name in AGENTS else ""
 
 
-def identify(sources: Iterable[str]) -> Identity:
-    """Find out who an agent is from what its trainings were made of, as the manifest has it."""
+def identify(sources: Iterable[str]) -> AgentIdentity:
+    """Return who an agent is, from the sources of its trainings in the manifest."""
     found = [_identify(source) for source in sources]
     damaged = tuple(line for one in found for line in one.damaged)
     if len({(one.name, one.knowledge) for one in found}) != 1:
-        return Identity(damaged=damaged)
+        return AgentIdentity(damaged=damaged)
     cards = tuple(card for one in found for card in one.cards)
     return replace(found[0], cards=cards if len(cards) == len(found) else (), damaged=damaged)
 
 
-def _identify(source: str) -> Identity:
+def _identify(source: str) -> AgentIdentity:
     if source == REFERENCE:
-        return Identity(REFERENCE, _IDEAL)
+        return AgentIdentity(REFERENCE, _IDEAL)
     try:
         agent = resolve(source)
     except UserError:
-        return Identity()  # it was there when it was played
+        return AgentIdentity()  # its file or module was there when it was played
     try:
-        return Identity(agent.name, agent.knowledge, (agent.card,) if agent.card else ())
+        return AgentIdentity(agent.name, agent.knowledge, (agent.card,) if agent.card else ())
     except (FileNotFoundError, UserError) as error:
         known = agent.entry.knowledge if agent.entry else UNKNOWN
-        return Identity(agent.name, known, damaged=(str(error),))
+        return AgentIdentity(agent.name, known, damaged=(str(error),))
 
 
 @dataclass(frozen=True)
@@ -105,7 +94,6 @@ class Environment:
     Attributes:
         family: of the perturbation; empty without one.
         strength: of the perturbation, in `unit`; NaN without one.
-        baseline: key of the environment that differs from this one only in the perturbation.
     """
 
     id: str = ""
@@ -113,7 +101,6 @@ class Environment:
     family: str = ""
     strength: float = math.nan
     unit: str = ""
-    baseline: str = BASELINE
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +118,14 @@ class Results:
         measures: that tables show, and some episode has a value of.
         set_measures: of all episodes of a policy together, by name.
         sets: their values, as `read_sets` returns them.
-        ranking: as `rank_agents` returns it; empty if the store has none of its present cells.
+        ranking: as `rank_agents` returns it; empty if no environment was attempted by all agents.
     """
 
     manifest: Manifest
     episodes: pd.DataFrame
     paths: pd.DataFrame
     environments: Mapping[str, Environment]
-    identities: Mapping[str, Identity]
+    identities: Mapping[str, AgentIdentity]
     agents: tuple[str, ...]
     measures: tuple[Measure, ...]
     set_measures: Mapping[str, SetMeasure]
@@ -149,25 +136,22 @@ class Results:
         """Return what sort of agent it is."""
         return self.identities[agent].knowledge.kind
 
-    def label_of(self, name: str) -> str | None:
-        """Return what an agent of this package is called here; None if it did not take part."""
-        labels = [label for label, one in self.identities.items() if one.name == name]
-        return name if name in labels else next(iter(labels), None)
+    @property
+    def ranked(self) -> list[str]:
+        """All agents but the ideal hand, the best first, then those that are not ranked."""
+        best_first = [] if self.ranking.empty else map(str, self.ranking["agent"])
+        return [one for one in dict.fromkeys([*best_first, *self.agents]) if one != REFERENCE]
 
     @property
     def main_agents(self) -> tuple[str, ...]:
-        """The few agents that figures show: the reader's own, the preferred, then the others."""
-        played = [agent for agent in self.agents if self.seeds(agent) is not None]
-        yours = [agent for agent in played if self.kind(agent) == "yours"]
-        preferred = [found for name in _PREFERRED if (found := self.label_of(name)) in played]
-        others = [agent for agent in played if self.kind(agent) not in ("baseline", "ideal")]
-        chosen = list(dict.fromkeys([*yours, *preferred, *others]))[:_SHOWN_AT_MOST]
-        return tuple(agent for agent in played if agent in chosen)
-
-    def rivals(self, agent: str) -> tuple[str, ...]:
-        """Return agents of other kinds, but not the random one, nor the hand without an arm."""
-        apart = {self.kind(agent), "baseline", "ideal"}
-        return tuple(other for other in self.agents if self.kind(other) not in apart)
+        """The few agents that figures show: yours, the best of each kind, then the next best."""
+        played = set(self.episodes["agent"])
+        shown = [one for one in self.ranked if one in played and self.kind(one) != "baseline"]
+        yours = [one for one in shown if self.kind(one) == "yours"]
+        best: dict[str, str] = {}
+        for one in shown:
+            best.setdefault(self.kind(one), one)
+        return tuple(dict.fromkeys([*yours, *best.values(), *shown]))[:_SHOWN_AT_MOST]
 
     @property
     def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
@@ -213,47 +197,22 @@ class Results:
         """Cells without episodes, but for those of the hand without an arm."""
         return [one.key for one in self.manifest.not_played if one.agent != REFERENCE]
 
-    def seeds(self, agent: str, environments: Iterable[str] = ()) -> tuple[int, int] | None:
-        """Return the least and the most training seeds of an agent in any environment, or in these.
-
-        (0, 0) is the answer for one without training, None if it was in none of them.
-        """
-        keys = tuple(environments) or tuple(self.environments)
-        counts = [found for key in keys if (found := self._seeds.get((agent, key))) is not None]
-        return (min(counts), max(counts)) if counts else None
-
     def sample_sizes(self, agents: Iterable[str], environments: Iterable[str]) -> str:
-        """Return over how many instances and training seeds figures are, as a sentence.
-
-        Agents that were in none of the environments are left out.
-        """
-        keys = tuple(environments)
-        counts = sorted({self._instances.get(key, 0) for key in keys}) or [0]
-        each = " in each environment" if len(counts) > 1 else ""
-        by_count: dict[tuple[int, int], list[str]] = {}
-        for agent in agents:
-            if (found := self.seeds(agent, keys)) is not None:
-                by_count.setdefault(found, []).append(agent)
-        trained = [
-            f"{listed(names)} {_span(numbers)}"
-            for numbers, names in sorted(by_count.items())
-            if numbers[1]
-        ]
-        seeds = f"Training seeds: {'; '.join(trained)}." if trained else "Not trained: all agents."
-        return f"Instances: {_span((counts[0], counts[-1]))}{each}. {seeds}"
-
-    @cached_property
-    def _seeds(self) -> dict[tuple[str, str], int]:
-        rows = self.episodes[["agent", "environment", "training_seed"]].drop_duplicates()
-        counts = dict.fromkeys(zip(rows["agent"], rows["environment"]), 0)
-        for agent, key, seed in rows.itertuples(index=False):
-            counts[agent, key] += not math.isnan(seed)
-        return counts
-
-    @cached_property
-    def _instances(self) -> dict[str, int]:
-        counts = self.episodes.groupby("environment")["instance"].nunique()
-        return dict(zip(map(str, counts.index), counts.tolist()))
+        """Return the number of instances, and of training seeds of each agent, as a sentence."""
+        keys, names = tuple(environments), tuple(agents)
+        rows = self.episodes
+        rows = rows[rows["environment"].isin(keys) & rows["agent"].isin(names)]
+        instances = rows.groupby("environment")["instance"].nunique()
+        each = " in each environment" if instances.nunique() > 1 else ""
+        seeds = rows.groupby(["agent", "environment"])["training_seed"].nunique().groupby("agent")
+        spans = {str(agent): _span(of) for agent, of in seeds if of.any()}
+        by_span = {
+            span: [name for name in names if spans.get(name) == span]
+            for span in sorted(set(spans.values()))
+        }
+        trained = "; ".join(f"{listed(found)} {span}" for span, found in by_span.items())
+        training = f"Training seeds: {trained}." if trained else "Not trained: all agents."
+        return f"Instances: {_span(instances)}{each}. {training}"
 
 
 def count(number_of: int, noun: str) -> str:
@@ -276,12 +235,17 @@ def listed(items: Sequence[str]) -> str:
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
-def _span(ends: tuple[int, int]) -> str:
-    return str(ends[0]) if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
+def _span(counts: pd.Series[int]) -> str:
+    least, most = (counts.min(), counts.max()) if len(counts) else (0, 0)
+    return str(least) if least == most else f"{least} to {most}"
 
 
-def read_results(store: Path) -> Results:
+def read_results(store: Path, resamples: int = RESAMPLES) -> Results:
     """Read the store in a folder.
+
+    Args:
+        store: the folder.
+        resamples: of the ranking, where the store holds none of its present cells.
 
     Raises:
         UserError: if there is no store, it is damaged, or it has no episodes; the message then
@@ -317,15 +281,24 @@ def read_results(store: Path) -> Results:
         sets=_plain_seeds(read_sets(store)),
         ranking=read_ranking(store),
     )
+    if results.ranking.empty:
+        results = replace(results, ranking=_rank(results, resamples))
     return replace(results, paths=_paths(store, results))
 
 
-def _ordered(identities: Mapping[str, Identity]) -> tuple[str, ...]:
-    listed = list(AGENTS)
+def _rank(results: Results, resamples: int) -> pd.DataFrame:
+    try:
+        return rank_agents(results.episodes, results.cells_not_played, resamples=resamples)
+    except UserError:
+        return pd.DataFrame()  # no environment was attempted by all
+
+
+def _ordered(identities: Mapping[str, AgentIdentity]) -> tuple[str, ...]:
+    names = list(AGENTS)
 
     def place(agent: str) -> tuple[int, int, str]:
         one = identities[agent]
-        position = listed.index(one.name) if one.name in AGENTS else len(listed)
+        position = names.index(one.name) if one.name in AGENTS else len(names)
         return _KINDS.index(one.knowledge.kind), position, agent
 
     return tuple(sorted(identities, key=place))

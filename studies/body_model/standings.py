@@ -1,7 +1,7 @@
-"""Who stands where in the battery: success by family, agents against each of their rivals.
+"""Where the agents of a benchmark stand: success by family, and agents against each other.
 
-The tables are read from stores of `mmc-gym benchmark`.  The yardstick that is told the truth about
-its body has a store of its own, as it is nobody's rival:
+The tables are read from stores of `mmc-gym benchmark`.  The yardstick, which is given its true
+body, has a store of its own, because it is nobody's rival:
 
     mmc-gym benchmark
     mmc-gym benchmark --out runs/known-body \
@@ -10,12 +10,16 @@ its body has a store of its own, as it is nobody's rival:
 
 Success is the mean over the scenarios of a family, with 95 % intervals over training seeds and
 instances.  "24 35 0" against a rival: clearly better in 24 scenarios, no clear difference in 35,
-clearly worse in none.  Only scenarios count in which both have a value in half of their episodes.
-The last table has the scenarios in which some rival is ahead in success by more than 2 points.
+clearly worse in none.  Clear means that the 95 % interval of the paired difference excludes 0 and
+more than half a unit of the last digit shown.  A scenario counts if both agents have a value in
+half of their episodes.  The last table lists the scenarios in which the best rival is ahead in
+success by more than 2 points.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,13 +28,16 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mmc_gym.benchmark.statistics import Bootstrap
-from mmc_gym.benchmark.store import read_episodes
-from mmc_gym.report.results import read_results
-from mmc_gym.report.scores import SUCCESS, Estimates
+from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.benchmark.statistics import Bootstrap, Estimate
+from mmc_gym.benchmark.store import read_episodes, read_manifest
+from mmc_gym.measures import MEASURES, Measure, leave_out_failures
 
 COLUMNS = ("known-body", "mmc-body", "ik-body", "optimal-control", "ppo-memory", "ppo", "mmc")
 BEHIND = 0.02
+PRESENT = 0.5  # part of its episodes in which an agent must have a value
+COMMON = 5  # fewest instances on which two agents are compared
+NO_RIVALS = ("random", REFERENCE)
 
 
 @dataclass(frozen=True)
@@ -48,16 +55,17 @@ class Arguments:
     focus: tuple[str, ...] = ("mmc-body",)
 
 
-def by_family(arguments: Arguments, estimates: Estimates) -> Table:
+def by_family(arguments: Arguments) -> Table:
     """Return success by family."""
     stores = [store for store in arguments.stores if store.is_dir()]
     episodes = pd.concat([read_episodes(store) for store in stores], ignore_index=True)
     there = set(episodes["agent"])
     agents = [agent for agent in arguments.agents if agent in there]
+    environments = read_manifest(arguments.stores[0]).environments
     families: dict[str, list[str]] = {}
-    for key, environment in estimates.results.environments.items():
-        families.setdefault(environment.family or "tasks, unperturbed", []).append(key)
-    families["all"] = list(estimates.results.environments)
+    for key, settings in environments.items():
+        families.setdefault(settings.get("family") or "tasks, unperturbed", []).append(key)
+    families["all"] = list(environments)
     table = Table(title="success %, mean over the scenarios of a family")
     table.add_column("family", no_wrap=True)
     for agent in agents:
@@ -78,55 +86,98 @@ def by_family(arguments: Arguments, estimates: Estimates) -> Table:
     return table
 
 
-def against_each(agent: str, estimates: Estimates) -> Table:
+def difference(episodes: pd.DataFrame, measure: Measure, pair: Sequence[str]) -> Estimate | None:
+    """Return the first agent less the second in a scenario; None if too few episodes have a value.
+
+    Args:
+        episodes: of the scenario.
+        measure: of which the difference is taken.
+        pair: two agents.
+    """
+    rows = episodes[episodes["agent"].isin(pair)]
+    has_value = rows[measure.name].notna()
+    # Few episodes record the time per action: only instances count where either has a value.
+    either = has_value.groupby(rows["instance"]).transform("any")
+    shares = has_value[either].groupby(rows.loc[either, "agent"]).mean()
+    if shares.reindex(list(pair), fill_value=0.0).min() < PRESENT:
+        return None
+    has_both = rows[has_value].groupby("instance")["agent"].nunique().eq(2)
+    common = has_both.index[has_both]
+    if len(common) < COMMON:
+        return None
+    compared = rows[measure.name].where(rows["instance"].isin(common))
+    bootstrap = Bootstrap.of(rows.assign(**{measure.name: compared}), measure.name)
+    return bootstrap.difference(*pair, measure.statistic)
+
+
+def judge(found: Estimate, measure: Measure) -> str:
+    """Return "better", "worse" or "unclear" for a difference, by its interval."""
+    low, high = (found.low, found.high) if measure.best == "high" else (-found.high, -found.low)
+    hidden = 0.5 * 10.0**-measure.decimals
+    if max(-low, high) <= hidden:
+        return "unclear"
+    return "better" if low > 0 else "worse" if high < 0 else "unclear"
+
+
+def against_each(agent: str, episodes: pd.DataFrame) -> Table:
     """Return in how many scenarios an agent is better, not clearly different, and worse."""
-    shown = [one for one in estimates.results.measures if one.best != "neither"]
-    against = estimates.against_each(agent, shown)
-    measures = [one for one in shown if any(found[one.name] for found in against.values())]
+    measures = [
+        one
+        for one in MEASURES.values()
+        if one.shown and one.best != "neither" and one.name in episodes
+    ]
+    by_scenario = [rows for _, rows in episodes.groupby("environment", sort=False)]
     table = Table(title=f"{agent} is clearly better, not clearly different, clearly worse than …")
     table.add_column("", no_wrap=True)
     for measure in measures:
         table.add_column(measure.label, justify="right")
-    for rival, by_measure in against.items():
+    for rival in rivals_of(agent, episodes):
         cells = []
         for measure in measures:
-            found = by_measure[measure.name]
-            cells.append(f"{found['better']} {found['unclear'] + found['equal']} {found['worse']}")
+            found = [difference(rows, measure, (agent, rival)) for rows in by_scenario]
+            counts = Counter(judge(one, measure) for one in found if one is not None)
+            cells.append(f"{counts['better']} {counts['unclear']} {counts['worse']}")
         table.add_row(rival, *cells)
     return table
 
 
-def behind(agent: str, estimates: Estimates) -> Table:
+def behind(agent: str, episodes: pd.DataFrame) -> Table:
     """Return where the best rival is ahead, with the interval of the difference."""
-    rivals = [
-        other
-        for other in estimates.results.agents
-        if estimates.results.kind(other) not in ("baseline", "ideal") and other != agent
-    ]
+    success = MEASURES["success"]
     table = Table(title=f"{agent} is more than {100 * BEHIND:g} points behind the best rival")
     for heading in ("scenario", agent, "best rival", "its success", "difference"):
         table.add_column(heading, justify="left" if heading == "scenario" else "right")
-    for environment in estimates.results.environments:
-        one = estimates.compare(environment, SUCCESS, agent, rivals)
-        if one is not None and one.difference.estimate < -BEHIND - 1e-9:
-            difference, low, high = (100 * value for value in one.difference)
+    for environment, rows in episodes.groupby("environment", sort=False):
+        means = rows.groupby("agent", sort=False)["success"].mean()
+        rivals = [rival for rival in rivals_of(agent, episodes) if rival in means]
+        if agent not in means or not rivals:
+            continue
+        best = max(rivals, key=lambda rival: means[rival])
+        found = difference(rows, success, (agent, best))
+        if found is not None and found.estimate < -BEHIND - 1e-9:
+            estimate, low, high = (100 * one for one in (found.estimate, found.low, found.high))
             table.add_row(
-                environment,
-                f"{100 * one.mine.estimate:.1f}",
-                one.rival,
-                f"{100 * one.theirs.estimate:.1f}",
-                f"{difference:.1f} [{low:.0f}, {high:.0f}]",
+                str(environment),
+                f"{100 * means[agent]:.1f}",
+                best,
+                f"{100 * means[best]:.1f}",
+                f"{estimate:.1f} [{low:.0f}, {high:.0f}]",
             )
     return table
 
 
+def rivals_of(agent: str, episodes: pd.DataFrame) -> list[str]:
+    """Return the agents to compare with: all others but the random one and the ideal hand."""
+    return [other for other in episodes["agent"].unique() if other not in (agent, *NO_RIVALS)]
+
+
 def main(arguments: Arguments) -> None:
     """Print the tables."""
-    estimates = Estimates(read_results(arguments.stores[0]))
+    episodes = leave_out_failures(read_episodes(arguments.stores[0]))
     console = Console(width=170)
-    console.print(by_family(arguments, estimates))
+    console.print(by_family(arguments))
     for agent in arguments.focus:
-        console.print(against_each(agent, estimates), behind(agent, estimates))
+        console.print(against_each(agent, episodes), behind(agent, episodes))
 
 
 if __name__ == "__main__":

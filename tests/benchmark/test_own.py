@@ -20,7 +20,7 @@ from mmc_gym.envs import Family, register_perturbation, register_task
 from mmc_gym.envs.perturbations import Perturbation
 from mmc_gym.envs.scenarios import FAMILIES, TASK_SCENARIOS, scenario
 from mmc_gym.envs.tasks import TASKS, RandomTarget, Trial
-from mmc_gym.report.render import write_report
+from mmc_gym.report import write_report
 
 MODULE = """
 from dataclasses import dataclass, replace

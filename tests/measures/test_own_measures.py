@@ -11,7 +11,7 @@ import pytest
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.store import read_episodes, read_manifest, read_sets
 from mmc_gym.measures import MEASURES, measure
-from mmc_gym.report.render import write_report
+from mmc_gym.report import write_report
 
 MODULE = """
 from mmc_gym.measures import Episode, measure, set_measure

@@ -37,7 +37,7 @@ class Page(HTMLParser):
         for name in ("src", "href", "xlink:href"):
             if name in attrs and not attrs[name].startswith(("#", "data:")):
                 self.loaded.append(attrs[name])
-        if tag == "svg" and "aria-label" not in self.open[-1][1]:
+        if tag == "img" and not attrs.get("alt"):
             self.unlabelled += 1
         if tag in ("caption", "figcaption"):
             self.captions.append("")
@@ -72,19 +72,19 @@ def page(text):
 
 def test_the_file_needs_nothing_beside_it(page, text):
     assert page.loaded == []
-    assert not re.search(r"@import|url\((?!#)|fetch\(|XMLHttpRequest", text)
+    assert not re.search(r"@import|url\(|fetch\(|XMLHttpRequest", text)
     assert len(text) < 5_000_000
 
 
 def test_the_page_is_well_formed_and_its_ids_are_unique(page, text):
     assert page.open == []
     assert len(page.ids) == len(set(page.ids))
-    references = set(re.findall(r'(?:url\(|href=")#([^")]+)', text))
+    references = set(re.findall(r'href="#([^"]+)', text))
     assert references <= set(page.ids)
 
 
 def test_every_picture_says_what_it_shows(page):
-    assert page.tags.count("svg") > 15
+    assert page.tags.count("img") > 5
     assert page.unlabelled == 0
 
 
@@ -96,7 +96,7 @@ def test_every_caption_counts_seeds_and_instances(page):
 
 
 def test_the_page_says_how_many_resamples_were_drawn(text):
-    assert "bootstrap intervals of 200 resamples (300 for the bands" in text
+    assert "bootstrap intervals of 200 resamples over" in text
     assert signature(write_report).parameters["resamples"].default == RESAMPLES
 
 
@@ -120,7 +120,7 @@ def test_the_replay_is_small_and_ends_at_the_hand(page, benchmark_store):
 
 def replayed(results, paths):
     """Return the movement of mmc in the first instance, from other paths."""
-    scenes = replay(replace(results, paths=paths), ["random"], ["mmc"])["scenes"]
+    scenes = replay(replace(results, paths=paths))["scenes"]
     return scenes["random"][0]["agents"]["mmc"]
 
 
@@ -144,11 +144,6 @@ def test_the_arm_of_the_replay_leads_to_the_hand(benchmark_store):
     longer["hand_x"] += 0.5 * np.cos(angles[:, 2])  # of the last segment, which no agent is told
     longer["hand_y"] += 0.5 * np.sin(angles[:, 2])
     np.testing.assert_allclose(replayed(results, longer)["lengths"], [1, 1, 1.5], atol=0.01)
-
-
-def test_the_page_gives_wins_and_losses_the_same_place(text):
-    pair = text[text.index('<div class="pair">') :]
-    assert pair.index('class="better"') < pair.index('class="worse"') < pair.index("</section>")
 
 
 @pytest.mark.parametrize("out", ["", "deep/new/folder"], ids=["into the store", "elsewhere"])
