@@ -207,7 +207,6 @@ def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
     env = gym.make(OURS)
     observation, _ = env.reset(seed=0)
     agents = {name: make_agent(name, env) for name in AGENTS}
-    agents["mmc, compiled"] = make_agent("mmc", env).with_engine("numba")
     calls = {}
     for name, agent in agents.items():
         _, state = agent.predict(observation)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import atan2, cos, pi, remainder, sin, sqrt, tau
+from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
 import gymnasium as gym
@@ -442,16 +442,6 @@ class ReachInterface:
             hand=target - points[..., 1, :],
         )
 
-    def sense_one(self, observation: NDArray[np.floating]) -> tuple[list[float], Point]:
-        """Return joint angles and target of a single observation of MMCReach-v0, (3 N + 6,).
-
-        It is `sense` without checks and joint limits, in a tenth of the time.
-        """
-        values, count = observation.tolist(), len(self.segment_lengths)
-        joint_angles = list(map(atan2, values[count : 2 * count], values[:count]))
-        x, y = values[3 * count : 3 * count + 2]
-        return joint_angles, turned_back(x, y, cos(joint_angles[0]), -sin(joint_angles[0]))
-
     def checked(self, observation: Observation) -> Observation:
         """Return the observation as arrays.
 
@@ -524,23 +514,6 @@ class ReachInterface:
         # np.clip would take twice as long for few arms.
         clipped: NDArray[np.float32] = np.minimum(np.maximum(action, -1.0), 1.0).astype(np.float32)
         return clipped
-
-    def act_one(
-        self, joint_targets: Sequence[float], joint_angles: Sequence[float]
-    ) -> NDArray[np.float32]:
-        """Return the action for a single arm: `act` without joint limits, in a tenth of the time.
-
-        Args:
-            joint_targets: where its joints are sent, radians, N.
-            joint_angles: where they are, N.
-        """
-        if self.control == "joint_position":
-            actions = [remainder(target, tau) / pi for target in joint_targets]
-        else:
-            most = self.max_joint_delta
-            ways = [remainder(target - at, tau) for target, at in zip(joint_targets, joint_angles)]
-            actions = [min(max(way / most, -1.0), 1.0) for way in ways]
-        return np.array(actions, dtype=np.float32)
 
     def check_takes_joint_targets(self) -> None:
         """Raise a `CannotActError` under torque control, which has no servo to hand targets to."""

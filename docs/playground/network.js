@@ -112,7 +112,7 @@
   }
 
   // Bend a straight arm a little if its target lies in its own line, where no iteration leaves it
-  // (mmc_gym.agents.ik.agent.leave_line).
+  // (mmc_gym.agents.inverse_kinematics.leave_line).
   const STRAIGHT = 0.01, BEND = 0.02;
   const leaveLine = (angles, target, lengths) => {
     if (angles.slice(1).some((angle) => Math.abs(Math.sin(angle)) >= STRAIGHT)) return angles;

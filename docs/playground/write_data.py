@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.ik.agent import leave_line
+from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.agents.policy import load_policy, shipped_file
 from mmc_gym.body import ArmParameters
 from mmc_gym.body.engines import make_arm

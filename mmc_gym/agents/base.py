@@ -1,6 +1,6 @@
 """The base of all agents: the signature of `predict`, and the way from observation to action.
 
-An agent sees observations only; `ReachInterface` is what it is told besides.
+An agent sees observations only; `ReachInterface` is what it is given besides.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Agent(ABC, Generic[State]):
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is to know of the agent, by heading."""
+        """Facts about the agent, by heading."""
         return {}
 
     def __repr__(self) -> str:
@@ -100,32 +100,32 @@ class InternalModelAgent(Agent[State]):
         require(isinstance(interface, ReachInterface), "interface", interface, accepted)
         interface.check_takes_joint_targets()
         self.interface = interface
+        self._layouts: dict[tuple[int, ...], Any] = {}  # of its states, by their batch axes
 
     @property
     @override
     def facts(self) -> dict[str, str]:
         lengths = ", ".join(f"{length:g}" for length in self.interface.segment_lengths)
-        return {"control": self.interface.control, "told segment lengths": lengths}
+        return {"control": self.interface.control, "given segment lengths": lengths}
 
     @abstractmethod
     def start(self, sensed: Sensed) -> State:
         """Return the state of internal models in the sensed postures."""
 
     def resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
-        """Return the state to go on from: made anew where an episode starts.
+        """Return the state to resume from: made anew where an episode starts.
 
         Raises:
-            UserError: if state or `episode_start` have other batch axes than what is sensed.
+            UserError: if the state is that of another agent or of another number of arms, or
+                `episode_start` has other batch axes than what is sensed.
         """
         if state is None:
             return self.start(sensed)
-        fine = isinstance(state, tuple | np.ndarray | MMCState)
-        require(fine, "state", state, "what predict returned, or None")
-        batch, of_state = sensed.joint_angles.shape[:-1], batch_shape(state)
-        if of_state != batch:
-            raise UserError(
-                f"state must be that of as many arms as are observed, batch {batch}, got {of_state}"
-            )
+        batch = sensed.joint_angles.shape[:-1]
+        if batch not in self._layouts:
+            self._layouts[batch] = layout_of(self.start(sensed))
+        if layout_of(state) != self._layouts[batch]:
+            raise wrong_state(state, self.start(sensed))
         starts = starting(episode_start, batch)
         return state if starts is None else where(starts, self.start(sensed), state)
 
@@ -172,12 +172,33 @@ def starting(episode_start: Started, batch: tuple[int, ...]) -> NDArray[np.bool_
 # A state is an array with the batch in front, a network's state, or a named tuple of such.
 
 
-def batch_shape(state: Any) -> tuple[int, ...]:
-    """Return the batch axes of a state; of a named tuple, those of its first field."""
-    while isinstance(state, tuple):
-        state = state[0]
-    shape: tuple[int, ...] = state.batch_shape if isinstance(state, MMCState) else state.shape[:-1]
-    return shape
+def layout_of(state: Any) -> Any:
+    """Return the types and array shapes of a state; states of one agent and batch share them."""
+    if isinstance(state, MMCState):
+        return MMCState, state.segment_count, state.values.shape
+    if isinstance(state, tuple):
+        return type(state), *map(layout_of, state)
+    is_plain = isinstance(state, np.ndarray | np.generic | int | float)
+    return getattr(state, "shape", ()) if is_plain else type(state)
+
+
+def wrong_state(state: Any, accepted: Any) -> UserError:
+    """Return the error about a state whose layout is not that of an accepted one."""
+    came, expected = map(_described, (state, accepted))
+    return UserError(
+        "state must be what predict returned for this agent and as many arms, "
+        f"here {expected}, got {came}"
+    )
+
+
+def _described(state: Any) -> str:
+    """Return the type of a state, and the shape of its first array."""
+    first = state
+    while isinstance(first, tuple) and first:
+        first = first[0]
+    first = first.values if isinstance(first, MMCState) else first
+    name, shape = type(state).__name__, getattr(first, "shape", None)
+    return repr(state) if shape is None else f"{name} of shape {shape}"
 
 
 def where(condition: NDArray[np.bool_], yes: State, no: State) -> State:
@@ -207,8 +228,8 @@ def every(values: NDArray[Any]) -> bool:
 def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> None:
     """Warn, by a `MismatchWarning`, if an agent was trained with another arm than that of `env`.
 
-    Another engine is no such difference: engines simulate the same arm.  Nor are perturbations:
-    they are meant.  Nothing is said where either arm is unknown.
+    Another engine makes no difference, because engines simulate the same arm.  Perturbations do
+    not count: they are intended.  If either arm is unknown, there is no warning.
     """
     here = read_attribute(env, "unperturbed")
     if trained is None or here is None:

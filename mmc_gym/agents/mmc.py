@@ -7,21 +7,17 @@ servos follow the joint angles of its segments.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, require_whole
-from mmc_gym.agents.base import JointTargetAgent, Started, State, where
-from mmc_gym.agents.ik.agent import STRAIGHT, leave_line
-from mmc_gym.agents.planners import Movement, begin, follow, step
-from mmc_gym.interface import CannotActError, Observation, ReachInterface, Sensed
+from mmc_gym.agents.base import JointTargetAgent, State, where
+from mmc_gym.agents.inverse_kinematics import STRAIGHT, leave_line
+from mmc_gym.agents.planners import MovementTiming, begin, follow, step
+from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.network import Clamps, EuclideanNormalizer, MMCNetwork, MMCState, Normalizer
 from mmc_gym.network.chain import (
     Floats,
@@ -95,59 +91,7 @@ class NetworkAgent(JointTargetAgent[State]):
 
 
 class MMCAgent(NetworkAgent[MMCState]):
-    """An MMC network that drives the arm; its state is the network's.
-
-    With the engine "numba" (`with_engine`) an action for a single arm takes a tenth of the time,
-    and the first one some seconds.
-    """
-
-    @override
-    def predict(
-        self,
-        observation: Observation,
-        state: MMCState | None = None,
-        episode_start: Started = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], MMCState | None]:
-        if isinstance(observation, np.ndarray) and isinstance(state, MMCState):
-            is_new = episode_start is not None and np.any(episode_start)
-            outcome = None if is_new else self._predict_one(observation, state)
-            if outcome is not None:
-                return outcome
-        return super().predict(observation, state, episode_start, deterministic)
-
-    @cached_property
-    def _compiled(self) -> Callable[[Floats, float, float, Floats, Floats, int], float] | None:
-        """The compiled network for a single arm; None for one of numpy, or with joint limits."""
-        if self.network.engine == "numpy" or self.interface.joint_limits is not None:
-            return None
-        from mmc_gym.network.compiled import prepare_one
-
-        return prepare_one(self.network)
-
-    def _predict_one(
-        self, observation: NDArray[Any], state: MMCState
-    ) -> tuple[NDArray[np.float32], MMCState] | None:
-        """Do what `predict` does, for a single arm and a compiled network; else return None.
-
-        None also for an arm that is nearly straight, or where something is to be refused.
-        """
-        if self._compiled is None:
-            return None
-        interface, network, values = self.interface, self.network, state.values
-        fine = observation.shape == (interface.layout.size,) and observation.dtype.kind == "f"
-        fine = fine and values.shape == (network.row_count, 2) and values.dtype == np.float64
-        if not fine:
-            return None
-        joint_angles, (x, y) = interface.sense_one(observation)
-        if not math.isfinite(x + y):
-            return None
-        following, targets = np.empty_like(values), np.empty(len(joint_angles))
-        area = self._compiled(values, x, y, following, targets, self.iterations_per_step)
-        if area <= STRAIGHT * max(network.segment_lengths) ** 2:  # see `out_of_line`
-            return None
-        action = interface.act_one(targets.tolist(), joint_angles)
-        return action, MMCState(following, len(joint_angles))
+    """An MMC network that drives the arm; its state is the network's."""
 
     @override
     def start(self, sensed: Sensed) -> MMCState:
@@ -255,7 +199,7 @@ class TimedMMCState(NamedTuple):
     """State of the agent: the network's, and the movement."""
 
     network: MMCState
-    movement: Movement
+    movement: MovementTiming
 
 
 class TimedMMCAgent(NetworkAgent[TimedMMCState]):

@@ -1,37 +1,36 @@
 """Optimal feedback control: the linear-quadratic-Gaussian controller of the linearised arm.
 
-The field's normative model of movement (Todorov & Jordan 2002).  Nothing plans a path: at any time
-the feedback is the best there is, given noise that grows with the command.  So it corrects errors
+This is the field's normative model of movement (Todorov & Jordan 2002).  Nothing plans a path: at
+any time the feedback is optimal, given noise that grows with the command.  So it corrects errors
 only where they matter: along what moves the hand.
 
-**The body, as told.**  A joint turns as fast as its servo is asked to.  What asks is drive, and
-drive follows the command u late, as muscles do:
+**The body, as given.**  A joint turns as fast as its servo is commanded to.  The drive a changes
+that speed, and follows the command u late, as muscles do:
 
     q̇ = v,     v̇ = a,     τ ȧ = u (1 + c ε) − a,     ε normal
 
-**The task.**  Be at the target after the time T, and stay.  A reach costs, while it lasts, its
-effort, and hardly anything else; from then on every control step costs, for ever,
+**The task.**  Be at the target after the time T, and stay.  During a reach hardly anything but
+effort costs; from then on every control step costs, for ever,
 
     |e|² + ρ² |ṗ|² + η² |v|² + r |u|²,     e target − hand,  p hand
 
-T = T₀ + d/v̄ for a target at the distance d, and begins anew where it jumps.
+T = T₀ + d/v̄ for a target at the distance d.  It begins anew when the target jumps.
 
-**Its solution.**  With the Jacobian J = U S Vᵀ the turned joints Vᵀq come apart: each is a chain
-(z, v, a) of its own that moves the hand by s along a column of U, or not at all (s = 0).  Backwards
-in time, with S the cost to go (Todorov 2005),
+**Its solution.**  With the Jacobian J = U S Vᵀ the turned joints Vᵀq are independent: each is a
+chain (z, v, a) that moves the hand by s along a column of U, or not at all (s = 0).  Backwards in
+time, with S the cost to go (Todorov 2005),
 
     L = (r + (1 + c²) BᵀSB)⁻¹ BᵀSA,     u = −L (z, v, a),     S ← Q + AᵀS (A − BL)
 
-To stay is the fixed point of this (Qian, Jiang, Jiang & Mazzoni 2013): a Riccati equation, with
-c² BᵀSB counted to r.  A reach ends in it.  L depends on s and on the steps that are left alone: it
-is solved once for a table of them, and looked up for the posture as it is now.
+Staying is the fixed point of this (Qian, Jiang, Jiang & Mazzoni 2013): a Riccati equation, with
+c² BᵀSB added to r.  A reach ends in it.  L depends only on s and on the number of remaining steps:
+it is solved once for a table of both, and looked up for the present posture.
 
-**Senses.**  Kalman filters with constant gains, from the dual Riccati equation: of each joint, with
-the command as efference copy; of where the hand is seen beside where it is felt; and of a target
-that may move.  Noise is assumed to be as people's, for nobody tells it, and senses to be on time.
-Where they are assumed to be late, the filters are late as well, and joints and target go on from
-there by the commands since then and by the target's velocity: the estimate of a state that has the
-latest commands in it.
+**Senses.**  Kalman filters have constant gains, from the dual Riccati equation.  There is one for
+each joint, with the command as efference copy; one for the difference between the seen and the felt
+hand; and one for a target that may move.  Noise is not given: it is assumed to be that of people.
+Senses are assumed to be on time, unless a delay is given.  Then the filters estimate the past.
+Joints are extrapolated from there by the commands since then, and the target by its velocity.
 
 Literature: Todorov & Jordan (2002), Nature Neurosci. 5, 1226–1235.  Todorov (2005), Neural Comput.
 17, 1084–1108.  Todorov & Li (2005), Proc. American Control Conf., 300–306 (linearise where the arm
@@ -42,7 +41,7 @@ is).  Qian et al. (2013), Neural Comput. 25, 697–724.  van Beers, Sittig & Den
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -50,33 +49,36 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require_not_negative
+from mmc_gym._errors import require, require_not_negative, require_positive
 from mmc_gym.agents.base import InternalModelAgent, Started
-from mmc_gym.agents.ik.agent import hand_position, jacobian, leave_line
+from mmc_gym.agents.inverse_kinematics import hand_position, jacobian, leave_line
 from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed, turned_back
 from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
 
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What is optimised, and the noise that is reckoned with.
+    """What is optimised, and the noise that is assumed.
 
     Attributes:
-        shortest: time that the smallest movement takes, s.
-        speed: by which distance adds to it, segment lengths / s.
-        longest: time that a movement takes at most, s.
+        shortest: T₀, duration of a movement of no length, s.
+        speed: v̄, growth of distance with duration, segment lengths / s.
+        longest: largest duration of a movement, s; at least a control step.
         lag: τ of the drive, s.
         velocity_cost: ρ, s.
         joint_cost: η, lengths · s / rad; it ends movements that leave the hand in place.
         effort_cost: √r, lengths · s² / rad.
         motor_noise: c, noise of a command as a fraction of it.
-        joint_noise: of felt joint angles, rad; that of velocities is ten a second of it.
+        joint_noise: of felt joint angles, rad; that of felt velocities is ten times this, rad/s.
         vision_noise: of the seen hand and target, segment lengths.
-        slip: by how much a joint's turn differs from the one asked for in a control step, rad.
-        push: what disturbs a joint's velocity in a control step, rad/s.
-        drift: by how much the seen hand leaves the felt one in a control step, segment lengths.
-        swerve: by how much a target changes its velocity in a control step, segment lengths / s.
-        delay: by how much senses are late, s; rounded to control steps.
+        slip: error of a joint's turn in a control step, rad.
+        push: disturbance of a joint's velocity in a control step, rad/s.
+        drift: change of the seen hand against the felt one in a control step, segment lengths.
+        swerve: change of a target's velocity in a control step, segment lengths / s.
+        delay: delay of the senses, s; rounded to control steps.
+
+    Raises:
+        UserError: if a value is negative, or `speed`, `longest` or `lag` is zero.
     """
 
     shortest: float = 0.3
@@ -95,15 +97,20 @@ class Assumptions:
     swerve: float = 0.3
     delay: float = 0.0
 
+    def __post_init__(self) -> None:
+        require_not_negative(**asdict(self))
+        for name in ("speed", "longest", "lag"):
+            require_positive(name, getattr(self, name))
+
 
 DEFAULT = Assumptions()
 
-JUMP = 0.5
-"""A target that is farther than this from where it was expected is another, segment lengths."""
+TARGET_JUMP_DISTANCE = 0.5
+"""A target farther than this from the expected place has jumped, segment lengths."""
 SOFT = 0.05
-"""Keeps joints from chasing a target that they hardly move the hand along with, lengths² / rad²."""
+"""Keeps joints that hardly move the hand from chasing a moving target, lengths² / rad²."""
 SMALLEST, LARGEST, ENTRIES = 0.01, 30.0, 81
-"""s in the table of gains, lengths / rad: the ratio of neighbours is the same; between, lines."""
+"""Values of s in the table of gains, lengths / rad: spaced by one ratio, interpolated linearly."""
 
 
 def plant(assumed: Assumptions, step: float) -> tuple[Floats, Floats]:
@@ -118,7 +125,7 @@ def staying_cost(assumed: Assumptions, moves: float) -> Floats:
 
 
 def optimal_gain(assumed: Assumptions, step: float, value: Floats) -> Floats:
-    """Return L (..., 3) where the cost to go from the next step on is S, (..., 3, 3)."""
+    """Return L (..., 3) if the cost to go from the next step on is S, (..., 3, 3)."""
     a, b = plant(assumed, step)
     stake = (1 + assumed.motor_noise**2) * (b.T @ value @ b)[..., 0]
     gain: Floats = (b.T @ value @ a)[..., 0, :] / (assumed.effort_cost**2 + stake)
@@ -126,7 +133,7 @@ def optimal_gain(assumed: Assumptions, step: float, value: Floats) -> Floats:
 
 
 def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
-    """Return S (3, 3) of staying for ever, of a turned joint that moves the hand by `moves`."""
+    """Return S (3, 3) of staying for ever, for a turned joint that moves the hand by `moves`."""
     from scipy.linalg import solve_discrete_are  # `import mmc_gym` loads no scipy
 
     a, b = plant(assumed, step)
@@ -141,7 +148,7 @@ def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
 def reaching_gains(assumed: Assumptions, step: float, value: Floats) -> Floats:
     """Return L (steps, ..., 3) of the longest reach, from its last step backwards.
 
-    Its end is worth `value`, S (..., 3, 3).
+    `value` is the cost to go at its end, S (..., 3, 3).
     """
     a, b = plant(assumed, step)
     found = []
@@ -191,10 +198,10 @@ class Gains(NamedTuple):
     """All gains of the controller.
 
     Attributes:
-        control: L by the steps that are left of a movement, and by s, (3, steps + 1, entries);
-            that of z is per segment length of the hand.
+        control: L by the remaining steps of a movement, and by s, (3, steps + 1, entries); that
+            of z is per segment length of the hand.
         posture: K of a joint's angle and of its velocity, each from its own reading, (2,).
-        vision: K of where the hand is seen beside where it is felt.
+        vision: K of the difference between the seen and the felt hand.
         target: K of (place, velocity) from the seen place, (2,).
     """
 
@@ -225,17 +232,18 @@ def gains(assumed: Assumptions, step: float) -> Gains:
     )
 
 
-class Estimate(NamedTuple):
+class Belief(NamedTuple):
     """The controller's state; arrays lead with the batch.
 
     Attributes:
-        joint_angles: where it feels the joints, at the time of the senses, radians, (..., N).
-        velocity: that it feels; after a command, that the servos are asked for, rad/s, (..., N).
-        drive: its rate of change, rad/s², (..., N).
+        joint_angles: felt joint angles, at the time of the senses, radians, (..., N).
+        velocity: felt joint velocities; after a command, those commanded, rad/s, (..., N).
+        drive: rate of change of the velocity, rad/s², (..., N).
         shift: of the seen hand from the felt one, segment lengths, (..., 2).
-        target, target_velocity: as sensed, segment lengths and a second, (..., 2).
-        remaining: control steps that are left of the movement, (..., 1).
-        asked: velocities that were asked for since the time of the senses, rad/s, (..., steps, N).
+        target: as sensed, segment lengths, (..., 2).
+        target_velocity: as sensed, segment lengths / s, (..., 2).
+        remaining: remaining control steps of the movement, (..., 1).
+        asked: velocities commanded since the time of the senses, rad/s, (..., steps, N).
     """
 
     joint_angles: Floats
@@ -248,8 +256,8 @@ class Estimate(NamedTuple):
     asked: Floats
 
 
-class OptimalControlAgent(InternalModelAgent[Estimate]):
-    """Optimal feedback control of the arm as told, by joint velocities."""
+class OptimalControlAgent(InternalModelAgent[Belief]):
+    """Optimal feedback control of the given arm, by joint velocities."""
 
     def __init__(
         self,
@@ -262,23 +270,26 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         Args:
             interface: of the environment.
             assumed: see `Assumptions`.
-            noise_seed: of the noise of its commands, where it is not deterministic; None for none.
+            noise_seed: seed of the noise of its commands, when not deterministic; None: no noise.
 
         Raises:
-            UserError: if a delay is negative; as `CannotActError`, under torque control.
+            UserError: if the longest movement is shorter than a control step; as `CannotActError`,
+                under torque control.
         """
         super().__init__(interface)
-        require_not_negative(delay=assumed.delay)
+        require(isinstance(assumed, Assumptions), "assumed", assumed, "an Assumptions")
+        accepted = f"at least a control step, {interface.control_step:g} s"
+        require(assumed.longest >= interface.control_step, "longest", assumed.longest, accepted)
         self.assumed, self.gains = assumed, gains(assumed, interface.control_step)
         self._late = round(assumed.delay / interface.control_step)
         self._random = None if noise_seed is None else np.random.default_rng(noise_seed)
 
     @override
-    def start(self, sensed: Sensed) -> Estimate:
+    def start(self, sensed: Sensed) -> Belief:
         rest, still = np.zeros_like(sensed.joint_angles), np.zeros_like(sensed.target)
         unseen = np.full_like(sensed.target, np.nan)
         asked = np.zeros((*rest.shape[:-1], self._late, rest.shape[-1]))
-        return Estimate(
+        return Belief(
             sensed.joint_angles, rest, rest, unseen, sensed.target, still, unseen[..., :1], asked
         )
 
@@ -286,21 +297,21 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
     def predict(
         self,
         observation: Observation,
-        state: Estimate | None = None,
+        state: Belief | None = None,
         episode_start: Started = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.float32], Estimate | None]:
+    ) -> tuple[NDArray[np.float32], Belief | None]:
         seen = self.interface.see(observation)
         state = self.resumed(state, seen, episode_start)
         state = self._perceived(state, seen)
         state = self._driven(state, None if deterministic else self._random)
-        # As far ahead as makes a position servo ask for this velocity.
+        # A position servo turns a joint at this velocity if its target is so far ahead.
         ahead = state.velocity / self.interface.servo_gain
         now = seen.joint_angles + self.interface.control_step * state.asked.sum(axis=-2)
         return self.interface.act(now + ahead, replace(seen, joint_angles=now)), state
 
-    def _perceived(self, before: Estimate, seen: Seen) -> Estimate:
-        """Return the state as it is sensed now: what was expected, corrected by the gains."""
+    def _perceived(self, before: Belief, seen: Seen) -> Belief:
+        """Return the state as sensed now: the expected one, corrected by the gains."""
         gains, assumed = self.gains, self.assumed
         step, lengths = self.interface.control_step, self.interface.segment_lengths
         asked = np.concatenate((before.asked, before.velocity[..., None, :]), axis=-2)
@@ -313,7 +324,7 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         shift = known + gains.vision * (shift - known)
         target = before.target + step * before.target_velocity
         of_target = seen.target - target
-        jumped = _length(of_target) > JUMP
+        jumped = _length(of_target) > TARGET_JUMP_DISTANCE
         target = np.where(jumped, seen.target, target + gains.target[0] * of_target)
         velocity = np.where(jumped, 0.0, before.target_velocity + gains.target[1] * of_target)
         distance = _length(target - felt - shift)
@@ -329,26 +340,25 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
             asked=asked[..., 1:, :],
         )
 
-    def _driven(self, state: Estimate, random: np.random.Generator | None) -> Estimate:
+    def _driven(self, state: Belief, random: np.random.Generator | None) -> Belief:
         """Return the state after the optimal command, with noise if there is a generator."""
-        told, assumed = self.interface, self.assumed
-        step, lengths = told.control_step, told.segment_lengths
+        interface, assumed = self.interface, self.assumed
+        step, lengths = interface.control_step, interface.segment_lengths
         target = state.target + self._late * step * state.target_velocity
         goal = nearest_reachable(target - state.shift, lengths)
         angles = state.joint_angles + step * state.asked.sum(axis=-2)
         hand, *columns = jacobian(leave_line(angles, goal, lengths), lengths)
         effects = np.stack(columns, axis=-2)
-        effects[..., list(told.lockable_joints)] = 0.0  # a joint that may lock moves nothing
+        effects[..., list(interface.lockable_joints)] = 0.0  # a joint that may lock moves nothing
         towards, moves, rows = turned_joints(effects)
         error = _turned(target - state.shift - hand, towards)
         glide = _turned(state.target_velocity, towards)
         chased = glide * moves / (moves**2 + SOFT)
-        # Two turned joints move the hand; what else the joints do, `still`, does not.
-        velocity, drive = ((rows * of[..., None, :]).sum(axis=-1) for of in state[1:3])
-        still_velocity, still_drive = (
-            of - (rows * of_turned[..., None]).sum(axis=-2)
-            for of, of_turned in zip(state[1:3], (velocity, drive), strict=True)
-        )
+        # Two turned joints move the hand; the rest of the joints' motion, `still`, does not.
+        velocity = (rows * state.velocity[..., None, :]).sum(axis=-1)
+        drive = (rows * state.drive[..., None, :]).sum(axis=-1)
+        still_velocity = state.velocity - (rows * velocity[..., None]).sum(axis=-2)
+        still_drive = state.drive - (rows * drive[..., None]).sum(axis=-2)
         of_error, of_velocity, of_drive = self._looked_up(moves, state.remaining)
         command = of_error * error - of_velocity * (velocity - chased) - of_drive * drive
         of_still = self.gains.control[1:, state.remaining.astype(np.intp), 0]
@@ -359,9 +369,9 @@ class OptimalControlAgent(InternalModelAgent[Estimate]):
         command = (rows * command[..., None]).sum(axis=-2) + still
         velocity = state.velocity + step * state.drive
         drive = state.drive + step / assumed.lag * (command - state.drive)
-        # All joints as much slower as the fastest must be: the hand keeps its direction.
+        # If the fastest joint must be slower, all are, so that the hand keeps its direction.
         fastest = np.abs(velocity).max(axis=-1, keepdims=True)
-        share = told.speed_limit / np.maximum(fastest, told.speed_limit)
+        share = interface.speed_limit / np.maximum(fastest, interface.speed_limit)
         remaining = np.maximum(state.remaining - 1.0, 0.0)
         return state._replace(velocity=share * velocity, drive=share * drive, remaining=remaining)
 

@@ -29,7 +29,15 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, Started, starting, warn_of_another_arm, where
+from mmc_gym.agents.base import (
+    Agent,
+    Started,
+    layout_of,
+    starting,
+    warn_of_another_arm,
+    where,
+    wrong_state,
+)
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import History, View, feature_count, features, turned_actions
@@ -330,9 +338,8 @@ class PolicyAgent(Agent[Any]):
         start = history.start(observation)
         if state is None:
             return start
-        if np.shape(state) != start.shape:
-            shapes = f"of shape {start.shape}, got {np.shape(state)}"
-            raise UserError(f"state must be what predict returned for as many arms, {shapes}")
+        if layout_of(state) != layout_of(start):
+            raise wrong_state(state, start)
         starts = starting(episode_start, start.shape[:-2])
         return np.asarray(state, np.float32) if starts is None else where(starts, start, state)
 

@@ -13,23 +13,19 @@ import gymnasium as gym
 
 from mmc_gym.agents.base import Agent, RandomAgent
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
-from mmc_gym.agents.ik.agent import InverseKinematicsAgent
-from mmc_gym.agents.ik.closed_form import closed_form
-from mmc_gym.agents.ik.iterative import (
-    cyclic_coordinate_descent,
+from mmc_gym.agents.inverse_kinematics import (
+    InverseKinematicsAgent,
+    Solver,
+    closed_form,
     damped_least_squares,
-    fabrik,
-    jacobian_transpose,
     null_space,
-    pseudo_inverse,
 )
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm, tuned_mmc
 from mmc_gym.agents.optimal_control import OptimalControlAgent
-from mmc_gym.agents.planners import MinimumJerkAgent, PassiveMotionAgent
+from mmc_gym.agents.planners import MinimumJerkAgent
 from mmc_gym.agents.views import VIEWS, View
 from mmc_gym.interface import Control, ReachInterface
 from mmc_gym.network import LearnedNormalizer
-from mmc_gym.network.chain import Floats
 
 Kind = Literal[
     "yours",
@@ -120,16 +116,10 @@ _BODY = {
 }
 
 
-def _ik(
-    description: str,
-    solver: Callable[..., Floats],
-    *,
-    iterations_per_step: int = 3,
-    heeds_limits: bool = False,
-) -> AgentEntry:
+def _ik(description: str, solver: Solver, iterations_per_step: int = 3) -> AgentEntry:
     return AgentEntry(
         description,
-        lambda told: InverseKinematicsAgent(told, solver, iterations_per_step, heeds_limits),
+        lambda interface: InverseKinematicsAgent(interface, solver, iterations_per_step),
         Knowledge("inverse kinematics"),
     )
 
@@ -218,24 +208,11 @@ AGENTS: dict[str, AgentEntry] = {
         lambda told: RandomAgent(len(told.segment_lengths)),
         Knowledge("baseline", "not told", "not told", "nothing"),
     ),
-    "ik-transpose": _ik(
-        "inverse kinematics by the Jacobian transpose", jacobian_transpose, iterations_per_step=5
-    ),
-    "ik-pinv": _ik("inverse kinematics by the truncated pseudo-inverse", pseudo_inverse),
-    "ik-nullspace": _ik(
-        "as ik-dls, with a comfortable posture in the null space", null_space, heeds_limits=True
-    ),
-    "ik-ccd": _ik(
-        "inverse kinematics by cyclic coordinate descent",
-        cyclic_coordinate_descent,
-        heeds_limits=True,
-    ),
-    "ik-fabrik": _ik("inverse kinematics by FABRIK, forward and backward reaching", fabrik),
+    "ik-nullspace": _ik("as ik-dls, with a comfortable posture in the null space", null_space),
     "ik-closed-form": _ik(
         "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
         closed_form,
         iterations_per_step=1,
-        heeds_limits=True,
     ),
     "mmc-bell": _mmc(
         "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",
@@ -244,11 +221,6 @@ AGENTS: dict[str, AgentEntry] = {
     "minimum-jerk": AgentEntry(
         "minimum-jerk path of the hand, followed by damped least squares",
         MinimumJerkAgent,
-        Knowledge("planner"),
-    ),
-    "pmp": AgentEntry(
-        "Passive Motion Paradigm with a terminal attractor",
-        PassiveMotionAgent,
         Knowledge("planner"),
     ),
     "optimal-control": AgentEntry(

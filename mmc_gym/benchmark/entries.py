@@ -38,8 +38,8 @@ from mmc_gym.interface import CONTROLS, ControlError
 Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequence[AgentLike]]"
 """Agents, in order; a mapping gives them labels, and a list in it is several trainings of one."""
 
-LEFT_OUT = ("ik-transpose", "ik-pinv", "ik-nullspace", "ik-ccd", "ik-fabrik")
-"""Agents that do not take part by default: other solvers of what `ik-dls` stands for."""
+LEFT_OUT = ("ik-nullspace",)
+"""Agents that do not take part by default: other solvers of what `ik-dls` solves."""
 
 HIGHEST_SEED = 2**32 - 1
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import linregress
 
-from mmc_gym.agents.ik.agent import jacobian
+from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.measures.catalogue import set_measure
 from mmc_gym.measures.episode import Episode, Floats
 from mmc_gym.measures.reaching import arrival_time, success

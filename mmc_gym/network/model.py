@@ -27,7 +27,7 @@ variable is a row of the identity.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
@@ -343,9 +343,7 @@ class MMCNetwork:
         source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
         held = clamped.reshape(len(clamped), 2, clamped[0, 0].size if clamps.rows else 1)
         if self.engine == "numba":
-            from mmc_gym.network.compiled import prepare
-
-            prepare(self, clamps.rows)(source, held, out, iterations)
+            compiled_iterations(self, clamps.rows)(source, held, out, iterations)
             return MMCState(result, self.segment_count)
         iteration = compile_iteration(self, clamps.rows, values.dtype.char)
         for start in range(0, size, _BLOCK):
@@ -504,6 +502,19 @@ def compile_iteration(network: MMCNetwork, clamped: tuple[int, ...], dtype: str)
         normalizer=network.normalizer,
         normalizes_first=delayed,
     )
+
+
+@lru_cache(maxsize=256)
+def compiled_iterations(
+    network: MMCNetwork, clamped: tuple[int, ...]
+) -> Callable[[Floats, Floats, Floats, int], None]:
+    """Prepare the iterations of the engine "numba" for clamped rows, see `compiled.prepare`."""
+    from mmc_gym.network.compiled import prepare
+
+    check_clamped(network, clamped)
+    rule = (1.0, 0.0) if network.dynamics == "kinematic" else velocity_rule(network)
+    is_late = network.schedule == "delayed"
+    return prepare(network.segment_lengths, network.damping, rule, is_late, clamped)
 
 
 def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray[np.float64]:

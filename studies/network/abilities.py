@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mmc_gym.agents.body_model.agent import network_of_body
-from mmc_gym.agents.ik.iterative import damped_least_squares
+from mmc_gym.agents.inverse_kinematics import damped_least_squares
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.chain import Floats, Pair, segments_from_joint_angles

@@ -7,27 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmc_gym.agents.ik.agent import hand_position, iterate, jacobian, leave_line
-from mmc_gym.agents.ik.closed_form import closed_form, solutions
-from mmc_gym.agents.ik.iterative import (
-    cyclic_coordinate_descent,
+from mmc_gym.agents.inverse_kinematics import (
+    closed_form,
     damped_least_squares,
-    fabrik,
-    jacobian_transpose,
+    hand_position,
+    iterate,
+    jacobian,
+    leave_line,
     null_space,
-    pseudo_inverse,
+    solutions,
 )
 from mmc_gym.network.chain import reachable_radii, wrap_angle
 
-SOLVERS = {
-    "transpose": jacobian_transpose,
-    "pinv": pseudo_inverse,
-    "dls": damped_least_squares,
-    "nullspace": null_space,
-    "ccd": cyclic_coordinate_descent,
-    "fabrik": fabrik,
-    "closed-form": closed_form,
-}
+SOLVERS = {"dls": damped_least_squares, "nullspace": null_space, "closed-form": closed_form}
 ARMS = ((1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), (2.0, 1.0, 0.5), (0.5,) * 7)
 angles = st.floats(-np.pi, np.pi)
 
@@ -43,7 +35,7 @@ def polar(radius: object, angle: object) -> np.ndarray:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
-def random_reaches(lengths: tuple[float, ...], count: int = 500) -> tuple[np.ndarray, np.ndarray]:
+def random_reaches(lengths: tuple[float, ...], count: int = 200) -> tuple[np.ndarray, np.ndarray]:
     """Postures uniform in the joint angles, targets area-uniform over the reachable set."""
     random = np.random.default_rng(1)
     inner, outer = reachable_radii(lengths)
@@ -56,34 +48,19 @@ def distances(joint_angles: np.ndarray, target: np.ndarray, lengths: tuple[float
     return np.linalg.norm(hand_position(joint_angles, lengths) - target, axis=-1)
 
 
-# The share of targets that are reached within an accuracy by so many iterations: of arms of up to
-# three segments, and of seven.  The first-order methods (transpose, CCD, FABRIK) crawl near full
-# stretch, the more so the more segments there are; the others converge quadratically.
-@pytest.mark.parametrize(
-    ("name", "iterations", "accuracy", "up_to_three", "seven"),
-    [
-        ("transpose", 100, 0.05, 0.9, 0.5),
-        ("transpose", 800, 0.05, 0.99, 0.97),
-        ("pinv", 300, 1e-6, 0.99, 0.99),
-        ("dls", 300, 1e-6, 0.99, 0.99),
-        ("nullspace", 300, 1e-4, 0.99, 0.98),
-        ("ccd", 100, 0.05, 0.99, 0.85),
-        ("ccd", 400, 0.05, 0.99, 0.99),
-        ("fabrik", 10, 0.05, 0.9, 0.95),
-        ("fabrik", 100, 0.05, 0.99, 0.99),
-        ("closed-form", 1, 1e-12, 1.0, None),
-    ],
-)
-def test_reaches_random_targets_from_random_postures(
-    name, iterations, accuracy, up_to_three, seven
-):
-    for lengths in (arm for arm in ARMS if can(name, arm)):
-        postures, targets = random_reaches(lengths)
-        for _ in range(0, iterations, 10):  # as an agent does, a few iterations a control step
-            count = min(iterations, 10)
-            postures = iterate(SOLVERS[name], postures, targets, lengths, count)
-        reached = (distances(postures, targets, lengths) <= accuracy).mean()
-        assert reached >= (up_to_three if len(lengths) <= 3 else seven), lengths
+@pytest.mark.parametrize(("name", "lengths"), CASES)
+def test_reaches_random_targets_from_random_postures(name, lengths):
+    """Within an accuracy, by so many iterations, from at least this share of the postures."""
+    iterations, accuracy, share = {
+        "dls": (300, 1e-6, 0.99),
+        "nullspace": (300, 1e-4, 0.98),
+        "closed-form": (1, 1e-12, 1.0),
+    }[name]
+    postures, targets = random_reaches(lengths)
+    for _ in range(0, iterations, 10):  # as an agent does, a few iterations a control step
+        count = min(iterations, 10)
+        postures = iterate(SOLVERS[name], postures, targets, lengths, count)
+    assert (distances(postures, targets, lengths) <= accuracy).mean() >= share
 
 
 @given(st.data())
@@ -196,7 +173,7 @@ def test_a_posture_that_reaches_already_is_its_own_closed_form_solution(posture)
 
 def test_closed_form_is_the_nearest_of_all_solutions_within_a_sweeps_grid():
     lengths = (1.0, 1.0, 1.0)
-    postures, targets = random_reaches(lengths, 20)
+    postures, targets = random_reaches(lengths, 10)
     found = np.linalg.norm(closed_form(postures, targets, lengths) - postures, axis=-1)
     random = np.random.default_rng(0)
     for posture, target, length in zip(postures, targets, found):
@@ -221,28 +198,12 @@ def test_one_iteration_is_what_the_textbook_says(target):
     hand, *rows = jacobian(posture, lengths)
     matrix, error = np.stack(rows), target - hand
     short = error * min(1.0, 0.1 / np.linalg.norm(error))
-    pulled = matrix.T @ error
-    moved = matrix @ pulled
-    after = jacobian_transpose(posture, target, lengths, max_change=10.0)
-    expected = pulled * (error @ moved) / (moved @ moved)
-    np.testing.assert_allclose(after - posture, expected, atol=1e-12)
-    after = pseudo_inverse(posture, target, lengths, max_change=10.0)
-    np.testing.assert_allclose(after - posture, np.linalg.pinv(matrix) @ short, atol=1e-12)
     after = damped_least_squares(posture, target, lengths, damping=0.2)
     expected = matrix.T @ np.linalg.solve(matrix @ matrix.T + 0.04 * np.eye(2), short)
     np.testing.assert_allclose(after - posture, expected, atol=1e-12)
     added = null_space(posture, target, lengths) - damped_least_squares(posture, target, lengths)
     projector = np.eye(3) - np.linalg.pinv(matrix) @ matrix
     np.testing.assert_allclose(added, -0.03 * projector @ (posture * [0, 1, 1]), atol=1e-12)
-
-
-def test_a_truncated_singular_value_moves_nothing_in_its_direction():
-    lengths = (1.0, 1.0, 1.0)
-    posture, target = np.array([0.0, 1e-4, 0.0]), np.array([2.5, 0.05])
-    change = pseudo_inverse(posture, target, lengths) - posture
-    assert np.abs(change).max() < 0.05
-    kept = pseudo_inverse(posture, target, lengths, truncation=1e-9) - posture
-    assert np.abs(kept).max() > 0.15
 
 
 def test_comfort_bends_all_joints_but_the_first_evenly():
@@ -258,30 +219,6 @@ def test_comfort_bends_all_joints_but_the_first_evenly():
         null = np.linalg.svd(np.stack(rows))[2][-1]
         assert abs(null @ [0.0, *bend]) < 1e-4
     assert np.median(np.abs(bends[:, 0] - bends[:, 1])) < 1.0
-
-
-def test_fabrik_keeps_the_base_and_the_lengths_as_a_textbook_iteration_in_points():
-    lengths, posture, target = (1.0, 0.7, 1.3), np.array([0.4, -1.2, 2.0]), np.array([0.5, 0.9])
-    points = [np.zeros(2), *np.cumsum(np.array(lengths)[:, None] * polar(1.0, posture.cumsum()), 0)]
-    points[3] = target
-    for i in (2, 1, 0):
-        away = points[i] - points[i + 1]
-        points[i] = points[i + 1] + lengths[i] * away / np.linalg.norm(away)
-    points[0] = np.zeros(2)
-    for i in (0, 1, 2):
-        away = points[i + 1] - points[i]
-        points[i + 1] = points[i] + lengths[i] * away / np.linalg.norm(away)
-    after = hand_position(fabrik(posture, target, lengths), lengths)
-    np.testing.assert_allclose(after, points[3], atol=1e-12)
-
-
-def test_coordinate_descent_never_takes_the_hand_farther_away():
-    lengths = (0.5,) * 7
-    postures, targets = random_reaches(lengths, 200)
-    for _ in range(20):
-        before = distances(postures, targets, lengths)
-        postures = cyclic_coordinate_descent(postures, targets, lengths)
-        assert (distances(postures, targets, lengths) <= before + 1e-12).all()
 
 
 def test_only_an_arm_that_cannot_get_nearer_otherwise_is_bent():

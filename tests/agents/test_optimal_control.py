@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
+from mmc_gym._errors import UserError
 from mmc_gym.agents.optimal_control import (
     DEFAULT,
+    Assumptions,
     OptimalControlAgent,
     gains,
     kalman_gain,
@@ -166,3 +168,23 @@ def test_noise_is_left_where_it_does_not_move_the_hand():
         action, state = agent.predict(observation, state)
         observation, *_ = env.step(action)
     assert manifold_ratio(env.unwrapped.arms.joint_angles, (1.0, 1.0, 1.0)) > 10
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("lag", 0), ("longest", 0), ("shortest", -1), ("speed", 0), ("delay", -0.1)),
+        *(("effort_cost", -1), ("drift", np.nan), ("speed", "fast")),
+    ],
+)
+def test_impossible_assumptions_are_refused(name, value):
+    with pytest.raises(UserError, match=f"^{name} must be .*, got {value!r}"):
+        Assumptions(**{name: value})
+
+
+def test_a_longest_movement_below_a_control_step_is_refused():
+    interface = ReachInterface.of(gym.make("MMCReach-v0"))
+    with pytest.raises(
+        UserError, match=r"longest must be at least a control step, 0\.02 s, got 0.0"
+    ):
+        OptimalControlAgent(interface, Assumptions(longest=0.001))

@@ -1,4 +1,4 @@
-"""The agents that plan or time a movement: minimum jerk, Passive Motion Paradigm, timed MMC."""
+"""The agents that plan or time a movement: minimum jerk, timed MMC."""
 
 import numpy as np
 import pytest
@@ -6,27 +6,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.ik.agent import hand_position, jacobian
+from mmc_gym.agents.inverse_kinematics import hand_position
 from mmc_gym.agents.mmc import TimedMMCAgent
 from mmc_gym.agents.planners import (
     AVERAGE_SPEED,
     HORIZON,
-    JUMP,
+    NEW_TARGET_DISTANCE,
     SHORTEST,
     HandPlan,
     begin,
     follow,
     minimum_jerk_step,
-    passive_motion_step,
     step,
 )
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks, phase_of_peak
 from mmc_gym.network import MMCNetwork
-from mmc_gym.network.time_base import minimum_jerk, share
+from mmc_gym.network.time_base import minimum_jerk
 
 DT = 0.02
-PLANNERS = ("minimum-jerk", "pmp", "mmc-bell")
+PLANNERS = ("minimum-jerk", "mmc-bell")
 POSTURE, TARGET = np.array([0.3, 0.9, 0.8]), np.array([1.5, -0.8])
 
 points = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)).map(np.array)
@@ -97,14 +96,14 @@ def test_the_hand_of_minimum_jerk_goes_straight_in_bell_shape_and_arrives_in_tim
 @pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (0.5,) * 6])
 @pytest.mark.parametrize(
     ("name", "least_correlation", "accuracy"),
-    [("minimum-jerk", 0.999, 1e-4), ("pmp", 0.93, 1e-3), ("mmc-bell", 0.96, 0.06)],
+    [("minimum-jerk", 0.999, 1e-4), ("mmc-bell", 0.96, 0.06)],
 )
 def test_speed_is_bell_shaped_and_the_hand_arrives_at_the_end_time(
     name, least_correlation, accuracy, lengths
 ):
     # Bent, to a target well inside; nearly stretched or folded arms have less regular movements.
     random, count = np.random.default_rng(3), len(lengths)
-    for _ in range(30):
+    for _ in range(10):
         posture = random.uniform(0.4, 1.2, count)
         turn = random.uniform(0.3, 0.8, count) * [-1, *[1] * (count - 1)]
         target = hand_position(posture + turn, lengths)
@@ -115,39 +114,6 @@ def test_speed_is_bell_shaped_and_the_hand_arrives_at_the_end_time(
         assert 0.45 < phase_of_peak(profile) < 0.65
         assert correlation_with_minimum_jerk(profile) > least_correlation
         assert np.linalg.norm(hands[-1] - target) < accuracy
-
-
-def test_the_speed_of_passive_motion_is_what_the_time_base_makes_of_the_distance():
-    duration = int(begin(hand_position(POSTURE, (1.0, 1.0, 1.0)), TARGET, DT).duration)
-    hands = internal_hands("pmp", POSTURE, [TARGET] * duration)
-    distance = np.linalg.norm(hands - TARGET, axis=-1)
-    steps = np.linalg.norm(np.diff(hands, axis=0), axis=-1)
-    wanted = share(np.arange(1, duration + 1), duration) * distance[:-1]
-    np.testing.assert_allclose(steps, wanted, atol=0.1 * wanted.max())
-    assert distance[-1] < 1e-3
-
-
-def test_a_small_step_of_passive_motion_turns_the_joints_by_the_torques_of_the_pull():
-    lengths, small = (1.0, 0.7, 1.3), np.array(1e-5)
-    hand, *rows = jacobian(POSTURE, lengths)
-    error = TARGET - hand
-    torque = np.stack(rows).T @ error
-    change = passive_motion_step(POSTURE, TARGET, small, lengths) - POSTURE
-    np.testing.assert_allclose(change / change[0], torque / torque[0], rtol=1e-3)
-    moved = hand_position(POSTURE + change, lengths) - hand
-    np.testing.assert_allclose(np.linalg.norm(moved), small * np.linalg.norm(error), rtol=1e-3)
-
-
-@pytest.mark.parametrize("asked", [0.05, 0.3, 0.7])
-def test_a_step_of_passive_motion_covers_the_share_that_the_time_base_asks_for(asked):
-    postures = np.random.default_rng(0).uniform(0.4, 1.2, (50, 3))
-    hands = hand_position(postures, (1.0, 1.0, 1.0))
-    angles = np.random.default_rng(1).uniform(-np.pi, np.pi, 50)
-    targets = hands + 0.05 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    after = passive_motion_step(postures, targets, np.full(50, asked), (1.0, 1.0, 1.0))
-    covered = np.linalg.norm(hand_position(after, (1.0, 1.0, 1.0)) - hands, axis=-1) / 0.05
-    np.testing.assert_allclose(covered, asked, atol=0.15)
-    assert abs(np.median(covered) - asked) < 0.02
 
 
 @pytest.mark.parametrize("name", PLANNERS)
@@ -175,14 +141,13 @@ def test_stays_finite_in_the_hard_cases(name, lengths):
     stretched, folded = np.zeros(count), np.array([0.0, *[np.pi] * (count - 1)])
     for posture in (stretched, folded):
         for target in ([0.0, 0.0], [0.7, 0.0], [-9.0, 1.0], hand_position(posture, lengths)):
-            hands = internal_hands(name, posture, [target] * 120, lengths)
+            hands = internal_hands(name, posture, [target] * 60, lengths)
             assert np.isfinite(hands).all()
             assert np.linalg.norm(hands, axis=-1).max() <= sum(lengths) + 1e-9
 
 
-@pytest.mark.parametrize("name", ["minimum-jerk", "pmp"])
-def test_a_stretched_arm_moves_along_its_own_line(name):
-    hands = internal_hands(name, np.zeros(3), [[1.2, 0.0]] * 120)
+def test_a_stretched_arm_moves_along_its_own_line():
+    hands = internal_hands("minimum-jerk", np.zeros(3), [[1.2, 0.0]] * 120)
     np.testing.assert_allclose(hands[-1], [1.2, 0.0], atol=0.01)
 
 
@@ -193,7 +158,9 @@ def test_a_movement_begins_anew_only_where_the_target_jumps():
     assert movement.duration.tolist() == [np.ceil((SHORTEST + 1 / AVERAGE_SPEED) / DT)] * 3
     for _ in range(5):
         movement = step(follow(movement, hand, target, DT))
-    shift = np.array([[0.0, 0.0], [0.0, 0.9 * JUMP], [0.0, 1.1 * JUMP]])
+    shift = np.array(
+        [[0.0, 0.0], [0.0, 0.9 * NEW_TARGET_DISTANCE], [0.0, 1.1 * NEW_TARGET_DISTANCE]]
+    )
     movement = follow(movement, hand, target + shift, DT)
     assert movement.elapsed.tolist() == [5, 5, 0]
     for _ in range(30):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mmc_gym.agents.ik.agent import jacobian
+from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.measures import SET_MEASURES, run_episodes
 from mmc_gym.measures.sets import (

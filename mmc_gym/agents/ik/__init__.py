@@ -1,1 +1,0 @@
-"""Inverse kinematics: one agent, and the solvers it may use."""

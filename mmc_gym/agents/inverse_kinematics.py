@@ -1,0 +1,370 @@
+"""Inverse kinematics as a policy: a solver iterates on an internal posture, servos follow it.
+
+The internal posture starts as the sensed one.  In each control step a solver takes it nearer to
+the target, by a few iterations, and its joint angles are the servos' targets.  Nothing sensed
+later changes it: that is resolved-rate control (Whitney 1969) over position servos.
+
+**By the Jacobian.**  With J, how the hand's position changes with the joint angles q,
+
+    e = target − hand,   shortened to at most `max_step`
+    damped least squares   Δq = Jᵀ(JJᵀ + λ²I)⁻¹e
+    null space             Δq = Jᵀ(JJᵀ + λ²I)⁻¹e − κ (I − J⁺J) ∇H(q)
+
+`max_step` and `damping` (λ) are in segment lengths.
+
+**In closed form**, for one, two or three segments.  With the orientation φ of the last segment
+given, an arm of three is one of two, to the wrist:
+
+    w = target − ℓ₃ (cos φ, sin φ),     |ℓ₁ − ℓ₂| ≤ |w| ≤ ℓ₁ + ℓ₂
+    tan²(q₂/2) = ((ℓ₁ + ℓ₂)² − |w|²) / (|w|² − (ℓ₁ − ℓ₂)²)               elbow on either side
+    q₁ = ∠w − ∠(ℓ₁ + ℓ₂ cos q₂, ℓ₂ sin q₂),     q₃ = φ − q₁ − q₂
+
+The half angle is exact where acos is not: near the stretched and the folded arm.  φ is the one
+redundant freedom; the angle α between φ and the target's direction decides on |w|.  The possible
+ones are an interval of |α|, which is swept.  Of all solutions the nearest to the present posture is
+taken, in the Euclidean distance of joint angles the short way round.
+
+Literature: D. E. Whitney (1969), Resolved motion rate control of manipulators and human
+prostheses, IEEE Trans. Man-Machine Systems 10, 47–53.  C. W. Wampler (1986), IEEE Trans. Syst. Man
+Cybern. 16, 93–101, and Y. Nakamura, H. Hanafusa (1986), J. Dyn. Syst. Meas. Control 108, 163–171
+(damping).  A. Liégeois (1977), Automatic supervisory control of the configuration and behavior of
+multibody mechanisms, IEEE Trans. Syst. Man Cybern. 7, 868–871 (null space).  S. R. Buss, J.-S. Kim
+(2005), Selectively damped least squares for inverse kinematics, J. Graphics Tools 10(3), 37–49
+(shortened error).  J. J. Craig, Introduction to Robotics: Mechanics and Control, ch. 4 (planar arm
+of three joints).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from typing_extensions import override
+
+from mmc_gym._errors import require, require_whole
+from mmc_gym.agents.base import JointTargetAgent
+from mmc_gym.interface import CannotActError, JointLimits, ReachInterface, Sensed
+from mmc_gym.network.chain import (
+    BEND,
+    Floats,
+    nearest_reachable,
+    node_positions,
+    segments_from_joint_angles,
+    wrap_angle,
+)
+
+SegmentLengths: TypeAlias = tuple[float, ...]
+Solver: TypeAlias = Callable[[Floats, Floats, SegmentLengths, "JointLimits | None"], Floats]
+"""One iteration of a method: joint angles (..., N) in radians, for a target.
+
+It is a pure function of joint angles (..., N), targets (..., 2) in segment lengths, N lengths, and
+the lowest and highest angle of each joint in radians (None: joints turn freely).
+"""
+
+STRAIGHT = 0.01
+"""An arm counts as straight, and a target as in line with it, within this angle, radians."""
+ORIENTATIONS = 90
+"""Orientations of a sweep, on either side of the target's direction."""
+
+_TINY = np.finfo(np.float64).tiny
+_SLACK = 1e-9  # radians beyond a limit that count as within
+_FAR = 1e3  # more than any squared distance of postures
+
+
+class InverseKinematicsAgent(JointTargetAgent[Floats]):
+    """Runs a solver on an internal posture; its state is that posture's joint angles (..., N)."""
+
+    def __init__(
+        self, interface: ReachInterface, solver: Solver, iterations_per_step: int = 1
+    ) -> None:
+        """Make the agent.
+
+        Args:
+            interface: of the environment.
+            solver: one iteration of the method, such as `damped_least_squares`.
+            iterations_per_step: iterations in a control step.
+
+        Raises:
+            UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
+                control, or if the solver is none for this number of segments.
+        """
+        require_whole("iterations_per_step", iterations_per_step)
+        require(callable(solver), "solver", solver, "a function, such as damped_least_squares")
+        super().__init__(interface)
+        self.solver = solver
+        self.iterations_per_step = iterations_per_step
+        lengths = interface.segment_lengths
+        stretched, target = np.zeros(len(lengths)), np.array([sum(lengths), 0.0])
+        solver(stretched, target, lengths, interface.joint_limits)  # refuses here, if at all
+
+    @override
+    def start(self, sensed: Sensed) -> Floats:
+        return sensed.joint_angles
+
+    @override
+    def advance(self, state: Floats, sensed: Sensed) -> tuple[Floats, Floats]:
+        lengths, limits = self.interface.segment_lengths, self.interface.joint_limits
+        count = self.iterations_per_step
+        state = iterate(self.solver, state, sensed.target, lengths, count, limits)
+        return state, state
+
+
+def iterate(
+    solver: Solver,
+    joint_angles: Floats,
+    target: Floats,
+    segment_lengths: SegmentLengths,
+    iterations: int,
+    joint_limits: JointLimits | None = None,
+) -> Floats:
+    """Return joint angles (..., N) after iterations of a solver, out of a dead end if in one.
+
+    A target out of reach is replaced by the nearest point within: an arm that keeps pulling outward
+    trembles where it is stretched.
+    """
+    target = nearest_reachable(target, segment_lengths)
+    joint_angles = leave_line(joint_angles, target, segment_lengths)
+    for _ in range(iterations):
+        joint_angles = solver(joint_angles, target, segment_lengths, joint_limits)
+    return joint_angles
+
+
+def jacobian(
+    joint_angles: Floats, segment_lengths: SegmentLengths
+) -> tuple[Floats, Floats, Floats]:
+    """Return the hand (..., 2), and how it moves with the joints: ∂x/∂q and ∂y/∂q, each (..., N).
+
+    A joint turns the hand about itself: column i of J is (hand − p_i) turned by 90°.
+    """
+    nodes = node_positions(segments_from_joint_angles(joint_angles, segment_lengths))
+    hand = nodes[..., -1, :]
+    arm = hand[..., None, :] - nodes[..., :-1, :]
+    return hand, -arm[..., 1], arm[..., 0]
+
+
+def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths | Floats) -> Floats:
+    """Return the position of the hand (..., 2), segment lengths, from joint angles (..., N)."""
+    hand: Floats = segments_from_joint_angles(joint_angles, segment_lengths).sum(axis=-2)
+    return hand
+
+
+def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:
+    """Return the same joint angles (..., N), but bent a little where an iteration gets nowhere.
+
+    Where all segments and the target lie in one line, no joint can move the hand towards the
+    target (Jᵀe = 0).  The network has no way out either, for all its vectors lie in that line, and
+    so do their means.  Each joint of such an arm turns by `BEND`, unless the hand is at the target,
+    (..., 2), which must be within reach.
+    """
+    straight = np.abs(np.sin(joint_angles[..., 1:])).max(axis=-1, initial=0.0) < STRAIGHT
+    if not straight.any():
+        return joint_angles
+    error = target - hand_position(joint_angles, segment_lengths)
+    distance = np.hypot(error[..., 0], error[..., 1])
+    first = joint_angles[..., 0]
+    across = np.abs(np.cos(first) * error[..., 1] - np.sin(first) * error[..., 0])
+    away = distance > 1e-3 * sum(segment_lengths)
+    stuck = straight & away & (across < STRAIGHT * distance)
+    bent: Floats = joint_angles + BEND * stuck[..., None]
+    return bent
+
+
+# Solvers by the Jacobian
+
+
+def damped_least_squares(
+    joint_angles: Floats,
+    target: Floats,
+    segment_lengths: SegmentLengths,
+    joint_limits: JointLimits | None = None,
+    damping: float = 0.1,
+    max_step: float = 0.1,
+) -> Floats:
+    """Iterate once by damped least squares: a `Solver`.
+
+    The change is at most `max_step` / (2 `damping`), at singularities too.  Joints stop at their
+    limits.
+    """
+    moved, *_ = _damped_step(joint_angles, target, segment_lengths, damping, max_step)
+    return moved if joint_limits is None else np.clip(moved, *np.transpose(joint_limits))
+
+
+def null_space(
+    joint_angles: Floats,
+    target: Floats,
+    segment_lengths: SegmentLengths,
+    joint_limits: JointLimits | None = None,
+    comfort: float = 0.03,
+) -> Floats:
+    """Iterate once by damped least squares, towards a comfortable posture: a `Solver`.
+
+    H = ½ Σ (q_i − m_i)²: Liégeois's distance from the middles m of the joints' ranges.  Where there
+    are no limits these are 0, and the first joint, which only says where the arm points, is left
+    out: among all postures that reach the target the evenly bent one is the most comfortable.
+    With limits each term has a weight, (narrowest range / its range)⁴, and joints may pass through
+    the forbidden range here: comfort takes them out again, and the servos go round.  The projector
+    is that of the undamped pseudo-inverse, so comfort does not move the hand; it is bounded, so it
+    needs no damping.  `comfort` is κ, the share of the way to it that one iteration goes.
+    """
+    moved, jacobian_x, jacobian_y = _damped_step(joint_angles, target, segment_lengths)
+    if joint_limits is None:
+        toward_comfort = -comfort * wrap_angle(joint_angles)
+        toward_comfort[..., 0] = 0.0
+    else:
+        middle, spread = np.mean(joint_limits, axis=-1), np.ptp(joint_limits, axis=-1)
+        weight = (spread.min() / spread) ** 4
+        toward_comfort = comfort * weight * wrap_angle(middle - joint_angles)
+    return moved + _without_hand(jacobian_x, jacobian_y, toward_comfort)
+
+
+def _damped_step(
+    joint_angles: Floats,
+    target: Floats,
+    segment_lengths: SegmentLengths,
+    damping: float = 0.1,
+    max_step: float = 0.1,
+) -> tuple[Floats, Floats, Floats]:
+    """Return q + Jᵀ(JJᵀ + λ²I)⁻¹e, and ∂x/∂q and ∂y/∂q at q, (..., N) each."""
+    hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
+    error = target - hand
+    distance = np.hypot(error[..., 0], error[..., 1])[..., None]
+    error = error * (max_step / np.maximum(distance, max_step))
+    # (JJᵀ + λ²I) is 2 × 2 and symmetric; its inverse is written out.
+    xx = (jacobian_x * jacobian_x).sum(axis=-1) + damping**2
+    yy = (jacobian_y * jacobian_y).sum(axis=-1) + damping**2
+    xy = (jacobian_x * jacobian_y).sum(axis=-1)
+    determinant = xx * yy - xy * xy
+    force_x = (yy * error[..., 0] - xy * error[..., 1]) / determinant
+    force_y = (xx * error[..., 1] - xy * error[..., 0]) / determinant
+    change = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
+    return joint_angles + change, jacobian_x, jacobian_y
+
+
+def _without_hand(jacobian_x: Floats, jacobian_y: Floats, change: Floats) -> Floats:
+    """Return (I − J⁺J) Δq: changes (..., N) of joint angles without what moves the hand.
+
+    With J = Σ σ u vᵀ it takes away the part of the change along each σ v = Jᵀu, if σ is more than a
+    millionth of the largest.
+    """
+    xx = (jacobian_x * jacobian_x).sum(axis=-1)
+    yy = (jacobian_y * jacobian_y).sum(axis=-1)
+    xy = (jacobian_x * jacobian_y).sum(axis=-1)
+    angle = np.arctan2(2 * xy, xx - yy) / 2  # of the eigenvector of J Jᵀ with the larger value
+    larger = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    smaller = np.stack([-larger[..., 1], larger[..., 0]], axis=-1)
+    least = np.full_like(xx, _TINY)
+    for toward in (larger, smaller):
+        row = toward[..., :1] * jacobian_x + toward[..., 1:] * jacobian_y
+        square = (row * row).sum(axis=-1)
+        inverse = np.divide(1.0, square, out=np.zeros_like(square), where=square > least)
+        share = (row * change).sum(axis=-1) * inverse
+        change = change - share[..., None] * row
+        least = np.maximum(1e-6**2 * square, _TINY)
+    return change
+
+
+# The solver in closed form
+
+
+def closed_form(
+    joint_angles: Floats,
+    target: Floats,
+    segment_lengths: SegmentLengths,
+    joint_limits: JointLimits | None = None,
+) -> Floats:
+    """Return the solution nearest to a posture, joint angles (..., N): a `Solver` for N up to 3.
+
+    One iteration is enough.  For a target out of reach it solves for the nearest point within.
+    With two equal segments and the target at the base the first joint is free; its angle is then
+    arbitrary.
+
+    Args:
+        joint_angles: the present posture, radians, (..., N).
+        target: segment lengths, (..., 2).
+        segment_lengths: N = 1, 2 or 3 lengths.
+        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
+            Solutions beyond them do not count, and distances are measured along the way that the
+            limits allow.  If all are beyond, the one least so is brought to the limits.
+
+    Raises:
+        CannotActError: for another number of segments.
+
+    >>> closed_form(np.array([0.5, 0.5]), np.array([1.0, 1.0]), (1.0, 1.0)).round(6)
+    array([0.      , 1.570796])
+    """
+    found = solutions(target, segment_lengths, joint_angles)
+    changes = found - joint_angles[..., None, :]
+    beyond: Floats | float = 0.0
+    if joint_limits is None:
+        # As `wrap_angle`, but for the last bits, in a fifth of the time.
+        ways = changes - 2 * np.pi * np.rint(changes / (2 * np.pi))
+    else:
+        low, high = np.transpose(joint_limits)
+        within = (low + high) / 2 + wrap_angle(found - (low + high) / 2)
+        allowed = np.clip(within, low, high)
+        beyond = np.abs(within - allowed).max(axis=-1)
+        beyond = np.where(beyond > _SLACK, _FAR + beyond * _FAR, 0.0)
+        changes = ways = allowed - joint_angles[..., None, :]
+    nearest = (np.einsum("...i,...i", ways, ways) + beyond).argmin(axis=-1)
+    change = np.take_along_axis(changes, nearest[..., None, None], axis=-2)[..., 0, :]
+    return joint_angles + (wrap_angle(change) if joint_limits is None else change)
+
+
+def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Floats) -> Floats:
+    """Return all solutions of a sweep; joint angles in any turn, radians, (..., solutions, N).
+
+    With three segments the sweep includes both ends of the interval of orientations, and the
+    orientation of `joint_angles`, or the end next to it.  The arguments are those of `closed_form`.
+    """
+    count = len(segment_lengths)
+    if count > 3:
+        raise CannotActError(
+            f"segment_lengths must be 1, 2 or 3 for a solution in closed form, got {count}: "
+            f"{segment_lengths}"
+        )
+    target = nearest_reachable(target, segment_lengths)
+    bearing = np.arctan2(target[..., 1], target[..., 0])
+    if count == 1:
+        return bearing[..., None, None]
+    if count == 2:
+        return np.stack(_two_segments(target, *segment_lengths), axis=-2)
+    last = segment_lengths[2]
+    present = wrap_angle(joint_angles.sum(axis=-1) - bearing)
+    orientations = bearing[..., None] + _orientations(
+        np.hypot(target[..., 0], target[..., 1]), present, segment_lengths
+    )
+    hand = np.stack([np.cos(orientations), np.sin(orientations)], axis=-1)
+    wrist = target[..., None, :] - last * hand
+    both = [
+        np.concatenate([two, (orientations - two.sum(axis=-1))[..., None]], axis=-1)
+        for two in _two_segments(wrist, *segment_lengths[:2])
+    ]
+    return np.concatenate(both, axis=-2)
+
+
+def _orientations(distance: Floats, present: Floats, segment_lengths: SegmentLengths) -> Floats:
+    """Return α of a sweep, for targets at a distance from the base; (..., 2 `ORIENTATIONS` + 1)."""
+    first, second, last = segment_lengths
+    # |w|² = distance² + ℓ₃² − 2 distance ℓ₃ cos α; at the base any α gives the same.
+    product = np.maximum(2 * distance * last, np.finfo(np.float64).tiny)
+    square = distance * distance + last * last
+    least = np.arccos(np.clip((square - (first - second) ** 2) / product, -1.0, 1.0))
+    most = np.arccos(np.clip((square - (first + second) ** 2) / product, -1.0, 1.0))
+    swept = np.linspace(least, most, ORIENTATIONS, axis=-1)
+    nearest = np.copysign(np.clip(np.abs(present), least, most), present)
+    return np.concatenate([nearest[..., None], swept, -swept], axis=-1)
+
+
+def _two_segments(wrist: Floats, first: float, second: float) -> tuple[Floats, Floats]:
+    """Return both solutions for two segments, (..., 2); to the nearest point if too far."""
+    distance = np.hypot(wrist[..., 0], wrist[..., 1])
+    short = (first + second - distance) * (first + second + distance)
+    long = (distance - abs(first - second)) * (distance + abs(first - second))
+    elbow = 2 * np.arctan2(np.sqrt(np.maximum(short, 0.0)), np.sqrt(np.maximum(long, 0.0)))
+    bearing = np.arctan2(wrist[..., 1], wrist[..., 0])
+    offset = np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
+    return (
+        np.stack([bearing - offset, elbow], axis=-1),
+        np.stack([bearing + offset, -elbow], axis=-1),
+    )
