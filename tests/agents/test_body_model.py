@@ -13,19 +13,18 @@ from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
-from mmc_gym.agents.body_model.body import BodyEvidence
-from mmc_gym.agents.body_model.contacts import LONG, RADIUS, SHORT, Contacts
-from mmc_gym.agents.body_model.drive import Drive, command_of, commanded_turn, expected_turn
+from mmc_gym.agents.body_model.arm import command_of, commanded_turn, expected_turn
+from mmc_gym.agents.body_model.body import BodyEvidence, Locks
+from mmc_gym.agents.body_model.drive import Drive
 from mmc_gym.agents.body_model.imagination import start_offsets
-from mmc_gym.agents.body_model.locks import Locks
+from mmc_gym.agents.body_model.obstacles import LONG, RADIUS, SHORT, Contacts, room
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
-from mmc_gym.agents.body_model.ways import room
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
 
-KNOWN_BODY = Path(__file__).parents[2] / "benchmarks" / "known_body.py"
+KNOWN_BODY = Path(__file__).parents[2] / "studies" / "body_model" / "known_body.py"
 STEP = 0.02
 ARMS = 20
 INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
@@ -129,7 +128,7 @@ def test_delay_is_the_time_until_a_movement_is_felt(late, noise):
         before, speeds = posture, still + (turn or noise)
         posture = before.observed(before.seen + STEP * turn, speeds, STEP)
         delay = delay.observed(before, posture)
-    assert delay.steps == late
+    assert delay.late == late
 
 
 def test_a_lock_is_found_and_a_false_one_freed():
@@ -163,38 +162,40 @@ def test_a_joint_told_to_lock_is_found_sooner():
     assert steps[0] < steps[1] < 20
 
 
+def posture_of(joint_angles, turn):
+    return PostureTrack.start(joint_angles, turn / STEP)._replace(turn=turn)
+
+
+def touched(contacts, joint_angles, turn, asked, before=None):
+    """The memory after an arm of three unit segments, asked for one turn, makes another."""
+    before = posture_of(joint_angles, turn if before is None else before)
+    posture = posture_of(joint_angles, turn)
+    return contacts.observed(before, posture, asked, np.ones((1, 3)), np.array([True]))
+
+
 @pytest.mark.parametrize(("speed", "steps"), [(0.1, SHORT), (0.0, LONG)])
 def test_a_contact_is_felt_where_the_arm_cannot_go_on(speed, steps):
     """The arm turns about the middle of its last segment, which is held up from above.
 
     It is felt sooner if the arm struck what holds it.
     """
-    joint_angles, lengths = np.array([[0.0, 0.0, 0.0]]), np.ones((1, 3))
-    asked, before = np.array([[0.1, 0.0, 0.0]]), np.array([[speed, 0.0, 0.0]])
+    joint_angles, asked = np.zeros((1, 3)), np.array([[0.1, 0.0, 0.0]])
     turn = np.array([[0.05, 0.0, -0.25]])  # 2.5 · 0.05 − 0.5 · 0.25 = 0
-    contacts, looks = Contacts.start(1, 3), 0
+    contacts = touched(Contacts.start(1, 3), joint_angles, turn, asked, np.eye(3)[:1] * speed)
+    looks = 1
     while not contacts.met.any():
+        contacts = touched(contacts, joint_angles, turn, asked)
         looks += 1
-        contacts = contacts.observed(
-            joint_angles,
-            turn,
-            before=before if looks == 1 else turn,
-            asked=asked,
-            lengths=lengths,
-            counts=np.array([True]),
-        )
     assert looks == steps
     assert abs(contacts.discs[0, 0] - (2.5 + 1j * RADIUS)) < 0.05
 
 
 def test_a_load_that_gathers_speed_is_no_contact():
-    lengths, asked, contacts = np.ones((1, 3)), np.full((1, 3), 0.1), Contacts.start(1, 3)
-    joint_angles, turns = np.zeros((1, 3)), 0.1 * np.linspace(0, 1, 50)[:, None, None]
+    asked, contacts, joint_angles = np.full((1, 3), 0.1), Contacts.start(1, 3), np.zeros((1, 3))
+    turns = 0.1 * np.linspace(0, 1, 50)[:, None, None]
     for before, turn in pairwise(np.broadcast_to(turns, (50, 1, 3))):
         joint_angles = joint_angles + turn
-        contacts = contacts.observed(
-            joint_angles, turn, before=before, asked=asked, lengths=lengths, counts=np.ones(1, bool)
-        )
+        contacts = touched(contacts, joint_angles, turn, asked, before)
     assert not contacts.met.any()
 
 

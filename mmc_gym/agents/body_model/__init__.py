@@ -1,1 +1,1 @@
-"""An agent of five parts around an internal model: senses, body, locks, imagination, drive."""
+"""Agents in parts around an internal model: senses, body, imagination, obstacles, drive."""

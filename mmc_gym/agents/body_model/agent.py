@@ -1,19 +1,18 @@
-"""An internal model of the own body that acts: parts in a line.
+"""Agents with an internal model of their body, made of parts.
 
-    observation → senses → body → locks, contacts → imagination → drive → action
+    observation → senses → body → imagination → obstacles → drive → action
 
-- `senses`: where joints and target are, behind noise, and how late they are seen;
-- `body`: lengths of the segments, and how the seen hand is turned;
-- `locks`: joints that do not turn;
-- `contacts` and `ways`: obstacles, once they are felt, and ways round them;
-- `imagination`: in which posture to be at the target, found by an internal model;
-- `drive`: what to ask of the servos on the way there.
+- `senses`: where the joints and the target are, despite noise, and how late they are seen;
+- `body`: segment lengths, a turned cursor, and joints that are locked;
+- `imagination`: a posture with the hand at the target, found by an internal model;
+- `obstacles`: remembered once they are felt, and ways round them;
+- `drive`: joint targets on the way there.
 
-The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  What the
-agents reach, they reach by all parts; the difference between the two is what is the network's
-own.  Each part is a switch (`Parts`), for ablations.
+The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  The two
+agents share all other parts, so only a difference between them is due to the network.  Each part
+can be switched off (`Parts`), for ablations.
 
-Nothing of the perturbations is told.  Arms are a batch, (n, …); one arm is a batch of one.
+Perturbations are not given.  Arrays lead with the batch, (n, …); a single arm is a batch of one.
 """
 
 from __future__ import annotations
@@ -27,45 +26,35 @@ from typing_extensions import override
 
 from mmc_gym._errors import require_number, spelt
 from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
-from mmc_gym.agents.body_model.body import Body, BodyEvidence
-from mmc_gym.agents.body_model.contacts import Contacts
-from mmc_gym.agents.body_model.drive import (
-    Drive,
-    command_of,
-    commanded_turn,
-    imagined_way,
-    in_proportion,
-    share_of_turn,
-)
+from mmc_gym.agents.body_model.arm import Bools, Points, command_of, commanded_turn, hand
+from mmc_gym.agents.body_model.body import PUSH, BodyEvidence, Locks
+from mmc_gym.agents.body_model.drive import Drive, in_proportion
 from mmc_gym.agents.body_model.imagination import (
     FOLLOW,
-    NEAR,
-    Arms,
     Imagination,
     LeastSquaresSolver,
     NetworkSolver,
+    ReachProblem,
     Solver,
-    hand,
     within_reach,
 )
-from mmc_gym.agents.body_model.locks import PUSH, Locks
-from mmc_gym.agents.body_model.senses import Bools, Delay, Points, PostureTrack, TargetTrack
-from mmc_gym.agents.body_model.ways import Plan, Ways
+from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
+from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
-from mmc_gym.network.chain import Floats, wrap_angle
+from mmc_gym.network.chain import Floats
 
 LAG = 1.5
 """Control steps until the joints are where a command takes them."""
+NEAR = 0.002
+"""An imagined hand that is nearer to the target has settled, segment lengths."""
 FARTHER = 0.3
-"""A target that has moved by this is imagined anew, segment lengths."""
-BACK = 0.3
-"""Share by which arms that go round obstacles come back to their way in a control step."""
+"""A target that moved by more since it was imagined is imagined anew, segment lengths."""
 BETTER = 0.1
-"""A newly imagined posture must be so much cheaper than the one that is followed, radians."""
+"""A new posture replaces the present goal if it is cheaper by more, radians."""
 CLEAR = 0.01
-"""Noise of the joint angles below which the strength of joints shows, radians."""
+"""Noise of the joint angles below which forces on the joints can be seen, radians."""
 
 
 @spelt
@@ -74,13 +63,13 @@ class Parts:
     """Which parts an agent has, and how vigorous it is.
 
     Attributes:
-        filters: whether noise is filtered, and the movement of a target foreseen.
+        filters: whether noise is filtered, and moving targets are predicted.
         bridges_delay: whether the delay of the senses is estimated and bridged.
-        identifies_body: whether lengths and a turned cursor are identified; else as told.
+        identifies_body: whether lengths and a turned cursor are identified; else those given hold.
         finds_locks: whether locked joints are found.
         imagines: whether several models settle; else one, from the present posture.
-        drives: whether the servos are inverted; else they are sent to the imagined posture.
-        avoids: whether contacts are remembered, and ways round them imagined.
+        drives: whether the servos are inverted; else their target is the imagined posture.
+        avoids: whether contacts are remembered, and ways round them planned.
         vigour: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed.
 
     Raises:
@@ -102,17 +91,15 @@ class Parts:
 
 
 class BodyState(NamedTuple):
-    """State of the agent: what each of its parts remembers.
+    """State of the agent: the memory of each of its parts.
 
     Attributes:
-        looks: observations so far, (n, 1).
+        looks: number of observations so far, (n, 1).
         posture, target, delay: of the senses.
-        evidence: of the body.
-        locks: of the joints.
-        plan: where the arms go.
-        imagined_for: the place of the hand for which it was imagined, (n,).
-        drive: of the drive.
+        evidence, locks: of the body.
         contacts: of obstacles.
+        plan: where the arms should go.
+        drive: of the drive.
     """
 
     looks: Floats
@@ -121,32 +108,13 @@ class BodyState(NamedTuple):
     delay: Delay
     evidence: BodyEvidence
     locks: Locks
-    plan: Plan
-    imagined_for: Points
-    drive: Drive
     contacts: Contacts
-
-
-class Intention(NamedTuple):
-    """What an arm is to do.
-
-    Attributes:
-        joint_angles: where the joints are by now, radians, (n, N).
-        plan: where they are to go.
-        begins: whether a movement begins, (n,).
-        changes: whether the plan is another one, of a movement that begins or goes on, (n,).
-        aim: the place of the hand for which the movement was imagined, (n,).
-    """
-
-    joint_angles: Floats
     plan: Plan
-    begins: Bools
-    changes: Bools
-    aim: Points
+    drive: Drive
 
 
 class BodyAgent(InternalModelAgent[BodyState]):
-    """An agent with an internal model of its body, in parts, in a line."""
+    """An agent with an internal model of its body."""
 
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = Parts()) -> None:
         """Make the agent; `solver` is its internal model.
@@ -161,19 +129,18 @@ class BodyAgent(InternalModelAgent[BodyState]):
 
     @override
     def start(self, sensed: Sensed) -> BodyState:
-        joint_angles, target = sensed.joint_angles, _point(sensed.target)
-        still = np.zeros_like(joint_angles)
+        joint_angles, target = sensed.joint_angles, _points(sensed.target)
+        arms, joints = joint_angles.shape
         return BodyState(
-            looks=np.zeros((len(joint_angles), 1)),
-            posture=PostureTrack.start(joint_angles, still),
+            looks=np.zeros((arms, 1)),
+            posture=PostureTrack.start(joint_angles, np.zeros_like(joint_angles)),
             target=TargetTrack.start(target),
             delay=Delay.start(command_of(self.interface, joint_angles, joint_angles)),
-            evidence=BodyEvidence.start(self.interface.segment_lengths, len(joint_angles)),
+            evidence=BodyEvidence.start(self.interface.segment_lengths, arms),
             locks=Locks.start(joint_angles),
-            plan=Plan.start(joint_angles),
-            imagined_for=target,
-            drive=Drive.start(*joint_angles.shape),
-            contacts=Contacts.start(*joint_angles.shape),
+            contacts=Contacts.start(arms, joints),
+            plan=Plan.start(joint_angles, target),
+            drive=Drive.start(arms, joints),
         )
 
     @override
@@ -187,199 +154,179 @@ class BodyAgent(InternalModelAgent[BodyState]):
         values = np.asarray(self.interface.layout.flatten(observation))
         batch = values.shape[:-1]
         seen = self.interface.see(values.reshape(-1, values.shape[-1]))
-        state = self.resumed(state, seen, episode_start)
-        state = self._sense(state, seen)
-        state, body = self._know_body(state, seen)
-        intended = self._imagine(state, body)
-        joint_targets, state = self._drive(state, body, intended)
-        action = self.interface.act(joint_targets, Sensed(intended.joint_angles, seen.target))
+        state = self._sense(self.resumed(state, seen, episode_start), seen)
+        problem = self._forecast(state)
+        plan = self._plan(state, problem)
+        joint_targets, state = self._drive(state, problem, plan)
+        action = self.interface.act(joint_targets, Sensed(problem.joint_angles, seen.target))
         return action.reshape(*batch, -1), state
 
     def _sense(self, state: BodyState, seen: Seen) -> BodyState:
-        """Return the state after a look at posture and target."""
-        looks, is_new = state.looks + 1, state.looks[:, 0] == 0
-        has_new = some(is_new)
-        if has_new and every(is_new):
-            return state._replace(looks=looks)
-        told, parts, step = self.interface, self.parts, self.interface.control_step
-        before, place = state.posture, _point(seen.target)
-        if parts.filters:
-            posture = before.observed(seen.joint_angles, seen.joint_speeds, step)
-            target = state.target.observed(place, step)
+        """Return the state after an observation; the first one is what the state began with."""
+        is_first = state.looks[:, 0] == 0
+        state = state._replace(looks=state.looks + 1)
+        if not every(is_first):
+            after = self._feel(self._look(state, seen), state.posture)
+            state = where(is_first, state, after) if some(is_first) else after
+        if self.parts.identifies_body:
+            evidence = state.evidence.observed(seen.joint_angles, _points(seen.hand))
+            state = state._replace(evidence=evidence)
+        return state
+
+    def _look(self, state: BodyState, seen: Seen) -> BodyState:
+        """Return the state after posture and target are seen once more."""
+        posture, target = state.posture, state.target
+        if self.parts.filters:
+            step = self.interface.control_step
+            posture = posture.observed(seen.joint_angles, seen.joint_speeds, step)
+            target = target.observed(_points(seen.target), step)
         else:
-            turn = wrap_angle(seen.joint_angles - before.joint_angles)
-            posture = before._replace(
-                joint_angles=before.joint_angles + turn,
-                turn=turn,
-                speeds=seen.joint_speeds,
-                age=before.age + 1,
-            )
-            jumps = np.abs(place - state.target.mean) > FARTHER
-            target = state.target._replace(mean=place, has_jumped=jumps)
-        delay, locks, contacts = state.delay, state.locks, state.contacts
-        if parts.bridges_delay:
-            delay = delay.observed(before, posture)
-        asked = commanded_turn(told, before.joint_angles, delay.command_then())
+            posture = posture.unfiltered(seen.joint_angles, seen.joint_speeds)
+            target = target.unfiltered(_points(seen.target))
+        delay = state.delay
+        if self.parts.bridges_delay:
+            delay = delay.observed(state.posture, posture)
+        return state._replace(posture=posture, target=target, delay=delay)
+
+    def _feel(self, state: BodyState, before: PostureTrack) -> BodyState:
+        """Return the state after the movement is compared with the last command.
+
+        Joints that do not turn are locked, those that turn slowly bear a load, and obstacles stop
+        some point of the arm.
+        """
+        interface, parts, posture, locks = self.interface, self.parts, state.posture, state.locks
+        asked = commanded_turn(interface, before.joint_angles, state.delay.command_then())
         if parts.finds_locks:
-            locks = locks.observed(
-                posture,
-                asked,
-                delay.is_felt,
-                lockable=told.lockable_joints,
-                vigour=parts.vigour,
-            )
-        is_clear = (delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
-        drive = state.drive.observed(
-            before.speeds,
-            posture.speeds,
-            posture.turn,
-            is_clear=is_clear,
-            recovers=target.is_moving,
-            told=told,
-        )
+            lockable, is_felt = interface.lockable_joints, state.delay.is_felt
+            locks = locks.observed(posture, asked, is_felt, lockable, parts.vigour)
+        is_clear = (state.delay.late == 0) & (posture.deviation[:, 0] < CLEAR)
+        recovers = state.target.is_moving
+        drive = state.drive.observed(before, posture, is_clear, recovers, interface)
+        contacts = state.contacts
         if parts.avoids:
-            lengths, counts = state.evidence.body.lengths, is_clear & ~locks.is_locked.any(axis=-1)
-            contacts = contacts.observed(
-                posture.joint_angles,
-                posture.turn,
-                before=before.turn,
-                asked=asked,
-                lengths=lengths,
-                counts=counts,
-            )
-            drive = drive.recovered(contacts.is_new)
-        after = state._replace(
-            looks=looks,
-            posture=posture,
-            target=target,
-            delay=delay,
-            locks=locks,
-            drive=drive,
-            contacts=contacts,
-        )
-        return where(is_new, state._replace(looks=looks), after) if has_new else after
+            counts = is_clear & ~locks.is_locked.any(axis=-1)
+            lengths = state.evidence.body.lengths
+            contacts = contacts.observed(before, posture, asked, lengths, counts)
+            if some(contacts.is_new):  # what slowed the joints is no load
+                drive = drive.recovered(contacts.is_new)
+        return state._replace(locks=locks, drive=drive, contacts=contacts)
 
-    def _know_body(self, state: BodyState, seen: Seen) -> tuple[BodyState, Body]:
-        """Return the state after a look at the hand, and the body to go by."""
-        if not self.parts.identifies_body:
-            return state, state.evidence.body
-        evidence = state.evidence.observed(seen.joint_angles, _point(seen.hand))
-        return state._replace(evidence=evidence), evidence.best
-
-    def _imagine(self, state: BodyState, body: Body) -> Intention:
-        """Return where the joints are by now, and where they are to go."""
-        told, locks, lengths = self.interface, state.locks, body.lengths
-        now, goal = state.posture.joint_angles, state.plan.goal
-        if some(state.delay.late):
-            now = state.delay.run_forward(told, now)
+    def _forecast(self, state: BodyState) -> ReachProblem:
+        """Return where the joints are now, and where the hand should be when a command acts."""
+        now, locks, late = state.posture.joint_angles, state.locks, state.delay.late
+        if some(late):
+            now = state.delay.run_forward(self.interface, now)
         held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
-            goal = np.where(held, now, goal)
-        seen = state.target.ahead(state.delay.late + LAG)
-        aim = within_reach(body.felt(seen), lengths)
+        body = state.evidence.best
+        aim = within_reach(body.felt(state.target.ahead(late + LAG)), body.lengths)
+        return ReachProblem(now, aim, body.lengths, held)
 
-        misses = np.abs(hand(goal, lengths) - aim) > NEAR
+    def _plan(self, state: BodyState, problem: ReachProblem) -> Plan:
+        """Return where arms should go: on as planned, or to a newly imagined posture."""
+        begins = state.target.has_jumped | (state.looks[:, 0] == 1) | state.contacts.is_new
+        begins |= np.abs(problem.aim - state.plan.aim) > FARTHER
+        is_new = begins | state.locks.has_changed.any(axis=-1)
+        goal = self._follow(state.plan.goal, problem)
+        plan = state.plan.arrived(self.interface, problem.joint_angles)._replace(goal=goal)
+        if some(is_new):
+            plan = plan._replace(goal=self._choose(goal, problem, is_new))
+            plan = self.ways.planned(plan, state.contacts, problem, is_new)
+        is_next_leg = plan.ahead < state.plan.ahead
+        is_new = is_new | is_next_leg
+        aim = np.where(is_new, problem.aim, plan.aim)
+        return plan._replace(aim=aim, begins=begins | is_next_leg, is_new=is_new)
+
+    def _follow(self, goal: Floats, problem: ReachProblem) -> Floats:
+        """Return the goal postures, moved on where the hand is no longer at the target."""
+        if problem.held is not None:
+            goal = np.where(problem.held, problem.joint_angles, goal)
+        misses = np.abs(hand(goal, problem.lengths) - problem.aim) > NEAR
         if some(misses):
-            arms = Arms(goal, aim, lengths, held).of(misses)
+            moved = problem._replace(joint_angles=goal).of(misses)
             goal = goal.copy()
-            goal[misses] = self.imagination.settle(arms, FOLLOW)
-        begins = state.target.has_jumped | (state.looks[:, 0] == 1)
-        begins |= state.contacts.is_new
-        begins |= np.abs(aim - state.imagined_for) > FARTHER
-        changes = begins | locks.has_changed.any(axis=-1)
-        plan = state.plan.arrived(told, now)
-        if some(changes):
-            arms = Arms(now, aim, lengths, held)
-            chosen = arms.of(changes)
-            new, cost = self.imagination.best(chosen)
-            kept = self.imagination.cost(chosen, goal[changes])
-            goal = goal.copy()
-            goal[changes] = np.where((cost < kept - BETTER)[:, None], new, goal[changes])
-            plan = self.ways.planned(plan._replace(goal=goal), state.contacts, arms, changes)
-        else:
-            plan = plan._replace(goal=goal)
-        is_second = plan.ahead < state.plan.ahead  # a leg of a way round
-        imagined_for = np.where(changes | is_second, aim, state.imagined_for)
-        return Intention(now, plan, begins | is_second, changes | is_second, imagined_for)
+            goal[misses] = self.imagination.settle(moved, FOLLOW)
+        return goal
 
-    def _straight(self, drive: Drive, intended: Intention) -> Floats:
-        """Return by how much joints are to turn to go straight, as imagined, radians, (n, N)."""
-        told, now, plan = self.interface, intended.joint_angles, intended.plan
-        way = told.turn(plan.begin, plan.next)
-        square = np.maximum((way * way).sum(axis=-1, keepdims=True), 1e-9)
-        share = np.clip(((now - plan.begin) * way).sum(axis=-1, keepdims=True) / square, 0, 1)
-        aside = plan.begin + share * way - now
-        left = (1 - share) * way
-        turn: Floats = in_proportion(drive.turn(left, 0.0, told), left) + BACK * aside
-        return turn
+    def _choose(self, goal: Floats, problem: ReachProblem, is_new: Bools) -> Floats:
+        """Return the goal postures, replaced where a plan is new and a better one is imagined."""
+        chosen = problem.of(is_new)
+        imagined, cost = self.imagination.best(chosen)
+        is_better = cost < self.imagination.cost(chosen, goal[is_new]) - BETTER
+        goal = goal.copy()
+        goal[is_new] = np.where(is_better[:, None], imagined, goal[is_new])
+        return goal
 
-    def _drive(self, state: BodyState, body: Body, intended: Intention) -> tuple[Floats, BodyState]:
+    def _drive(
+        self, state: BodyState, problem: ReachProblem, plan: Plan
+    ) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
-        told, parts, drive, locks = self.interface, self.parts, state.drive, state.locks
-        now, plan = intended.joint_angles, intended.plan
-        left = told.turn(now, plan.next)
+        interface, drive, locks, now = (
+            self.interface,
+            state.drive,
+            state.locks,
+            problem.joint_angles,
+        )
+        left = interface.turn(now, plan.next)
         joint_targets: Floats = now + left
-        if parts.drives:
-            moves: Floats | float = 0.0
-            if some(state.target.is_moving):
-                goes_on = state.target.is_moving & ~intended.changes & ~plan.is_indirect
-                moves = np.where(goes_on[:, None], told.turn(state.plan.goal, plan.goal), 0.0)
-            turn = drive.turn(left, moves, told)
-            is_wary = state.contacts.met > 0
-            if parts.vigour < 1:
-                way = imagined_way(now, left, body.lengths)
-                direct = np.abs(hand(plan.next, body.lengths) - hand(now, body.lengths))
-                begins = intended.begins & ~state.target.is_moving  # which is followed, not reached
-                drive = drive.began(begins, direct, left, told, parts.vigour)
-                share = share_of_turn(way, drive.elapsed, drive.duration)[:, None]
-                follows = state.target.is_moving & (drive.elapsed >= drive.duration)
-                turn = np.where(follows[:, None], turn, in_proportion(turn, left * share))
-            elif some(is_wary):
-                turn = np.where(is_wary[:, None], self._straight(state.drive, intended), turn)
+        if self.parts.drives:
+            turn, drive = self._turn(state, problem, plan, left)
             noise = state.posture.deviation
-            joint_targets, drive = drive.targets(now, turn, left, noise, told)
+            joint_targets, drive = drive.targets(now, turn, left, noise, interface)
         if some(locks.is_locked):
             pushed = locks.place + PUSH * np.sign(locks.asked)
             joint_targets = np.where(locks.is_locked, pushed, joint_targets)
-        command = command_of(told, now, joint_targets)
-        return joint_targets, state._replace(
-            delay=state.delay.sent(command, state.posture, told),
-            drive=drive,
-            plan=intended.plan,
-            imagined_for=intended.aim,
-        )
+        command = command_of(interface, now, joint_targets)
+        delay = state.delay.sent(command, state.posture, interface)
+        return joint_targets, state._replace(delay=delay, drive=drive, plan=plan)
+
+    def _turn(
+        self, state: BodyState, problem: ReachProblem, plan: Plan, left: Floats
+    ) -> tuple[Floats, Drive]:
+        """Return how far joints should turn in this control step, and the drive."""
+        interface, drive, vigour = self.interface, state.drive, self.parts.vigour
+        now, is_moving = problem.joint_angles, state.target.is_moving
+        moves: Floats | float = 0.0
+        if some(is_moving):
+            follows = is_moving & ~plan.is_new & ~plan.is_indirect
+            moves = np.where(follows[:, None], interface.turn(state.plan.goal, plan.goal), 0.0)
+        turn = drive.turn(left, moves, interface)
+        if vigour < 1:
+            way = np.abs(hand(plan.next, problem.lengths) - hand(now, problem.lengths))
+            begins = plan.begins & ~is_moving  # a moving target is followed, not reached
+            drive = drive.timed(begins, way, left, interface, vigour)
+            share = drive.share_of_turn(now, left, problem.lengths)
+            human = in_proportion(turn, left * share[:, None])
+            follows = is_moving & (drive.elapsed >= drive.duration)
+            turn = np.where(follows[:, None], turn, human)
+        elif some(state.contacts.met):  # arms that know obstacles keep to the way they planned
+            straight = drive.straight(plan.begin, now, plan.next, interface)
+            turn = np.where((state.contacts.met > 0)[:, None], straight, turn)
+        return turn, drive
 
 
-def _point(vectors: Floats) -> Points:
+def _points(vectors: Floats) -> Points:
     """Return vectors (..., 2) as complex numbers, (...)."""
     points: Points = vectors.view(np.complex128)[..., 0]
     return points
 
 
-def mmc_body(
-    interface: ReachInterface,
-    parts: Parts = Parts(),
-    *,
-    is_learned: bool = True,
-    is_dynamic: bool = True,
-) -> BodyAgent:
-    """Return the agent whose internal model is the MMC network.
-
-    Args:
-        interface: of the environment.
-        parts: of the agent.
-        is_learned: whether the normalizer is the learned one, as in the paper; else Euclidean.
-        is_dynamic: whether the network has velocities, as in the paper; else it is kinematic.
-    """
-    network = network_of_body(interface, is_learned=is_learned, is_dynamic=is_dynamic)
-    return BodyAgent(interface, NetworkSolver(network), parts)
+def mmc_body(interface: ReachInterface, parts: Parts = Parts(), **network: bool) -> BodyAgent:
+    """Return the agent whose internal model is the MMC network, see `network_of_body`."""
+    return BodyAgent(interface, NetworkSolver(network_of_body(interface, **network)), parts)
 
 
 def network_of_body(
     interface: ReachInterface, *, is_learned: bool = True, is_dynamic: bool = True
 ) -> MMCNetwork:
-    """Return the network that is the internal model of `mmc_body`."""
+    """Return the network that is the internal model of `mmc_body`.
+
+    Args:
+        interface: of the environment.
+        is_learned: whether the normalizer is the learned one, as in the paper; else Euclidean.
+        is_dynamic: whether the network has velocities, as in the paper; else it is kinematic.
+    """
     joints = len(interface.segment_lengths)
     return network_of_arm(
         interface,

@@ -1,35 +1,40 @@
-"""Body: how long the segments are, and how the seen hand is turned, in closed form.
+"""Body: segment lengths and a turned cursor, in closed form, and joints that are locked.
 
-With the unit vectors u_i of the segments, as complex numbers, all that may be wrong with lengths ℓ
-and with the sight of the hand x is one linear model,
+**Lengths and cursor.**  With the unit vectors u_i of the segments, as complex numbers, the lengths
+ℓ and the way in which the hand x is seen are one linear model,
 
-    x = e^{iφ} Σ ℓ_i u_i + c,
+    x = e^{iφ} Σ ℓ_i u_i + c
 
-of which every hypothesis leaves some free: none (the body is as told); the angle φ of a cursor
-that is turned about the base; one length; all lengths; lengths and angle; and each of these with
-the shift c, which moves the centre of the turn to c / (1 − e^{iφ}).  Running sums over the
+Hypotheses differ in what they leave free: nothing (the body is as given); the angle φ of a cursor
+that is turned about the base; one length; all lengths; all lengths and the angle; and each of these
+with the shift c, which moves the centre of the turn to c / (1 − e^{iφ}).  Running sums over the
 observations,
 
     G = Σ Re(ū uᵀ),     h = Σ ū x,     s = Σ |x|²       (about their means, where c is free)
 
-give each of them in closed form, and what it leaves unexplained:
+give the parameters of each hypothesis in closed form, and the square error that it leaves:
 
     turned            φ = arg(ℓᵀ h)
     segment j         ℓ_j = (Re h_j − Σ_{k≠j} G_jk ℓ_k) / G_jj
     all lengths       ℓ = G⁻¹ Re h
     lengths, turned   2φ = arg(hᵀ G⁻¹ h), then ℓ = G⁻¹ Re(e^{−iφ} h)
-    unexplained       S = s − 2 Re(e^{−iφ} ℓᵀ h) + ℓᵀ G ℓ
+    square error      S = s − 2 Re(e^{−iφ} ℓᵀ h) + ℓᵀ G ℓ
 
-(φ of the fourth maximises Re(e^{−iφ} h)ᵀ G⁻¹ Re(e^{−iφ} h).)  The hypothesis with the least
+(φ of the fourth maximises Re(e^{−iφ} h)ᵀ G⁻¹ Re(e^{−iφ} h).)  The best hypothesis has the least
 
     n log((S + ε) / (n + 1)) + k (4 + 2 log(n + 1))
 
-is believed: n observations, k free parameters, ε the square error that is none.  This is the
-Bayesian information criterion (Schwarz 1978) with a heavier penalty, for neighbouring observations
-are nearly the same.  A cursor that is turned, or a segment of another length, is mostly found with
-the first observation, before anything has moved.
+for n observations, k free parameters and the square error ε that is negligible.  This is the
+Bayesian information criterion (Schwarz 1978) with a heavier penalty, because neighbouring
+observations are nearly the same.  A turned cursor, or a segment of another length, is mostly
+identified from the first observation, before anything has moved.  The mean error that the best
+hypothesis leaves is added as an offset, unless it is noise.
 
-What the believed hypothesis leaves unexplained, if it is no noise, is added as an offset.
+**Locks.**  While a joint stays where it is, the turns that the servo model expects of it are summed
+up.  When the sum is large enough, the joint is taken as locked, and the internal model holds its
+angle.  A locked joint is still pushed, so that a joint that was only held up (by a load, an
+obstacle, or a joint beside it) is free again as soon as it turns.  Nothing counts before the arm is
+felt to move, because late senses show an arm at rest.
 
 Literature: G. Schwarz (1978), Estimating the dimension of a model, Ann. Statist. 6, 461–464.
 """
@@ -41,182 +46,239 @@ from typing import NamedTuple
 import numpy as np
 
 from mmc_gym.agents.base import every, some, where
-from mmc_gym.agents.body_model.senses import Points
+from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
+from mmc_gym.agents.body_model.senses import PostureTrack
 from mmc_gym.network.chain import Floats
 
 FORGET = 0.005
-"""Share of the sums that a control step forgets."""
+"""Share of the sums that is forgotten in a control step."""
 EXACT = 2 * 0.006**2
-"""ε: square error that is none, segment lengths²."""
+"""ε: negligible square error, segment lengths²."""
 PENALTY = 4.0
-"""What a parameter costs, besides 2 log(n + 1)."""
+"""Penalty of a parameter, besides 2 log(n + 1)."""
 RIDGE = 1e-3
-"""Weight of the told lengths where all of them are free."""
+"""Weight of the given lengths where lengths are free."""
 SHORTEST, LONGEST = 0.3, 2.0
-"""Lengths are within these factors of those told, or the hypothesis is dropped."""
+"""Hypotheses with a length beyond these factors of the given one are dropped."""
 FREQUENT = 12
-"""Observations after which the hypotheses are compared in every fourth control step only."""
+"""Observations after which hypotheses are compared in every fourth control step only."""
 OFFSET_RATE = 0.1
-"""Share by which the mean of what is unexplained follows."""
+"""Rate at which the offset follows the errors."""
+
+ASKED, ASKED_IF_GIVEN = 0.4, 0.15
+"""Turn asked of a joint until it is taken as locked, radians; less if it is given as lockable."""
+SLOWLY = 0.25
+"""Share of that turn which is enough at a vigour of 0."""
+ASKED_PER_NOISE = 10.0
+"""What noise of the joint angles adds to that turn."""
+WRONGLY = 4.0
+"""Factor of that turn for a joint that was taken as locked, and then turned."""
+STILL, STILL_PER_ASKED = 0.004, 0.12
+"""A joint rests that has turned by less, radians, or by less than a share of what was asked."""
+SLOW, SLOW_PER_NOISE = 0.25, 15.0
+"""And it is slower than this, rad/s; and what noise adds to that, 1/s."""
+FREED = 0.06
+"""A locked joint that is farther from its place is free, radians."""
+PLACED = 0.1
+"""Rate at which the place of a locked joint follows what is seen."""
+PUSH = 0.6
+"""How far ahead the target of a locked joint is, radians."""
+LATEST = 25
+"""Observations after which joints count as locked though no movement was felt."""
 
 
 class Body(NamedTuple):
-    """A body and how its hand is seen: x = turn · Σ ℓ u + shift.
+    """A body and how its hand is seen: x = turn · Σ ℓ u + shift."""
 
-    Attributes:
-        lengths: ℓ, segment lengths, (n, N).
-        turn: e^{iφ}, (n,).
-        shift: c, segment lengths, (n,).
-    """
-
-    lengths: Floats
-    turn: Points
-    shift: Points
+    lengths: Floats  # ℓ
+    turn: Points  # e^{iφ}
+    shift: Points  # c
 
     def seen(self, units: Points) -> Points:
-        """Return where the hand is seen if the segments point along these units (n, N), (n,)."""
+        """Return where the hand is seen if these are the unit vectors of the segments, (n, N)."""
         seen: Points = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
         return seen
 
     def felt(self, seen: Points) -> Points:
-        """Return where the hand is, or has to be, that is seen at these points, (n,)."""
+        """Return where the hand really is if it is seen here."""
         felt: Points = (seen - self.shift) * self.turn.conj()
         return felt
 
 
-def _products(units: Points, hand: Points) -> Points:
-    """Return what an observation adds to the sums: z̄ zᵀ with z = (u_1 … u_N, x, 1).
-
-    Args:
-        units: u, (n, N).
-        hand: x, (n,); or another place instead.
-
-    Returns:
-        (n, N + 2, N + 2).  In their sum, the first N rows and columns have the real part G, the
-        next column is h, and the next number on the diagonal s; the last row has Σ u, Σ x and n.
-    """
-    arms, count = units.shape
-    each = np.empty((arms, count + 2), complex)
-    each[:, :count], each[:, count], each[:, count + 1] = units, hand, 1.0
-    products: Points = each.conj()[:, :, None] * each[:, None, :]
-    return products
-
-
 class BodyEvidence(NamedTuple):
-    """Running sums, and the body that they make most likely.
+    """Running sums over the observations, and the best hypothesis about the body.
 
-    Attributes:
-        age: observations so far, (n,).
-        sums: of the observations, see `_products`, with the older ones slowly forgotten; in place
-            of the hand x there is e = x − ℓᵀu for the told ℓ, (n, N + 2, N + 2).
-        told: the body as told.
-        body: what is believed.
-        offset: mean of what it leaves unexplained, (n,).
-        scatter: mean square about that, (n,).
+    With e = x − ℓᵀu for the given lengths ℓ, the sums are Σ z̄ zᵀ of z = (u_1 … u_N, e, 1).  Their
+    first N rows and columns have the real part G.  Old observations are slowly forgotten.
     """
 
-    age: Floats
-    sums: Points
-    told: Body
-    body: Body
-    offset: Points
-    scatter: Floats
+    age: Floats  # number of observations, (n,)
+    sums: Points  # Σ z̄ zᵀ, (n, N + 2, N + 2)
+    given: Body  # the body as given
+    body: Body  # the best hypothesis
+    offset: Points  # mean error that it leaves
+    scatter: Floats  # mean square of the errors about their mean, (n,)
 
     @classmethod
     def start(cls, lengths: tuple[float, ...], arms: int) -> BodyEvidence:
-        """Return that nothing speaks against what was told."""
+        """Return the evidence before any observation, for the given lengths."""
         zero, origin = np.zeros(arms), np.zeros(arms, complex)
         sums = np.zeros((arms, len(lengths) + 2, len(lengths) + 2), complex)
-        told = Body(np.tile(np.array(lengths), (arms, 1)), origin + 1, origin)
-        return cls(zero, sums, told, told, origin, zero)
+        given = Body(np.tile(np.array(lengths), (arms, 1)), turn=origin + 1, shift=origin)
+        return cls(zero, sums, given=given, body=given, offset=origin, scatter=zero)
 
     def observed(self, joint_angles: Floats, hand: Points) -> BodyEvidence:
-        """Return the evidence after the hand was seen there, (n,), with this posture (n, N)."""
-        units = np.exp(1j * np.cumsum(joint_angles, axis=-1))
-        error = hand - (self.told.lengths * units).sum(axis=-1)
-        sums, age = (1 - FORGET) * self.sums + _products(units, error), self.age + 1
+        """Return the evidence after the hand was seen in a posture."""
+        units, age = unit_vectors(joint_angles), self.age + 1
+        error = hand - (self.given.lengths * units).sum(axis=-1)
+        z = np.concatenate([units, error[:, None], np.ones((len(hand), 1))], axis=1)
+        sums = (1 - FORGET) * self.sums + z.conj()[:, :, None] * z[:, None, :]
         body = self._judged(sums, age)
-        if body is not self.told:
-            error = hand - body.seen(units)
+        error = hand - body.seen(units)
         rate = np.maximum(OFFSET_RATE, 1 / age)
         offset = self.offset + rate * (error - self.offset)
         scatter = self.scatter + rate * (np.abs(error - offset) ** 2 - self.scatter)
-        return BodyEvidence(age, sums, self.told, body, offset, scatter)
+        return BodyEvidence(age, sums, self.given, body, offset, scatter)
 
     @property
     def best(self) -> Body:
-        """The body to go by: as believed, with the offset as far as it is no noise."""
+        """The best hypothesis, with the part of the offset that is not noise."""
         square = np.abs(self.offset) ** 2
         share = square / (square + self.scatter + EXACT)
         return self.body._replace(shift=self.body.shift + share * self.offset)
 
     def _judged(self, sums: Points, age: Floats) -> Body:
-        """Return the body that the sums make most likely."""
-        # What is worth less than one parameter speaks for no other body.
-        count, unexplained = sums[:, -1, -1].real, sums[:, -2, -2].real
-        worth = count * np.log1p(unexplained / EXACT)
-        is_told = worth < PENALTY + 2 * np.log1p(count)
-        if every(is_told):
-            return self.told
-        looks = ~is_told & ((age < FREQUENT) | (age % 4 == 0))
-        body = where(is_told, self.told, self.body) if some(is_told) else self.body
+        """Return the best hypothesis for each arm."""
+        # If even the whole error is worth less than one parameter, the body is as given.
+        count, square = sums[:, -1, -1].real, sums[:, -2, -2].real
+        worth = count * np.log1p(square / EXACT)
+        is_given = worth < PENALTY + 2 * np.log1p(count)
+        if every(is_given):
+            return self.given
+        looks = ~is_given & ((age < FREQUENT) | (age % 4 == 0))
+        body = where(is_given, self.given, self.body)
         if some(looks):
-            best = _most_likely(sums[looks], self.told.lengths[0])
-            body = Body(body.lengths.copy(), body.turn.copy(), body.shift.copy())
+            body = Body(*(field.copy() for field in body))
+            best = most_likely(sums[looks], self.given.lengths[0])
             body.lengths[looks], body.turn[looks], body.shift[looks] = best
         return body
 
 
-def _unexplained(
-    products: Floats, hand_products: Points, square: Floats, lengths: Floats
-) -> Floats:
-    """Return S of lengths (..., N) under hand products that are turned back already, (...)."""
-    own = ((products @ lengths[..., None])[..., 0] * lengths).sum(axis=-1)
-    left = square - 2 * (hand_products.real * lengths).sum(axis=-1) + own
-    unexplained: Floats = np.maximum(left, 0.0)
-    return unexplained
+class Hypothesis(NamedTuple):
+    """A hypothesis about the bodies of n arms."""
+
+    lengths: Floats  # ℓ
+    turn: Points  # e^{iφ}
+    parameters: int  # k, without the shift
 
 
-def _most_likely(sums: Points, told: Floats) -> Body:
-    """Return the most likely body of every arm; the told lengths are (N,)."""
-    arms, segments = len(sums), len(told)
-    to_hand = np.eye(segments + 2)  # x = e + ℓᵀu
-    to_hand[segments, :segments] = told
-    sums = to_hand @ sums @ to_hand.T
-    count, unit_sum, hand_sum = sums[:, -1, -1].real, sums[:, -1, :-2], sums[:, -1, -2]
-
-    # The sums as they are, and below them those about the means, for bodies with a shift.
-    about = sums - sums[:, :, -1:] * sums[:, -1:, :] / count[:, None, None]
-    both = np.concatenate([sums, about])
-    g, h, s = both[:, :-2, :-2].real, both[:, :-2, -2], both[:, -2, -2].real
-
-    # As told, turned, one segment, all segments, all segments and turned.
-    inverse, ridge = np.linalg.inv(g + RIDGE * np.eye(segments)), RIDGE * told
-    free = np.array([0, 1, *[1] * segments, segments, segments + 1])
-    lengths: Floats = np.tile(told, (2 * arms, len(free), 1))
-    turn: Points = np.ones(lengths.shape[:2], complex)
-    turn[:, 1] = np.exp(1j * np.angle(h @ told))
-    longer = (h.real - g @ told) / (np.diagonal(g, axis1=1, axis2=2) + RIDGE)
-    lengths[:, 2 : 2 + segments] += longer[:, :, None] * np.eye(segments)
-    lengths[:, -2] = (inverse @ (h.real + ridge)[..., None])[..., 0]
+def hypotheses(g: Floats, h: Points, given: Floats) -> list[Hypothesis]:
+    """Return each hypothesis with its best parameters, from G, h and the given lengths, (N,)."""
+    segments = len(given)
+    lengths: Floats = np.tile(given, (len(h), 1))
+    unturned: Points = np.ones(len(h), complex)
+    turn = np.exp(1j * np.angle(h @ given))
+    change = (h.real - g @ given) / (np.diagonal(g, axis1=1, axis2=2) + RIDGE)
+    inverse = np.linalg.inv(g + RIDGE * np.eye(segments))
     double = (h * (inverse @ h[..., None])[..., 0]).sum(axis=-1)
     half_turn: Points = np.exp(0.5j * np.angle(double))
-    # It is one of two opposite turns: the one that leaves lengths positive.
-    turn[:, -1] = half_turn * np.where((half_turn.conj()[:, None] * h).real @ told < 0, -1, 1)
-    back = (turn[:, -1].conj()[:, None] * h).real
-    lengths[:, -1] = (inverse @ (back + ridge)[..., None])[..., 0]
+    # Of two opposite turns, the one that leaves lengths positive.
+    is_opposite = (half_turn.conj()[:, None] * h).real @ given < 0
+    both_turn = half_turn * np.where(is_opposite, -1, 1)
 
-    left = _unexplained(g[:, None], turn.conj()[..., None] * h[:, None], s[:, None], lengths)
-    many = np.concatenate([count, count])[:, None]
-    parameters = np.repeat([free, free + 2], arms, axis=0)
-    worth = many * np.log((left + EXACT) / (many + 1))
-    worth += parameters * (PENALTY + 2 * np.log1p(many))
-    ratio = lengths / told
-    worth[~((ratio > SHORTEST) & (ratio < LONGEST)).all(axis=-1)] = np.inf
+    def all_lengths(turn: Points) -> Floats:
+        back = (turn.conj()[:, None] * h).real + RIDGE * given
+        fitted: Floats = (inverse @ back[..., None])[..., 0]
+        return fitted
 
-    best = np.concatenate([worth[:arms], worth[arms:]], axis=1).argmin(axis=1)
-    is_shifted, kind = best >= len(free), best % len(free)
-    row = np.arange(arms) + arms * is_shifted
-    likely = Body(lengths[row, kind], turn[row, kind], np.zeros(arms, complex))
-    shift = (hand_sum - likely.seen(unit_sum)) / count
-    return likely._replace(shift=np.where(is_shifted, shift, 0.0))
+    return [
+        Hypothesis(lengths, unturned, parameters=0),
+        Hypothesis(lengths, turn, parameters=1),
+        *(Hypothesis(lengths + change * j, unturned, parameters=1) for j in np.eye(segments)),
+        Hypothesis(all_lengths(unturned), unturned, parameters=segments),
+        Hypothesis(all_lengths(both_turn), both_turn, parameters=segments + 1),
+    ]
+
+
+def most_likely(sums: Points, given: Floats) -> Body:
+    """Return the best hypothesis for each arm.
+
+    Args:
+        sums: see `BodyEvidence`, (n, N + 2, N + 2).
+        given: lengths as given, (N,).
+    """
+    to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
+    to_hand[-2, :-2] = given
+    sums = to_hand @ sums @ to_hand.T
+    count, unit_sum, hand_sum = sums[:, -1, -1].real, sums[:, -1, :-2], sums[:, -1, -2]
+    about_means = sums - sums[:, :, -1:] * sums[:, -1:, :] / count[:, None, None]
+
+    bodies, criteria = [], []
+    for is_shifted, moments in enumerate((sums, about_means)):
+        g, h, s = moments[:, :-2, :-2].real, moments[:, :-2, -2], moments[:, -2, -2].real
+        each = hypotheses(g, h, given)
+        lengths: Floats = np.stack([one.lengths for one in each])
+        body = Body(lengths, np.stack([one.turn for one in each]), np.zeros((), complex))
+        shift = is_shifted * (hand_sum - body.seen(unit_sum)) / count
+        bodies.append(body._replace(shift=shift))
+        back = (body.turn.conj()[..., None] * h).real
+        own = ((g @ lengths[..., None])[..., 0] * lengths).sum(axis=-1)
+        square_error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + own, 0.0)
+        parameters = np.array([one.parameters + 2 * is_shifted for one in each])[:, None]
+        criterion = count * np.log((square_error + EXACT) / (count + 1))
+        criterion += parameters * (PENALTY + 2 * np.log1p(count))
+        ratio = lengths / given
+        is_absurd = ~((ratio > SHORTEST) & (ratio < LONGEST)).all(axis=-1)
+        criteria.append(np.where(is_absurd, np.inf, criterion))
+    best, arms = np.concatenate(criteria).argmin(axis=0), np.arange(len(sums))
+    return Body(*(np.concatenate(fields)[best, arms] for fields in zip(*bodies, strict=True)))
+
+
+class Locks(NamedTuple):
+    """Which joints are taken as locked, (n, N)."""
+
+    place: Floats  # where each joint is locked, or was last at rest
+    asked: Floats  # sum of the turns asked of it there
+    is_locked: Bools  # whether it is taken as locked
+    has_changed: Bools  # whether that changed with the last observation
+    was_wrong: Bools  # whether it was taken as locked, and then turned
+
+    @classmethod
+    def start(cls, joint_angles: Floats) -> Locks:
+        """Return free joints."""
+        free = np.zeros(joint_angles.shape, bool)
+        return cls(joint_angles, np.zeros_like(joint_angles), free, free, free)
+
+    def observed(
+        self,
+        posture: PostureTrack,
+        expected: Floats,
+        is_felt: Bools,
+        lockable: tuple[int, ...] = (),
+        vigour: float = 1.0,
+    ) -> Locks:
+        """Return the locks after one more observation, in which joints should turn as `expected`.
+
+        `is_felt`: whether the arm has been felt to move, (n,).  `lockable`: the only joints that
+        can lock, if these are given.  With less vigour less turn is asked before a joint is taken
+        as locked.
+        """
+        noise, seen = posture.deviation, posture.joint_angles
+        tolerance = STILL + 3 * noise
+        away = np.abs(seen - self.place)
+        moves = away > tolerance + STILL_PER_ASKED * np.abs(self.asked)
+        moves |= np.abs(posture.speeds) > SLOW + SLOW_PER_NOISE * noise
+        freed = self.is_locked & (away > 2 * tolerance + FREED)
+        was_wrong = self.was_wrong | freed
+        counts = ~moves & ~freed & (is_felt[:, None] | (posture.age > LATEST))
+        asked = np.where(counts, self.asked + expected, 0.0)
+        least = (ASKED_IF_GIVEN if lockable else ASKED) * (SLOWLY + (1 - SLOWLY) * vigour)
+        enough = (least + ASKED_PER_NOISE * noise) * np.where(was_wrong, WRONGLY, 1.0)
+        holds = counts & (np.abs(asked) > enough)
+        if lockable:
+            holds[:, [joint for joint in range(seen.shape[1]) if joint not in lockable]] = False
+        stays = self.is_locked & ~freed
+        is_locked = stays | holds
+        place = np.where(moves | holds, seen, self.place)
+        place = np.where(stays, self.place + PLACED * (seen - self.place), place)
+        return Locks(place, asked, is_locked, is_locked != self.is_locked, was_wrong)

@@ -1,273 +1,183 @@
-"""Drive: what is to be asked of the servos, so that joints turn as they are meant to.
+"""Drive: joint targets that make the servos turn the joints as wanted.
 
-**Model.**  A position servo asks for a speed proportional to what is left, up to its limit.  So in
-a control step Δt a joint at q that is sent to c turns by about
-
-    Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt).
-
-**Inverse.**  To turn by Δq, it is sent to q + Δq / (1 − exp(−gain Δt)).  With the way d left, a
-joint that can brake with the acceleration a is to have the speed
+**Inverse.**  By the model of `arm.expected_turn`, the target q + Δq / (1 − exp(−gain Δt)) turns a
+joint at q by Δq.  A joint that has the angle d left, and can brake with the acceleration a, should
+move with the speed
 
     v = min(speed_limit, √(2 η a |d|), k |d|),        η < 1 for what the model leaves out,
 
-beside that of a goal that moves, and Δq = v Δt.  How much a is, a joint shows when it is asked for
-more than it can do.
+relative to its goal, which may move, so Δq = v Δt.  The acceleration a is estimated whenever a
+joint is asked for more than it can do.
 
-**Vigour.**  Where that fast drive would go, people take their time, and the speed of their hand is
-bell-shaped.  At a vigour below 1 a movement is given 1 − vigour of the time T that a person would
-take, and its hand covers the way as minimum jerk would, by the time base of `network.time_base`: in
-the k-th control step it goes the share σ_k of what is left of the imagined way.  A lock that is
-found changes the way, but not the time: to begin anew would be to stop first.
+**Vigour.**  People move more slowly, and the speed of their hand is bell-shaped.  At a vigour below
+1 a movement takes 1 − vigour of the time T that a person would take.  Its hand covers the way as in
+minimum jerk, with the time base of `network.time_base`: in the k-th control step it covers the
+share σ_k of what is left of the imagined way.  A lock that is found on the way changes the way, but
+not the duration, because a new movement would begin with a stop.
 """
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmc_gym.agents.base import some
+from mmc_gym.agents.body_model.arm import Bools, bounded, hand, turn_share
+from mmc_gym.agents.body_model.senses import PostureTrack
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share
 
-Bools: TypeAlias = NDArray[np.bool_]
-
 BRAKE = 0.6
 """η: share of a joint's acceleration that the drive counts on."""
 GAIN = 30.0
-"""k: speed for the way left, 1/s."""
+"""k: speed per angle left, 1/s."""
 STRONGEST, WEAKEST = 60.0, 2.0
-"""Acceleration that joints are taken to have at first, and least, rad/s²."""
+"""First and least estimate of the acceleration of joints, rad/s²."""
 SHORT = 0.3
 """A joint that lacks more of the speed asked of it does what it can, rad/s."""
 LEARNED, RISEN, RECOVERED = 0.4, 0.1, 0.03
-"""Shares by which the acceleration follows what a joint shows; by which it rises, for other joints
-may have helped; and by which it comes back."""
-
+"""Rates at which the estimate falls; rises (other joints may have helped); and recovers."""
 FULL = 0.8
-"""A joint that is sent so far ahead is at full speed throughout a control step, radians."""
+"""A target that is so far ahead keeps a joint at full speed for a control step, radians."""
 LONGEST = 3.0
-"""No joint is sent farther ahead, radians: half a turn ahead is half a turn back."""
+"""No target is farther ahead, radians: half a turn ahead is half a turn back."""
+RETURN = 0.3
+"""Share of its distance from the straight way by which a posture returns in a control step."""
 
 SHORTEST = 0.2
-"""Duration of a human-like movement that has nowhere to go, s."""
+"""Duration of a human movement of no length, s."""
 AVERAGE_SPEED = 4.0
-"""Growth of the way with the duration, segment lengths/s."""
+"""Way per additional duration of a human movement, segment lengths/s."""
 PEAK = 15 / 8
-"""Highest over mean speed of minimum jerk."""
+"""Ratio of highest and mean speed in minimum jerk."""
 SAMPLES = np.linspace(0.0, 1.0, 9)
 """Shares of a movement at which the hand is imagined, to measure its way."""
 
 
-def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
-    """Return by how much servos turn joints towards targets in a control step, radians, (..., N).
-
-    They go the short way round, or the way that joint limits leave.  Inertia and torque limits are
-    left out: an arm that is heavy, or loaded, lags behind this.  Under `joint_delta` the target is
-    never far ahead, and at full speed a joint turns by less; under `joint_velocity` it keeps the
-    speed that it began the step with.
-
-    >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
-    >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
-    [0.021, 0.12]
-    """
-    return _turn_of(interface, interface.turn(joint_angles, joint_targets))
-
-
-def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
-    """Return what servos get that are to turn joints, believed to be at these angles, to targets.
-
-    Position control gets the targets.  Delta and velocity control get the turn that is left, and
-    know nothing of the target: where they turn a joint to depends on where it is, not on where it
-    was believed to be.
-    """
-    if interface.control == "joint_position":
-        return joint_targets
-    return interface.turn(joint_angles, joint_targets)
-
-
-def commanded_turn(interface: ReachInterface, joint_angles: Floats, commands: Floats) -> Floats:
-    """Return by how much servos with these commands turn joints in a control step, (..., N)."""
-    if interface.control == "joint_position":
-        return expected_turn(interface, joint_angles, commands)
-    return _turn_of(interface, commands)
-
-
-def _turn_of(interface: ReachInterface, left: Floats) -> Floats:
-    """Return the turn in a control step of joints that are to turn by what is left, (..., N)."""
-    most = interface.max_joint_delta
-    if interface.control == "joint_position":
-        most = interface.speed_limit * interface.control_step / _turn_share(interface)
-    return _turn_share(interface) * _bounded(left, most)
-
-
-def _bounded(values: Floats, most: float) -> Floats:
-    """Return values between ±most: np.clip takes twice as long for few arms."""
-    bounded: Floats = np.minimum(np.maximum(values, -most), most)
-    return bounded
-
-
-def _turn_share(interface: ReachInterface) -> float:
-    """Return the share of the angle asked for that a servo turns a joint in a control step."""
-    gain, step = interface.servo_gain, interface.control_step
-    return gain * step if interface.control == "joint_velocity" else 1 - math.exp(-gain * step)
-
-
 class Drive(NamedTuple):
-    """The memory of the drive.
+    """Memory of the drive."""
 
-    Attributes:
-        acceleration: a, rad/s², (n, N).
-        lead: by how much joints were sent ahead last, radians, (n, N).
-        elapsed: control steps since the movement began, (n,).
-        duration: T (1 − vigour), control steps, (n,).
-    """
-
-    acceleration: Floats
-    lead: Floats
-    elapsed: Floats
-    duration: Floats
+    acceleration: Floats  # a, as estimated, rad/s², (n, N)
+    lead: Floats  # how far ahead of the joints their last targets were
+    elapsed: Floats  # control steps since the movement began, (n,)
+    duration: Floats  # T (1 − vigour), (n,)
 
     @classmethod
     def start(cls, arms: int, joints: int) -> Drive:
         """Return the memory of arms that have not moved."""
         still, zero = np.zeros((arms, joints)), np.zeros(arms)
-        return cls(np.full_like(still, STRONGEST), still, zero, zero)
+        return cls(np.full_like(still, STRONGEST), lead=still, elapsed=zero, duration=zero)
 
     def observed(
         self,
-        before: Floats,
-        speeds: Floats,
-        turn: Floats,
-        *,
+        before: PostureTrack,
+        posture: PostureTrack,
         is_clear: Bools,
         recovers: Bools,
-        told: ReachInterface,
+        interface: ReachInterface,
     ) -> Drive:
-        """Return the memory after another look at the joints.
+        """Estimate the acceleration from a control step between two postures.
 
-        Args:
-            before: speeds of the joints at the last look, rad/s, (n, N).
-            speeds: of the joints, rad/s, (n, N).
-            turn: by how much they turned since the last look, radians, (n, N).
-            is_clear: whether they are seen in time and without noise, (n,).
-            recovers: whether joints that can do more would show it, (n,).
-            told: of the arm.
+        Only joints that are seen in time and without noise count (`is_clear`, (n,)).  Those that
+        are not at their limit recover the first estimate if `recovers`, (n,).
         """
-        gain, most = told.servo_gain, told.speed_limit
-        lacked = _bounded(gain * self.lead, most) - before
-        lacks = _bounded(gain * (self.lead - turn), most) - speeds
+        gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
+        lacked = bounded(gain * self.lead, limit) - before.speeds
+        lacks = bounded(gain * (self.lead - posture.turn), limit) - speeds
         saturates = (np.minimum(np.abs(lacked), np.abs(lacks)) > SHORT) & is_clear[:, None]
         if not some(saturates) and not some(recovers):
             return self
-        gained = (speeds - before) * np.sign(lacked) / told.control_step
         old = self.acceleration
-        shown = np.clip(gained, WEAKEST, STRONGEST) - old
-        shown = old + np.where(shown > 0, RISEN, LEARNED) * shown
+        shown = (speeds - before.speeds) * np.sign(lacked) / interface.control_step
+        change = np.clip(shown, WEAKEST, STRONGEST) - old
+        estimate = old + np.where(change > 0, RISEN, LEARNED) * change
         idle = old + RECOVERED * recovers[:, None] * (STRONGEST - old)
-        return self._replace(acceleration=np.where(saturates, shown, idle))
+        return self._replace(acceleration=np.where(saturates, estimate, idle))
 
     def recovered(self, arms: Bools) -> Drive:
-        """Return the memory in which joints of some arms (n,) are as strong as at first."""
-        if not some(arms):
-            return self
+        """Return the memory with the first estimate of the acceleration for some arms, (n,)."""
         return self._replace(acceleration=np.where(arms[:, None], STRONGEST, self.acceleration))
 
-    def began(
-        self, begins: Bools, way: Floats, left: Floats, told: ReachInterface, vigour: float
-    ) -> Drive:
-        """Return the memory a control step later, with a new movement where one begins.
+    def turn(self, left: Floats, moves: Floats | float, interface: ReachInterface) -> Floats:
+        """Return how far joints should turn in this control step.
 
-        Args:
-            begins: whether one does, (n,).
-            way: of the hand, segment lengths, (n,).
-            left: what the joints are to turn, radians, (n, N).
-            told: of the arm.
-            vigour: below 1.
+        Their goal is `left` away, and moves by `moves` in a control step.
         """
-        farthest = np.abs(left).max(axis=-1)
-        human = np.maximum(SHORTEST + way / AVERAGE_SPEED, PEAK * farthest / told.speed_limit)
-        duration = np.ceil((1 - vigour) * human / told.control_step - 1e-9)
+        step = interface.control_step
+        behind = left - moves
+        size = np.abs(behind)
+        turn = step * np.sqrt((2 * BRAKE) * self.acceleration * size)
+        turn = np.minimum(turn, min(GAIN * step, 1.0) * size)
+        turn = np.minimum(turn, interface.speed_limit * step)
+        return bounded(moves + np.copysign(turn, behind), interface.speed_limit * step)
+
+    def straight(
+        self, begin: Floats, joint_angles: Floats, end: Floats, interface: ReachInterface
+    ) -> Floats:
+        """Return how far joints should turn on the straight way between two postures.
+
+        All joints arrive together, and joints beside the way return to it.
+        """
+        way = interface.turn(begin, end)
+        square = np.maximum((way * way).sum(axis=-1, keepdims=True), 1e-9)
+        done = ((joint_angles - begin) * way).sum(axis=-1, keepdims=True) / square
+        done = np.clip(done, 0, 1)
+        aside = begin + done * way - joint_angles
+        left = (1 - done) * way
+        turn: Floats = in_proportion(self.turn(left, 0.0, interface), left) + RETURN * aside
+        return turn
+
+    def timed(
+        self, begins: Bools, way: Floats, left: Floats, interface: ReachInterface, vigour: float
+    ) -> Drive:
+        """Count a control step, and set the duration of movements that begin.
+
+        It depends on the straight way of the hand to its goal, (n,), and on the angles left.
+        """
+        human = SHORTEST + way / AVERAGE_SPEED
+        human = np.maximum(human, PEAK * np.abs(left).max(axis=-1) / interface.speed_limit)
+        duration = np.ceil((1 - vigour) * human / interface.control_step - 1e-9)
         return self._replace(
             elapsed=np.where(begins, 0.0, self.elapsed + 1),
             duration=np.where(begins, duration, self.duration),
         )
 
-    def turn(self, left: Floats, moves: Floats | float, told: ReachInterface) -> Floats:
-        """Return by how much joints are to turn now at most, radians, (n, N).
-
-        Args:
-            left: to the goal, radians, (n, N).
-            moves: by how much the goal moves in a control step, radians, (n, N), or 0.
-            told: of the arm.
-        """
-        step = told.control_step
-        behind = left - moves
-        size = np.abs(behind)
-        turn = step * np.sqrt((2 * BRAKE) * self.acceleration * size)
-        turn = np.minimum(turn, min(GAIN * step, 1.0) * size)
-        turn = np.minimum(turn, told.speed_limit * step)
-        return _bounded(moves + np.copysign(turn, behind), told.speed_limit * step)
+    def share_of_turn(self, joint_angles: Floats, left: Floats, lengths: Floats) -> Floats:
+        """Return the share of the turn left at which the hand is as far as minimum jerk, (n,)."""
+        postures = joint_angles[:, None] + SAMPLES[:, None] * left[:, None]
+        steps = np.abs(np.diff(hand(postures, lengths[:, None]), axis=-1))
+        way = np.concatenate([np.zeros((len(steps), 1)), np.cumsum(steps, axis=-1)], axis=-1)
+        wanted = share(self.elapsed + 1, np.maximum(self.duration, 1e-9)) * way[:, -1]
+        arms, last = np.arange(len(way)), len(SAMPLES) - 2
+        before = np.minimum((way[:, 1:] < wanted[:, None]).sum(axis=-1), last)
+        step = way[arms, before + 1] - way[arms, before]
+        part = (wanted - way[arms, before]) / np.maximum(step, 1e-9)
+        result: Floats = (before + np.clip(part, 0.0, 1.0)) / (last + 1)
+        return result
 
     def targets(
-        self, joint_angles: Floats, turn: Floats, left: Floats, noise: Floats, told: ReachInterface
+        self, posture: Floats, turn: Floats, left: Floats, noise: Floats, interface: ReachInterface
     ) -> tuple[Floats, Drive]:
-        """Return joint targets that make joints turn so, radians, (n, N), and the memory.
+        """Return joint targets that turn joints as wanted, and the memory.
 
-        What is left may be no more than noise.  Then the servos are left to themselves: undoing
-        noise within a control step would be to follow it.
-
-        Args:
-            joint_angles: where the joints are, radians, (n, N).
-            turn: by how much they are to turn in this control step, radians, (n, N).
-            left: what is left to the goal, radians, (n, N).
-            noise: standard deviation of the joint angles, radians, (n, 1).
-            told: of the arm.
+        Where the angle left may be mere noise (of this standard deviation, (n, 1)), the target is
+        the goal itself: to undo noise within a control step would be to follow it.
         """
-        full = 0.97 * told.speed_limit * told.control_step
-        lead = np.where(np.abs(turn) > full, np.sign(turn) * FULL, turn / _turn_share(told))
+        full = 0.97 * interface.speed_limit * interface.control_step
+        lead = np.where(np.abs(turn) > full, np.sign(turn) * FULL, turn / turn_share(interface))
         if some(noise):
             square = left * left
             trust = square / (square + (3 * noise) ** 2 + 1e-12)
             lead = left + trust * (lead - left)
-        lead = _bounded(lead, LONGEST)
-        return joint_angles + lead, self._replace(lead=lead)
+        lead = bounded(lead, LONGEST)
+        return posture + lead, self._replace(lead=lead)
 
 
 def in_proportion(turn: Floats, way: Floats) -> Floats:
-    """Return turns along a way, radians, (n, N), of which no joint turns by more than `turn`."""
+    """Return the longest turns along `way` in which no joint exceeds `turn`."""
     size = np.abs(way)
     part = np.divide(np.abs(turn), size, out=np.ones_like(size), where=size > 1e-9)
     along: Floats = way * np.minimum(part.min(axis=-1, keepdims=True), 1.0)
     return along
-
-
-def imagined_way(joint_angles: Floats, left: Floats, lengths: Floats) -> Floats:
-    """Return how far the hand has come at each of `SAMPLES` of a movement, (n, SAMPLES).
-
-    The joints turn together, from these angles (n, N) by what is left (n, N).
-    """
-    along = joint_angles[:, None] + SAMPLES[:, None] * left[:, None]
-    hands = (lengths[:, None] * np.exp(1j * np.cumsum(along, axis=-1))).sum(axis=-1)
-    steps = np.abs(np.diff(hands, axis=-1))
-    return np.concatenate([np.zeros((len(steps), 1)), np.cumsum(steps, axis=-1)], axis=-1)
-
-
-def share_of_turn(way: Floats, elapsed: Floats, duration: Floats) -> Floats:
-    """Return the share of a movement after which the hand has come as far as minimum jerk, (n,).
-
-    Args:
-        way: see `imagined_way`, (n, SAMPLES).
-        elapsed: control steps since it began, (n,).
-        duration: control steps that it takes, (n,).
-    """
-    wanted = share(elapsed + 1, np.maximum(duration, 1e-9)) * way[:, -1]
-    arms, last = np.arange(len(way)), len(SAMPLES) - 2
-    before = np.minimum((way[:, 1:] < wanted[:, None]).sum(axis=-1), last)
-    step = way[arms, before + 1] - way[arms, before]
-    part = (wanted - way[arms, before]) / np.maximum(step, 1e-9)
-    result: Floats = (before + np.clip(part, 0.0, 1.0)) / (last + 1)
-    return result

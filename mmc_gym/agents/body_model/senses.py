@@ -1,26 +1,27 @@
-"""Senses: where the joints and the target are, behind noise, and how late they are seen.
+"""Senses: where the joints and the target are, despite noise, and how late they are seen.
 
-Nothing is told of noise and delay.  Both are estimated from what is seen.
+Noise and delay are not given.  Both are estimated from the observations.
 
-**Posture.**  A joint that is seen at q with the speed v is seen at q + Δt (v + v′)/2 a control step
-Δt later, give or take Δt |v − v′| / 2, for nobody knows when within the step the speed has changed.
-What is beyond that tells the noise: the middle one of the joints is robust to a joint that hits
-something, and its mean square is 0.455 · 2R for normal noise of variance R (0.455 is the square of
-the normal median deviation).  A Kalman filter of one variance for all joints of an arm does the
-rest, with Q the mean square of Δt (v − v′) / 2:
+**Posture.**  A joint that is seen at q with the speed v, and a control step Δt later with v′, has
+turned by Δt (v + v′)/2, up to an error of Δt |v − v′|/2, because the speed may have changed at any
+time within the step.  An innovation beyond that is noise.  The median of the joints is robust
+to a joint that hits something; for normal noise of variance R its mean square is 0.455 · 2R (0.455
+is the square of the normal median deviation).  A Kalman filter has one variance P for all joints of
+an arm, and Q is the mean square of Δt (v − v′)/2:
 
     P ← P + Q,     K = P / (P + R),     q̂ ← q̂ + Δt (v + v′)/2 + K · innovation,     P ← (1 − K) P
 
-**Target.**  Third differences of the target leave no smooth movement, only noise: for white noise
-of variance σ² in each coordinate, |Δ³z|² has the mean 40 σ².  Two predictors run side by side, and
-the one that has foretold better is believed: the mean since the last jump, each observation
-weighted by its precision, for a target that stands; and the parabola of least squares, discounted
-by θ a step, for one that moves (the fading-memory filter; Morrison 1969, Brookner 1998),
+**Target.**  Third differences of a smooth movement vanish, so those of the target are noise: for
+white noise of variance σ² in each coordinate, |Δ³z|² has the mean 40 σ².  Two predictors run side
+by side, and the better one is used.  For a target at rest it is the mean since the last jump, each
+observation weighted by its precision.  For a moving target it is the parabola of least squares,
+discounted by θ a step (the fading-memory filter; Morrison 1969, Brookner 1998),
 
     e = z − ẑ,     ẑ ← ẑ + (1 − θ³) e
     ẑ′ ← ẑ′ + 3/2 (1 − θ)² (1 + θ) e,     ½ẑ″ ← ½ẑ″ + ½ (1 − θ)³ e        time in control steps
 
-Noise wants much memory, and jerk J little: 1 − θ = (J Δt³/σ)^(2/7) balances both errors.
+Noise calls for a long memory, and jerk J for a short one: 1 − θ = (J Δt³/σ)^(2/7) balances both
+errors.
 
 **Delay.**  It is the time from the first command that should be felt to the first movement that
 is felt.  An old posture is run forward through the commands sent since, by a model of the servos
@@ -34,109 +35,105 @@ D. M. Wolpert, J. F. Stein (1993), Is the cerebellum a Smith predictor?, J. Moto
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmc_gym.agents.base import every, some, where
-from mmc_gym.agents.body_model.drive import commanded_turn
+from mmc_gym.agents.body_model.arm import Bools, Points, commanded_turn
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats, wrap_angle
 
-Points: TypeAlias = NDArray[np.complexfloating]
-"""Points of the plane as complex numbers, x + iy: to turn is to multiply."""
-Bools: TypeAlias = NDArray[np.bool_]
-
 MIDDLE = 0.455
-"""Mean square of the middle of several normal errors' sizes, as a share of their variance."""
+"""Mean square of the median size of several normal errors, as a share of their variance."""
 MODEL_ERROR = 1e-3
-"""By how much the speeds mistell a turn at most, where they are steady, radians."""
+"""Bound on the error of a turn integrated from steady speeds, radians."""
 NOISE_RATE = 0.1
-"""Share by which the estimates of noise follow what is seen."""
+"""Rate at which the estimates of noise follow the observations."""
 LARGEST = 0.3
-"""An innovation counts as this at most, radians: more is no noise."""
+"""Largest innovation that counts as noise, radians."""
 
 JERK = 40.0
-"""J: jerk of a target that moves, segment lengths/s³."""
-JUMP = 0.15
-"""A target that is farther than this from where it was expected has jumped, segment lengths."""
+"""J: jerk of a moving target, segment lengths/s³."""
+TARGET_JUMP = 0.15
+"""A target that is farther from where it was expected has jumped, segment lengths."""
 SETTLED = 4
-"""Observations without a jump after which the third difference is noise alone."""
+"""Observations after a jump until the third difference is noise alone."""
 SAME = 1e-5
-"""Places that differ by less are the same, segment lengths: observations are in float32."""
-FAST = 2.5
-"""A joint that is faster than this moves, however noisy it is, rad/s."""
-EARLY = 6
-"""Observations after which noise is not taken for a movement any more."""
+"""Positions that differ by less are the same, segment lengths: observations are in float32."""
 
 LONGEST_DELAY = 25
 """The longest delay that is bridged, control steps."""
-ONSET = 0.02
-"""A joint that is faster than this moves, rad/s, if nothing is noisy."""
-ONSET_PER_NOISE = 60.0
-"""What the noise of the joint angles adds to that, 1/s."""
+ONSET, ONSET_PER_NOISE = 0.02, 60.0
+"""A joint that is faster moves, rad/s; and what noise of the joint angles adds to that, 1/s."""
+FAST = 2.5
+"""A joint that is faster moves, whatever the noise, rad/s."""
 CLEARLY = 5.0
-"""A movement is due to be felt if a speed is asked for that is so many times the onset."""
+"""Commands should be felt if they ask for a speed of so many times the onset."""
+EARLY = 6
+"""Observations in which noise may still be taken for a movement."""
 
 
 class PostureTrack(NamedTuple):
-    """What is known of where the joints are.
+    """Estimate of where the joints are."""
 
-    Attributes:
-        joint_angles: filtered, radians; they go on beyond ±π, (n, N).
-        turn: by how much they turned in the last control step, radians, (n, N).
-        seen: the angles as last seen, radians, (n, N).
-        speeds: as last seen, rad/s, (n, N).
-        noise: R, variance of the seen angles, (n, 1).
-        doubt: P, variance of the filtered angles, (n, 1).
-        age: observations so far, (n, 1).
-    """
-
-    joint_angles: Floats
-    turn: Floats
-    seen: Floats
-    speeds: Floats
-    noise: Floats
-    doubt: Floats
-    age: Floats
+    joint_angles: Floats  # filtered; they continue beyond ±π
+    turn: Floats  # in the last control step
+    seen: Floats  # joint angles as last seen
+    speeds: Floats  # as last seen
+    noise: Floats  # R, variance of the seen angles, (n, 1)
+    doubt: Floats  # P, variance of the filtered angles, (n, 1)
+    age: Floats  # number of observations, (n, 1)
 
     @classmethod
     def start(cls, joint_angles: Floats, speeds: Floats) -> PostureTrack:
-        """Return what a first look tells."""
-        none = np.zeros((len(joint_angles), 1))
+        """Return the estimate after the first observation."""
+        still, none = np.zeros_like(speeds), np.zeros((len(joint_angles), 1))
         return cls(
-            joint_angles, np.zeros_like(speeds), joint_angles, speeds, none, none, none + 1.0
+            joint_angles,
+            still,
+            seen=joint_angles,
+            speeds=speeds,
+            noise=none,
+            doubt=none,
+            age=none + 1,
         )
 
     def observed(self, joint_angles: Floats, speeds: Floats, control_step: float) -> PostureTrack:
-        """Return what is known after another look, a control step later."""
+        """Return the estimate after one more observation, a control step later."""
         half = control_step / 2
         turn: Floats = half * (speeds + self.speeds)
         unclear = half * np.abs(speeds - self.speeds) + MODEL_ERROR
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
-        size = np.sort(strange, axis=-1)
-        middle = size[:, (size.shape[-1] - 1) // 2, None]
-        age = self.age + 1
-        if not some(middle > 0.0) and not some(self.noise):  # all is seen as it is
-            turn = wrap_angle(joint_angles - self.joint_angles)
-            exact = self.joint_angles + turn
-            return PostureTrack(exact, turn, joint_angles, speeds, self.noise, self.noise, age)
-        middle = np.clip(middle, 0.0, LARGEST)
+        median = np.sort(strange, axis=-1)[:, (strange.shape[-1] - 1) // 2, None]
+        if not some(median > 0.0) and not some(self.noise):
+            return self.unfiltered(joint_angles, speeds)
+        median = np.clip(median, 0.0, LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
-        noise = self.noise + rate * (middle * middle / (2 * MIDDLE) - self.noise)
+        noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
         doubt = np.where(self.age == 1, noise, self.doubt)
         doubt = doubt + (unclear * unclear).mean(axis=-1, keepdims=True)
         gain = doubt / (doubt + noise)
         turn = turn + gain * wrap_angle(joint_angles - self.joint_angles - turn)
         return PostureTrack(
-            self.joint_angles + turn,
-            turn,
-            joint_angles,
-            speeds,
-            noise,
-            (1 - gain) * doubt,
-            age,
+            joint_angles=self.joint_angles + turn,
+            turn=turn,
+            seen=joint_angles,
+            speeds=speeds,
+            noise=noise,
+            doubt=(1 - gain) * doubt,
+            age=self.age + 1,
+        )
+
+    def unfiltered(self, joint_angles: Floats, speeds: Floats) -> PostureTrack:
+        """Return the estimate after one more observation that is taken to be exact."""
+        turn = wrap_angle(joint_angles - self.joint_angles)
+        return self._replace(
+            joint_angles=self.joint_angles + turn,
+            turn=turn,
+            seen=joint_angles,
+            speeds=speeds,
+            age=self.age + 1,
         )
 
     @property
@@ -147,101 +144,109 @@ class PostureTrack(NamedTuple):
 
 
 class TargetTrack(NamedTuple):
-    """What is known of where the target is and goes; time in control steps.
+    """Estimate of where the target is and how it moves, (n,)."""
 
-    Attributes:
-        history: the last three observations, the latest last, (n, 3).
-        mean: of a target that stands, (n,).
-        doubt: variance of that mean, (n,).
-        place, velocity, curve: of one that moves: ẑ, ẑ′ and ½ẑ″, (n,).
-        noise: σ², in each coordinate, (n,).
-        error_standing, error_moving: mean squares of what either foretold wrongly, (n,).
-        age: observations since the target appeared, or jumped, (n,).
-        seen: observations in all, (n,).
-        has_jumped: whether it did with the last observation, (n,).
-        is_moving: whether it is taken as one that moves, (n,).
-    """
-
-    history: Points
-    mean: Points
-    doubt: Floats
-    place: Points
-    velocity: Points
-    curve: Points
-    noise: Floats
-    error_standing: Floats
-    error_moving: Floats
-    age: Floats
-    seen: Floats
-    has_jumped: Bools
-    is_moving: Bools
+    history: Points  # the last three observations, the latest last, (n, 3)
+    mean: Points  # position of a target at rest
+    doubt: Floats  # variance of that mean
+    place: Points  # ẑ of a moving target
+    velocity: Points  # ẑ′
+    curve: Points  # ½ẑ″
+    noise: Floats  # σ², in each coordinate
+    error_resting: Floats  # mean square error of the predictor of a target at rest
+    error_moving: Floats  # and of a moving target
+    age: Floats  # number of observations since the target appeared or jumped
+    seen: Floats  # number of observations in all
+    has_jumped: Bools  # with the last observation
+    is_moving: Bools  # whether the predictor of a moving target is used
 
     @classmethod
     def start(cls, target: Points) -> TargetTrack:
-        """Return what a first look tells."""
-        zero, still = np.zeros(len(target)), np.zeros_like(target)
-        history = np.repeat(target[:, None], 3, axis=1)
-        errors = (zero, zero)
-        age = (zero + 1.0, zero + 1.0)
-        no = (zero > 0, zero > 0)
-        return cls(history, target, zero, target, still, still, zero, *errors, *age, *no)
+        """Return the estimate after the first observation."""
+        zero, at_rest = np.zeros(len(target)), np.zeros_like(target)
+        return cls(
+            history=np.repeat(target[:, None], 3, axis=1),
+            mean=target,
+            doubt=zero,
+            place=target,
+            velocity=at_rest,
+            curve=at_rest,
+            noise=zero,
+            error_resting=zero,
+            error_moving=zero,
+            age=zero + 1.0,
+            seen=zero + 1.0,
+            has_jumped=zero > 0,
+            is_moving=zero > 0,
+        )
 
     def observed(self, target: Points, control_step: float) -> TargetTrack:
-        """Return what is known after another look, a control step later."""
+        """Return the estimate after one more observation, a control step later."""
         age, seen = self.age + 1, self.seen + 1
         if np.abs(target[:, None] - self.history).max() < SAME and not some(self.velocity):
             return self._replace(age=age, seen=seen, has_jumped=np.zeros(len(target), bool))
         expected = self.place + self.velocity + self.curve
         error, stray = target - expected, target - self.mean
-
-        # Has it jumped?
-        is_moving = self.is_moving
-        usual = 6 * np.sqrt(self.noise) + 3 * np.sqrt(np.where(is_moving, self.error_moving, 0.0))
-        far = np.abs(np.where(is_moving, error, stray))
-        jumps = (self.seen >= SETTLED) & (far > JUMP + usual)
+        jumps = self._jumps(error, stray)
         is_settled = (age >= SETTLED) & ~jumps
+        noise = np.where(is_settled, self._noise_after(target), self.noise)
 
-        # How noisy is it?
-        oldest, older, last = self.history.T
-        third = _square(target - 3 * last + 3 * older - oldest) / 40
-        rate = np.maximum(NOISE_RATE, 1 / np.maximum(seen - SETTLED + 1, 1))
-        noise = np.where(is_settled, self.noise + rate * (third - self.noise), self.noise)
-
-        # It stands, or it moves along a parabola.
+        # The mean of a target at rest.  Its gain is at least that of a plain mean: noise that
+        # seemed small at first would keep it small for long.
         doubt = np.where(age <= SETTLED, noise / self.age, self.doubt) + SAME**2
-        # Not below that of a plain mean: noise that seemed small at first would stop it for long.
         gain = np.maximum(np.where(seen <= SETTLED, 0.0, doubt / (doubt + noise)), 1 / age)
+
+        # The parabola of a moving target.
         forget = (JERK * control_step**3 / np.sqrt(noise + SAME**2)) ** (2 / 7)
         forget = np.clip(forget, 1 / self.age, 1.0)
         keep = 1 - forget
         velocity = self.velocity + 2 * self.curve + 1.5 * forget**2 * (1 + keep) * error
-        standing = self.error_standing + 0.2 * (_square(stray) - self.error_standing)
+
+        resting = self.error_resting + 0.2 * (_square(stray) - self.error_resting)
         moving = self.error_moving + 0.2 * (_square(error) - self.error_moving)
-        moving = np.where(is_settled, moving, standing)
+        moving = np.where(is_settled, moving, resting)
         after = TargetTrack(
-            np.stack([older, last, target], axis=1),
-            self.mean + gain * stray,
-            (1 - gain) * doubt,
-            expected + (1 - keep**3) * error,
-            velocity,
-            self.curve + 0.5 * forget**3 * error,
-            noise,
-            standing,
-            moving,
-            age,
-            seen,
-            jumps,
-            (moving < 0.5 * standing) & (age > SETTLED),
+            history=np.concatenate([self.history[:, 1:], target[:, None]], axis=1),
+            mean=self.mean + gain * stray,
+            doubt=(1 - gain) * doubt,
+            place=expected + (1 - keep**3) * error,
+            velocity=velocity,
+            curve=self.curve + 0.5 * forget**3 * error,
+            noise=noise,
+            error_resting=resting,
+            error_moving=moving,
+            age=age,
+            seen=seen,
+            has_jumped=jumps,
+            is_moving=(moving < 0.5 * resting) & (age > SETTLED),
         )
         if not some(jumps):
             return after
         fresh = TargetTrack.start(target)._replace(noise=noise, seen=seen, has_jumped=jumps)
         return where(jumps, fresh, after)
 
+    def _jumps(self, error: Points, stray: Points) -> Bools:
+        """Return whether targets jump that miss their moving and their resting prediction so."""
+        is_moving = self.is_moving
+        usual = 6 * np.sqrt(self.noise) + 3 * np.sqrt(np.where(is_moving, self.error_moving, 0.0))
+        far = np.abs(np.where(is_moving, error, stray))
+        jumps: Bools = (self.seen >= SETTLED) & (far > TARGET_JUMP + usual)
+        return jumps
+
+    def _noise_after(self, target: Points) -> Floats:
+        """Return the estimate of σ² after one more observation of a smooth movement."""
+        oldest, older, last = self.history.T
+        third = _square(target - 3 * last + 3 * older - oldest) / 40
+        rate = np.maximum(NOISE_RATE, 1 / np.maximum(self.seen + 2 - SETTLED, 1))
+        noise: Floats = self.noise + rate * (third - self.noise)
+        return noise
+
+    def unfiltered(self, target: Points) -> TargetTrack:
+        """Return the estimate after one more observation that is taken to be exact, at rest."""
+        return self._replace(mean=target, has_jumped=np.abs(target - self.mean) > TARGET_JUMP)
+
     def ahead(self, steps: Floats) -> Points:
-        """Return where the target will be some control steps (n,) after the last look, (n,)."""
-        if not some(self.is_moving):
-            return self.mean
+        """Return where the target will be some control steps (n,) after the observation."""
         ahead = self.place + self.velocity * steps + self.curve * steps * steps
         place: Points = np.where(self.is_moving, ahead, self.mean)
         return place
@@ -254,67 +259,54 @@ def _square(points: Points) -> Floats:
 
 
 class Delay(NamedTuple):
-    """What is known of how late all is seen, and the commands that bridge it.
+    """Estimate of how late the senses are, and the commands that bridge it."""
 
-    Attributes:
-        commands: those sent, see `command_of`, the latest last, radians,
-            (n, LONGEST_DELAY + 1, N).
-        due: observations since the first that should show movement, 0 before it, (n,).
-        late: the delay, control steps, (n,).
-        is_felt: whether a movement has been seen, (n,).
-    """
-
-    commands: Floats
-    due: Floats
-    late: Floats
-    is_felt: Bools
+    commands: Floats  # those sent (`command_of`), the latest last, (n, LONGEST_DELAY + 1, N)
+    due: Floats  # number of observations since the first that should show movement, (n,)
+    late: Floats  # the delay, (n,)
+    is_felt: Bools  # whether a movement has been seen, (n,)
 
     @classmethod
     def start(cls, command: Floats) -> Delay:
-        """Return the memory of arms that commands (n, N) hold where they are."""
+        """Return the estimate for arms at rest, held by these commands."""
         held = np.repeat(command[:, None], LONGEST_DELAY + 1, axis=1)
         zero = np.zeros(len(command))
-        return cls(held, zero, zero, zero > 0)
+        return cls(held, due=zero, late=zero, is_felt=zero > 0)
 
     def observed(self, before: PostureTrack, posture: PostureTrack) -> Delay:
-        """Return the memory after another look at the posture.
+        """Return the estimate after one more observation of the posture.
 
-        What is seen exactly as before is late: even noise would have changed it.
+        Values that are exactly those of before show no movement: even noise would change them.
         """
         if every(self.is_felt) and every(posture.age > EARLY):
             return self
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         moves &= (posture.seen != before.seen).any(axis=-1)
         late = np.where(self.is_felt, self.late, np.clip(self.due - 1, 0, LONGEST_DELAY))
-        # A first look may have taken noise for movement: so at first it has to go on.
+        # The first observations may mistake noise for movement, so they must be confirmed.
         keeps = (posture.age[:, 0] > EARLY) | (posture.noise[:, 0] < SAME**2)
         is_felt = moves | (self.is_felt & keeps)
         due = self.due + (self.due > 0)
         return self._replace(due=due, late=late, is_felt=is_felt)
 
-    def sent(self, command: Floats, posture: PostureTrack, told: ReachInterface) -> Delay:
-        """Return the memory after commands (n, N), see `command_of`, in these postures."""
+    def sent(self, command: Floats, posture: PostureTrack, interface: ReachInterface) -> Delay:
+        """Return the estimate after commands were sent."""
         commands = np.concatenate([self.commands[:, 1:], command[:, None]], axis=1)
-        if every(self.due):
-            return Delay(commands, self.due, self.late, self.is_felt)
-        turn = commanded_turn(told, posture.joint_angles, command)
-        asks = np.abs(turn).max(axis=-1) > CLEARLY * _onset(posture) * told.control_step
-        return self._replace(commands=commands, due=np.where(self.due > 0, self.due, asks))
-
-    @property
-    def steps(self) -> NDArray[np.intp]:
-        """The delay, control steps, (n,)."""
-        return self.late.astype(np.intp)
+        due = self.due
+        if not every(due):
+            turn = commanded_turn(interface, posture.joint_angles, command)
+            felt_from = CLEARLY * _onset(posture) * interface.control_step
+            due = np.where(due > 0, due, np.abs(turn).max(axis=-1) > felt_from)
+        return self._replace(commands=commands, due=due)
 
     def command_then(self) -> Floats:
-        """Return the commands (n, N) that led to what was seen last."""
-        if not some(self.late):
-            return self.commands[:, -1]
-        command: Floats = self.commands[np.arange(len(self.late)), LONGEST_DELAY - self.steps]
+        """Return the commands that led to the last observation."""
+        steps = self.late.astype(np.intp)
+        command: Floats = self.commands[np.arange(len(steps)), LONGEST_DELAY - steps]
         return command
 
     def run_forward(self, interface: ReachInterface, joint_angles: Floats) -> Floats:
-        """Return where joints (n, N) should be by now, that were last seen at these angles."""
+        """Predict where joints are now from the angles at which they were last seen."""
         for back in range(int(self.late.max()), 0, -1):
             turn = commanded_turn(interface, joint_angles, self.commands[:, -back])
             joint_angles = joint_angles + np.where((back <= self.late)[:, None], turn, 0.0)
@@ -322,6 +314,6 @@ class Delay(NamedTuple):
 
 
 def _onset(posture: PostureTrack) -> Floats:
-    """Return the speed that is no noise, rad/s, (n,)."""
+    """Return the least speed that is not noise, (n,)."""
     onset: Floats = ONSET + ONSET_PER_NOISE * posture.deviation[:, 0]
     return onset

@@ -1,0 +1,91 @@
+"""The arm as agents are given it: its segments and its servos.
+
+In this folder all arrays lead with n arms, each of N joints.  Joint angles and turns are in radians
+and segment lengths in lengths, both (n, N); speeds are in rad/s, (n, N).  Points and vectors of the
+plane are complex numbers x + iy, (n,), because to turn them is to multiply.  Time is in control
+steps.  Other shapes and units are named.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.interface import ReachInterface
+from mmc_gym.network.chain import Floats
+
+Points: TypeAlias = NDArray[np.complexfloating]
+Bools: TypeAlias = NDArray[np.bool_]
+
+
+def unit_vectors(joint_angles: Floats) -> Points:
+    """Return the direction of each segment as a unit vector, (..., N)."""
+    units: Points = np.exp(1j * np.cumsum(joint_angles, axis=-1))
+    return units
+
+
+def hand(joint_angles: Floats, lengths: Floats) -> Points:
+    """Return the position of the hand, (...), for joint angles and lengths (..., N)."""
+    position: Points = (lengths * unit_vectors(joint_angles)).sum(axis=-1)
+    return position
+
+
+def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
+    """Return how far servos turn joints towards targets in a control step, radians, (..., N).
+
+    A position servo asks for a speed proportional to the angle that is left, up to its limit.  In a
+    control step Δt it turns a joint at q with the target c by about
+
+        Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt).
+
+    Joints turn the short way round, or the way that joint limits leave.  The model leaves out
+    inertia and torque limits, so a heavy or loaded arm lags behind it.  Under `joint_delta` a
+    target is never far ahead, so joints stay below full speed.  Under `joint_velocity` a joint
+    keeps one speed during the step.
+
+    >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
+    >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
+    [0.021, 0.12]
+    """
+    return _turn_towards(interface, interface.turn(joint_angles, joint_targets))
+
+
+def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
+    """Return the command that the servos get.
+
+    Under position control it is the target.  Under delta and velocity control it is the turn from
+    the angle at which the joint was believed to be, so where the joint ends depends on where it is.
+    """
+    if interface.control == "joint_position":
+        return joint_targets
+    return interface.turn(joint_angles, joint_targets)
+
+
+def commanded_turn(interface: ReachInterface, joint_angles: Floats, commands: Floats) -> Floats:
+    """Return how far commands of `command_of` turn joints in a control step."""
+    if interface.control == "joint_position":
+        return expected_turn(interface, joint_angles, commands)
+    return _turn_towards(interface, commands)
+
+
+def _turn_towards(interface: ReachInterface, left: Floats) -> Floats:
+    """Return how far joints turn in a control step that have these angles left to go."""
+    most = interface.max_joint_delta
+    if interface.control == "joint_position":
+        most = interface.speed_limit * interface.control_step / turn_share(interface)
+    return turn_share(interface) * bounded(left, most)
+
+
+def turn_share(interface: ReachInterface) -> float:
+    """Return the share of the angle left that a servo turns a joint in a control step."""
+    gain, step = interface.servo_gain, interface.control_step
+    return gain * step if interface.control == "joint_velocity" else 1 - math.exp(-gain * step)
+
+
+def bounded(values: Floats, most: float) -> Floats:
+    """Return values clipped to ±most: np.clip takes twice as long for few arms."""
+    clipped: Floats = np.minimum(np.maximum(values, -most), most)
+    return clipped

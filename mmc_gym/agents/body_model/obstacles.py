@@ -1,0 +1,414 @@
+"""Obstacles: remembered where they stopped the arm, and ways round them.
+
+**Contacts.**  Obstacles are not seen, only felt: joints are asked to turn, but are pushed back.
+Where the arm rests or slides against an obstacle, one of its points does not move across its
+segment, although it should.  For points along the segments, with the normal n of their segment, the
+wanted speed w·n and the actual speed a·n follow from the turns asked of the joints and those seen.
+Over the last control steps,
+
+    r = Σ |a·n| / Σ |w·n|
+
+is nearly 0 at the point of contact.  A load that gathers speed looks similar, but no point of it
+loses speed in a blow.  So a point that lost speed is in contact after a few control steps of small
+r, and one that did not only after many.  If all joints rest although they are asked to turn, the
+point that should move farthest is in contact.  There a disc of `RADIUS` is remembered, on the side
+to which the point should move.
+
+**Ways.**  Postures beside the straight ways to the target, and some anywhere, form a map of where
+the arm can be.  Legs between them that lead a segment into a remembered disc are left out, and the
+shortest way from the present posture to one with the hand at the target is taken (a probabilistic
+roadmap: Kavraki, Švestka, Latombe and Overmars 1996).  There may be more obstacles than are known,
+so a leg costs more the farther the arm moves in the plane.  Finally the postures on the way are
+drawn towards the straight line, as far as that is free.
+
+Literature: L. E. Kavraki, P. Švestka, J.-C. Latombe, M. H. Overmars (1996), Probabilistic roadmaps
+for path planning in high-dimensional configuration spaces, IEEE Trans. Robotics Automation 12,
+566–580.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmc_gym.agents.base import some, where
+from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
+from mmc_gym.agents.body_model.imagination import Imagination, ReachProblem
+from mmc_gym.agents.body_model.senses import PostureTrack
+from mmc_gym.interface import ReachInterface
+from mmc_gym.network.chain import Floats
+
+POINTS = np.arange(1, 13) / 12
+"""Positions along a segment at which contacts are looked for."""
+LACKED, OWED = 0.02, 0.015
+"""Turn that a joint lacks in a control step if the arm is held back, and if it rests, radians."""
+STILL = 0.002
+"""Joints that turn by less in a control step rest, radians."""
+RECENT = 0.6
+"""Share of the sums of speeds that remains after a control step."""
+WANTED, STOPPED = 0.12, 0.06
+"""Σ |w·n| of a point in contact, at least, segment lengths; and its r, at most."""
+BLOW, FADES = 0.02, 0.9
+"""Loss of speed in a blow, segment lengths per control step; share that remains after one more."""
+SHORT, LONG = 3, 16
+"""Control steps of small r until a point is in contact, after a blow and without one."""
+LASTING = 10
+"""Control steps at rest until an arm is in contact."""
+RADIUS = 0.28
+"""Radius of an obstacle, with half the thickness of a segment, segment lengths."""
+MOST = 6
+"""Number of discs that are remembered."""
+NOWHERE = 1e6 + 0j
+"""Place of a disc that is free to be used."""
+
+MARGIN = 0.02
+"""Distance kept from a disc, segment lengths."""
+COMFORT, DISCOMFORT = 0.15, 6.0
+"""Distance from a disc below which a leg costs more, segment lengths; and how much, radians per
+length."""
+STAGES = np.arange(1, 17) / 16
+"""Shares of a leg at which it is checked."""
+EVERYWHERE, NEARBY = 64, 96
+"""Number of postures in the map: anywhere, and beside the straight ways to the target."""
+BESIDE = 1.5
+"""How far beside, radians."""
+NEIGHBOURS = 8
+"""Number of legs from each posture of the map."""
+GOALS = 24
+"""Number of postures with the hand at the target."""
+LEG = 0.3
+"""Cost of a leg beside its length, radians."""
+HAZARD = 0.1
+"""Cost of moving the ends of segments, radians per length."""
+LEGS = 5
+"""Largest number of legs of a way."""
+ARRIVED = 0.3
+"""A leg is over when no joint is farther from its end, radians."""
+SHORTCUTS = np.array([1.0, 0.75, 0.5, 0.25, 0.0])
+"""Shares by which a posture on the way is moved towards the straight line past it."""
+TIGHTENED = 2
+"""How often all postures are moved."""
+
+
+class Contacts(NamedTuple):
+    """Memory of obstacles, and running sums about each point of the arm, (n, N · points)."""
+
+    discs: Points  # centres of the obstacles, `NOWHERE` if there are fewer, (n, MOST)
+    wanted: Floats  # Σ |w·n|, segment lengths
+    actual: Floats  # Σ |a·n|, segment lengths
+    blow: Floats  # speed recently lost, segment lengths per control step
+    rests: Floats  # number of control steps of small r
+    still: Floats  # number of control steps in which the arm was at rest, (n,)
+    met: Floats  # number of contacts so far, (n,)
+    is_new: Bools  # whether the last observation added one, (n,)
+
+    @classmethod
+    def start(cls, arms: int, joints: int) -> Contacts:
+        """Return the memory without obstacles."""
+        sums, none = np.zeros((arms, joints * len(POINTS))), np.zeros(arms)
+        discs = np.full((arms, MOST), NOWHERE)
+        return cls(discs, sums, sums, sums, sums, still=none, met=none, is_new=none > 0)
+
+    def observed(
+        self,
+        before: PostureTrack,
+        posture: PostureTrack,
+        asked: Floats,
+        lengths: Floats,
+        counts: Bools,
+    ) -> Contacts:
+        """Return the memory after one more observation.
+
+        Args:
+            before: posture a control step before.
+            posture: posture now.
+            asked: how far joints should have turned in between.
+            lengths: of the segments.
+            counts: whether the joints are seen in time and without noise, (n,).
+        """
+        lack = np.abs(asked - posture.turn).max(axis=-1)
+        lacks = (lack > LACKED) & counts
+        is_still = (lack > OWED) & (np.abs(posture.turn).max(axis=-1) < STILL) & counts
+        if not some(lacks | is_still):
+            return self._released() if some(self.wanted) or some(self.is_new) else self
+        units = unit_vectors(posture.joint_angles)
+        wanted = _across(units, lengths, asked)
+        actual = _across(units, lengths, posture.turn)
+        lost = (_across(units, lengths, before.turn) - actual) * np.sign(wanted)
+        after = self._pressed(wanted, actual, lost, lacks[:, None], is_still)
+        is_new, point = after._point_of_contact(wanted)
+        after = after._replace(is_new=is_new)
+        if not some(is_new):
+            return after
+        arms = np.arange(len(units))
+        normal = 1j * units[arms, point // len(POINTS)] * np.sign(wanted[arms, point])
+        disc = _places(units, lengths)[arms, point] + RADIUS * normal
+        fresh = self._released()._replace(
+            discs=self._remembered(disc, is_new), met=self.met + is_new, is_new=is_new
+        )
+        return where(is_new, fresh, after)
+
+    def _released(self) -> Contacts:
+        """Return the memory of arms that nothing holds back."""
+        arms, points = self.wanted.shape
+        start = self.start(arms, points // len(POINTS))
+        return start._replace(discs=self.discs, met=self.met)
+
+    def _pressed(
+        self, wanted: Floats, actual: Floats, lost: Floats, lacks: Bools, is_still: Bools
+    ) -> Contacts:
+        """Return the running sums one control step later.
+
+        The points should have moved by `wanted`, did move by `actual`, and lost speed.  The sums of
+        arms that lack no turn (`lacks`, (n, 1)) begin anew.
+        """
+        total = RECENT * self.wanted * lacks + np.abs(wanted)
+        moved = RECENT * self.actual * lacks + np.abs(actual)
+        is_at_rest = (total > WANTED) & (moved < STOPPED * total) & lacks
+        return self._replace(
+            wanted=total,
+            actual=moved,
+            blow=np.maximum(FADES * self.blow * lacks, lost),
+            rests=np.where(is_at_rest, self.rests + 1, 0.0),
+            still=np.where(is_still, self.still + 1, 0.0),
+        )
+
+    def _point_of_contact(self, wanted: Floats) -> tuple[Bools, NDArray[np.intp]]:
+        """Return which arms are in contact, (n,), and with which of their points, (n,)."""
+        touches = self.rests >= np.where(self.blow > BLOW, SHORT, LONG)
+        is_felt = touches.any(axis=-1)
+        ratio = np.where(touches, self.actual / np.maximum(self.wanted, 1e-9), np.inf)
+        point = np.where(is_felt, ratio.argmin(axis=-1), np.abs(wanted).argmax(axis=-1))
+        return is_felt | (self.still >= LASTING), point
+
+    def _remembered(self, disc: Points, is_new: Bools) -> Points:
+        """Return the discs (n, MOST) after another one (n,) was met where `is_new`."""
+        # Another contact with a known disc improves its place.
+        arms, distance = np.arange(len(disc)), np.abs(self.discs - disc[:, None])
+        nearest = distance.argmin(axis=-1)
+        is_known = distance[arms, nearest] < RADIUS
+        slot = np.where(is_known, nearest, self.met % MOST).astype(int)
+        disc = np.where(is_known, (disc + self.discs[arms, slot]) / 2, disc)
+        discs = self.discs.copy()
+        discs[arms[is_new], slot[is_new]] = disc[is_new]
+        return discs
+
+
+def _places(units: Points, lengths: Floats) -> Points:
+    """Return the points along the segments, (n, N · points)."""
+    segments = lengths * units
+    begin = np.cumsum(segments, axis=-1) - segments
+    places: Points = begin[:, :, None] + POINTS * segments[:, :, None]
+    return places.reshape(len(units), -1)
+
+
+def _across(units: Points, lengths: Floats, turn: Floats) -> Floats:
+    """Return how far the points move across their segment if joints turn so, (n, N · points)."""
+    rotation = np.cumsum(turn, axis=-1)
+    moved = 1j * lengths * units * rotation  # the end of each segment, relative to its begin
+    begin = np.cumsum(moved, axis=-1) - moved
+    across: Floats = (begin * (1j * units).conj()).real[:, :, None]
+    across = across + (lengths * rotation)[:, :, None] * POINTS
+    return across.reshape(len(units), -1)
+
+
+class Plan(NamedTuple):
+    """Where an arm should go."""
+
+    goal: Floats  # posture with the hand at the target
+    vias: Floats  # postures to go through before that, the last one first, (n, LEGS - 1, N)
+    ahead: NDArray[np.intp]  # number of them that are still to be reached, (n,)
+    begin: Floats  # posture in which the leg began, on the same turn as its end
+    aim: Points  # position of the hand for which the plan was made
+    begins: Bools  # whether a movement begins now, (n,)
+    is_new: Bools  # whether the plan changes now, of a movement that begins or continues, (n,)
+
+    @classmethod
+    def start(cls, joint_angles: Floats, aim: Points) -> Plan:
+        """Return the plan to stay."""
+        vias = np.repeat(joint_angles[:, None], LEGS - 1, axis=1)
+        ahead, no = np.zeros(len(aim), np.intp), np.zeros(len(aim), bool)
+        return cls(joint_angles, vias, ahead, begin=joint_angles, aim=aim, begins=no, is_new=no)
+
+    @property
+    def is_indirect(self) -> Bools:
+        """Whether the arm should go through another posture first, (n,)."""
+        return self.ahead > 0
+
+    @property
+    def next(self) -> Floats:
+        """The posture to go to now, radians, (n, N)."""
+        if not some(self.ahead):
+            return self.goal
+        via = self.vias[np.arange(len(self.ahead)), np.maximum(self.ahead - 1, 0)]
+        following: Floats = np.where(self.is_indirect[:, None], via, self.goal)
+        return following
+
+    def arrived(self, interface: ReachInterface, joint_angles: Floats) -> Plan:
+        """Return the plan of arms in these postures, with the next leg where one is over."""
+        if not some(self.ahead):
+            return self
+        end = self.next
+        left = np.abs(interface.turn(joint_angles, end)).max(axis=-1)
+        is_there = self.is_indirect & (left < ARRIVED)
+        begin = self.begin + interface.turn(self.begin, end)
+        return self._replace(
+            ahead=self.ahead - is_there,
+            begin=np.where(is_there[:, None], begin, self.begin),
+        )
+
+
+def clearance(joint_angles: Floats, lengths: Floats, discs: Points) -> Floats:
+    """Return the distance of arms in postures (..., N) from the nearest of discs (M,), (...)."""
+    units = unit_vectors(joint_angles)
+    segments = lengths * units
+    begin = np.cumsum(segments, axis=-1) - segments
+    to_disc = (discs - begin[..., None]) * units.conj()[..., None]
+    beside = to_disc.real - np.clip(to_disc.real, 0, lengths[:, None])
+    nearest: Floats = np.hypot(beside, to_disc.imag).min(axis=(-1, -2))
+    return nearest
+
+
+def room(
+    interface: ReachInterface, start: Floats, end: Floats, lengths: Floats, discs: Points
+) -> tuple[Floats, Floats]:
+    """Return how free straight movements between postures (..., N) are.
+
+    A movement that begins in contact has to lead away from it.
+
+    Returns:
+        Their distance from discs beyond what is needed, above 0 where they are free, and how far
+        they move the ends of all segments together, both in segment lengths, (...).
+    """
+    stages = start[..., None, :] + STAGES[:, None] * interface.turn(start, end)[..., None, :]
+    begin = clearance(start, lengths, discs)[..., None]
+    needed = np.minimum(RADIUS + MARGIN, begin + 2 * MARGIN * STAGES)
+    spare: Floats = (clearance(stages, lengths, discs) - needed).min(axis=-1)
+    ends = np.cumsum(lengths * unit_vectors(stages), axis=-1)
+    swept: Floats = np.abs(np.diff(ends, axis=-2)).sum(axis=(-1, -2))
+    return spare, swept
+
+
+class Ways:
+    """Plans movements round the contacts that are remembered."""
+
+    def __init__(self, imagination: Imagination) -> None:
+        """Make it for the arm of an imagination."""
+        self.imagination, self.interface = imagination, imagination.interface
+        joints = len(self.interface.segment_lengths)
+        random = np.random.default_rng(0)  # always the same map
+        anywhere = random.uniform(-np.pi, np.pi, (EVERYWHERE, joints))
+        self.everywhere = self.interface.within_limits(anywhere)
+        self.along = random.uniform(0, 1, (NEARBY, 1))
+        self.beside = random.uniform(-BESIDE, BESIDE, (NEARBY, joints))
+
+    def planned(self, plan: Plan, contacts: Contacts, problem: ReachProblem, begins: Bools) -> Plan:
+        """Return the plans, made anew where a movement begins, round the contacts if there are."""
+        plan = plan._replace(
+            begin=np.where(begins[:, None], problem.joint_angles, plan.begin),
+            ahead=np.where(begins, 0, plan.ahead),
+        )
+        chosen = np.flatnonzero(begins & (contacts.met > 0))
+        if not chosen.size:
+            return plan
+        plan = plan._replace(goal=plan.goal.copy(), vias=plan.vias.copy())
+        for arm in chosen:
+            discs = contacts.discs[arm]
+            way = self._way_round(problem.of(np.array([arm])), discs[discs != NOWHERE])
+            if way is not None:
+                plan.goal[arm] = way[-1]
+                plan.ahead[arm] = len(way) - 1
+                plan.vias[arm, : len(way) - 1] = way[-2::-1]
+        return plan
+
+    def _way_round(self, problem: ReachProblem, discs: Points) -> Floats | None:
+        """Return the postures to go to one after the other, (legs, N); None if no way is found."""
+        start, lengths = problem.joint_angles[0], problem.lengths[0]
+        goals, costs = (values[:, 0] for values in self.imagination.all(problem))
+        goals = goals[np.argsort(costs)[:GOALS]]
+        goals = goals[clearance(goals, lengths, discs) > RADIUS]
+        if not len(goals):
+            return None
+        towards = self.interface.turn(start, goals)[np.arange(NEARBY) % len(goals)]
+        nearby = self.interface.within_limits(start + self.along * towards + self.beside)
+        vias = np.concatenate([nearby, self.everywhere])
+        if problem.held is not None:
+            vias = np.where(problem.held[0], start, vias)
+        vias = vias[clearance(vias, lengths, discs) > RADIUS]
+        nodes, first_via = np.concatenate([start[None], goals, vias]), 1 + len(goals)
+        one, other = self._legs(nodes, first_via).T
+        cost = np.full((len(nodes), len(nodes)), np.inf)
+        cost[one, other] = cost[other, one] = self._cost(nodes[one], nodes[other], lengths, discs)
+        chosen = _shortest(cost, np.arange(1, first_via))
+        if chosen is None:
+            return None
+        way = nodes[chosen]
+        for _ in range(TIGHTENED):
+            self._tighten(way, lengths, discs)
+        return way[1:]
+
+    def _legs(self, nodes: Floats, first_via: int) -> NDArray[np.intp]:
+        """Return the legs of a map, pairs of nodes, (legs, 2).
+
+        They lead from the first node, where the arm is, to all others; from each of those to its
+        neighbours; and to the goals, the nodes before `first_via`, from more of them.
+        """
+        far = np.abs(self.interface.turn(nodes[1:, None], nodes[1:])).max(axis=-1)
+        near = np.argsort(far, axis=-1)[:, 1 : NEIGHBOURS + 1] + 1
+        goals, others = np.arange(1, first_via), np.arange(1, len(nodes))
+        to_goal = far[: len(goals), len(goals) :].argsort(axis=-1)[:, : 3 * NEIGHBOURS] + first_via
+        legs = [
+            np.stack(np.broadcast_arrays(ends[:, None], begins), axis=-1).reshape(-1, 2)
+            for ends, begins in ((others, near), (goals, to_goal))
+        ]
+        between = np.unique(np.sort(np.concatenate(legs), axis=-1), axis=0)
+        from_start = np.stack([np.zeros_like(others), others], axis=-1)
+        return np.concatenate([from_start, between])
+
+    def _cost(self, start: Floats, end: Floats, lengths: Floats, discs: Points) -> Floats:
+        """Return the cost of legs, radians, infinite for those that are not free, (...)."""
+        spare, swept = room(self.interface, start, end, lengths, discs)
+        cost = np.abs(self.interface.turn(start, end)).max(axis=-1) + LEG + HAZARD * swept
+        cost = cost + DISCOMFORT * np.maximum(COMFORT - spare, 0.0)
+        result: Floats = np.where(spare > 0, cost, np.inf)
+        return result
+
+    def _tighten(self, way: Floats, lengths: Floats, discs: Points) -> None:
+        """Move the postures on a way (legs + 1, N) to where it is cheaper, in place."""
+        for k in range(1, len(way) - 1):
+            before, via, after = way[k - 1 : k + 2]
+            here, past = self.interface.turn(before, via), self.interface.turn(before, after)
+            share = np.clip((here @ past) / np.maximum(past @ past, 1e-9), 0, 1)
+            tried = via + SHORTCUTS[:, None] * (share * past - here)
+            cost = self._cost(before, tried, lengths, discs)
+            cost = cost + self._cost(tried, after, lengths, discs)
+            if np.isfinite(cost.min()):
+                way[k] = tried[cost.argmin()]
+
+
+def _shortest(cost: Floats, ends: NDArray[np.intp]) -> NDArray[np.intp] | None:
+    """Return the cheapest way from node 0 to one of `ends` in at most `LEGS` legs, its nodes.
+
+    Args:
+        cost: of the legs between nodes, infinite where there is none, (nodes, nodes).
+        ends: nodes at which it may end.
+
+    Returns:
+        The nodes on the way; None if there is no way.
+    """
+    best, nodes = cost[0].copy(), np.arange(len(cost))
+    previous = np.zeros(len(cost), int)
+    for _ in range(LEGS - 1):  # one more leg in each round (Bellman and Ford)
+        through = best[:, None] + cost
+        via = through.argmin(axis=0)
+        is_better = through[via, nodes] < best
+        previous = np.where(is_better, via, previous)
+        best = np.where(is_better, through[via, nodes], best)
+    way = [ends[best[ends].argmin()]]
+    if not np.isfinite(best[way[0]]):
+        return None
+    while way[-1] != 0 and len(way) <= LEGS:
+        way.append(previous[way[-1]])
+    return np.array(way[::-1]) if way[-1] == 0 else None
