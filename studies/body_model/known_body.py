@@ -16,9 +16,8 @@ import numpy as np
 from typing_extensions import override
 
 from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, Parts, network_of_body
-from mmc_gym.agents.body_model.body import Body
+from mmc_gym.agents.body_model.body import PLACED, Body, Locks
 from mmc_gym.agents.body_model.imagination import NetworkSolver
-from mmc_gym.agents.body_model.locks import PLACED, Locks
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import ReachInterface, Seen, Sensed
 
