@@ -2,6 +2,7 @@
 
 import runpy
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from mmc_gym.agents.body_model.arm import command_of, commanded_turn, expected_t
 from mmc_gym.agents.body_model.body import BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive
 from mmc_gym.agents.body_model.imagination import start_offsets
-from mmc_gym.agents.body_model.obstacles import LONG, RADIUS, SHORT, Contacts, room
+from mmc_gym.agents.body_model.obstacles import LONG, MOST, NOWHERE, RADIUS, SHORT, Contacts, room
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.interface import ReachInterface
@@ -166,6 +167,10 @@ def posture_of(joint_angles, turn):
     return PostureTrack.start(joint_angles, turn / STEP)._replace(turn=turn)
 
 
+HELD = np.array([[0.05, 0.0, -0.25]])
+"""Turn about the middle of the last of three segments: 2.5 · 0.05 − 0.5 · 0.25 = 0."""
+
+
 def touched(contacts, joint_angles, turn, asked, before=None):
     """The memory after an arm of three unit segments, asked for one turn, makes another."""
     before = posture_of(joint_angles, turn if before is None else before)
@@ -180,14 +185,25 @@ def test_a_contact_is_felt_where_the_arm_cannot_go_on(speed, steps):
     It is felt sooner if the arm struck what holds it.
     """
     joint_angles, asked = np.zeros((1, 3)), np.array([[0.1, 0.0, 0.0]])
-    turn = np.array([[0.05, 0.0, -0.25]])  # 2.5 · 0.05 − 0.5 · 0.25 = 0
-    contacts = touched(Contacts.start(1, 3), joint_angles, turn, asked, np.eye(3)[:1] * speed)
+    contacts = touched(Contacts.start(1, 3), joint_angles, HELD, asked, np.eye(3)[:1] * speed)
     looks = 1
     while not contacts.met.any():
-        contacts = touched(contacts, joint_angles, turn, asked)
+        contacts = touched(contacts, joint_angles, HELD, asked)
         looks += 1
     assert looks == steps
     assert abs(contacts.discs[0, 0] - (2.5 + 1j * RADIUS)) < 0.05
+
+
+def test_many_contacts_with_one_obstacle_leave_room_for_others():
+    contacts, asked = Contacts.start(1, 3), np.array([[0.1, 0.0, 0.0]])
+    for bearing in [0.0] * MOST + [2.0]:
+        joint_angles, is_felt = np.array([[bearing, 0.0, 0.0]]), False
+        while not is_felt:
+            contacts = touched(contacts, joint_angles, HELD, asked)
+            is_felt = contacts.is_new.all()
+    obstacles = (2.5 + 1j * RADIUS) * np.exp(1j * np.array([0.0, 2.0]))
+    np.testing.assert_allclose(contacts.discs[0, :2], obstacles, atol=0.05)
+    assert (contacts.discs[0, 2:] == NOWHERE).all()
 
 
 def test_a_load_that_gathers_speed_is_no_contact():
@@ -291,6 +307,47 @@ def test_actions_are_valid_whatever_is_observed(count, seed, build):
 
 def success(played):
     return np.mean([episode.distances[-1] <= episode.tolerance for episode in played])
+
+
+@cache
+def movement(parts, perturbations=(), control="joint_position"):
+    """Actions of an agent of these parts, (steps, arms, 3), and where 10 arms end."""
+    options = {"control": control, "perturbations": perturbations, "engine": "analytic"}
+    envs = gym.make_vec("MMCReach-v0", 10, **options)
+    agent, state = ik_body(ReachInterface.of(envs), parts), None
+    observations, actions = envs.reset(seed=2)[0], []
+    for _ in range(80):
+        action, state = agent.predict(observations, state)
+        observations, *_, infos = envs.step(action)
+        actions.append(action)
+    return np.array(actions), infos["distance"]
+
+
+@pytest.mark.parametrize("control", ["joint_position", "joint_delta"])
+@pytest.mark.parametrize(
+    ("part", "others", "tolerance"),
+    [
+        # Filters take for noise what the model of the servos leaves out.
+        ("filters", ("delay-200", "rotation-30"), 0.1),
+        ("bridges_delay", ("rotation-30", "locks-2"), 0.0),
+        ("identifies_body", ("delay-200", "locks-2"), 0.0),
+        ("finds_locks", ("delay-200", "rotation-30"), 0.0),
+        ("avoids", ("rotation-30", "longer-20"), 0.0),
+    ],
+)
+def test_a_part_that_is_off_changes_nothing_where_it_has_nothing_to_do(
+    part, others, tolerance, control
+):
+    for perturbations in ((), others):
+        actions, _ = movement(Parts(), perturbations, control)
+        without, _ = movement(Parts(**{part: False}), perturbations, control)
+        assert np.abs(actions - without).max() <= tolerance, perturbations
+
+
+@pytest.mark.parametrize("part", ["filters", "imagines", "drives"])
+def test_targets_are_reached_without_a_part_that_nothing_calls_for(part):
+    for control in ("joint_position", "joint_delta"):
+        assert (movement(Parts(**{part: False}), control=control)[1] < 0.02).all()
 
 
 @pytest.mark.slow

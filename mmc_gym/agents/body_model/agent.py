@@ -183,9 +183,9 @@ class BodyAgent(InternalModelAgent[BodyState]):
         else:
             posture = posture.unfiltered(seen.joint_angles, seen.joint_speeds)
             target = target.unfiltered(_points(seen.target))
-        delay = state.delay
-        if self.parts.bridges_delay:
-            delay = delay.observed(state.posture, posture)
+        delay = state.delay.observed(state.posture, posture)
+        if not self.parts.bridges_delay:  # locks need to know nevertheless when a movement is felt
+            delay = delay._replace(late=state.delay.late)
         return state._replace(posture=posture, target=target, delay=delay)
 
     def _feel(self, state: BodyState, before: PostureTrack) -> BodyState:

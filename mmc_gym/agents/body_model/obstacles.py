@@ -101,8 +101,8 @@ class Contacts(NamedTuple):
     blow: Floats  # speed recently lost, segment lengths per control step
     rests: Floats  # number of control steps of small r
     still: Floats  # number of control steps in which the arm was at rest, (n,)
-    met: Floats  # number of contacts so far, (n,)
-    is_new: Bools  # whether the last observation added one, (n,)
+    met: Floats  # number of obstacles so far, (n,)
+    is_new: Bools  # whether the last observation was a contact, (n,)
 
     @classmethod
     def start(cls, arms: int, joints: int) -> Contacts:
@@ -145,10 +145,7 @@ class Contacts(NamedTuple):
         arms = np.arange(len(units))
         normal = 1j * units[arms, point // len(POINTS)] * np.sign(wanted[arms, point])
         disc = _places(units, lengths)[arms, point] + RADIUS * normal
-        fresh = self._released()._replace(
-            discs=self._remembered(disc, is_new), met=self.met + is_new, is_new=is_new
-        )
-        return where(is_new, fresh, after)
+        return where(is_new, self._remember(disc)._released()._replace(is_new=is_new), after)
 
     def _released(self) -> Contacts:
         """Return the memory of arms that nothing holds back."""
@@ -183,17 +180,16 @@ class Contacts(NamedTuple):
         point = np.where(is_felt, ratio.argmin(axis=-1), np.abs(wanted).argmax(axis=-1))
         return is_felt | (self.still >= LASTING), point
 
-    def _remembered(self, disc: Points, is_new: Bools) -> Points:
-        """Return the discs (n, MOST) after another one (n,) was met where `is_new`."""
+    def _remember(self, disc: Points) -> Contacts:
+        """Return the memory of one more disc for each arm."""
         # Another contact with a known disc improves its place.
         arms, distance = np.arange(len(disc)), np.abs(self.discs - disc[:, None])
         nearest = distance.argmin(axis=-1)
         is_known = distance[arms, nearest] < RADIUS
         slot = np.where(is_known, nearest, self.met % MOST).astype(int)
-        disc = np.where(is_known, (disc + self.discs[arms, slot]) / 2, disc)
         discs = self.discs.copy()
-        discs[arms[is_new], slot[is_new]] = disc[is_new]
-        return discs
+        discs[arms, slot] = np.where(is_known, (disc + self.discs[arms, slot]) / 2, disc)
+        return self._replace(discs=discs, met=self.met + ~is_known)
 
 
 def _places(units: Points, lengths: Floats) -> Points:
