@@ -158,7 +158,7 @@ class BodyEvidence(NamedTuple):
         looks = ~is_given & ((age < FREQUENT) | (age % 4 == 0))
         body = where(is_given, self.given, self.body)
         if some(looks):
-            body = Body(*(field.copy() for field in body))
+            body = Body(body.lengths.copy(), body.turn.copy(), body.shift.copy())
             best = most_likely(sums[looks], self.given.lengths[0])
             body.lengths[looks], body.turn[looks], body.shift[looks] = best
         return body
