@@ -13,7 +13,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.cli import main
-from mmc_gym.envs.render.shapes import SIZE, View
+from mmc_gym.envs.shapes import SIZE, View
 from mmc_gym.play import Game, play
 
 
