@@ -308,6 +308,7 @@ class ReachEnvironment:
     unperturbed = property(attrgetter("setup.unperturbed"), doc="The arm without perturbations.")
     engine = property(attrgetter("setup.engine"), doc="The engine that moves the arm.")
     control = property(attrgetter("setup.control"), doc="The control mode.")
+    reach = property(attrgetter("setup.reach"), doc="Sum of the given segment lengths.")
     success_distance = property(
         attrgetter("setup.success_distance"),
         doc="Largest distance to a reached target, segment lengths.",

@@ -1,8 +1,10 @@
 """Facts about the pictures."""
 
 import math
+import os
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 import pygame
 import pytest
 
+from mmc_gym._errors import UserError
 from mmc_gym.envs import shapes as drawing
 from mmc_gym.envs.perturbations import (
     ForceField,
@@ -426,3 +429,21 @@ def test_a_window_leaves_keys_to_others_and_its_queue_empty_of_motion() -> None:
     window.show(pygame.Surface((640, 640)))
     assert pygame.event.peek(pygame.KEYDOWN)
     assert not pygame.event.peek(pygame.MOUSEMOTION)
+
+
+def test_gymnasium_approves_of_windows_where_sdl_has_no_screen() -> None:
+    """As it does of CartPole: SDL opens its offscreen window."""
+    code = (
+        "import gymnasium as gym, mmc_gym; from gymnasium.utils.env_checker import check_env; "
+        "check_env(gym.make('MMCReach-v0').unwrapped)"
+    )
+    names = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
+    environment = {name: value for name, value in os.environ.items() if name not in names}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+
+
+def test_a_window_that_sdl_refuses_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "nowhere")
+    message = "a window needs a display, and there is none: nowhere not available.*mmc-gym record"
+    with pytest.raises(UserError, match=message):
+        gym.make("MMCReach-v0", render_mode="human").reset(seed=0)
