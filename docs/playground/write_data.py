@@ -18,8 +18,7 @@ import numpy as np
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.agents.policy import load_policy, shipped_file
-from mmc_gym.body import ArmParameters
-from mmc_gym.body.engines import make_arm
+from mmc_gym.body import ArmParameters, make_arm
 from mmc_gym.interface import NEAR, ObservationLayout
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.embodied import Embodiment, embodied_run

@@ -1,7 +1,58 @@
-"""The simulated arm: bodies, joints and servos.  Knows no Gymnasium and no network."""
+"""The simulated arm: bodies, joints and servos.  It uses no Gymnasium and no network.
 
+Two engines simulate it.  `pymunk`, the default, is Chipmunk's constraint solver.  `analytic`
+integrates the equations of motion of the chain, compiled by numba, for millions of episodes.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+from mmc_gym._errors import require_choice
+from mmc_gym.body.base import ArmBatch, SingleArm
 from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.arm import Arm
-from mmc_gym.body.pymunk.batch import Arms
+from mmc_gym.body.pymunk.batch import PymunkArmBatch
 
-__all__ = ["Arm", "ArmParameters", "Arms", "Servo"]
+__all__ = ["Arm", "ArmParameters", "Engine", "PymunkArmBatch", "Servo", "make_arm", "make_arms"]
+
+Engine = Literal["pymunk", "analytic"]
+
+
+def make_arm(
+    engine: Engine, parameters: ArmParameters | None = None, servo: Servo = "position"
+) -> SingleArm:
+    """Build an arm that `engine` simulates.
+
+    Raises:
+        UserError: for an unknown engine, or an arm that it cannot simulate.
+        MissingExtraError: if the engine needs numba and it is not installed.
+    """
+    single, _ = _classes(engine)
+    return single(parameters, servo)
+
+
+def make_arms(
+    engine: Engine,
+    parameters: ArmParameters | None = None,
+    count: int = 1,
+    servo: Servo = "position",
+    threads: int = 1,
+) -> ArmBatch:
+    """Build `count` arms, stepped by `threads` threads.
+
+    Raises:
+        UserError: as `make_arm` does, and for fewer than one arm or thread.
+        MissingExtraError: if the engine needs numba and it is not installed.
+    """
+    _, batch = _classes(engine)
+    return batch(parameters, count, servo, threads)
+
+
+def _classes(engine: Engine) -> tuple[type[SingleArm], type[ArmBatch]]:
+    require_choice("engine", engine, get_args(Engine))
+    if engine == "analytic":
+        from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArmBatch  # needs numba
+
+        return AnalyticArm, AnalyticArmBatch
+    return Arm, PymunkArmBatch

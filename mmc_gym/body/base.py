@@ -30,10 +30,10 @@ class SingleArm(ABC):
         joint_angles: relative angles of the joints after the last step, rad, not wrapped.
         joint_velocities: their velocities, rad/s.
         end_effector: position of the hand, (x, y).
-        records_effort: tells whether steps record the effort of the servos; False unless set.
+        records_effort: whether steps record the effort of the servos; False by default.
         servo_impulses: ∫ |τ| dt of each servo in the last recorded step, mass · length² / s.  NaN
-            before it, and if the engine does not tell.  Stops and locks are no servos.
-        servo_work: ∫ |τ q̇| dt likewise, mass · length² / s².
+            before it, and always on the analytic engine.  Stops and locks are not servos.
+        servo_work: ∫ |τ q̇| dt of each servo in the same step, mass · length² / s².
     """
 
     segment_angles: list[float]
@@ -53,15 +53,18 @@ class SingleArm(ABC):
         require_choice("servo", servo, get_args(Servo))
         self.parameters = parameters or ArmParameters()
         self._servo: Servo = servo
-        self.servo_impulses = self.servo_work = [nan] * len(self.parameters.segment_lengths)
+        self._count = len(self.parameters.segment_lengths)
+        self.servo_impulses = self.servo_work = [nan] * self._count
+        self._build()
+        self.reset([0.0] * self._count)
 
     def reset(
         self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
     ) -> None:
-        """Place the arm; its future is that of a newly built one, bit for bit.
+        """Place the arm.  From here it moves as a newly built one does, bit for bit.
 
-        The servos hold the posture (position), stop the joints (velocity) or are slack (torque)
-        until they are commanded.  Locked joints are free again.
+        Until the first command the servos hold the posture (position), stop the joints (velocity)
+        or are slack (torque).  Locked joints are free again.
 
         Args:
             joint_angles: N relative angles in radians.
@@ -70,26 +73,27 @@ class SingleArm(ABC):
         Raises:
             UserError: for another number of angles or velocities than N.
         """
-        count = len(self.parameters.segment_lengths)
-        velocities = [0.0] * count if joint_velocities is None else joint_velocities
-        for name, values in ("joint_angles", joint_angles), ("joint_velocities", velocities):
-            if len(values) != count:
-                raise wrong_count(name, values, count)
-        self._place(joint_angles, velocities)
+        speeds = [0.0] * self._count if joint_velocities is None else joint_velocities
+        self._require_count("joint_angles", joint_angles)
+        self._require_count("joint_velocities", speeds)
+        self._place(joint_angles, speeds)
 
-    @abstractmethod
-    def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None: ...
-
-    @abstractmethod
     def command(self, values: Sequence[float]) -> None:
         """Hand N values to the servos, which hold them until the next call.
 
-        Depending on the servos they are joint targets in radians (reached the short way round, or
-        within the joint limits if there are any), joint velocities in rad/s, or torques.
+        Depending on the servos they are joint targets in radians, joint velocities in rad/s, or
+        torques.  A joint with limits turns to its target within them, any other the short way
+        round.
 
         Raises:
-            UserError: for another number of values.
+            UserError: for another number of values than N.
         """
+        self._require_count("command", values)
+        self._command(values)
+
+    def _require_count(self, name: str, values: Sequence[float]) -> None:
+        if len(values) != self._count:
+            raise UserError(f"{name} must be {self._count} values, got {values!r}")
 
     @abstractmethod
     def step(self) -> None:
@@ -100,22 +104,21 @@ class SingleArm(ABC):
         """Make the `lockable_joints` rigid where they are, until the next reset."""
 
     @abstractmethod
-    def pivot_gap(self) -> float:
-        """Return the largest distance between the two ends that a pivot should hold together."""
+    def _build(self) -> None: ...
 
+    @abstractmethod
+    def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None: ...
 
-def wrong_count(name: str, values: Sequence[float], count: int) -> UserError:
-    """Return the error about an argument that does not have one value per joint."""
-    return UserError(f"{name} must be {count} values, got {values!r}")
+    @abstractmethod
+    def _command(self, values: Sequence[float]) -> None: ...
 
 
 class ArmBatch(ABC):
-    """Many equal arms that know nothing of each other.  `SingleArm` tells what one of them does.
-
-    Every step and reset overwrites the arrays: copy what should last.
+    """Many equal arms, each of which moves as if it were alone.
 
     The attributes are those of `SingleArm` with a leading axis: `end_effectors` are of shape
-    (count, 2), angles, velocities and efforts of shape (count, N).
+    (count, 2), angles, velocities and efforts of shape (count, N).  Every step and reset
+    overwrites these arrays: copy what you want to keep.
     """
 
     parameters: ArmParameters
@@ -155,6 +158,8 @@ class ArmBatch(ABC):
         self.servo_work: Floats = np.full(self._shape, nan)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_owner = 0  # the process that its threads belong to
+        self._build()
+        self.reset(np.zeros(self._shape))
 
     def reset(
         self,
@@ -170,7 +175,7 @@ class ArmBatch(ABC):
             joint_velocities: relative angular velocities in rad/s, (k, N), or None for rest.
 
         Raises:
-            ValueError: for another shape, or indices of no arm or twice of the same.
+            UserError: for another shape, or for indices that repeat or belong to no arm.
         """
         chosen = np.arange(self._count) if arms is None else self._indices(arms)
         shape = len(chosen), self._shape[1]
@@ -184,7 +189,7 @@ class ArmBatch(ABC):
         """Hand values (count, N) to the servos, see `SingleArm.command`.
 
         Raises:
-            ValueError: for another shape.
+            UserError: for another shape.
         """
         self._command(_table("values", values, self._shape))
 
@@ -196,16 +201,12 @@ class ArmBatch(ABC):
         """Make the `lockable_joints` of these arms rigid where they are, until their next reset.
 
         Raises:
-            ValueError: for indices of no arm or twice of the same.
+            UserError: for indices that repeat or belong to no arm.
         """
         self._lock(self._indices(arms))
 
-    @abstractmethod
-    def pivot_gaps(self) -> Floats:
-        """Return each arm's largest distance between ends that a pivot should hold, (count,)."""
-
     def close(self) -> None:
-        """End the threads; the next step would start new ones."""
+        """End the threads; the next step starts new ones."""
         if self._pool is not None and self._pool_owner == os.getpid():
             self._pool.shutdown()
         self._pool = None
@@ -215,6 +216,9 @@ class ArmBatch(ABC):
         if self._pool is None or self._pool_owner != os.getpid():
             self._pool, self._pool_owner = ThreadPoolExecutor(self._threads, "arms"), os.getpid()
         return self._pool
+
+    @abstractmethod
+    def _build(self) -> None: ...
 
     @abstractmethod
     def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None: ...
@@ -238,7 +242,7 @@ class ArmBatch(ABC):
 
 
 def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:
-    """Return a copy of `values`; compiled functions are compiled for this kind of array."""
+    """Return a copy of `values` in C order, the only layout that the kernel is compiled for."""
     table = np.array(values, dtype=np.float64, order="C")
     if table.shape != shape:
         raise UserError(f"{name} must be of shape {shape}, got {table.shape}")

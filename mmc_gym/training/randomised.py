@@ -21,9 +21,9 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, is_whole, require
 from mmc_gym.agents.views import Float32, History
-from mmc_gym.envs.perturbations import FAMILIES, Obstacles
-from mmc_gym.envs.scenarios import Scenario, perturbed, scenario
-from mmc_gym.interface import ObservationLayout, ReachInterface, relative_speeds, turned_back
+from mmc_gym.envs.perturbations import Obstacles, Readings
+from mmc_gym.envs.scenarios import FAMILIES, Scenario, scenario
+from mmc_gym.interface import ObservationLayout, ReachInterface, turned_back
 
 VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]
 
@@ -167,7 +167,7 @@ class RandomScenarios(VecEnvWrapper):
         if index < len(self._fixed):
             return self._fixed[index]
         name = list(self._ranges)[index - len(self._fixed)]
-        return perturbed(FAMILIES[name], float(self._random.uniform(*self._ranges[name])))
+        return FAMILIES[name].scenario(float(self._random.uniform(*self._ranges[name])))
 
 
 def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:
@@ -220,8 +220,7 @@ class Truth(gym.vector.VectorWrapper[Any, Any, Any]):
     def _with_truth(self, seen: Float32, infos: dict[str, Any]) -> Float32:
         setup, arms, targets = self._setup, self._arms, infos["target"]
         hands = infos.get("cursor", infos["end_effector"])
-        speeds = relative_speeds(arms.joint_velocities, setup.given_body.speed_limit)
-        true = setup.layout.encode(arms.joint_angles, speeds, hand=hands, target=targets)
+        true = setup.observe(Readings(arms.joint_angles, arms.joint_velocities, hands, targets))
         moved, self._targets = targets - self._targets, targets
         moved[np.abs(moved).max(axis=-1) > JUMP] = 0.0
         count = setup.joint_count

@@ -6,17 +6,16 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from mmc_gym.body import ArmParameters, Servo
-from mmc_gym.body.engines import Engine
+from mmc_gym.body import ArmParameters, Engine, Servo
 
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
 FIELD = ((-1.0, 5.0), (-5.0, -1.0))
 DISCS = ((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4))
 CONDITIONS = {
     "default": ArmParameters(),
-    "one segment": ArmParameters(segment_lengths=(0.7,)),
-    "joint limits": ArmParameters(joint_limits=LIMITS),
-    "gravity": ArmParameters(gravity=(0.0, -9.81)),
+    "one segment": ArmParameters(segment_lengths=(0.7,), gravity=(0.0, -9.81)),
+    "limits, locks": ArmParameters(joint_limits=LIMITS, lockable_joints=(1, 2)),
+    "field": ArmParameters(hand_mass=1.5, force_field=FIELD),
     "everything": ArmParameters(
         segment_lengths=(1.5, 1.0, 0.4),
         segment_masses=(2.0, 0.5, 0.1),
@@ -26,10 +25,8 @@ CONDITIONS = {
         force_field=FIELD,
         lockable_joints=(0, 2),
     ),
-    "hand mass, force field": ArmParameters(hand_mass=1.5, force_field=FIELD),
     "obstacles": ArmParameters(obstacles=DISCS),
-    "obstacles, force field": ArmParameters(obstacles=DISCS, force_field=FIELD),
-    "lockable joints": ArmParameters(lockable_joints=(1, 2)),
+    "obstacles, field": ArmParameters(obstacles=DISCS, force_field=FIELD),
 }
 FREE = {name: parameters for name, parameters in CONDITIONS.items() if not parameters.obstacles}
 CASES = {f"pymunk: {name}": ("pymunk", parameters) for name, parameters in CONDITIONS.items()}
@@ -57,12 +54,6 @@ def parameters(request):
     return request.param
 
 
-@pytest.fixture(scope="session", params=FREE.values(), ids=FREE.keys())
-def free_parameters(request):
-    """Parameters without obstacles, which every engine can simulate."""
-    return request.param
-
-
 def _postures(parameters, random, count):
     limits = parameters.joint_limits or ((-math.pi, math.pi),) * len(parameters.segment_lengths)
     return random.uniform(*np.transpose(limits), (count, len(limits)))
@@ -85,8 +76,7 @@ def _play(arm, servo, seed, steps=40):
             arm.command((scale * random.uniform(-1, 1, len(arm.joint_angles))).tolist())
         arm.step()
         angles = *arm.segment_angles, *arm.joint_angles
-        hand = *arm.end_effector, *getattr(arm, "hand_velocity", ())
-        states.append((*angles, *arm.joint_velocities, *hand))
+        states.append((*angles, *arm.joint_velocities, *arm.end_effector))
     return states
 
 

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
-from mmc_gym.body import ArmParameters
-from mmc_gym.body.engines import make_arm, make_arms
+from mmc_gym.body import ArmParameters, make_arm, make_arms
+
+slow = pytest.mark.slow
 
 
 def arm_of(engine, servo="position", **parameters):
@@ -28,17 +29,13 @@ def drive(arm, values, steps):
     return np.array(angles)
 
 
-def pickled(arm):
-    return pickle.loads(pickle.dumps(arm))
-
-
 # Resets and copies
 
 
 def test_a_reset_arm_has_the_future_of_a_new_one(case, servo, play, postures):
     random = np.random.default_rng(5)
     used = make_arm(*case, servo)
-    for episode in range(5):
+    for episode in range(2):
         play(used, servo, seed=episode)
         posture = postures(case[1], random, 1)[0].tolist()
         speeds = random.uniform(-3, 3, len(posture)).tolist()
@@ -50,38 +47,36 @@ def test_a_reset_arm_has_the_future_of_a_new_one(case, servo, play, postures):
 
 
 @given(
-    lengths=st.lists(st.floats(0.5, 3.0), min_size=1, max_size=8),
+    lengths=st.sampled_from([1, 3, 5]).flatmap(lambda n: st.tuples(*[st.floats(0.5, 3.0)] * n)),
     seed=st.integers(0, 2**32 - 1),
 )
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_reset_places_any_chain_exactly(engine, lengths, seed):
     random = np.random.default_rng(seed)
     posture = random.uniform(-math.pi, math.pi, len(lengths))
     speeds = random.uniform(-3, 3, len(lengths))
-    arm = arm_of(engine, segment_lengths=tuple(lengths))
+    arm = arm_of(engine, segment_lengths=lengths)
     arm.reset(posture.tolist(), speeds.tolist())
     angles = np.cumsum(posture)
-    hand = np.sum(lengths * np.array([np.cos(angles), np.sin(angles)]), axis=-1)
+    hand = np.sum(np.array(lengths) * np.array([np.cos(angles), np.sin(angles)]), axis=-1)
     np.testing.assert_allclose(arm.segment_angles, angles, atol=1e-12)
     np.testing.assert_allclose(arm.joint_angles, posture, atol=1e-12)
     np.testing.assert_allclose(arm.joint_velocities, speeds, atol=1e-12)
     np.testing.assert_allclose(arm.end_effector, hand, atol=1e-12)
-    assert arm.pivot_gap() < 1e-12
 
 
-@pytest.mark.parametrize("copies", [pickled, copy.deepcopy])
-def test_a_copy_has_the_same_future(case, servo, copies, play, postures, scale):
+def test_a_copy_has_the_same_future(case, servo, play, postures, scale):
     random, arm = np.random.default_rng(0), make_arm(*case, servo)
     count = len(arm.joint_angles)
     play(arm, servo, seed=0)
-    for steps in (0, 1, 25):
+    for steps in (0, 25):
         arm.reset(postures(case[1], random, 1)[0].tolist(), random.uniform(-3, 3, count).tolist())
         play(arm, servo, seed=1, steps=steps)
         command = scale(case[1], servo) * random.uniform(-1, 1, count)
         arm.command(command)
         command[:] = np.nan  # the array is the caller's
-        copied = copies(copies(arm))
-        assert play(copied, servo, seed=2, steps=100) == play(arm, servo, seed=2, steps=100)
+        copied = copy.deepcopy(pickle.loads(pickle.dumps(arm)))
+        assert play(copied, servo, seed=2) == play(arm, servo, seed=2)
         arm.reset([0.5] * count)
         copied.reset([0.5] * count)
         assert play(copied, servo, seed=3) == play(arm, servo, seed=3)
@@ -90,19 +85,15 @@ def test_a_copy_has_the_same_future(case, servo, copies, play, postures, scale):
 # Servos
 
 
-@pytest.mark.parametrize(
-    ("posture", "duration", "most"),
-    [([0.0, 0.0, 0.0], 0.40, 1e-9), ([0.0, math.pi, math.pi], 0.40, 1e-9)],
-    ids=["stretched", "folded"],
-)
-def test_a_quarter_turn_takes_as_long_as_documented(posture, duration, most):
+@pytest.mark.parametrize("posture", [[0.0] * 3, [0.0, math.pi, math.pi]], ids=["out", "folded"])
+def test_a_quarter_turn_takes_as_long_as_documented(posture):
     arm = arm_of("pymunk")
     arm.reset(posture)
     target = [posture[0] + math.pi / 2, *posture[1:]]
     beyond = drive(arm, target, 100) - target[0]
     there = 1 + np.argmax(np.abs(beyond) <= 0.05)
-    assert there * arm.parameters.control_step == pytest.approx(duration)
-    assert beyond.max() <= most
+    assert there * arm.parameters.control_step == pytest.approx(0.40)
+    assert beyond.max() <= 1e-9
 
 
 def test_a_servo_asks_for_the_speed_that_its_gain_states(engine):
@@ -117,7 +108,7 @@ def test_a_servo_asks_for_the_speed_that_its_gain_states(engine):
 
 
 @given(start=st.floats(-math.pi, math.pi), target=st.floats(-20.0, 20.0))
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_a_position_servo_turns_the_short_way_round(engine, start, target):
     way = math.remainder(target - start, math.tau)
     arm = arm_of(engine, segment_lengths=(1.0,))
@@ -158,17 +149,16 @@ def test_position_servos_hold_the_arm_against_gravity(engine):
 
 def test_joint_limits_are_held(engine, servo, postures, scale):
     limits = ((-1.0, 1.5), (-0.5, 2.0), (0.1, 0.9))
-    for gravity in ((0.0, 0.0), (0.0, -9.81)):
-        arm, beyond = arm_of(engine, servo, joint_limits=limits, gravity=gravity), []
-        random = np.random.default_rng(0)
-        arm.reset(postures(arm.parameters, random, 1)[0].tolist())
-        for step in range(500):
-            if step % 5 == 0:
-                arm.command((scale(arm.parameters, servo) * random.uniform(-1, 1, 3)).tolist())
-            arm.step()
-            for angle, (low, high) in zip(arm.joint_angles, limits, strict=True):
-                beyond.append(max(low - angle, angle - high))
-        assert max(beyond) < (0.15 if servo == "torque" else 0.08)  # a stop gives way to a blow
+    arm, beyond = arm_of(engine, servo, joint_limits=limits, gravity=(0.0, -9.81)), []
+    random = np.random.default_rng(0)
+    arm.reset(postures(arm.parameters, random, 1)[0].tolist())
+    for step in range(500):
+        if step % 5 == 0:
+            arm.command((scale(arm.parameters, servo) * random.uniform(-1, 1, 3)).tolist())
+        arm.step()
+        for angle, (low, high) in zip(arm.joint_angles, limits, strict=True):
+            beyond.append(max(low - angle, angle - high))
+    assert max(beyond) < (0.15 if servo == "torque" else 0.08)  # a stop gives way to a blow
 
 
 def test_a_steady_push_against_a_stop_does_not_move_it(engine):
@@ -189,7 +179,7 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play,
     arm, free = (arm_of(engine, servo, lockable_joints=(1,)) for _ in range(2))
     arm.reset([0.1, 0.7, -0.4])
     arm.lock()
-    states = np.array(play(arm, servo, seed=3, steps=200))
+    states = np.array(play(arm, servo, seed=3, steps=100))
     assert np.abs(states[:, 4] - 0.7).max() < slip
     assert np.ptp(states[:, 3]) > 0.3
     largest = scale(arm.parameters, servo)
@@ -200,10 +190,10 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play,
     assert abs(arm.joint_angles[1] - 0.7) > 0.1
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 8, 40])
+@pytest.mark.parametrize("count", [1, 5, *(pytest.param(n, marks=slow) for n in (2, 8, 40))])
 def test_arms_of_any_number_of_segments_move_and_stay_finite(engine, count, servo, play):
     arm = arm_of(engine, servo, segment_lengths=tuple(np.linspace(1.5, 0.3, count).tolist()))
-    states = play(arm, servo, seed=0, steps=200 if count < 40 else 50)
+    states = play(arm, servo, seed=0, steps=50)
     assert np.isfinite(states).all()
     assert len(arm.joint_angles) == count
     assert states[0] != states[-1]
@@ -214,7 +204,7 @@ def test_arms_of_any_number_of_segments_move_and_stay_finite(engine, count, serv
 
 @pytest.mark.parametrize(
     ("length", "mass", "torque", "hand_mass"),
-    [(1.0, 1.0, 0.5, 0.0), (1.3, 0.7, -0.5, 0.0), (1.3, 0.7, 0.5, 0.5), (1.3, 0.7, 0.5, 3.0)],
+    [(1.0, 1.0, 0.5, 0.0), (1.3, 0.7, -0.5, 0.0), (1.3, 0.7, 0.5, 3.0)],
 )
 def test_torque_turns_a_rod_with_the_textbook_acceleration(engine, length, mass, torque, hand_mass):
     rod = {"segment_lengths": (length,), "segment_masses": (mass,), "hand_mass": hand_mass}
@@ -225,21 +215,6 @@ def test_torque_turns_a_rod_with_the_textbook_acceleration(engine, length, mass,
         drive(arm, [torque], 1)
         speed, allowed = acceleration * 0.02 * step, 2e-3 if hand_mass else 1e-3
         assert arm.joint_velocities[0] == pytest.approx(speed, rel=allowed)
-
-
-@pytest.mark.parametrize("hand_mass", [0.0, 2.0])
-def test_gravity_pulls_a_rod_down_with_the_textbook_acceleration(engine, hand_mass):
-    rod = {"segment_lengths": (1.3,), "hand_mass": hand_mass}
-    arm = arm_of(engine, "torque", gravity=(0.0, -9.81), drive_inertia=0.0, **rod)
-    arm.step()
-    acceleration = -9.81 * (1 / 2 + hand_mass) / ((1 / 3 + hand_mass) * 1.3)
-    allowed = 2e-3 if hand_mass else 1e-4
-    assert arm.joint_velocities[0] / 0.02 == pytest.approx(acceleration, rel=allowed)
-
-
-def test_a_slack_rod_released_level_swings_to_the_level_on_the_other_side(engine):
-    arm = arm_of(engine, "torque", segment_lengths=(1.0,), gravity=(0.0, -9.81))
-    assert drive(arm, [0.0], 100).min() == pytest.approx(-math.pi, abs=0.02)
 
 
 def test_a_viscous_field_brakes_a_rod_as_in_the_textbook(engine):

@@ -7,8 +7,7 @@ import copy
 import numpy as np
 import pytest
 
-from mmc_gym.body import Arm, ArmParameters, Arms
-from mmc_gym.body.engines import make_arm, make_arms
+from mmc_gym.body import Arm, ArmParameters, PymunkArmBatch, make_arm, make_arms
 
 ROD = ArmParameters(segment_lengths=(1.0,), drive_inertia=0.0)  # 1/3 about the joint
 FIELD = ArmParameters(force_field=((0.0, 3.0), (-3.0, 0.0)))
@@ -43,11 +42,12 @@ def test_recording_changes_no_movement_and_is_copied(parameters):
 
 @free_or_in_a_field
 def test_arms_record_what_single_ones_do(parameters):
-    arms, alone = recording(Arms(parameters, 70, threads=2)), Arms(parameters, 70)
-    singles = [recording(Arm(parameters)) for _ in range(70)]
+    arms, alone = (PymunkArmBatch(parameters, 40, threads=2) for _ in range(2))
+    recording(arms)
+    singles = [recording(Arm(parameters)) for _ in range(40)]
     random = np.random.default_rng(0)
     for _ in range(5):
-        values = random.uniform(-3, 3, (70, 3))
+        values = random.uniform(-3, 3, (40, 3))
         for some in (arms, alone):
             some.command(values)
             some.step()

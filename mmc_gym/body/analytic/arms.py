@@ -1,16 +1,16 @@
 """Arms whose equations of motion are integrated by compiled code, for millions of episodes.
 
-The physics are those of pymunk's arms, and so is each physics step, but what Chipmunk approaches by
-sweeping over the joints is solved here to the end: pivots and torques are exact.  `kernel` has the
-equations.  With 3,000 sweeps in a physics step, Chipmunk's joint angles are the same to 1e-6 rad
-after 2 s.
+The physics and each physics step are those of pymunk's arms.  But what Chipmunk approaches by
+sweeping over the joints is solved here to the end, so pivots and torques are exact.  `kernel` has
+the equations.  With 3,000 sweeps in a physics step, Chipmunk's joint angles are the same to 1e-6
+rad after 2 s.
 
 The motion of a slack arm is of second order in the substep: 5.4e-4 rad off after 2 s at 5 ms, and
 1.3e-4 at 2.5 ms (median of 60 arms released at up to 3 rad/s).  That of a driven arm is of first
 order (at most 0.02 and 0.01 off on its way), because the servos look at the angles once in a
 substep.
 
-This engine does not tell the effort of its servos: `records_effort` has no effect.
+This engine does not compute the effort of its servos: `records_effort` has no effect.
 """
 
 from __future__ import annotations
@@ -25,70 +25,56 @@ from typing_extensions import override
 
 from mmc_gym._errors import require
 from mmc_gym.body.analytic import kernel
-from mmc_gym.body.base import ArmBatch, Floats, Indices, SingleArm, wrong_count
-from mmc_gym.body.parameters import ArmParameters, Servo
+from mmc_gym.body.base import ArmBatch, Floats, Indices, SingleArm
 
 _WORTH_A_THREAD = 256  # arms; sharing out fewer takes longer than it saves
 
 
-class AnalyticArms(ArmBatch):
+class AnalyticArmBatch(ArmBatch):
     """Arms of the analytic engine; `ArmBatch` documents what they are and do.
 
-    Each is bit for bit an arm alone.  They can be pickled and copied at any time, and the copy has
-    the same future.
+    Each moves bit for bit as if it were alone.  They can be pickled and copied at any time, and the
+    copy has the same future.
 
     Attributes:
+        shown: all of these arrays in one, with a record for each arm (`kernel.make_shown`).
         joint_cosines: cosines of the joint angles, (count, N).
         joint_sines: their sines, (count, N).
     """
 
     @override
-    def __init__(
-        self,
-        parameters: ArmParameters | None = None,
-        count: int = 1,
-        servo: Servo = "position",
-        threads: int = 1,
-    ) -> None:
-        super().__init__(parameters, count, servo, threads)
-        parameters = self.parameters
+    def _build(self) -> None:
         require(
-            not parameters.obstacles,
+            not self.parameters.obstacles,
             "obstacles",
-            parameters.obstacles,
+            self.parameters.obstacles,
             'empty for the analytic engine, which knows no collisions (use engine="pymunk")',
         )
-        self._rods = kernel.make_rods(parameters)
-        self._world = kernel.make_world(parameters, servo)
-        segments = len(self._rods)
+        segments = self._shape[1]
         self._lanes = kernel.lanes_of(segments)
+        self._chain = kernel.make_chain(self.parameters, self._servo)
         self._state = kernel.make_state(segments, self._count)
-        self._no_work = kernel.no_work(segments)
-        self._show(np.zeros(self._count * (5 * segments + 2)))
-        self.reset(np.zeros(self._shape))
+        self._work_type = kernel.work_type(segments)
+        self._show(kernel.make_shown(segments, self._count))
 
-    def _show(self, output: Floats) -> None:
-        """Make the public arrays views of `output`."""
-        self._output = output
-        size = self._count * len(self._rods)
-        self.segment_angles = output[:size].reshape(self._shape)
-        self.joint_angles = output[size : 2 * size].reshape(self._shape)
-        self.joint_velocities = output[2 * size : 3 * size].reshape(self._shape)
-        turned = 3 * size + 2 * self._count
-        self.end_effectors = output[3 * size : turned].reshape(self._count, 2)
-        self.joint_cosines = output[turned : turned + size].reshape(self._shape)
-        self.joint_sines = output[turned + size :].reshape(self._shape)
+    def _show(self, shown: NDArray[np.void]) -> None:
+        """Make the public arrays views of `shown`."""
+        self.shown, self._numbers = shown, shown.view(np.float64)
+        self.segment_angles, self.joint_angles = shown["segment_angles"], shown["joint_angles"]
+        self.joint_velocities, self.end_effectors = shown["joint_velocities"], shown["end_effector"]
+        self.joint_cosines, self.joint_sines = shown["joint_cosines"], shown["joint_sines"]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_pool": None}  # threads belong to a process
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._show(self._output)  # copies of views are arrays of their own
+        self._show(self.shown)  # a copy of a view is an array of its own
 
     @override
     def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
-        kernel.place(self._state, self._output, self._rods, self._world, arms, postures, speeds)
+        work = np.empty(1, self._work_type)
+        kernel.place(self._state, self.shown, self._chain, work, arms, postures, speeds)
 
     @override
     def _command(self, values: Floats) -> None:
@@ -99,9 +85,9 @@ class AnalyticArms(ArmBatch):
         self.share_out(self.step_arms)
 
     def share_out(self, work: Callable[[int, int], None]) -> None:
-        """Call `work(first, last)` for all arms, in shares from arm `first` to before arm `last`.
+        """Call `work(first, last)` for shares of the arms, each from `first` to before `last`.
 
-        Each thread does one share, and this one, too.
+        Each thread does one share, and so does the calling thread.
         """
         shares = max(1, min(self._threads, self._count // _WORTH_A_THREAD))
         blocks = [len(self._state) * share // shares for share in range(1, shares)]
@@ -117,20 +103,19 @@ class AnalyticArms(ArmBatch):
         """Hand `scale` times `values`, (count, N), to the servos of a share of the arms.
 
         If they are relative, the present joint angles are added.  `values` are of float32 or
-        float64, in the order of C.
+        float64, in C order.
         """
-        arms = self._state, self._output, self._rods, self._world
-        kernel.command(*arms, values, scale, is_relative, *self._blocks(first, last))
+        state = self._state[self._blocks(first, last)]
+        kernel.command(state, self._chain, values[first:last], scale, is_relative)
 
     def step_arms(self, first: int, last: int) -> None:
         """Simulate one control step of a share of the arms."""
-        arms = self._state, self._output, self._rods, self._world
-        substeps = self.parameters.substeps
-        kernel.step_blocks(*arms, self._no_work, substeps, *self._blocks(first, last))
+        state, work = self._state[self._blocks(first, last)], np.empty(1, self._work_type)
+        kernel.step(state, self.shown[first:last], self._chain, work, self.parameters.substeps)
 
-    def _blocks(self, first: int, last: int) -> tuple[int, int]:
-        """Return the blocks of arms that begin a block, up to before arm `last`."""
-        return first // self._lanes, -(-last // self._lanes)
+    def _blocks(self, first: int, last: int) -> slice:
+        """Return the blocks of arms from `first`, which begins a block, to before `last`."""
+        return slice(first // self._lanes, -(-last // self._lanes))
 
     @override
     def _lock(self, arms: Indices) -> None:
@@ -138,21 +123,13 @@ class AnalyticArms(ArmBatch):
             held = self._state["held"][:, joint]
             held[arms // self._lanes, arms % self._lanes] = self.joint_angles[arms, joint]
 
-    @override
-    def pivot_gaps(self) -> Floats:
-        return np.zeros(self._count)  # by construction
-
 
 class AnalyticArm(SingleArm):
     """One arm of the analytic engine; `SingleArm` documents what it is and does."""
 
     @override
-    def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
-        super().__init__(parameters, servo)
-        self._arms = AnalyticArms(self.parameters, 1, servo)
-        self._segments = len(self.parameters.segment_lengths)
-        self._values = np.zeros((1, self._segments))
-        self._read()
+    def _build(self) -> None:
+        self._arms = AnalyticArmBatch(self.parameters, 1, self._servo)
 
     @override
     def _place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
@@ -160,11 +137,8 @@ class AnalyticArm(SingleArm):
         self._read()
 
     @override
-    def command(self, values: Sequence[float]) -> None:
-        if len(values) != self._segments:
-            raise wrong_count("command", values, self._segments)
-        self._values[0] = values
-        self._arms._command(self._values)
+    def _command(self, values: Sequence[float]) -> None:
+        self._arms._command(np.array([values], dtype=np.float64))
 
     @override
     def step(self) -> None:
@@ -172,16 +146,12 @@ class AnalyticArm(SingleArm):
         self._read()
 
     def _read(self) -> None:
-        numbers, count = self._arms._output.tolist(), self._segments
+        numbers, count = self._arms._numbers.tolist(), self._count
         self.segment_angles = numbers[:count]
         self.joint_angles = numbers[count : 2 * count]
         self.joint_velocities = numbers[2 * count : 3 * count]
-        self.end_effector = numbers[3 * count], numbers[3 * count + 1]
+        self.end_effector = numbers[-2], numbers[-1]
 
     @override
     def lock(self) -> None:
         self._arms.lock([0])
-
-    @override
-    def pivot_gap(self) -> float:
-        return 0.0  # by construction

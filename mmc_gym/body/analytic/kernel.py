@@ -1,42 +1,43 @@
 """Compiled physics steps of planar chains: blocks of arms, side by side in lanes.
 
-Segment j points along u_j = (cos θ_j, sin θ_j), and n_j = (−sin θ_j, cos θ_j) is across it.  A step
-of duration h first moves and then pushes, as Chipmunk's does:
+Segment j points along u_j = (cos θ_j, sin θ_j), and n_j = (−sin θ_j, cos θ_j) is across it.  As in
+Chipmunk, a step of duration h first moves and then pushes:
 
-    θ' = θ + h ω,       the rods' centres meanwhile going straight on with their old velocities
+    θ' = θ + h ω,       while the rods' centres go straight on with their old velocities
     J'ᵀ μ (v' − v) = h Q,       Q the torques on the segments, μ the masses of the rods
 
 A rod's velocity v has two parts: that of rigid rods on pivots (J ω: each end moves by ω_j n_j
-against the other), and what closes the pivots after the rods went straight instead of round (the
-lag of u_j).  This is the velocity-Verlet (SHAKE) step of the chain with the centripetal force of
-the new step extrapolated from the last two, at the cost of an explicit step: no Coriolis term is
-written out.  Chipmunk does the same once its pivots are solved to the end and corrected by all of
-their error.
+relative to the other), and the part that closes the pivots, because the rods went straight instead
+of round (the lag of u_j).  This is the velocity-Verlet (SHAKE) step of the chain, with the
+centripetal force of the new step extrapolated from the last two.  It costs as little as an explicit
+step, and needs no Coriolis term.  Chipmunk does the same once its pivots are solved to the end and
+all of their error is corrected.
 
-The torques are those of the servos, stops and locks.  Each joint asks for a velocity and has lowest
-and highest impulses to get it.  With q̇ = asked + z, the joint-space mass matrix M (`_weigh`), and
-the impulses that would give every joint what it asks for (`_need`, recursive Newton–Euler),
+The torques are those of the servos, stops and locks.  Each joint asks for a velocity, and has a
+lowest and a highest impulse to reach it.  Take q̇ = asked + z, the joint-space mass matrix M
+(`_weigh`), and the impulses that would give every joint the velocity it asks for (`_need`,
+recursive Newton–Euler).  Then
 
-    λ = needed + M z,   lowest ≤ λ ≤ highest,   z = 0 where λ is inside,
-    z ≤ 0 where it is at the highest and z ≥ 0 where it is at the lowest.
+    λ = needed + M z,   lowest ≤ λ ≤ highest,   z = 0 where λ is between its bounds,
+    z ≤ 0 where λ is at the highest and z ≥ 0 where it is at the lowest.
 
 M is positive definite, so there is one solution.  `_limit` finds it by principal pivoting: guess
 which joints are at a bound, solve, change the guess (Júdice & Pires 1994, Computers & Operations
-Research 21, 587–596).  A joint thrown against its stop while the servo is at its bound is a second
-kink of the same kind.  The joints of all lanes are solved together, and lanes that are done keep
-their solution while others go on.
+Research 21, 587–596).  A joint thrown against its stop while its servo is at a bound is one more
+such case.  The joints of all lanes are solved together; lanes that are done keep their solution
+while the others continue.
 
-Lanes never mix and nothing is reassociated or fused, so that an arm's numbers do not depend on its
+Lanes never mix, and no operations are reordered or fused.  So an arm's numbers do not depend on its
 neighbours, its lane or the machine's vector width.  The compiler turns a loop over lanes into
-vector instructions only if it sees, or can check once before the loop, that nothing it writes is
-read again, and if there are no other loops in it.  So blocks of arms are records of arrays, whose
-fields do not overlap, and whose shapes are part of their type: loops over few segments are written
-out, and a step of three takes two thirds of the time that it takes with loops over lanes alone (one
-of ten a quarter more).  numba compiles anew for each number of segments.  The
-number of lanes is an argument, because constant loops would be written out first.
+vector instructions only if the loop contains no other loop, and if the compiler can tell, at the
+latest right before the loop, that nothing written in it is read again.  So blocks of arms are
+records of arrays: their fields do not overlap, and their shapes are part of their type, so that
+loops over few segments are unrolled.  A step of three segments takes two thirds of the time that it
+takes with loops over lanes alone (one of ten a quarter more).  numba compiles anew for each number
+of segments.  The number of lanes is an argument, because constant loops would be unrolled first.
 
 Functions that are called from Python are `compiled`, those that they call are `inner`.  numba keeps
-the former between processes until this file changes, which is why they all stand in it.
+the former between processes until this file changes; therefore all of them are in this file.
 """
 
 from __future__ import annotations
@@ -54,74 +55,66 @@ FREE, AT_HIGHEST, AT_LOWEST, STOPPED_ABOVE, STOPPED_BELOW = 0.0, 1.0, -1.0, -2.0
 _TINY = 1e-12  # rad/s: less is not worth another guess
 _STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
 
-
-def _record(names: str, shape: tuple[int, ...] = ()) -> np.dtype[np.void]:
-    return np.dtype([(name, np.float64, shape) for name in names.split()])
+Records = NDArray[np.void]
 
 
-# What an arm remembers, per segment and the joint before it: `lag` is the part of the velocity of
-# u_j that closes the pivots; `asked` is what the servo is to do, with at most the impulse `limit`;
-# `held` is the angle of a locked joint, or nan; `yields` is 1 where the servo gave all it could.
-STATE = "angle speed lag_x lag_y asked limit held yields"
-# What one physics step works with, per segment, and per arm.
-WORK = (
-    "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
-    "needed bound moment_x moment_y right inverse excess joint_sine joint_cosine"
-)
-SUMS = "push_x push_y push_turn velocity_x velocity_y changed is_done"
-# The segments, each with the joint before it, and what is common to them.
-RODS = _record("length mass centre inertia lowest_angle highest_angle")
-SCALARS = _record("substep speed_limit torque_limit gain stop_gain is_position is_torque")
-WORLD = np.dtype([*SCALARS.descr, ("gravity", np.float64, (2,)), ("field", np.float64, (2, 2))])
+def _fields(names: str, *shape: int) -> list[tuple[str, type[np.float64], tuple[int, ...]]]:
+    return [(name, np.float64, shape) for name in names.split()]
 
 
 def lanes_of(segments: int) -> int:
-    """Return how many arms are in a block: so many that what it works with fits the cache."""
+    """Return how many arms are in a block: so many that its records fit the cache."""
     return 32 if segments <= 4 else 8
 
 
-def make_state(segments: int, count: int) -> NDArray[np.void]:
-    """Return blocks of arms, one record each: `STATE`, arrays (N, lanes)."""
+def make_state(segments: int, count: int) -> Records:
+    """Return one record per block of arms: what arms remember, arrays (N, lanes).
+
+    `lag` is the part of the velocity of u_j that closes the pivots; `asked` is what the servo
+    should do, with at most the impulse `limit`; `held` is the angle of a locked joint, or nan;
+    `yields` is 1 where the servo gave its largest torque.
+    """
     lanes = lanes_of(segments)
-    return np.zeros(-(-count // lanes), _record(STATE, (segments, lanes)))
+    names = "angle speed lag_x lag_y asked limit held yields"
+    return np.zeros(-(-count // lanes), _fields(names, segments, lanes))
 
 
-def no_work(segments: int) -> NDArray[np.void]:
-    """Return an empty array of the records that a physics step works with."""
+def make_shown(segments: int, count: int) -> Records:
+    """Return one record per arm: what it shows after each step, arrays (N,) and the hand (2,)."""
+    names = "segment_angles joint_angles joint_velocities joint_cosines joint_sines"
+    return np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
+
+
+def work_type(segments: int) -> np.dtype[np.void]:
+    """Return the type of the record that the physics steps of a block work with."""
     lanes = lanes_of(segments)
-    fields = [
-        *_record(WORK, (segments, lanes)).descr,
-        *_record(SUMS, (lanes,)).descr,
-        *_record("matrix factor", (segments, segments, lanes)).descr,
-    ]
-    return np.empty(0, fields)
+    names = (
+        "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
+        "needed bound moment_x moment_y right inverse excess joint_sine joint_cosine"
+    )
+    sums = "push_x push_y push_turn velocity_x velocity_y changed is_done"
+    fields = [*_fields(names, segments, lanes), *_fields(sums, lanes)]
+    return np.dtype([*fields, *_fields("matrix factor", segments, segments, lanes)])
 
 
-def make_rods(parameters: ArmParameters) -> NDArray[np.void]:
-    """Return `RODS`, one record per segment."""
-    count = len(parameters.segment_lengths)
-    rods = np.zeros(count, RODS)
-    rods["length"] = parameters.segment_lengths
-    rods["mass"], rods["centre"], rods["inertia"] = zip(*parameters.rods)
-    limits = parameters.joint_limits or ((-math.inf, math.inf),) * count
-    rods["lowest_angle"], rods["highest_angle"] = zip(*limits)
-    return rods
-
-
-def make_world(parameters: ArmParameters, servo: Servo) -> NDArray[np.void]:
-    """Return `WORLD`, one record of what is common to all segments."""
-    world, substep = np.zeros(1, WORLD), parameters.substep
-    world["substep"] = substep
-    world["speed_limit"] = parameters.speed_limit
-    world["torque_limit"] = parameters.torque_limit
-    world["gain"] = -math.expm1(-parameters.servo_gain * substep) / substep
-    world["stop_gain"] = -math.expm1(-_STOP_RATE * substep) / substep
-    world["is_position"] = servo == "position"
-    world["is_torque"] = servo == "torque"
-    world["gravity"] = parameters.gravity
-    if parameters.force_field is not None:
-        world["field"] = parameters.force_field
-    return world
+def make_chain(parameters: ArmParameters, servo: Servo) -> Records:
+    """Return the one record that describes all arms: segments, each with the joint before it."""
+    p, count = parameters, len(parameters.segment_lengths)
+    of_segments = "length mass centre inertia lowest_angle highest_angle"
+    of_all = "substep speed_limit torque_limit gain stop_gain is_position is_torque"
+    fields = [*_fields(of_segments, count), *_fields(of_all)]
+    chain = np.zeros(1, [*fields, *_fields("gravity", 2), *_fields("field", 2, 2)])
+    chain["length"] = p.segment_lengths
+    chain["mass"], chain["centre"], chain["inertia"] = np.transpose(p.rods)
+    limits = p.joint_limits or ((-math.inf, math.inf),) * count
+    chain["lowest_angle"], chain["highest_angle"] = np.transpose(limits)
+    for name in ("substep", "speed_limit", "torque_limit", "gravity"):
+        chain[name] = getattr(p, name)
+    chain["gain"] = -math.expm1(-p.servo_gain * p.substep) / p.substep
+    chain["stop_gain"] = -math.expm1(-_STOP_RATE * p.substep) / p.substep
+    chain["is_position"], chain["is_torque"] = servo == "position", servo == "torque"
+    chain["field"] = p.force_field or 0.0
+    return chain
 
 
 @inner
@@ -156,27 +149,18 @@ def _sine_cosine(angle):
     return sine, cosine
 
 
-@inner
-def _any_lane(counts, lanes):
-    total = 0.0
-    for k in range(lanes):
-        total += counts[k]
-    return total > 0.0
-
-
 @compiled
-def place(state, output, rods, world, chosen, postures, speeds):
+def place(state, shown, chain, works, chosen, postures, speeds):
     """Place the chosen arms; their servos hold the posture, stop the joints or are slack."""
-    segments = rods.shape[0]
-    count = output.shape[0] // (5 * segments + 2)
-    size = count * segments
-    turned = 3 * size + 2 * count
-    is_position, is_torque = world[0].is_position > 0.0, world[0].is_torque > 0.0
-    block_size = state[0].angle.shape[1]
+    c = chain[0]
+    segments, lanes = c.length.shape[0], state[0].angle.shape[1]
+    is_position, is_torque = c.is_position > 0.0, c.is_torque > 0.0
+    is_touched = np.zeros(state.shape[0], np.bool_)
     for row in range(chosen.shape[0]):
-        arm = chosen[row]
-        arms, k = state[arm // block_size], arm % block_size
-        angle = speed = x = y = parent_angle = parent_speed = 0.0
+        block, k = chosen[row] // lanes, chosen[row] % lanes
+        arms = state[block]
+        is_touched[block] = True
+        angle = speed = parent = 0.0
         for i in range(segments):
             angle += postures[row, i]
             speed += speeds[row, i]
@@ -186,53 +170,43 @@ def place(state, output, rods, world, chosen, postures, speeds):
             arms.lag_y[i, k] = 0.0
             arms.held[i, k] = np.nan
             arms.yields[i, k] = 1.0
-            arms.limit[i, k] = 0.0 if is_torque else world[0].substep * world[0].torque_limit
-            least, most = rods[i].lowest_angle, rods[i].highest_angle
+            arms.limit[i, k] = 0.0 if is_torque else c.substep * c.torque_limit
+            least, most = c.lowest_angle[i], c.highest_angle[i]
             if not is_position:
                 arms.asked[i, k] = 0.0
             elif np.isfinite(least):
                 arms.asked[i, k] = min(max(postures[row, i], least), most)
             else:
-                arms.asked[i, k] = angle - parent_angle
-            sine, cosine = _sine_cosine(angle)
-            x += rods[i].length * cosine
-            y += rods[i].length * sine
-            at = arm * segments + i
-            output[at] = angle
-            output[size + at] = angle - parent_angle
-            output[2 * size + at] = speed - parent_speed
-            sine, cosine = _sine_cosine(angle - parent_angle)
-            output[turned + at] = cosine
-            output[turned + size + at] = sine
-            parent_angle, parent_speed = angle, speed
-        output[3 * size + 2 * arm] = x
-        output[3 * size + 2 * arm + 1] = y
+                arms.asked[i, k] = angle - parent
+            parent = angle
+    for block in range(state.shape[0]):
+        if is_touched[block]:
+            _look(state[block], works[0], lanes)
+            _show(state[block], works[0], c, shown[block * lanes : (block + 1) * lanes])
 
 
 @compiled
-def command(state, output, rods, world, values, scale, is_relative, first_block, last_block):
+def command(state, chain, values, scale, is_relative):
     """Hand one value per joint and arm to the servos: `scale` times `values`, (count, N).
 
     If they are relative, the present joint angle is added.
     """
-    segments, count = rods.shape[0], values.shape[0]
-    size = count * segments
-    w = world[0]
-    is_torque, is_position = w.is_torque > 0.0, w.is_position > 0.0
-    for block in range(first_block, last_block):
+    c = chain[0]
+    is_torque, is_position = c.is_torque > 0.0, c.is_position > 0.0
+    for block in range(state.shape[0]):
         arms = state[block]
         first = block * arms.angle.shape[1]
-        lanes = min(arms.angle.shape[1], count - first)
-        for i in range(segments):
-            least, most = rods[i].lowest_angle, rods[i].highest_angle
+        lanes = min(arms.angle.shape[1], values.shape[0] - first)
+        for i in range(arms.angle.shape[0]):
+            least, most = c.lowest_angle[i], c.highest_angle[i]
             is_limited = np.isfinite(least)
             for k in range(lanes):
-                angle = output[size + (first + k) * segments + i]
+                angle = arms.angle[i, k] - (arms.angle[i - 1, k] if i > 0 else 0.0)
                 value = scale * values[first + k, i]
                 value = value + angle if is_relative else value
                 if is_torque:
-                    arms.asked[i, k] = w.speed_limit if value >= 0.0 else -w.speed_limit
-                    arms.limit[i, k] = w.substep * min(abs(value), w.torque_limit)
+                    arms.asked[i, k] = c.speed_limit if value >= 0.0 else -c.speed_limit
+                    arms.limit[i, k] = c.substep * min(abs(value), c.torque_limit)
                 elif is_position and is_limited:
                     arms.asked[i, k] = min(max(value, least), most)
                 elif is_position:
@@ -244,38 +218,35 @@ def command(state, output, rods, world, values, scale, is_relative, first_block,
 
 
 @compiled
-def step_blocks(state, output, rods, world, no_work, substeps, first, last):
-    """Simulate the blocks of `state` from `first` to before `last`; write `output`."""
-    segments = rods.shape[0]
-    count = output.shape[0] // (5 * segments + 2)
-    works = np.zeros(1, no_work.dtype)
-    has_field = np.abs(world[0].field).max() > 0.0
-    for block in range(first, last):
-        work = works[0]  # here, because a record does not keep its array alive
+def step(state, shown, chain, works, substeps):
+    """Simulate one control step of the arms in `state`, and write what they show."""
+    c, work = chain[0], works[0]
+    has_field = np.abs(c.field).max() > 0.0
+    for block in range(state.shape[0]):
         arms = state[block]
-        first_arm = block * arms.angle.shape[1]
-        lanes = min(arms.angle.shape[1], count - first_arm)
+        first = block * arms.angle.shape[1]
+        lanes = min(arms.angle.shape[1], shown.shape[0] - first)
         _look(arms, work, lanes)
         for _ in range(substeps):
-            _move(arms, work, rods, world[0], lanes)
+            _move(arms, work, c, lanes)
             if has_field:
-                _weigh(work, rods, lanes)
-                _burden(arms, work, rods, world[0], lanes)
-                _push(arms, work, rods, world[0], lanes)
-            _ask(arms, work, rods, world[0], lanes)
-            if _need(arms, work, rods, world[0], lanes):
-                _guess(arms, work, world[0], lanes)
-                _weigh(work, rods, lanes)
+                _weigh(work, c, lanes)
+                _demand(arms, work, c, lanes)
+                _push(arms, work, c, lanes)
+            _ask(arms, work, c, lanes)
+            if _need(arms, work, c, lanes):
+                _guess(arms, work, c, lanes)
+                _weigh(work, c, lanes)
                 _limit(work, lanes)
             else:
-                _release(work, lanes)
+                work.bound[:] = FREE
             _turn(arms, work, lanes)
-        _read(arms, work, output, rods, first_arm, lanes)
+        _show(arms, work, c, shown[first : first + lanes])
 
 
 @inner
 def _look(arms, work, lanes):
-    """Find where the segments point; no joint is bound, and nothing pushes the hand."""
+    """Compute where the segments point; free all joints, and leave the hand without a push."""
     for k in range(lanes):
         work.push_x[k] = 0.0
         work.push_y[k] = 0.0
@@ -286,16 +257,16 @@ def _look(arms, work, lanes):
 
 
 @inner
-def _move(arms, work, rods, world, lanes):
-    """Turn the segments; `velocity` is what brings the last centre from where its rod was."""
-    h = world.substep
+def _move(arms, work, chain, lanes):
+    """Turn the segments.  At `velocity` the last rod's centre would follow, onto its pivot."""
+    h = chain.substep
     rate = 1.0 / h
     segments = arms.angle.shape[0]
     for k in range(lanes):
         work.velocity_x[k] = 0.0
         work.velocity_y[k] = 0.0
     for i in range(segments):
-        carried = rods[i].centre if i == segments - 1 else rods[i].length
+        carried = chain.centre[i] if i == segments - 1 else chain.length[i]
         for k in range(lanes):
             speed, sine, cosine = arms.speed[i, k], work.sine[i, k], work.cosine[i, k]
             lag_x, lag_y = arms.lag_x[i, k], arms.lag_y[i, k]
@@ -315,8 +286,8 @@ def _move(arms, work, rods, world, lanes):
 
 
 @inner
-def _burden(arms, work, rods, world, lanes):
-    """Find the impulse that each joint must give, for its speed to stay as it is: `needed`."""
+def _demand(arms, work, chain, lanes):
+    """Compute the impulse that each joint must give to keep its speed: `needed`."""
     for k in range(lanes):
         work.push_x[k] = 0.0
         work.push_y[k] = 0.0
@@ -325,28 +296,28 @@ def _burden(arms, work, rods, world, lanes):
         for i in range(arms.speed.shape[0]):
             work.wanted[i, k] = arms.speed[i, k] - parent
             parent = arms.speed[i, k]
-    _need(arms, work, rods, world, lanes)
+    _need(arms, work, chain, lanes)
 
 
 @inner
-def _push(arms, work, rods, world, lanes):
-    """Find the field's impulse on the hand, `push_x` and `push_y`, and its moment, `push_turn`.
+def _push(arms, work, chain, lanes):
+    """Compute the field's impulse on the hand, `push_x` and `push_y`, and its moment, `push_turn`.
 
-    `mmc_gym.body.force_field` says how.
+    `mmc_gym.body.force_field` has the equations.
     """
     segments = arms.angle.shape[0]
-    reach = rods[segments - 1].length - rods[segments - 1].centre
-    half = 0.5 * world.substep
-    xx, xy, yx, yy = world.field[0, 0], world.field[0, 1], world.field[1, 0], world.field[1, 1]
+    reach = chain.length[segments - 1] - chain.centre[segments - 1]
+    half = 0.5 * chain.substep
+    xx, xy, yx, yy = chain.field[0, 0], chain.field[0, 1], chain.field[1, 0], chain.field[1, 1]
     for k in range(lanes):
         x = y = 0.0
         for m in range(segments):
             i = segments - 1 - m
-            x += rods[i].length * work.cosine[i, k]
-            y += rods[i].length * work.sine[i, k]
-            work.load_x[i, k] = -y  # the way of the hand per angle of the joint
+            x += chain.length[i] * work.cosine[i, k]
+            y += chain.length[i] * work.sine[i, k]
+            work.load_x[i, k] = -y  # the Jacobian J
             work.load_y[i, k] = x
-        along = across = other = 0.0  # the hand's mobility
+        along = across = other = 0.0  # the hand's mobility Λ
         velocity_x, velocity_y = work.velocity_x[k], work.velocity_y[k]
         _let_yield(arms, work, work.load_x, k)
         for i in range(segments):
@@ -383,7 +354,7 @@ def _push(arms, work, rods, world, lanes):
 
 @inner
 def _let_yield(arms, work, impulse, k):
-    """Find by how much an impulse speeds up the joints that give way: `excess`."""
+    """Compute by how much an impulse speeds up the joints that yield: `excess`."""
     segments = arms.yields.shape[0]
     for i in range(segments):
         work.right[i, k] = impulse[i, k] * arms.yields[i, k]
@@ -394,14 +365,14 @@ def _let_yield(arms, work, impulse, k):
 
 
 @inner
-def _ask(arms, work, rods, world, lanes):
-    """Find what each joint wants, with which impulses, and how much faster its stop allows."""
-    fastest, gain, stop, rate = world.speed_limit, world.gain, world.stop_gain, 1.0 / world.substep
-    is_position = world.is_position > 0.0
+def _ask(arms, work, chain, lanes):
+    """Compute what each joint wants, within which impulses, and how much more its stop allows."""
+    fastest, gain, stop, rate = chain.speed_limit, chain.gain, chain.stop_gain, 1.0 / chain.substep
+    is_position = chain.is_position > 0.0
     for k in range(lanes):
         parent = 0.0
         for i in range(arms.angle.shape[0]):
-            least, most = rods[i].lowest_angle, rods[i].highest_angle
+            least, most = chain.lowest_angle[i], chain.highest_angle[i]
             angle = arms.angle[i, k] - parent
             parent = arms.angle[i, k]
             asked, limit, held = arms.asked[i, k], arms.limit[i, k], arms.held[i, k]
@@ -424,15 +395,15 @@ def _ask(arms, work, rods, world, lanes):
 
 
 @inner
-def _need(arms, work, rods, world, lanes):
-    """Find the impulses that give all joints what they want; tell whether any is out of bounds."""
+def _need(arms, work, chain, lanes):
+    """Compute the impulses that give joints what they want; return if any is out of bounds."""
     segments = arms.angle.shape[0]
     last = segments - 1
-    fall_x, fall_y = world.substep * world.gravity[0], world.substep * world.gravity[1]
+    fall_x, fall_y = chain.substep * chain.gravity[0], chain.substep * chain.gravity[1]
     for k in range(lanes):
         x = y = turn = 0.0
         for i in range(segments):
-            length, mass, centre = rods[i].length, rods[i].mass, rods[i].centre
+            length, mass, centre = chain.length[i], chain.mass[i], chain.centre[i]
             turn = turn + work.wanted[i, k]
             change_x = -work.sine[i, k] * turn - work.free_x[i, k]
             change_y = work.cosine[i, k] * turn - work.free_y[i, k]
@@ -447,7 +418,7 @@ def _need(arms, work, rods, world, lanes):
         x = y = beyond = 0.0
         for m in range(segments):
             i = segments - 1 - m
-            length, centre, inertia = rods[i].length, rods[i].centre, rods[i].inertia
+            length, centre, inertia = chain.length[i], chain.centre[i], chain.inertia[i]
             load_x, load_y = work.load_x[i, k], work.load_y[i, k]
             push_x = length * x + centre * load_x
             push_y = length * y + centre * load_y
@@ -460,12 +431,12 @@ def _need(arms, work, rods, world, lanes):
             is_beyond = (needed > work.highest[i, k]) | (needed < work.lowest[i, k])
             beyond += 1.0 if is_beyond else 0.0
         work.changed[k] = beyond
-    return _any_lane(work.changed, lanes)
+    return work.changed[:lanes].any()
 
 
 @inner
 def _turn(arms, work, lanes):
-    """Give the segments the velocities that the joints have found."""
+    """Set the segments' velocities to those that the joints have reached."""
     for k in range(lanes):
         speed = 0.0
         for i in range(arms.speed.shape[0]):
@@ -475,49 +446,42 @@ def _turn(arms, work, lanes):
 
 
 @inner
-def _read(arms, work, output, rods, first, lanes):
-    """Write what the arms show: segment angles, joint angles, joint velocities, hands.
-
-    Last come the cosines and sines of the joint angles, which observations tell.
-    """
-    segments = rods.shape[0]
-    count = output.shape[0] // (5 * segments + 2)
-    size = count * segments
-    turned = 3 * size + 2 * count
-    for k in range(lanes):
+def _show(arms, work, chain, shown):
+    """Write what the arms show: angles, velocities, hands, cosines and sines of joint angles."""
+    segments = arms.angle.shape[0]
+    for k in range(shown.shape[0]):
         parent = 0.0
-        for i in range(arms.angle.shape[0]):
+        for i in range(segments):
             angle = arms.angle[i, k]
             work.joint_sine[i, k], work.joint_cosine[i, k] = _sine_cosine(angle - parent)
             parent = angle
-    for k in range(lanes):
-        arm = first + k
+    for k in range(shown.shape[0]):
+        arm = shown[k]
         x = y = parent_angle = parent_speed = 0.0
         for i in range(segments):
             angle, speed = arms.angle[i, k], arms.speed[i, k]
-            at = arm * segments + i
-            output[at] = angle
-            output[size + at] = angle - parent_angle
-            output[2 * size + at] = speed - parent_speed
-            output[turned + at] = work.joint_cosine[i, k]
-            output[turned + size + at] = work.joint_sine[i, k]
-            x += rods[i].length * work.cosine[i, k]
-            y += rods[i].length * work.sine[i, k]
+            arm.segment_angles[i] = angle
+            arm.joint_angles[i] = angle - parent_angle
+            arm.joint_velocities[i] = speed - parent_speed
+            arm.joint_cosines[i] = work.joint_cosine[i, k]
+            arm.joint_sines[i] = work.joint_sine[i, k]
+            x += chain.length[i] * work.cosine[i, k]
+            y += chain.length[i] * work.sine[i, k]
             parent_angle, parent_speed = angle, speed
-        output[3 * size + 2 * arm] = x
-        output[3 * size + 2 * arm + 1] = y
+        arm.end_effector[0] = x
+        arm.end_effector[1] = y
 
 
 @inner
-def _weigh(work, rods, lanes):
-    """Find the mass matrix M from inertia and first moment of the arm beyond the later joint."""
+def _weigh(work, chain, lanes):
+    """Compute the mass matrix M from inertia and first moment of the arm beyond each joint."""
     segments = work.sine.shape[0]
     for k in range(lanes):
         x = y = inertia = beyond = 0.0
         for m in range(segments):
             j = segments - 1 - m
-            length, mass, centre = rods[j].length, rods[j].mass, rods[j].centre
-            own = mass * centre * centre + rods[j].inertia + beyond * length * length
+            length, mass, centre = chain.length[j], chain.mass[j], chain.centre[j]
+            own = mass * centre * centre + chain.inertia[j] + beyond * length * length
             moment = mass * centre + beyond * length
             beyond += mass
             cosine, sine = work.cosine[j, k], work.sine[j, k]
@@ -532,8 +496,8 @@ def _weigh(work, rods, lanes):
             for m in range(segments):
                 i = segments - 1 - m
                 if i < j:
-                    x = x + rods[i].length * work.cosine[i, k]
-                    y = y + rods[i].length * work.sine[i, k]
+                    x = x + chain.length[i] * work.cosine[i, k]
+                    y = y + chain.length[i] * work.sine[i, k]
                     along = work.moment_x[j, k] * x
                     across = work.moment_y[j, k] * y
                     work.matrix[j, i, k] = work.matrix[j, j, k] + along + across
@@ -541,21 +505,13 @@ def _weigh(work, rods, lanes):
 
 
 @inner
-def _release(work, lanes):
-    """Free all joints of their bounds."""
-    for k in range(lanes):
-        for i in range(work.bound.shape[0]):
-            work.bound[i, k] = FREE
+def _guess(arms, work, chain, lanes):
+    """Guess which bounds bind: those of the last substep, or else those that `needed` is beyond.
 
-
-@inner
-def _guess(arms, work, world, lanes):
-    """Guess which bounds bind: those of the last substep, or those that needed impulses pass.
-
-    A torque servo is nearly always at its bound.  A lane that passes none, of which `changed` keeps
-    the number, stays free: alone it would not have come here.
+    A torque servo is nearly always at its bound.  A lane where no impulse is out of bounds stays
+    free, as it would if it were alone; `changed` is their number in each lane.
     """
-    is_torque = world.is_torque > 0.0
+    is_torque = chain.is_torque > 0.0
     for k in range(lanes):
         bounds = 0.0
         for i in range(arms.asked.shape[0]):
@@ -578,7 +534,7 @@ def _guess(arms, work, world, lanes):
 
 @inner
 def _limit(work, lanes):
-    """Find z, by which each joint's velocity differs from the wanted one: `excess`."""
+    """Compute z, each joint's velocity minus the wanted one: `excess`."""
     segments = work.bound.shape[0]
     for attempt in range(10 * segments + 50):
         # Changing all wrong guesses at once is quick and may cycle; one at a time never does.
@@ -592,7 +548,7 @@ def _limit(work, lanes):
 
 @inner
 def _prescribe(work, lanes):
-    """Set up equations for the joints at a bound; others move as they want or their stop allows."""
+    """Set up equations for joints at a bound; others move as they want, or as their stop allows."""
     segments = work.bound.shape[0]
     for i in range(segments):
         for k in range(lanes):
@@ -638,7 +594,7 @@ def _solve(work, k):
 
 @inner
 def _revise(work, one_by_one, lanes):
-    """Change the guesses that the solution contradicts; tell whether there were any."""
+    """Change the guesses that the solution contradicts; return whether there were any."""
     segments = work.bound.shape[0]
     for k in range(lanes):
         work.changed[k] = 0.0
@@ -665,4 +621,4 @@ def _revise(work, one_by_one, lanes):
             work.bound[i, k] = new
             work.is_done[k] = one_by_one if new != bound else is_done
             work.changed[k] += 1.0 if new != bound else 0.0
-    return _any_lane(work.changed, lanes)
+    return work.changed[:lanes].any()

@@ -1,4 +1,4 @@
-"""Many equal arms that know nothing of each other, in a few pymunk Spaces: array in, array out.
+"""Many equal arms, each as if it were alone, in a few pymunk Spaces: array in, array out.
 
     arms      0 … 127    128 … 255    256 …
     group         0           1          2  …    stepped one after the other, or by several threads
@@ -13,7 +13,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NoReturn
+from itertools import repeat
+from typing import NoReturn
 
 import numpy as np
 import pymunk
@@ -22,9 +23,13 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from typing_extensions import override
 
 from mmc_gym.body.base import ArmBatch, Floats, Indices
-from mmc_gym.body.force_field import field_impulse
+from mmc_gym.body.force_field import HandField
 from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
+
+ARMS_PER_GROUP = 128  # with more, there are fewer calls, but less fits the cache
+_WORTH_A_THREAD = 16  # arms
+_MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
 
 class ArmGroup:
@@ -34,18 +39,19 @@ class ArmGroup:
     """
 
     def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
-        self.first, self.count, self.arms = first, count, slice(first, first + count)
+        self.first, self.arms = first, slice(first, first + count)
         self._parameters, self._servo = parameters, servo
-        joints = len(parameters.segment_lengths)
+        self._shape = count, len(parameters.segment_lengths)
         self._arms_per_space = 1 if parameters.obstacles else count
-        # A row for each body; all obstacles of a Space are one more, its last.
-        rows = self._arms_per_space * joints + bool(parameters.obstacles)
+        self._buffer = Buffer()
+        self._field = None if parameters.force_field is None else HandField(parameters)
+        # A row for each body; all obstacles of a Space are one more body, its last.
+        rows = self._arms_per_space * self._shape[1] + bool(parameters.obstacles)
         self._pushes = np.zeros((count // self._arms_per_space, rows, 3))  # force x, y and torque
         self._push_buffers = [Buffer() for _ in self._pushes]
         for buffer, pushes in zip(self._push_buffers, self._pushes):
             buffer.set_float_buf(pushes)
-        self._buffer = Buffer()
-        self._yields = np.ones((count, joints))
+        self._yields = np.ones(self._shape)
         self._spaces = [make_space(parameters) for _ in self._pushes]
         self.linkages = [self._build(member) for member in range(count)]
         self._find_servos()
@@ -56,50 +62,40 @@ class ArmGroup:
         return Linkage(space, self._parameters, self._servo)
 
     def _find_servos(self) -> None:
-        self._servo_handles = [
-            servo._constraint for linkage in self.linkages for servo in linkage.servos
-        ]
+        self._servos = [servo for linkage in self.linkages for servo in linkage.servo_handles]
 
     def drive(self, settings: Floats, torques: Floats) -> None:
         """Set the servos: their phases or rates, and their largest torques, (count, N)."""
-        servos = self._servo_handles
-        if self._servo == "position":
-            _for_each(chipmunk.cpGearJointSetPhase, servos, settings)
-        else:
-            _for_each(chipmunk.cpSimpleMotorSetRate, servos, settings)
+        is_position = self._servo == "position"
+        drive = chipmunk.cpGearJointSetPhase if is_position else chipmunk.cpSimpleMotorSetRate
+        deque(map(drive, self._servos, settings.ravel().tolist()), maxlen=0)
         if self._servo == "torque":
-            _for_each(chipmunk.cpConstraintSetMaxForce, servos, torques)
+            limits = torques.ravel().tolist()
+            deque(map(chipmunk.cpConstraintSetMaxForce, self._servos, limits), maxlen=0)
 
     def step(self, effort: tuple[Floats, Floats] | None) -> None:
         """Simulate one control step; write the servos' impulses and work (count, N) to `effort`."""
-        p = self._parameters
+        substep = self._parameters.substep
         before = self._joint_velocities() if effort else np.empty(0)
         for array in effort or ():
             array[:] = 0.0
-        for _ in range(p.substeps):
-            if p.force_field is not None:
-                self._push_hands()
+        for _ in range(self._parameters.substeps):
+            if self._field is not None:
+                self._push_hands(self._field)
             for space in self._spaces:
-                chipmunk.cpSpaceStep(space._space, p.substep)
-            if p.force_field is not None:
-                self._find_yields()
+                chipmunk.cpSpaceStep(space._space, substep)
+            if self._field is not None:
+                self._yields[:] = [linkage.yields(substep) for linkage in self.linkages]
             if effort:
                 after = self._joint_velocities()
-                given = self._of_servos(chipmunk.cpConstraintGetImpulse)
+                given = [*map(chipmunk.cpConstraintGetImpulse, self._servos)]
                 impulses, work = effort
-                impulses += given
-                work += given * np.abs(before + after) / 2
+                impulses += np.reshape(given, self._shape)
+                work += np.reshape(given, self._shape) * np.abs(before + after) / 2
                 before = after
 
     def _joint_velocities(self) -> Floats:
-        absolute = self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0]
-        velocities = absolute.copy()
-        velocities[:, 1:] -= absolute[:, :-1]
-        return velocities
-
-    def _of_servos(self, function: Callable[[Any], float]) -> Floats:
-        servos = self._servo_handles
-        return np.fromiter(map(function, servos), np.float64, len(servos)).reshape(self.count, -1)
+        return _relative(self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0])
 
     def _get(self, fields: BodyFields) -> Floats:
         """Read these fields of all segments, (count, N, values); valid until the next call."""
@@ -107,45 +103,22 @@ class ArmGroup:
         for space in self._spaces:
             get_space_bodies(space, fields, self._buffer)
         values = np.frombuffer(self._buffer.float_buf()).reshape(*self._pushes.shape[:2], -1)
-        joints = len(self._parameters.segment_lengths)
-        of_segments = values[:, : self._arms_per_space * joints]
-        return of_segments.reshape(self.count, joints, -1)
+        of_segments = values[:, : self._arms_per_space * self._shape[1]]
+        return of_segments.reshape(*self._shape, -1)
 
     def read(self, angles: Floats, velocities: Floats) -> None:
         """Write the segments' angles and angular velocities to two arrays (count, N)."""
         state = self._get(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
         angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
 
-    def _push_hands(self) -> None:
+    def _push_hands(self, field: HandField) -> None:
         """Let the force field act on the hands in the next physics step."""
-        p, joints = self._parameters, len(self._parameters.segment_lengths)
-        every = BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
-        state = self._get(BodyFields.POSITION | BodyFields.ANGLE | every).T  # (6, N, count)
-        centres, angles, velocities, speeds = state[:2], state[2], state[3:5], state[5]
-        angles = angles + p.substep * speeds
-        pushes = field_impulse(
-            p,
-            cosine(angles),
-            sine(angles),
-            speeds,
-            list(self._yields.T),
-            list(zip(*centres)),
-            list(zip(*velocities)),
-        )
+        joints = self._shape[1]
+        pushes = field.impulses(self._get(_MOTION), self._yields) / self._parameters.substep
         last = self._pushes[:, joints - 1 : self._arms_per_space * joints : joints]
-        last[:] = (np.transpose(pushes) / p.substep).reshape(last.shape)
+        last[:] = pushes.reshape(last.shape)
         for space, buffer in zip(self._spaces, self._push_buffers):
             set_space_bodies(space, BodyFields.FORCE | BodyFields.TORQUE, buffer)
-
-    def _find_yields(self) -> None:
-        """Find out which joints gave all they could, as `Linkage.yields` does."""
-        p = self._parameters
-        if p.joint_limits is not None or p.lockable_joints:
-            self._yields[:] = [linkage.yields(p.substep) for linkage in self.linkages]
-            return
-        given = self._of_servos(chipmunk.cpConstraintGetImpulse)
-        most = self._of_servos(chipmunk.cpConstraintGetMaxForce)
-        self._yields[:] = given >= (1 - 1e-9) * most * p.substep
 
     def reset(
         self,
@@ -163,7 +136,7 @@ class ArmGroup:
                 self.linkages[member] = self._build(member)
             self._find_servos()
             linkages = [self.linkages[member] for member in members]
-        elif len(linkages) == self.count:
+        elif len(linkages) == len(self.linkages):
             forget_impulses(self._spaces[0], linkages, substep)
         else:  # the other arms must not move
             for linkage in linkages:
@@ -176,32 +149,26 @@ class ArmGroup:
         self._yields[members] = 1.0
 
 
-def _for_each(function: Callable[[Any, float], None], handles: Sequence[Any], x: Floats) -> None:
-    deque(map(function, handles, x.ravel().tolist()), maxlen=0)
+def _relative(absolute: Floats) -> Floats:
+    """Return what joints do from what segments do, (..., N): angles or angular velocities."""
+    differences = absolute.copy()
+    differences[..., 1:] -= absolute[..., :-1]
+    return differences
 
 
-def _like_the_c_library(ufunc: np.ufunc, function: Callable[[float], float]) -> Any:
-    """Return `ufunc`, unless numpy's own cosine is not the one of Python and Chipmunk."""
-    sample = np.linspace(-50.0, 50.0, 4099)
-    same = ufunc(sample).tolist() == [function(x) for x in sample.tolist()]
-    return ufunc if same else np.vectorize(function, otypes=[np.float64])
+def _each(function: Callable[..., float], values: Floats, *arguments: float) -> Floats:
+    """Apply a function of `math` to each value: numpy's own may differ in the last bit."""
+    numbers = map(function, values.ravel().tolist(), *map(repeat, arguments))
+    return np.fromiter(numbers, np.float64, values.size).reshape(values.shape)
 
 
-cosine = _like_the_c_library(np.cos, math.cos)
-sine = _like_the_c_library(np.sin, math.sin)
-
-
-ARMS_PER_GROUP = 128  # with more, there are fewer calls, but less fits the cache
-_WORTH_A_THREAD = 16  # arms
-
-
-class Arms(ArmBatch):
+class PymunkArmBatch(ArmBatch):
     """Arms simulated by pymunk; `ArmBatch` documents what they are and do.
 
     Arms with obstacles have a Space each, because otherwise they would collide with each other.
 
     Example:
-        >>> arms = Arms(count=2, servo="torque")
+        >>> arms = PymunkArmBatch(count=2, servo="torque")
         >>> arms.records_effort = True
         >>> arms.command([[6.0, 0.0, -3.0], [0.0, 0.0, 0.0]])
         >>> arms.step()
@@ -210,37 +177,25 @@ class Arms(ArmBatch):
     """
 
     @override
-    def __init__(
-        self,
-        parameters: ArmParameters | None = None,
-        count: int = 1,
-        servo: Servo = "position",
-        threads: int = 1,
-    ) -> None:
-        super().__init__(parameters, count, servo, threads)
-        parameters, shape = self.parameters, self._shape
+    def _build(self) -> None:
+        shape = self._shape
         self.segment_angles, self.joint_angles = np.zeros(shape), np.zeros(shape)
         self.joint_velocities, self._segment_velocities = np.zeros(shape), np.zeros(shape)
         self.end_effectors = np.zeros((self._count, 2))
         fair = max(_WORTH_A_THREAD, -(-self._count // self._threads))
-        most = min(ARMS_PER_GROUP, fair)
-        self._arms_per_group = most
+        self._arms_per_group = most = min(ARMS_PER_GROUP, fair)
         self._groups = [
-            ArmGroup(parameters, servo, first, min(most, self._count - first))
+            ArmGroup(self.parameters, self._servo, first, min(most, self._count - first))
             for first in range(0, self._count, most)
         ]
         self._settings: Floats = np.zeros(shape)  # of the servos: phases or rates
-        self._torques: Floats = np.full(shape, parameters.torque_limit)
-        self._commanded = False  # tells whether the next step has to set the servos
+        self._torques: Floats = np.full(shape, self.parameters.torque_limit)
+        self._commanded = False  # whether the next step has to set the servos
         self._scratch = pymunk.Space()
         self._scratch.iterations = 1
-        self.reset(self.joint_angles)
 
     @override
-    def _command(self, values: Floats) -> None:
-        self._set_servos(values, slice(None))
-
-    def _set_servos(self, values: Floats, arms: slice | Indices) -> None:
+    def _command(self, values: Floats, arms: slice | Indices = slice(None)) -> None:
         p = self.parameters
         if self._servo == "velocity":
             self._settings[arms] = -np.minimum(np.maximum(values, -p.speed_limit), p.speed_limit)
@@ -249,7 +204,7 @@ class Arms(ArmBatch):
             self._torques[arms] = np.minimum(np.abs(values), p.torque_limit)
         elif p.joint_limits is None:
             angles = self.joint_angles[arms]
-            self._settings[arms] = angles + _remainder(values - angles, math.tau)
+            self._settings[arms] = angles + _each(math.remainder, values - angles, math.tau)
         else:
             low, high = np.transpose(p.joint_limits)
             self._settings[arms] = np.minimum(np.maximum(values, low), high)
@@ -282,13 +237,10 @@ class Arms(ArmBatch):
 
     def _derive(self, arms: slice | Indices) -> None:
         """Update what follows from the segments' angles and velocities."""
-        angles, velocities = self.segment_angles[arms], self._segment_velocities[arms]
-        pairs = (angles, self.joint_angles), (velocities, self.joint_velocities)
-        for absolute, relative in pairs:
-            differences = absolute.copy()
-            differences[:, 1:] -= absolute[:, :-1]
-            relative[arms] = differences
-        x, y = cosine(angles), sine(angles)
+        angles = self.segment_angles[arms]
+        self.joint_angles[arms] = _relative(angles)
+        self.joint_velocities[arms] = _relative(self._segment_velocities[arms])
+        x, y = _each(math.cos, angles), _each(math.sin, angles)
         hands = np.zeros((len(angles), 2))
         for segment, length in enumerate(self.parameters.segment_lengths):
             hands[:, 0] += length * x[:, segment]  # in the order in which `Arm` adds them
@@ -302,7 +254,7 @@ class Arms(ArmBatch):
         self.segment_angles[arms] = np.cumsum(postures, axis=1)
         self._segment_velocities[arms] = np.cumsum(speeds, axis=1)
         self._derive(arms)
-        self._set_servos(postures if self._servo == "position" else np.zeros_like(postures), arms)
+        self._command(postures if self._servo == "position" else np.zeros_like(postures), arms)
 
     @override
     def _lock(self, arms: Indices) -> None:
@@ -311,30 +263,16 @@ class Arms(ArmBatch):
                 angles = self.joint_angles[group.first + member]
                 group.linkages[member].lock(angles.tolist())
 
-    @override
-    def pivot_gaps(self) -> Floats:
-        linkages = (linkage for group in self._groups for linkage in group.linkages)
-        return np.array([linkage.pivot_gap() for linkage in linkages])
-
     def __reduce__(self) -> NoReturn:
         raise TypeError(
-            "Arms cannot be pickled or copied: Chipmunk does not show the impulses that its "
-            "joints remember; pickle the parameters and build new arms, or use an Arm each"
+            "a PymunkArmBatch cannot be pickled or copied: Chipmunk does not show the impulses "
+            "that its joints remember; pickle the parameters and build new arms, or use an Arm each"
         )
 
     def _by_group(self, arms: Indices) -> Iterable[tuple[ArmGroup, Indices, list[int]]]:
-        """Go through the groups that hold some of `arms`: which of `arms`, and of the group's."""
+        """Yield each group with some of `arms`, the rows of `arms` that it holds, and its own."""
         owners = arms // self._arms_per_group
         for owner in np.unique(owners).tolist():
             part = np.flatnonzero(owners == owner)
             group = self._groups[owner]
             yield group, part, (arms[part] - group.first).tolist()
-
-
-def _remainder(x: Floats, y: float) -> Floats:
-    """Return `math.remainder` of every element, exactly: x − n y with n = x / y rounded."""
-    size = np.abs(x)
-    rest = np.fmod(size, y)
-    other = y - rest
-    half = rest - 2.0 * np.fmod(0.5 * (size - rest), y)  # between two n: the even one
-    return np.copysign(1.0, x) * np.where(rest < other, rest, np.where(rest > other, -other, half))

@@ -3,9 +3,9 @@
     base ── pivot, servo ── segment 0 ── pivot, servo ── segment 1 ── … ── hand
 
 The rods have shapes, and can collide, only where there are obstacles.  The joints are added from
-the hand inward, each with its pivot last: Chipmunk solves them in this order again and again, and
-whatever it solves last holds best.  With all of a pivot's error corrected in every physics step,
-the pivots gape ten times less than in the order from the base outward.
+the hand inward, each with its pivot last.  Chipmunk sweeps over them in this order, and what it
+solves last is held best.  Each physics step corrects all of a pivot's error; in this order the
+pivots then gape ten times less than in the order from the base outward.
 
 Frequent calls go to Chipmunk directly, through the library that pymunk's own properties call.
 """
@@ -26,27 +26,26 @@ from mmc_gym.body.parameters import ArmParameters, Servo
 
 _FEWEST_SWEEPS, _MOST_SWEEPS = 20, 500  # with the most, a step of three segments takes 0.1 ms
 _SWEEPS_PER_MASS = 20 / 3  # of the rods beyond a joint, in masses of the first of them
-_SWEEPS_PER_LOAD = 12  # of the hand, likewise
+_SWEEPS_PER_LOAD = 12  # of the load at the hand, in the same unit
 _LARGEST_RATIO_OF_NEIGHBOURS = 10.0
-_STRONG = 1e4  # rad/s that a servo could give a segment alone in a physics step
+_STRONG = 1e4  # rad/s; a strong servo can give a lone segment more than this in a physics step
 
 
 def solver_iterations(parameters: ArmParameters) -> int:
-    """Return the number of sweeps of the solver in a physics step: so many that it has converged.
+    """Return the number of solver sweeps per physics step after which the solver has converged.
 
-    A servo or a pivot acts on the two segments that it joins as if they were alone, and further
-    sweeps pass this on to the rest of the arm.  The heavier what hangs on a segment, measured by
-    that segment, the more it takes.  Arms of the default masses, up to three segments and of any
-    lengths, take 20, with joint limits, locks, gravity and all servos: after 2 s of random commands
-    their joint angles are 0.002 rad from those of 1,000 sweeps in the median, and 0.007 rad where
-    torques throw joints against their limits.  More segments and loads at the hand take more to
-    come as near.  Servos out of all proportion to the segments need
-    ten times as many.
+    In one sweep a servo or a pivot acts on the two segments that it joins as if they were alone;
+    further sweeps pass this on to the rest of the arm.  The number grows with the mass beyond a
+    segment, relative to that segment's own.  Up to three segments of default masses and any lengths
+    take 20, with joint limits, locks, gravity and all servos: after 2 s of random commands their
+    joint angles are 0.002 rad from those of 1,000 sweeps in the median, and 0.007 rad where torques
+    throw joints against their limits.  More segments and loads at the hand need more sweeps to come
+    as near; servos out of all proportion to the segments need ten times as many.
 
     Raises:
-        UserError: if they would be too many.  Of 13,266 random arms that are not refused, of two to
-            nine segments, with lengths, masses and loads over six decades and random torques,
-            pivots of 4 gaped by more than a twentieth of the reach.
+        UserError: if too many would be needed.  Of 13,266 random arms that were not refused (two to
+            nine segments; lengths, masses and loads over six decades; random torques), the pivots
+            of 4 gaped by more than a twentieth of the reach.
     """
     rods, masses = parameters.rods, parameters.masses
     sweeps = 0.0
@@ -74,12 +73,14 @@ class Linkage:
 
     Attributes:
         segments: the bodies of the N segments; their origin is their centre of gravity.
+        rods: of each segment, the handle of its body, its length, and how far its centre of gravity
+            is from its joint.
         servos: the N constraints that drive the joints.
+        servo_handles: their handles.
         locks: the lockable joints and the constraints that make them rigid.
-        locked: tells whether the lockable joints are held.
-        hand: handle of the last body, and the hand's distance from its centre of gravity.
-        joint_handles: all constraints in the order in which Chipmunk solves them.
-        force_limits: the largest force of each, as built: a lock is open.
+        locked: whether the lockable joints are held.
+        joint_handles: all constraints, in the order in which Chipmunk solves them.
+        force_limits: the largest force of each of these, with the locks open.
     """
 
     def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
@@ -89,7 +90,7 @@ class Linkage:
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
         self.locked = False
         self._stops: list[Any] = []  # handles of the joint limits, where there are any
-        self._handles: list[tuple[Any, float, float]] = []  # body, length, centre of gravity
+        self.rods: list[tuple[Any, float, float]] = []
         # Every arm has its own base, a body that is not in the Space: bulk calls would read and
         # write the Space's own static body.
         parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), 0.0
@@ -103,16 +104,15 @@ class Linkage:
             pivot.error_bias = 0.0
             joints[-1].append(pivot)
             self.segments.append(segment)
-            self._handles.append((segment._body, length, centre))
+            self.rods.append((segment._body, length, centre))
             parent, anchor = segment, length - centre
-        self.joints = [constraint for joint in reversed(joints) for constraint in joint]
-        for constraint in self.joints:
-            space.add(constraint)
+        in_order = [constraint for joint in reversed(joints) for constraint in joint]
+        space.add(*in_order)
         if parameters.obstacles:
             self._add_shapes(space, parameters)
-        self.hand = self.segments[-1]._body, anchor
-        self.joint_handles = [constraint._constraint for constraint in self.joints]
-        self.force_limits = [constraint.max_force for constraint in self.joints]
+        self.servo_handles = [servo._constraint for servo in self.servos]
+        self.joint_handles = [constraint._constraint for constraint in in_order]
+        self.force_limits = [constraint.max_force for constraint in in_order]
 
     def _make_joint(
         self,
@@ -146,7 +146,7 @@ class Linkage:
         return constraints
 
     def _add_shapes(self, space: pymunk.Space, parameters: ArmParameters) -> None:
-        for segment, (_, length, centre) in zip(self.segments, self._handles):
+        for segment, (_, length, centre) in zip(self.segments, self.rods):
             ends = (-centre, 0.0), (length - centre, 0.0)
             shape = pymunk.Segment(segment, *ends, parameters.segment_radius)
             shape.filter = _NO_COLLISIONS_AMONG_SEGMENTS
@@ -157,10 +157,10 @@ class Linkage:
             space.add(pymunk.Circle(ground, radius, (x, y)))
 
     def place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
-        """Pose the segments, and let them move as rigid rods on pivots do."""
+        """Set the posture, and the velocities that rigid rods on pivots have in it."""
         angle = speed = x = y = velocity_x = velocity_y = 0.0
         for (segment, length, centre), joint_angle, joint_velocity in zip(
-            self._handles, joint_angles, joint_velocities
+            self.rods, joint_angles, joint_velocities
         ):
             angle += joint_angle
             speed += joint_velocity
@@ -176,7 +176,7 @@ class Linkage:
             velocity_y += speed * length * along_x
 
     def lock(self, joint_angles: Sequence[float]) -> None:
-        """Hold the lockable joints at `joint_angles`, one per joint, if they are not held yet."""
+        """Hold the lockable joints at `joint_angles`, one per joint; once only."""
         if self.locked:
             return
         self.locked = True
@@ -185,33 +185,27 @@ class Linkage:
             chipmunk.cpConstraintSetMaxForce(lock._constraint, math.inf)
 
     def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
-        """Take the joints out of one Space and into another, and keep the order of all joints.
+        """Move the joints from one Space to another, and keep the order of all joints.
 
-        Chipmunk fills the place of a removed joint with the last one of all.  If an arm's joints
-        are removed from the last to the first, those of another arm take their places in order.
+        Chipmunk fills the place of a removed joint with the last joint of the Space.  If an arm's
+        joints are removed from the last to the first, those of another arm take their places in
+        order.
         """
         for joint in reversed(self.joint_handles):
             chipmunk.cpSpaceRemoveConstraint(source._space, joint)
         for joint in self.joint_handles:
             chipmunk.cpSpaceAddConstraint(target._space, joint)
 
-    def hand_velocity(self) -> tuple[float, float]:
-        """Return the velocity (x, y) of the end of the last segment."""
-        body, reach = self.hand
-        angle = chipmunk.cpBodyGetAngle(body)
-        speed = reach * chipmunk.cpBodyGetAngularVelocity(body)
-        centre = chipmunk.cpBodyGetVelocity(body)
-        return centre.x - speed * sin(angle), centre.y + speed * cos(angle)
-
     def yields(self, substep: float) -> list[float]:
-        """Return 1 for each joint whose servo gave all it could in the last physics step, else 0.
+        """Return 1 for each joint that yields, and 0 for each that is held.
 
-        Nor does a joint yield that a stop or a lock holds.
+        A joint yields if its servo gave its largest torque in the last physics step, and neither a
+        stop nor a lock holds it.
         """
         give, most = chipmunk.cpConstraintGetImpulse, chipmunk.cpConstraintGetMaxForce
         yields = [
             1.0 if give(servo) >= (1 - 1e-9) * most(servo) * substep else 0.0
-            for servo in (servo._constraint for servo in self.servos)
+            for servo in self.servo_handles
         ]
         for joint, stop in enumerate(self._stops):
             if give(stop) > 0:
@@ -221,17 +215,9 @@ class Linkage:
                 yields[joint] = 0.0
         return yields
 
-    def pivot_gap(self) -> float:
-        """Return the largest distance between ends that a pivot should hold together, lengths."""
-        gap, end = 0.0, pymunk.Vec2d(0.0, 0.0)
-        for segment, (_, length, centre) in zip(self.segments, self._handles):
-            gap = max(gap, segment.local_to_world((-centre, 0.0)).get_distance(end))
-            end = segment.local_to_world((length - centre, 0.0))
-        return gap
-
 
 def make_space(parameters: ArmParameters) -> pymunk.Space:
-    """Return an empty Space with the gravity and the solver settings that these arms need.
+    """Return an empty Space with the gravity and the solver settings for these arms.
 
     Raises:
         UserError: for arms that Chipmunk cannot hold together.
@@ -246,9 +232,9 @@ def make_space(parameters: ArmParameters) -> pymunk.Space:
 def forget_impulses(space: pymunk.Space, linkages: Sequence[Linkage], substep: float) -> None:
     """Clear the impulses that Chipmunk's joints keep from one physics step to the next.
 
-    They are no part of a body's pose or velocity, and a reset arm would not move as a new one does.
-    A step of `space` in which no joint may exert a force clears them.  `space` must hold the joints
-    of these linkages and no others.  Locks are open afterwards.
+    With them, a reset arm would not move as a new one does.  A step of `space` in which no joint
+    may exert a force clears them.  `space` must hold the joints of these linkages and no others.
+    Locks are open afterwards.
     """
     for linkage in linkages:
         for joint in linkage.joint_handles:
