@@ -1,4 +1,7 @@
-"""Errors about what a user gave."""
+"""Errors about what a user gave.
+
+Messages name the argument, the value and what is accepted.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import functools
 import inspect
 import math
 import sys
-from collections.abc import Callable, Container, Iterable, Mapping, Set
+from collections.abc import Callable, Container, Iterable
 from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
@@ -18,15 +21,16 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 Class = TypeVar("Class", bound=type)
-_LONGEST_VALUE = 200  # signs
+Numbers = tuple[float, ...]
+_LONGEST_VALUE = 200  # characters
 
 
 class UserError(ValueError):
-    """An argument, a file or a command is not what is accepted.
+    """An argument, a file or a command is not accepted.
 
-    Its message names the argument, the value and what is accepted; where that is a choice among
-    names, the value comes first and the names last.  The command line prints it in one line.  Any
-    other exception is a defect, and keeps its traceback.
+    The message names the argument, what is accepted and the value; for a choice among names, the
+    value comes first and the names last.  The command line prints it in one line.  Any other
+    exception is a defect, and keeps its traceback.
     """
 
 
@@ -34,19 +38,15 @@ class MissingExtraError(UserError, ImportError):
     """A package of an extra is needed, and not installed."""
 
 
-def missing(what: str, package: str, extra: str) -> MissingExtraError:
-    """Return the error about something that needs a package of an extra.
+class MismatchWarning(UserWarning):
+    """Something acts in another environment than it was made for."""
 
-    >>> print(missing("--cluster ray", "ray", "cluster"))
-    --cluster ray needs ray, which is not installed: pip install "mmc-gym[cluster]"
-    """
+
+def missing(what: str, package: str, extra: str) -> MissingExtraError:
+    """Return the error about something that needs a package of an extra."""
     return MissingExtraError(
         f'{what} needs {package}, which is not installed: pip install "mmc-gym[{extra}]"'
     )
-
-
-class MismatchWarning(UserWarning):
-    """What was made for one environment acts in another; the command line prints it in one line."""
 
 
 def require(fine: bool, name: str, value: object, accepted: str) -> None:
@@ -59,34 +59,29 @@ def require(fine: bool, name: str, value: object, accepted: str) -> None:
         mmc_gym._errors.UserError: damping must be positive and finite, got -1.0
     """
     if not fine:
-        raise UserError(f"{name} must be {accepted}, got {_shown(value)}")
+        raise UserError(f"{name} must be {accepted}, got {shown(value)}")
 
 
-def _shown(value: object) -> str:
-    """Return how a value is written in code, cut off where that is long."""
+def shown(value: object) -> str:
+    """Return a value as it is written in code, cut off where that is long."""
     text = repr(value)
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
 
-# Numbers
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Tell whether a value is a real number; texts and bools are none."""
-    return isinstance(value, Real) and not isinstance(value, bool)
+# Numbers: each function returns the value converted, or raises a `UserError` that names it.
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Tell whether a value is a whole number; bools are none."""
+    """Tell whether a value is a whole number; bools are not."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def is_point(numbers: tuple[float, ...]) -> bool:
+def is_point(numbers: Numbers) -> bool:
     """Tell whether numbers are a point or vector (x, y), finite."""
     return len(numbers) == 2 and all(map(math.isfinite, numbers))
 
 
-def is_disc(numbers: tuple[float, ...]) -> bool:
+def is_disc(numbers: Numbers) -> bool:
     """Tell whether numbers are a disc (x, y, radius), finite and of positive radius."""
     return len(numbers) == 3 and all(map(math.isfinite, numbers)) and numbers[2] > 0
 
@@ -94,52 +89,42 @@ def is_disc(numbers: tuple[float, ...]) -> bool:
 def require_number(
     name: str, value: Any, accepted: str, fine: Callable[[float], bool] = math.isfinite
 ) -> float:
-    """Return the value as a float; raise a `UserError` unless it is a number and `fine` holds.
-
-    >>> require_number("speed_limit", "fast", "positive", lambda speed: speed > 0)
-    Traceback (most recent call last):
-    ...
-    mmc_gym._errors.UserError: speed_limit must be positive, got 'fast'
-    """
-    require(is_number(value) and fine(float(value)), name, value, accepted)
+    """Return a real number, for which `fine` holds, as a float; texts and bools are not numbers."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    require(is_number and fine(float(value)), name, value, accepted)
     return float(value)
 
 
 def require_finite(name: str, value: Any) -> float:
-    """Return the value as a float; raise a `UserError` unless it is a finite number."""
+    """Return a finite number."""
     return require_number(name, value, "a finite number")
 
 
 def require_positive(name: str, value: Any) -> float:
-    """Return the value as a float; raise a `UserError` unless it is positive and finite."""
+    """Return a positive, finite number."""
     return require_number(name, value, "positive and finite", lambda number: 0 < number < math.inf)
 
 
 def require_not_negative(**values: Any) -> None:
-    """Raise a `UserError` that names the first that is negative, not finite or not a number."""
+    """Check that all values are finite and not negative."""
     for name, value in values.items():
-        accepted = "finite and not negative"
-        require_number(name, value, accepted, lambda number: 0 <= number < math.inf)
+        require_number(
+            name, value, "finite and not negative", lambda number: 0 <= number < math.inf
+        )
 
 
 def require_whole(name: str, value: Any, least: int = 1) -> int:
-    """Return the value as an int; raise a `UserError` unless it is whole and at least `least`."""
-    fine = is_whole(value) and value >= least
-    require(fine, name, value, f"a whole number of at least {least}")
+    """Return a whole number of at least `least`."""
+    require(is_whole(value) and value >= least, name, value, f"a whole number of at least {least}")
     return int(value)
 
 
 def require_numbers(
-    name: str, value: Any, accepted: str, fine: Callable[[tuple[float, ...]], bool]
-) -> tuple[float, ...]:
-    """Return the value as a tuple of floats; raise a `UserError` unless `fine` holds for it.
-
-    >>> require_numbers("gravity", 9.81, "two values (x, y)", lambda both: len(both) == 2)
-    Traceback (most recent call last):
-    ...
-    mmc_gym._errors.UserError: gravity must be two values (x, y), got 9.81
-    """
-    numbers = _numbers(value)
+    name: str, value: Any, accepted: str, fine: Callable[[Numbers], bool]
+) -> Numbers:
+    """Return a list, tuple or array of numbers, for which `fine` holds, as floats."""
+    array = _array(value)
+    numbers = tuple(array.astype(np.float64).tolist()) if array.ndim == 1 else None
     require(numbers is not None and fine(numbers), name, value, accepted)
     return numbers or ()
 
@@ -148,53 +133,40 @@ def require_rows(
     name: str,
     value: Any,
     accepted: str,
-    fine: Callable[[tuple[float, ...]], bool],
+    fine: Callable[[Numbers], bool],
     counts: Container[int] = range(sys.maxsize),
-) -> tuple[tuple[float, ...], ...]:
-    """Return the value as tuples of floats, its rows.
-
-    Raises:
-        UserError: unless `fine` holds for each row, and their number is one of `counts`.
-    """
-    items = _items(value)
-    rows = [numbers for item in items or () if (numbers := _numbers(item)) and fine(numbers)]
-    are_fine = items is not None and len(rows) == len(items) and len(items) in counts
-    require(are_fine, name, value, accepted)
-    return tuple(rows)
+) -> tuple[Numbers, ...]:
+    """Return rows of floats, for each of which `fine` holds; their number is one of `counts`."""
+    array = _array(value)
+    rows = tuple(map(tuple, array.astype(np.float64).tolist())) if array.ndim == 2 else ()
+    are_rows = array.ndim == 2 or array.shape == (0,)
+    require(are_rows and len(rows) in counts and all(map(fine, rows)), name, value, accepted)
+    return rows
 
 
 def require_array(
     name: str, value: Any, accepted: str = "an array of numbers"
 ) -> NDArray[np.floating]:
-    """Return the value as an array of floats, of float32 if it is one; or raise a `UserError`."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # of uneven lengths
-        array = np.array(None)
-    require(array.dtype.kind in "fiu", name, value, accepted)
+    """Return an array of floats: of float32 if it is one, otherwise of float64."""
+    array = _array(value)
+    require(array.dtype != object, name, value, accepted)
     return array if array.dtype == np.float32 else array.astype(np.float64)
 
 
-def _items(value: Any) -> list[Any] | None:
-    """Return the items of a list, tuple or array; None for anything else."""
-    if isinstance(value, (str, bytes, Mapping, Set)) or not isinstance(value, Iterable):
-        return None
+def _array(value: Any) -> NDArray[Any]:
+    """Return a value as an array of numbers; as a single None if it is none."""
     try:
-        return list(value)
-    except TypeError:  # an array without axes
-        return None
-
-
-def _numbers(value: Any) -> tuple[float, ...] | None:
-    items = _items(value)
-    return tuple(map(float, items)) if items is not None and all(map(is_number, items)) else None
+        array = np.asarray(value)
+    except ValueError:  # of uneven lengths
+        return np.array(None)
+    return array if array.dtype.kind in "fiu" else np.array(None)
 
 
 # Names
 
 
 def nearest(value: object, known: Iterable[object]) -> str:
-    """Return the one of `known` that is spelt most like a value, or "" if none is near.
+    """Return the one of `known` whose spelling is closest to a value, or "" if none is close.
 
     >>> nearest("persuit", ["random", "pursuit"])
     'pursuit'
@@ -207,24 +179,23 @@ def nearest(value: object, known: Iterable[object]) -> str:
 def unknown(
     name: str, value: object, known: Iterable[object], *also: str, guess: str = ""
 ) -> UserError:
-    """Return the error about a value that is none of the known ones.
+    """Return the error about a value that is not among the known ones.
 
     Args:
         name: of the argument.
-        value: what was given.
-        known: the names that it may be, or None.
+        value: the one that was given.
+        known: the names that are accepted; None may be one.
         also: what else is accepted, in words.
-        guess: what may have been meant, instead of the name that is nearest.
+        guess: a suggestion, instead of the closest name.
 
     >>> print(unknown("engine", "pymunck", ["pymunk", "analytic"]))
     engine 'pymunck' is not accepted; did you mean 'pymunk'? It may be pymunk or analytic
     """
     known = list(known)
-    guess = guess or nearest(value, known)
     *others, last = [*map(str, known), *also]
     choices = f"{', '.join(others)} or {last}" if others else last
-    question = _question(guess)
-    return UserError(f"{name} {_shown(value)} is not accepted{question} It may be {choices}")
+    question = _question(guess or nearest(value, known))
+    return UserError(f"{name} {shown(value)} is not accepted{question} It may be {choices}")
 
 
 def _question(guess: str) -> str:
@@ -238,24 +209,8 @@ def require_choice(name: str, value: object, known: Iterable[object]) -> None:
         raise unknown(name, value, known)
 
 
-def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise a `UserError` that names the first argument in `given` that is not known.
-
-    >>> require_known("ArmParameters", ["segment_length"], ["segment_lengths", "gravity"])
-    Traceback (most recent call last):
-    ...
-    mmc_gym._errors.UserError: ArmParameters takes no argument 'segment_length'; did you mean \
-'segment_lengths'? It takes segment_lengths, gravity
-    """
-    known = tuple(known)
-    for name in given:
-        if name not in known:
-            guess = _question(nearest(name, known))
-            raise UserError(f"{what} takes no argument {name!r}{guess} It takes {', '.join(known)}")
-
-
 def spelt(cls: Class) -> Class:
-    """Let a class tell which of its arguments is misspelt, and what may have been meant."""
+    """Let a class name an unknown argument of its constructor, and suggest the closest one."""
     plain: Any = cls.__init__  # type: ignore[misc]
     known = tuple(inspect.signature(cls).parameters)
 
@@ -268,14 +223,16 @@ def spelt(cls: Class) -> Class:
     return cls
 
 
+def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise a `UserError` that names the first argument in `given` that is not known."""
+    known = tuple(known)
+    for name in given:
+        if name not in known:
+            guess = _question(nearest(name, known))
+            raise UserError(f"{what} takes no argument {name!r}{guess} It takes {', '.join(known)}")
+
+
 # Files, checked by pydantic
-
-
-_OURS = {
-    "Input should be": "must be",
-    "greater than or equal to": "at least",
-    "less than or equal to": "at most",
-}
 
 
 def explain(error: ValidationError) -> str:
@@ -285,14 +242,15 @@ def explain(error: ValidationError) -> str:
     """
     complaints = []
     for each in error.errors(include_url=False):
-        entry, value = ".".join(map(str, each["loc"])), each["input"]
+        entry = ".".join(map(str, each["loc"]))
+        accepted = each["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        accepted = accepted.replace("greater than or equal to", "at least")
         if each["type"] == "missing":
             complaints.append(f"{entry} must be given")
         elif each["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             complaints.append(f"{entry} is not known")
         else:
-            accepted = each["msg"].removeprefix("Value error, ")
-            for theirs, ours in _OURS.items():
-                accepted = accepted.replace(theirs, ours)
-            complaints.append(f"{entry} {accepted}, got {value!r}" if entry else accepted)
+            complaints.append(
+                f"{entry} {accepted}, got {shown(each['input'])}" if entry else accepted
+            )
     return "; ".join(complaints)

@@ -176,16 +176,16 @@ def train(
     env_kwargs: tuple[str, ...] = (),
     imports: Imports = (),
 ) -> None:
-    """Train an agent by its YAML hyperparameters; a killed training goes on with --resume.
+    """Train an agent with YAML hyperparameters; --resume continues a killed training.
 
     Args:
         name: A name that ships, such as ppo or tqc-her, or your own YAML file: my/ppo-mine.yml.
-        all: Train every policy that ships with the package; goes on where it was interrupted.
-        env: Environment id, of those in the YAML file (default: the first).
+        all: Train every policy that ships (ppo-memory is a study); resumes where interrupted.
+        env: One of the environment ids in the YAML file (default: the first).
         seed: Seed of everything random.
         steps: Environment steps, instead of those in the YAML file.
         out: Folder for checkpoint and policy (default: runs/NAME-SEED, or runs/train-all).
-        resume: Go on from the checkpoint in the folder, if there is one; --all always does.
+        resume: Continue from the checkpoint in the folder, if there is one; --all always does.
         tensorboard: Folder for TensorBoard's logs.
         device: Device that PyTorch computes on: cpu, cuda, cuda:1, auto.
         jobs: With --all: how many trainings at once (default: one per core).
@@ -262,9 +262,9 @@ def _train_one(
 def _train_all(
     out: Path, steps: int | None, device: str, jobs: int | None, cluster: str | None
 ) -> None:
-    from mmc_gym.training import grid
+    from mmc_gym.training import training
 
-    policies = grid.shipped_policies()
+    policies = training.shipped_policies()
     with progress_bar() as bar:
         task = bar.add_task("policies", total=len(policies))
 
@@ -278,7 +278,7 @@ def _train_all(
         def on_note(note: str) -> None:
             bar.console.print(note, markup=False, highlight=False)
 
-        grid.train_all(
+        training.train_all(
             policies,
             out,
             steps=steps,
@@ -297,7 +297,7 @@ def tune(
     steps: int = 200_000,
     out: Path = Path("runs/tune"),
 ) -> None:
-    """Let Optuna look for better constants; goes on where it stopped.
+    """Let Optuna look for better constants; resumes where it stopped.
 
     Args:
         name: What to tune: mmc, or what train takes.

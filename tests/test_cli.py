@@ -51,7 +51,7 @@ def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, caps
     def fail(*arguments, **options):
         raise CellError(3, "cell", "ValueError: the first line\nthe second")
 
-    monkeypatch.setattr("mmc_gym.training.grid.train_all", fail)
+    monkeypatch.setattr("mmc_gym.training.training.train_all", fail)
     with pytest.raises(SystemExit) as stop:
         main(["train", "--all"])
     assert stop.value.code == 1

@@ -170,7 +170,7 @@ def test_an_error_names_its_cell_after_the_others_are_handed_over(jobs):
     [
         (raise_unpicklable, 1, "RuntimeError: Unpicklable: lost a half"),
         (end, 1, "SystemExit: 3"),
-        (square, (n for n in ()), "TypeError: it cannot be pickled: .*generator"),
+        (square, (n for n in ()), "cell 0, .*TypeError: it cannot be pickled: .*generator"),
     ],
 )
 def test_what_cannot_travel_is_an_error_of_its_cell(function, cell, message):
@@ -258,9 +258,8 @@ def test_a_worker_computes_on_one_thread(jobs, monkeypatch):
     before = torch.get_num_threads()
     torch.set_num_threads(2)
     try:
-        assert run_grid(threads, range(2), jobs=jobs) == [(1, "1")] * 2
+        assert run_grid(threads, range(2), jobs=jobs) == [(1, "1" if jobs > 1 else None)] * 2
         assert torch.get_num_threads() == 2
-        assert "OMP_NUM_THREADS" not in os.environ
     finally:
         torch.set_num_threads(before)
 
@@ -352,8 +351,8 @@ def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeyp
     assert len(seen) < 80
     with pytest.raises(CellError, match="cell 0, 1, failed: SystemExit: 3"):
         run_grid(end, [1], cluster="ray")
-    monkeypatch.setattr(_grid, "_machine_and_sources", lambda: ("elsewhere", "others"))
-    with pytest.raises(CellError, match="has other sources than on elsewhere"):
+    monkeypatch.setattr(_grid, "_sources", lambda: "others")
+    with pytest.raises(CellError, match="has other sources of mmc_gym"):
         run_grid(square, [1], cluster="ray")
     assert ray.is_initialized()  # what was there stays
 

@@ -133,6 +133,7 @@ def _trained(
     view: View = "arm",
     base_agent: str = "",
     memory: int = 0,
+    command: str = "",
 ) -> AgentEntry:
     def build(interface: ReachInterface) -> Agent[Any]:
         # Not at the top: pydantic, which checks the card, takes a while to load.
@@ -141,7 +142,7 @@ def _trained(
         return PolicyAgent(*load_policy(shipped_file(name, 0)), interface)
 
     return AgentEntry(
-        f"{description}, trained by `mmc-gym train {name}`",
+        f"{description}, trained by `{command or f'mmc-gym train {name}'}`",
         build,
         learned_knowledge(view, base_agent, memory=memory),
         control=control,
@@ -198,10 +199,11 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "ppo-memory": _trained(
         "ppo-memory",
-        "a memory of 1.4 s, taught by PPO that is told the truth, under perturbations drawn anew "
-        "for each episode",
+        "a memory of 1.4 s, taught by PPO that is given the truth, under perturbations drawn for "
+        "each episode",
         training_seeds=3,
         memory=68,
+        command="python -m studies.learners.ppo_memory",
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",

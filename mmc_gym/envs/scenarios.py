@@ -59,6 +59,7 @@ class Family:
         told: strengths of the benchmark that agents are told; None if they cannot be told.
         ids: names that have an id, the family's by default; if agents can be told, so have
             those with `-told`.
+        whole: strengths are whole numbers, of a joint or a count.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Family:
     strengths: tuple[float, ...] = ()
     told: tuple[float, ...] | None = None
     ids: tuple[str, ...] = ()
+    whole: bool = False
 
     @property
     def scenarios(self) -> list[Scenario]:
@@ -468,6 +470,7 @@ FAMILIES: dict[str, Family] = {
             description="joint {} (from the base) locked from the start",
             default=2.0,
             make=_joint,
+            whole=True,
             strengths=(1.0, 2.0, 3.0),
             told=(1.0, 2.0, 3.0),
         ),
@@ -477,6 +480,7 @@ FAMILIES: dict[str, Family] = {
             description="joint {} (from the base) locked after 0.2 s",
             default=2.0,
             make=lambda joint: _joint(joint, time=0.2),
+            whole=True,
             strengths=(1.0, 2.0, 3.0),
             told=(2.0,),
         ),
@@ -527,6 +531,7 @@ FAMILIES: dict[str, Family] = {
             description="fixed discs stop the arm, {}",
             default=2.0,
             make=_obstacles,
+            whole=True,
             strengths=(1.0, 2.0, 4.0),
         ),
         Family(

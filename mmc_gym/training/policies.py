@@ -1,26 +1,39 @@
-"""Policies of stable-baselines3 and sb3-contrib, and as plain arrays.
+"""Policies of stable-baselines3 and sb3-contrib; their networks and checkpoints as plain arrays.
 
-Most are "MlpPolicy", as everyone else's.  Those that see through one of our `views` have full names
-in YAML files, so that rl_zoo3 finds them too.
+Most policies are "MlpPolicy", as everyone else's.  Those with one of our `views` have full names in
+YAML files, so that rl_zoo3 finds them too.
+
+A checkpoint is the state of a model as safetensors, all that a training needs to continue: weights
+and optimizers, the entropy coefficient if it is learned, the step counts, and the filled part of
+the replay buffer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+import safetensors.torch
 import torch
 from gymnasium import spaces
+from numpy.typing import NDArray
+from safetensors import SafetensorError
 from sb3_contrib.tqc.policies import TQCPolicy
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from typing_extensions import override
 
+from mmc_gym._errors import UserError
+from mmc_gym._files import write_atomically
 from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
 from mmc_gym.agents.views import View, feature_count, features, turned_actions
 from mmc_gym.interface import ObservationLayout
-from mmc_gym.training.taught import TaughtPolicy
 
 ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
     "relu": torch.nn.ReLU,
@@ -32,12 +45,12 @@ class ViewLayer(BaseFeaturesExtractor):
     """`features` as a layer without parameters."""
 
     def __init__(self, observation_space: spaces.Space[Any], view: View, joint_count: int) -> None:
-        """Make the layer for the observations of an arm with `joint_count` joints.
+        """Make the layer for an arm with `joint_count` joints.
 
         Raises:
-            ValueError: if the observations are those of no such arm.
+            ValueError: if the observations are not those of such an arm.
         """
-        layout = ObservationLayout(joint_count, reach=1.0)  # features have no need of it
+        layout = ObservationLayout(joint_count, reach=1.0)  # features do not depend on the reach
         additions = layout.additions(observation_space)
         super().__init__(observation_space, feature_count(view, layout) + additions)
         self.view: View = view
@@ -71,8 +84,8 @@ class _HasView(BasePolicy):
 class PPOTargetPolicy(_HasView, ActorCriticPolicy):
     """`ActorCriticPolicy` with the target's view, for joint positions.
 
-    Its distribution is over actions in this view.  They are turned as they go out, and turned back
-    where their probability is asked for.
+    Its distribution is over actions in this view.  They are turned into the world's frame as they
+    leave the policy, and turned back to compute their probability.
     """
 
     view = "target"
@@ -103,47 +116,57 @@ class PPOTargetPolicy(_HasView, ActorCriticPolicy):
 
 
 class TQCGoalPolicy(_HasView, TQCPolicy):
-    """`TQCPolicy` that sees a goal environment as `MMCReach-v0` shows itself."""
+    """`TQCPolicy` that sees observations of a goal environment in the form of `MMCReach-v0`."""
 
 
 POLICIES: dict[str, type[BasePolicy]] = {
-    f"{policy.__module__}.{policy.__name__}": policy
-    for policy in (PPOTargetPolicy, TQCGoalPolicy, TaughtPolicy)
+    f"{policy.__module__}.{policy.__name__}": policy for policy in (PPOTargetPolicy, TQCGoalPolicy)
 }
 
 
 def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
-    """Return the network of a policy that PPO, SAC or TQC trains, and what it sees.
-
-    The weights are copies.
+    """Return a copy of the network of a policy that PPO, SAC or TQC trains, and its view.
 
     Raises:
-        ValueError: if the policy has another kind of layers, or none of our views.
+        ValueError: if the policy has other layers, or none of our views.
     """
-    parts: dict[str, Any]
-    layer: Any
-    hidden: Any
+    actor: Any
     distribution: Distribution = "gaussian"
-    if isinstance(policy, TaughtPolicy):
-        *layers, mean = policy.student
-        layer, hidden = FlattenExtractor(policy.observation_space), layers
-        parts = {"mean": mean, "log_std": policy.student_log_std}
-    elif isinstance(policy, ActorCriticPolicy):
-        layer, hidden = policy.features_extractor, policy.mlp_extractor.policy_net
-        parts = {"mean": policy.action_net, "log_std": policy.log_std}
+    if isinstance(policy, ActorCriticPolicy):
+        actor = policy
+        hidden, mean = actor.mlp_extractor.policy_net, actor.action_net
     else:
-        actor: Any = policy.actor
-        layer, hidden = actor.features_extractor, actor.latent_pi
-        parts = {"mean": actor.mu, "log_std": actor.log_std}
-        distribution = "squashed"
+        actor, distribution = policy.actor, "squashed"
+        hidden, mean = actor.latent_pi, actor.mu
+    layer = actor.features_extractor
     if not isinstance(layer, (FlattenExtractor, ViewLayer)):
         raise ValueError(f"policy must see the observation or one of our views, got {layer}")
-    linear = [part for part in hidden if isinstance(part, torch.nn.Linear)]
-    parts |= {f"hidden.{index}": part for index, part in enumerate(linear)}
-    kinds = {type(part) for part in hidden} - {torch.nn.Linear}
+    view: View = layer.view if isinstance(layer, ViewLayer) else "arm"
+    return export_network(hidden, mean, actor.log_std, distribution), view
+
+
+def export_network(
+    hidden: Iterable[torch.nn.Module], mean: Any, log_std: Any, distribution: Distribution
+) -> PolicyNetwork:
+    """Return a copy of an actor's layers as arrays.
+
+    Args:
+        hidden: linear layers, each followed by the same activation, see `ACTIVATIONS`.
+        mean: layer that gives the mean of the actions.
+        log_std: layer or parameter that gives the logarithm of their standard deviation.
+        distribution: see `PolicyNetwork`.
+
+    Raises:
+        ValueError: if there are other layers.
+    """
+    hidden = list(hidden)
+    linear = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)]
+    kinds = {type(layer) for layer in hidden} - {torch.nn.Linear}
     activation = next((name for name, kind in ACTIVATIONS.items() if kinds == {kind}), None)
     if activation is None:
         raise ValueError(f"policy must have one of {list(ACTIVATIONS)} between layers, got {kinds}")
+    parts = {"mean": mean, "log_std": log_std}
+    parts |= {f"hidden.{index}": layer for index, layer in enumerate(linear)}
     tensors: dict[str, Float32] = {}
     for name, part in parts.items():
         if isinstance(part, torch.nn.Linear):
@@ -153,10 +176,108 @@ def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
         else:
             kind = type(part).__name__
             raise ValueError(f"policy must have linear layers, got {kind} for {name}")
-    view = layer.view if isinstance(layer, ViewLayer) else "arm"
-    return PolicyNetwork(tensors, activation, distribution), view
+    return PolicyNetwork(tensors, activation, distribution)
 
 
 def _array(parameter: torch.Tensor) -> Float32:
     array: Float32 = parameter.detach().cpu().numpy().copy()
     return array
+
+
+Tensors = dict[str, torch.Tensor]
+
+
+def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> None:
+    """Write the model's state, and `head`, which must be JSON, to `path`, all or nothing."""
+    tensors: Tensors = {}
+    for name, part in model.get_parameters().items():
+        if "state" in part and "param_groups" in part:
+            for index, moments in part["state"].items():
+                for moment, value in moments.items():
+                    tensors[f"optimizer/{name}/{index}/{moment}"] = value
+        else:
+            tensors |= {f"module/{name}/{key}": value for key, value in part.items()}
+    tensors |= {f"variable/{name}": tensor for name, tensor in _variables(model).items()}
+    counts = {"steps": model.num_timesteps, "updates": model._n_updates}
+    buffer = _replay_buffer(model)
+    if buffer is not None:
+        counts |= {"position": buffer.pos, "full": bool(buffer.full)}
+        for name, array in _arrays(buffer).items():
+            tensors[f"replay/{name}"] = torch.from_numpy(array[: buffer.size()])
+    content = safetensors.torch.save(
+        {name: tensor.detach().contiguous() for name, tensor in tensors.items()},
+        metadata={"head": json.dumps({**head, "model": counts})},
+    )
+    write_atomically(path, content)
+
+
+def read_head(path: Path) -> dict[str, Any]:
+    """Return the head that `save_checkpoint` was given.
+
+    Raises:
+        UserError: if the file is not a checkpoint.
+    """
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            head: dict[str, Any] = json.loads(file.metadata()["head"])
+            return head
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path} does not hold a training: {error}") from error
+
+
+def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
+    """Bring a model, made with the same arguments, to the state in the checkpoint with that head.
+
+    Raises:
+        UserError: if the file is not a checkpoint, or that of another model, which may then have
+            been changed in part.
+    """
+    try:
+        counts = head["model"]
+        parameters: dict[str, Any] = {
+            name: {**part, "state": {}} if "param_groups" in part else {}
+            for name, part in model.get_parameters().items()
+        }
+        variables, buffer = _variables(model), _replay_buffer(model)
+        arrays = _arrays(buffer) if buffer is not None else {}
+        for key, tensor in safetensors.torch.load_file(path).items():
+            kind, name, *rest = key.split("/")
+            if kind == "variable":
+                variables.pop(name).data.copy_(tensor)
+            elif kind == "module":
+                parameters[name]["/".join(rest)] = tensor
+            elif kind == "optimizer":
+                index, moment = rest
+                parameters[name]["state"].setdefault(int(index), {})[moment] = tensor
+            else:
+                arrays.pop("/".join([name, *rest]))[: len(tensor)] = tensor.numpy()
+        if lacking := sorted(variables | arrays):
+            raise ValueError(f"it lacks {lacking}")
+        model.set_parameters(parameters, exact_match=True, device=model.device)
+        if buffer is not None:
+            buffer.pos, buffer.full = counts["position"], counts["full"]
+        model.num_timesteps, model._n_updates = counts["steps"], counts["updates"]
+    except (KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
+        raise UserError(f"{path} does not hold a training of this kind: {error}") from error
+
+
+def _variables(model: BaseAlgorithm) -> Tensors:
+    """Return what is learned outside of modules: the logarithm of the entropy coefficient."""
+    _, names = model._get_torch_save_params()
+    return {name: getattr(model, name) for name in names if name == "log_ent_coef"}
+
+
+def _replay_buffer(model: Any) -> ReplayBuffer | None:
+    return getattr(model, "replay_buffer", None)
+
+
+def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a replay buffer that have a row for each step, by name."""
+    found: dict[str, NDArray[Any]] = {}
+    for name, value in vars(buffer).items():
+        parts = value.items() if isinstance(value, dict) else [("", value)]
+        for key, array in parts:
+            has_rows = isinstance(array, np.ndarray) and array.shape[:1] == (buffer.buffer_size,)
+            if has_rows and array.dtype != object:
+                found[f"{name}/{key}" if key else name] = array
+    return found

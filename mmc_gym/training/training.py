@@ -1,23 +1,24 @@
-"""Train policies with stable-baselines3, resumable bit for bit.
+"""Train policies with stable-baselines3, resumable bit for bit: one, or many at once.
 
 A training is cut into legs.  At the start of each leg the environments are reset, all random
 generators are seeded from the training's seed and the leg's number, and the state of the training
-is written to a checkpoint.  So a training that was killed goes on from its last leg, and ends with
-the same policy as one that was not.
+is written to a checkpoint.  So a killed training resumes from its last leg, and ends with the same
+policy as an undisturbed one.
 """
 
 from __future__ import annotations
 
 import platform
+import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import gymnasium as gym
 import numpy as np
@@ -28,8 +29,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_wrapper
 
 from mmc_gym._errors import UserError, is_whole, missing, require, require_whole
-from mmc_gym._files import check_folder
-from mmc_gym._grid import one_torch_thread
+from mmc_gym._files import check_folder, write_atomically
+from mmc_gym._grid import one_torch_thread, run_grid
+from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     FINAL_EPISODES,
@@ -42,10 +44,13 @@ from mmc_gym.agents.policy import (
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.interface import ReachInterface, read_attribute
 from mmc_gym.measures.rollout import evaluate
-from mmc_gym.training.checkpoints import load_checkpoint, read_head, save_checkpoint
-from mmc_gym.training.hyperparameters import Recipe, read_recipe
-from mmc_gym.training.policies import export_policy
-from mmc_gym.training.randomised import Memory
+from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
+from mmc_gym.training.policies import (
+    export_policy,
+    load_checkpoint,
+    read_head,
+    save_checkpoint,
+)
 from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -53,7 +58,7 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """How far a training is, and the last row of its learning curve if it was just evaluated."""
+    """Progress of a training, and the last row of its learning curve if it was just evaluated."""
 
     steps: int
     total_steps: int
@@ -62,7 +67,9 @@ class TrainingProgress:
 
 @dataclass
 class Training:
-    """A training in one environment, by the hyperparameters of a YAML file.
+    """A training in one environment, with the hyperparameters of a YAML file.
+
+    To train another learner, override `make_model` and `export`.
 
     Attributes:
         seed: of everything random.
@@ -72,7 +79,7 @@ class Training:
         device: that torch computes on.
         tensorboard: folder for TensorBoard's logs; None for none.
         curve: a row for each evaluation.
-        interface: what its agent is told; known once it runs.
+        interface: of the environment; set once it runs.
     """
 
     recipe: Recipe
@@ -97,17 +104,13 @@ class Training:
         if self.tensorboard is not None and find_spec("tensorboard") is None:
             raise missing("a log for TensorBoard", "tensorboard", "training")
         self.device = usable_device(self.device)
-        self.settings = self.recipe.settings
-        try:
-            episode_steps = gym.spec(self.recipe.env_id).max_episode_steps or 1
-        except gym.error.Error as error:
-            raise UserError(f"env must be the id of an environment: {error}") from error
-        self.steps_per_leg = self.settings.steps_per_leg(episode_steps, self.evaluations)
-        self.total_steps = -(-self.settings.n_timesteps // self.steps_per_leg) * self.steps_per_leg
+        self.steps_per_leg = self.recipe.steps_per_leg(self.evaluations)
+        steps = self.recipe.settings["n_timesteps"]
+        self.total_steps = -(-steps // self.steps_per_leg) * self.steps_per_leg
 
     @property
     def checkpoint(self) -> Path:
-        """The file that a training goes on from."""
+        """The file from which a training resumes."""
         return self.folder / CHECKPOINT
 
     @property
@@ -117,20 +120,20 @@ class Training:
         return self.folder / f"{label}.safetensors", self.folder / f"{label}.json"
 
     def run(self, resume: bool = False) -> PolicyCard:
-        """Train, or go on training, and write the policy.
+        """Train, or resume a training, and write the policy.
 
         Raises:
             FileExistsError: if there is a checkpoint or the policy, and `resume` is not set.
-            UserError: if the folder is a file, the environment is none to train in, or the
-                checkpoint is damaged or that of another training.
+            UserError: if the folder is a file, the environment or a hyperparameter is not accepted,
+                or the checkpoint is damaged or that of another training.
         """
         head = self._prepare(resume)
         with one_torch_thread():
-            env = make_vec_env(self.recipe.env_id, self.settings.n_envs, self.settings.env_kwargs)
+            settings = self.recipe.settings
+            env = make_vec_env(self.recipe.env_id, settings["n_envs"], settings["env_kwargs"])
             self._world = env.vector_env
             self.interface = ReachInterface.of(self._world)
-            logs = str(self.tensorboard) if self.tensorboard else None
-            model = self.settings.make_model(env, self.seed, self.device, logs)
+            model = self.make_model(env)
             try:
                 PolicyAgent(*self._policy(model), self.interface)
             except ValueError as error:
@@ -160,18 +163,36 @@ class Training:
             save_policy(network, card, self.folder)
             return card
 
-    def read_checkpoint_head(self) -> dict[str, Any]:
-        """Return the head of the checkpoint.
+    def make_model(self, env: VecEnv) -> BaseAlgorithm:
+        """Return the untrained model for an environment."""
+        logs = str(self.tensorboard) if self.tensorboard else None
+        return self.recipe.make_model(env, self.seed, self.device, logs)
+
+    def export(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, dict[str, Any]]:
+        """Return the network that acts, as it is now, and what its card says about its inputs.
 
         Raises:
-            UserError: if it is damaged or that of another training.
+            ValueError: if the policy has layers that a `PolicyNetwork` does not have.
         """
-        head, here = read_head(self.checkpoint), self._identity()
+        network, view = export_policy(model.policy)
+        residual = unwrap_vec_wrapper(_env_of(model), Residual)
+        return network, {"view": view, "base_agent": residual.base_agent if residual else ""}
+
+    def find_checkpoint(self) -> dict[str, Any] | None:
+        """Return the head of the checkpoint; None if there is no checkpoint.
+
+        Raises:
+            UserError: if the checkpoint is damaged or that of another training.
+        """
+        if not self.checkpoint.exists():
+            return None
+        head = read_head(self.checkpoint)
+        here = self._identity()
+        there, here = _flat({name: head.get(name) for name in here}), _flat(here)
         differences = [
-            difference
-            for name, value in here.items()
-            if head.get(name) != value
-            for difference in _differences(name, head.get(name), value)
+            f"{name} {there.get(name)} (here {here.get(name)})"
+            for name in there | here
+            if there.get(name) != here.get(name)
         ]
         if differences:
             raise UserError(
@@ -214,7 +235,7 @@ class Training:
                 raise FileExistsError(
                     f"{file} exists already: {hint}choose another folder, or delete it"
                 )
-        return self.read_checkpoint_head() if self.checkpoint.exists() else None
+        return self.find_checkpoint()
 
     def _identity(self) -> dict[str, Any]:
         """Return what must be equal for a checkpoint to belong to this training."""
@@ -233,19 +254,15 @@ class Training:
 
     def _policy(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, PolicyCard]:
         """Return the policy as it is now, with a card that has no scores yet."""
-        network, view = export_policy(model.policy)
-        residual = unwrap_vec_wrapper(_env_of(model), Residual)
-        memory = unwrap_vec_wrapper(_env_of(model), Memory)
+        network, inputs = self.export(model)
         card = PolicyCard(
             name=self.recipe.name,
             algorithm=self.recipe.algorithm,
             env_id=self.recipe.env_id,
             control=self.interface.control,
             segment_count=len(self.interface.segment_lengths),
-            view=view,
             activation=network.activation,
             distribution=network.distribution,
-            base_agent="" if residual is None else residual.base_agent,
             hyperparameters=self.recipe.hyperparameters,
             seed=self.seed,
             training_steps=model.num_timesteps,
@@ -256,7 +273,7 @@ class Training:
             learning_curve=[],
             engine=read_attribute(self._world, "engine"),
             body=read_attribute(self._world, "unperturbed"),
-            blocks=() if memory is None else memory.blocks,
+            **inputs,
         )
         return network, card
 
@@ -278,11 +295,11 @@ def train(
 
     Args:
         name: of hyperparameters that ship, such as "ppo"; or the path of your own YAML file.
-        env: id of an environment, of those in the file; the first if None.
+        env: id of one of the environments in the file; the first if None.
         seed: of everything random.
         steps: environment steps, in place of those in the file.
         out: folder for checkpoint and policy; None writes none, and `agent.save` does later.
-        resume: whether to go on from the checkpoint in the folder.
+        resume: whether to continue from the checkpoint in the folder.
         tensorboard: folder for TensorBoard's logs.
         device: that torch computes on.
         env_kwargs: arguments of the environment, beside those in the file.
@@ -369,15 +386,12 @@ def usable_device(name: str) -> str:
     return name
 
 
-def _differences(name: str, there: Any, here: Any) -> Iterator[str]:
-    """Say what an entry of a checkpoint's head differs in."""
-    if isinstance(there, dict) and isinstance(here, dict):
-        for key in sorted({*there, *here}):
-            if there.get(key) != here.get(key):
-                hint = ", see --steps" if key == "n_timesteps" else ""
-                yield f"{key} {there.get(key)} (here {here.get(key)}{hint})"
-    else:
-        yield f"{name} {there} (here {here})"
+def _flat(head: dict[str, Any]) -> dict[str, Any]:
+    """Return the entries of a checkpoint's head, those of its mappings included."""
+    found: dict[str, Any] = {}
+    for name, value in head.items():
+        found |= value if isinstance(value, dict) else {name: value}
+    return found
 
 
 def library_versions() -> dict[str, str]:
@@ -387,7 +401,116 @@ def library_versions() -> dict[str, str]:
 
 
 def evaluate_policy(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
-    """Evaluate a policy in the environment that it is trained in, but always on pymunk."""
+    """Evaluate a policy in the environment of its training, but always on pymunk."""
     given = card.hyperparameters.get("env_kwargs", {})
     arguments = {name: value for name, value in given.items() if name != "engine"}
     return evaluate(partial(PolicyAgent, network, card), card.env_id, arguments, episodes)
+
+
+class PolicyName(NamedTuple):
+    """A policy to train: the name of its hyperparameters, and the seed of its training."""
+
+    name: str
+    seed: int
+
+
+class TrainingCell(NamedTuple):
+    """One training of a grid, with the arguments of `Training`.
+
+    `folder` is that of the checkpoint, on this machine.  It is None on a cluster: where a node is
+    lost, its training starts again, and ends with the same policy.
+    """
+
+    recipe: Recipe
+    seed: int
+    device: str
+    folder: Path | None
+
+
+def shipped_policies() -> list[PolicyName]:
+    """Return every policy that ships and is trained by the package."""
+    counts = {name: AGENTS[name].training_seeds for name in names() if name in AGENTS}
+    return [PolicyName(name, seed) for name, count in counts.items() for seed in range(count)]
+
+
+def train_all(
+    policies: Sequence[PolicyName],
+    out: Path,
+    *,
+    steps: int | None = None,
+    device: str = "cpu",
+    jobs: int | None = None,
+    cluster: str | None = None,
+    on_policy: Callable[[PolicyCard], None] = lambda card: None,
+    on_note: Callable[[str], None] = lambda note: None,
+) -> list[PolicyCard]:
+    """Train policies, many at once, write their files into `out`, and return their cards.
+
+    A policy in `out` that was trained with the same hyperparameters is not trained again.
+    Interrupted trainings resume from their checkpoints.
+
+    Args:
+        policies: to train.
+        out: folder for the files.
+        steps: environment steps, instead of those of the hyperparameters.
+        device: that torch computes on.
+        jobs: how many are trained at once, see `run_grid`.
+        cluster: where, see `run_grid`.
+        on_policy: called with the card of each policy that is ready.
+        on_note: called when a checkpoint is discarded, with the reason.
+
+    Raises:
+        UserError: if `out` is a file, or the steps, the hyperparameters or the device are not
+            accepted.
+        CellError: if a training failed.
+    """
+    check_folder(out, "out")
+    cards: dict[PolicyName, PolicyCard] = {}
+    cells = []
+    for policy in policies:
+        recipe, stem = read_recipe(policy.name, steps=steps), file_stem(*policy)
+        if (card := _finished(recipe, out / f"{stem}.json")) is not None:
+            cards[policy] = card
+            on_policy(card)
+            continue
+        folder = None if cluster else out / "checkpoints" / stem
+        cells.append(TrainingCell(recipe, policy.seed, device, folder))
+        if folder is not None:
+            training = Training(recipe, policy.seed, folder, device=device)
+            try:
+                training.find_checkpoint()
+            except UserError as error:
+                on_note(f"{stem} begins anew: {error}")
+                training.checkpoint.unlink()
+
+    def keep(index: int, contents: dict[str, bytes]) -> None:
+        cell = cells[index]
+        for file, content in contents.items():
+            write_atomically(out / file, content)
+        if cell.folder is not None:  # replay buffers are large
+            shutil.rmtree(cell.folder)
+        policy = PolicyName(cell.recipe.name, cell.seed)
+        _, cards[policy] = load_policy(out / f"{file_stem(*policy)}.json")
+        on_policy(cards[policy])
+
+    run_grid(train_cell, cells, jobs=jobs, cluster=cluster, on_result=keep)
+    return [cards[policy] for policy in policies]
+
+
+def train_cell(cell: TrainingCell) -> dict[str, bytes]:
+    """Train a policy; return the contents of its files by their names."""
+    with tempfile.TemporaryDirectory() as nowhere:
+        folder = cell.folder or Path(nowhere)
+        training = Training(cell.recipe, cell.seed, folder, device=cell.device)
+        training.run(resume=True)
+        return {file.name: file.read_bytes() for file in training.policy_files}
+
+
+def _finished(recipe: Recipe, path: Path) -> PolicyCard | None:
+    """Return the card at the path, if it is of a training with these hyperparameters."""
+    try:
+        _, card = load_policy(path)
+    except (FileNotFoundError, UserError):
+        return None
+    same = (card.env_id, card.hyperparameters) == (recipe.env_id, recipe.hyperparameters)
+    return card if same else None

@@ -1,7 +1,7 @@
 """`mmc-gym tune`: let Optuna look for the constants of a network, or of a training.
 
-`tune` keeps every trial in a journal.  A trial depends on nothing but the complete trials before
-it, and is seeded by their number: interrupted tuning, however often, gives the same trials.
+`tune` keeps every trial in a journal.  A trial depends only on the complete trials before it, and
+is seeded by their number: interrupted tuning, however often, gives the same trials.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,14 +25,7 @@ from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
-from mmc_gym.training.hyperparameters import (
-    SUFFIXES,
-    AnySettings,
-    PPOSettings,
-    Recipe,
-    names,
-    read_recipe,
-)
+from mmc_gym.training.hyperparameters import SUFFIXES, Recipe, names, read_recipe
 from mmc_gym.training.training import Training
 
 if TYPE_CHECKING:
@@ -59,7 +53,8 @@ class Target:
     Attributes:
         in_use: the constants in use; others beside those of the space are ignored.
         space: lets a trial suggest constants.
-        judge: returns the worth of constants, at most 1, after so many environment steps.
+        judge: returns the part of the time at the target with constants, after so many
+            environment steps.
         episodes: returns how many it judges by, of so many environment steps.
     """
 
@@ -81,16 +76,17 @@ def find_target(name: str) -> Target:
         raise unknown("name", name, ("mmc", *names()), "the path of a YAML file")
     recipe = read_recipe(name)
     settings = recipe.settings
+    rate = str(recipe.hyperparameters.get("learning_rate", settings["learning_rate"]))
+    in_use = {**settings, "learning_rate": float(rate.removeprefix("lin_"))}
     return Target(
-        in_use={**vars(settings), "learning_rate": settings.learning_rate.start},
-        space=partial(_suggest_learning, settings),
+        in_use,
+        space=partial(_suggest_learning, in_use, rate.startswith("lin_")),
         judge=partial(judge_training, recipe),
         episodes=lambda steps: TRAINED_EPISODES,
     )
 
 
 def _judge_network(constants: Constants, steps: int) -> float:
-    """Return the part of the time at the target of the agent "mmc" with other constants."""
     make = partial(make_network_agent, constants)
     arguments = {"control": "joint_position"}
     return _time_at_target(make, "MMCReach-v0", arguments, _episodes(steps))
@@ -120,7 +116,8 @@ def judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:
         card = training.run()
         network, _ = load_policy(training.policy_files[0])
     make = partial(PolicyAgent, network, card)
-    return _time_at_target(make, recipe.env_id, training.settings.env_kwargs, TRAINED_EPISODES)
+    arguments = recipe.settings["env_kwargs"]
+    return _time_at_target(make, recipe.env_id, arguments, TRAINED_EPISODES)
 
 
 def _time_at_target(
@@ -141,31 +138,31 @@ def _suggest_network(trial: BaseTrial) -> Constants:
     }
 
 
-def _suggest_learning(settings: AnySettings, trial: BaseTrial) -> Constants:
-    """Suggest hyperparameters; the space includes those of the settings, wherever they are."""
+def _suggest_learning(in_use: Constants, falls: bool, trial: BaseTrial) -> Constants:
+    """Suggest hyperparameters; the space includes those in use, wherever they are."""
 
-    def around(name: str, low: float, high: float, value: float) -> float:
-        return trial.suggest_float(name, min(low, value), max(high, value), log=True)
+    def around(name: str, low: float, high: float) -> float:
+        own = in_use[name]
+        return trial.suggest_float(name, min(low, own), max(high, own), log=True)
 
     def among(name: str, *choices: Any) -> Any:
-        own = getattr(settings, name)
+        own = in_use[name]
         return trial.suggest_categorical(name, choices if own in choices else (*choices, own))
 
-    own = settings.learning_rate
-    rate = around("learning_rate", 3e-4, 3e-3, own.start)
-    rate = rate if rate == own.start else float(f"{rate:.2g}")
-    constants: Constants = {"learning_rate": f"lin_{rate}" if own.falls else rate}
-    if isinstance(settings, PPOSettings):
-        bonus = settings.ent_coef  # without one there is no order of magnitude to look in
+    own = in_use["learning_rate"]
+    rate = around("learning_rate", 3e-4, 3e-3)
+    rate = rate if rate == own else float(f"{rate:.2g}")
+    constants: Constants = {"learning_rate": f"lin_{rate}" if falls else rate}
+    if "n_epochs" in in_use:  # PPO
+        epochs = in_use["n_epochs"]
         return {
             **constants,
-            "ent_coef": around("ent_coef", 1e-3, 0.1, bonus) if bonus > 0 else 0.0,
+            # Without a bonus there is no order of magnitude to look in.
+            "ent_coef": around("ent_coef", 1e-3, 0.1) if in_use["ent_coef"] > 0 else 0.0,
             "gamma": among("gamma", 0.8, 0.9, 0.95),
             "gae_lambda": among("gae_lambda", 0.8, 0.9, 0.95),
             "batch_size": among("batch_size", 256, 512, 1024),
-            "n_epochs": trial.suggest_int(
-                "n_epochs", min(3, settings.n_epochs), max(10, settings.n_epochs)
-            ),
+            "n_epochs": trial.suggest_int("n_epochs", min(3, epochs), max(10, epochs)),
         }
     return {
         **constants,
@@ -177,7 +174,7 @@ def _suggest_learning(settings: AnySettings, trial: BaseTrial) -> Constants:
     }
 
 
-_STEPS, _CONSTANTS = "steps per trial", "constants"  # attributes of a study, and of a trial
+_CONSTANTS = "constants"  # attribute of a trial
 
 
 def tune(
@@ -187,11 +184,11 @@ def tune(
     out: Path | str,
     on_trial: Callable[[int, float], None] = lambda number, value: None,
 ) -> dict[str, Any]:
-    """Look for constants; go on where an earlier call with the same folder stopped.
+    """Look for constants; resume where an earlier call with the same folder stopped.
 
-    The first trial has the constants in use; one more has them if they were others then.  Trials
-    and their values are kept in `out/NAME.journal`, the best in `out/NAME.json`.  No two processes
-    may tune the same in the same folder at a time.
+    The first trial has the constants in use.  Trials and their values are kept in
+    `out/NAME.journal`, the best in `out/NAME.json`.  Two processes must not tune the same name in
+    the same folder at the same time.
 
     Args:
         name: "mmc", the name of hyperparameters that ship, or the path of your own.
@@ -204,27 +201,25 @@ def tune(
         The content of `out/NAME.json`.
 
     Raises:
-        UserError: if there is no such name, the trials in the folder have another number of steps,
-            or Optuna is not installed.
+        UserError: if there is no such name, the trials in the folder have another number of steps
+            or other constants in use, or Optuna is not installed.
     """
-    for argument, count in (("trials", trials), ("steps", steps)):
-        require_whole(argument, count)
+    require_whole("trials", trials)
+    require_whole("steps", steps)
     out = check_folder(out, "out")
     target, name = find_target(name), Path(name).stem
-    study = _open_study(name, steps, out)
+    if find_spec("optuna") is None:
+        raise missing("tune", "Optuna", "training")
     from optuna.samplers import TPESampler
     from optuna.trial import FixedTrial, TrialState
 
     reference = FixedTrial(target.in_use)
     target.space(reference)
+    study = _open_study(name, {"steps": steps, "constants in use": reference.params}, out)
     for killed in study.get_trials(states=[TrialState.RUNNING]):
         study.tell(killed.number, state=TrialState.FAIL)  # and run it again
-    while True:
-        complete = study.get_trials(states=[TrialState.COMPLETE])
-        in_use = [trial for trial in complete if trial.params == reference.params]
-        if len(complete) >= trials and in_use:
-            break
-        if not in_use and not study.get_trials(states=[TrialState.WAITING]):
+    while len(complete := study.get_trials(states=[TrialState.COMPLETE])) < trials:
+        if not complete and not study.get_trials(states=[TrialState.WAITING]):
             study.enqueue_trial(reference.params)
         seed = np.random.SeedSequence([TUNING_SEED, len(complete)]).generate_state(1)[0]
         study.sampler = TPESampler(seed=int(seed))
@@ -234,51 +229,42 @@ def tune(
         value = target.judge(constants, steps)
         study.tell(trial, value)
         on_trial(len(complete), value)
+    first, best = complete[0], study.best_trial
     result = {
         "name": name,
         "trials": len(complete),
         "steps_per_trial": steps,
         "objective": OBJECTIVE,
         "episodes": target.episodes(steps),
-        "value_of_those_in_use": in_use[0].value,
-        "in_use": in_use[0].user_attrs[_CONSTANTS],
-        "best_value": study.best_trial.value,
-        "best": study.best_trial.user_attrs[_CONSTANTS],
+        "value_of_those_in_use": first.value,
+        "in_use": first.user_attrs[_CONSTANTS],
+        "best_value": best.value,
+        "best": best.user_attrs[_CONSTANTS],
     }
     write_atomically(out / f"{name}.json", json.dumps(result, indent=1) + "\n")
     return result
 
 
-def _open_study(name: str, steps: int, out: Path) -> optuna.Study:
+def _open_study(name: str, identity: dict[str, Any], out: Path) -> optuna.Study:
     """Open the study of that name in the folder, or begin it."""
-    try:
-        import optuna
-        from optuna.storages.journal import JournalFileBackend
-    except ImportError as error:
-        raise missing("tune", "Optuna", "training") from error
+    import optuna
+    from optuna.storages.journal import JournalFileBackend
+
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     out.mkdir(parents=True, exist_ok=True)
     journal = out / f"{name}.journal"
-    _drop_torn_record(journal)
     study = optuna.create_study(
         storage=optuna.storages.JournalStorage(JournalFileBackend(str(journal))),
         study_name=name,
         direction="maximize",
         load_if_exists=True,
     )
-    if not study.trials:
-        study.set_user_attr(_STEPS, steps)
-    known = study.user_attrs.get(_STEPS)
-    if known != steps:
-        raise UserError(
-            f"steps must be those of the trials in {journal}, {known or 'which are not known'}, "
-            f"for their values to be comparable, got {steps}: choose another folder"
-        )
+    for key, value in identity.items():
+        if not study.trials:
+            study.set_user_attr(key, value)
+        if (known := study.user_attrs.get(key)) != value:
+            raise UserError(
+                f"{key} must be those of the trials in {journal}, {known}, for their values to be "
+                f"comparable, got {value}: choose another folder"
+            )
     return study
-
-
-def _drop_torn_record(journal: Path) -> None:
-    """Cut off the last record if it is torn, as a full disk leaves it: Optuna cannot read on."""
-    if journal.exists():
-        with journal.open("r+b") as file:
-            file.truncate(file.read().rfind(b"\n") + 1)

@@ -1,16 +1,22 @@
-"""Gymnasium's vector environments for stable-baselines3: one step of arrays for many arms."""
+"""Vector environments for stable-baselines3: one step of arrays for many arms.
+
+`GymnasiumVecEnv` adapts Gymnasium's; `RandomScenarios` draws a perturbation for each episode, and
+with `Residual` a policy corrects the actions of another agent.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias, cast
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.env_checker import data_equivalence
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -21,24 +27,28 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 )
 from typing_extensions import override
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, is_whole, require
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
+from mmc_gym.agents.views import Float32
+from mmc_gym.envs.perturbations import Obstacles
+from mmc_gym.envs.scenarios import FAMILIES, Scenario, scenario
 from mmc_gym.interface import ReachInterface
 
+VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]
 Info = dict[str, Any]
 
 _SINGLE = {name: f"single_{name}" for name in ("action_space", "observation_space")}
 _OF_EACH = ("np_random", "np_random_seed")  # a vector environment has a tuple of them
-_OF_ALL = ("close", "render", "reset", "step")  # it does for all at once
+_OF_ALL = ("close", "render", "reset", "step")  # one call for all environments
 
 
 class GymnasiumVecEnv(VecEnv):
     """A `gymnasium.vector.VectorEnv` as a stable-baselines3 `VecEnv`.
 
-    It does what `DummyVecEnv` does with the same environments, seeds and actions.  But infos are
-    empty where no episode has ended: to make them would take longer than the step itself.  Where
-    one has ended they are complete, with `terminal_observation` and `TimeLimit.truncated`, which is
-    all that stable-baselines3 reads.  `info_keys` asks for more.
+    It does what `DummyVecEnv` does with the same environments, seeds and actions, except that infos
+    are empty where no episode has ended: to make them would take longer than the step itself.
+    Where one has ended they are complete, with `terminal_observation` and `TimeLimit.truncated`,
+    which is all that stable-baselines3 reads.  `info_keys` asks for more.
 
     Attributes:
         vector_env: the environment inside.
@@ -50,7 +60,7 @@ class GymnasiumVecEnv(VecEnv):
     >>> model = PPO("MlpPolicy", env, n_steps=64, device="cpu").learn(4096)
     """
 
-    def __init__(self, vector_env: VectorEnv[Any, Any, Any], info_keys: Sequence[str] = ()) -> None:
+    def __init__(self, vector_env: VectorEnv, info_keys: Sequence[str] = ()) -> None:
         """Adapt an environment that restarts in the step that ends an episode.
 
         Args:
@@ -133,7 +143,7 @@ class GymnasiumVecEnv(VecEnv):
         return list(pictures)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return the attribute of each chosen environment: all share a native one's."""
+        """Return the attribute of each chosen environment; native arms share one value."""
         values = self._values(attr_name)
         return [values[index] for index in self._chosen(indices)]
 
@@ -178,7 +188,7 @@ class GymnasiumVecEnv(VecEnv):
             return [returned[index] for index in chosen]
         if method_name in _OF_ALL:
             raise UserError(
-                f"method_name must not be {method_name!r}, which all environments do at once: "
+                f"method_name must not be {method_name!r}, which is one call for all environments: "
                 "call the method of that name of the VecEnv itself"
             )
         method = getattr(self.vector_env, method_name)
@@ -187,7 +197,7 @@ class GymnasiumVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Tell of each chosen environment whether it is in such a wrapper: no native arm is."""
+        """Tell for each chosen environment whether it has such a wrapper: no native arm has."""
         envs = getattr(self.vector_env.unwrapped, "envs", None)
         return [
             envs is not None and is_wrapped(envs[index], wrapper_class)
@@ -217,17 +227,173 @@ def _row(infos: Info, index: int) -> Info:
     return row
 
 
+class RandomScenarios(VecEnvWrapper):
+    """Arms in groups; each group draws a scenario for every episode (domain randomisation).
+
+    A scenario is one of `names`, or a perturbation of one of the `ranges`, all equally likely, with
+    a strength that is uniform in its range.  With the probability `twice` a second perturbation is
+    added, if it is of another kind and of no second task.  The wrapped environment gives number,
+    control mode, engine and other arguments of the arms, and never moves.  Groups with obstacles
+    move in pymunk, because the analytic engine knows no collisions.
+
+    The first episodes of the groups are cut to different lengths, so that later ones end at
+    different steps.
+
+    Source: Peng, Andrychowicz, Zaremba & Abbeel (2018), Sim-to-real transfer of robotic control
+    with dynamics randomization, ICRA, https://arxiv.org/abs/1710.06537.
+    """
+
+    def __init__(
+        self,
+        venv: VecEnv,
+        names: Sequence[str] = ("random",),
+        ranges: Mapping[str, Sequence[float]] | None = None,
+        groups: int = 32,
+        twice: float = 0.0,
+    ) -> None:
+        """Wrap a vector of equal environments.
+
+        Args:
+            venv: of a multiple of `groups` arms.
+            names: of scenarios, see `mmc_gym.envs.scenarios.scenario`.
+            ranges: lowest and highest strength of families of perturbations, by name; both are
+                drawn, and whole numbers only where strengths are whole.
+            groups: number of groups.
+            twice: probability of a second perturbation, a task's included.
+
+        Raises:
+            UserError: if a name, a strength or the number of groups is not accepted.
+        """
+        super().__init__(venv)
+        fine = is_whole(groups) and groups >= 1 and venv.num_envs % groups == 0
+        require(fine, "groups", groups, f"a divisor of the {venv.num_envs} environments")
+        require(0 <= twice <= 1, "twice", twice, "a probability")
+        self._fixed = [scenario(name) for name in names]
+        self._ranges = {name: _range(name, ends) for name, ends in (ranges or {}).items()}
+        require(bool(self._fixed or self._ranges), "names", names, "one at least, without ranges")
+        spec = venv.get_attr("spec")[0]
+        own = ("task", "num_envs", "max_episode_steps")
+        self._arguments = {key: value for key, value in spec.kwargs.items() if key not in own}
+        self._size, self._twice = venv.num_envs // groups, twice
+        ends = [FAMILIES[name].scenario(end) for name in self._ranges for end in self._ranges[name]]
+        for one in (*self._fixed, *ends):
+            self.make_group(one).close()  # refused here rather than in the training
+        self._random = np.random.default_rng()
+        self._groups: list[VectorEnv | None] = [None] * groups
+
+    @override
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        self._random = np.random.default_rng(seed)
+        return self.venv.seed(seed)
+
+    @override
+    def reset(self) -> VecEnvObs:
+        count = len(self._groups)
+        return np.concatenate([self._begin(group, (group + 1) / count) for group in range(count)])
+
+    @override
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._actions = np.split(actions, len(self._groups))
+
+    @override
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones = [], [], []
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for group, actions in enumerate(self._actions):
+            env = cast(VectorEnv, self._groups[group])
+            observation, reward, _, over, _ = env.step(actions)
+            if over.all():  # all of a group end at once
+                for row, last in zip(infos[group * self._size :], observation.copy()):
+                    row |= {"terminal_observation": last, "TimeLimit.truncated": True}
+                observation = self._begin(group)
+            observations.append(observation)
+            rewards.append(reward)
+            dones.append(over)
+        together = np.concatenate(rewards).astype(np.float32), np.concatenate(dones)
+        return np.concatenate(observations), *together, infos
+
+    @override
+    def close(self) -> None:
+        for env in self._groups:
+            if env is not None:
+                env.close()
+        self.venv.close()
+
+    def make_group(self, drawn: Scenario, share: float = 1.0) -> VectorEnv:
+        """Make the arms of a group for an episode of this share of the usual length."""
+        arguments = {**self._arguments, **drawn.arguments, "autoreset_mode": "Disabled"}
+        if any(isinstance(one, Obstacles) for one in drawn.perturbations):
+            arguments["engine"] = "pymunk"
+        steps = gym.spec(drawn.env_id).max_episode_steps or 1
+        arguments["max_episode_steps"] = max(1, round(share * steps))
+        return gym.make_vec(drawn.env_id, self._size, copy=False, **arguments)
+
+    def draw(self) -> Scenario:
+        """Return a scenario, with a second perturbation at times."""
+        first = self._draw_one()
+        if self._random.random() >= self._twice:
+            return first
+        second = self._draw_one()
+        kinds = {type(one) for one in first.perturbations}
+        fits = not any(type(one) in kinds for one in second.perturbations)
+        if second.task != "random" and first.task == "random":
+            first, second = second, first
+        if not fits or second.task != "random":
+            return first
+        return replace(first, perturbations=first.perturbations + second.perturbations)
+
+    def _draw_one(self) -> Scenario:
+        index = int(self._random.integers(len(self._fixed) + len(self._ranges)))
+        if index < len(self._fixed):
+            return self._fixed[index]
+        name = list(self._ranges)[index - len(self._fixed)]
+        family, (low, high) = FAMILIES[name], self._ranges[name]
+        if family.whole:
+            return family.scenario(float(self._random.integers(int(low), int(high), endpoint=True)))
+        return family.scenario(float(self._random.uniform(low, high)))
+
+    def _begin(self, group: int, share: float = 1.0) -> Float32:
+        """Give a group a scenario, and return its first observations."""
+        if (old := self._groups[group]) is not None:
+            old.close()
+        made = None
+        while made is None:
+            drawn = self.draw()
+            try:
+                made = self.make_group(drawn, share)
+            except UserError as error:
+                if len(drawn.perturbations) < 2 and drawn.task == "random":
+                    raise
+                # The task cannot be done under these perturbations: draw another.
+                warnings.warn(f"scenarios that do not go together: {error}", stacklevel=2)
+        self._groups[group] = made
+        observation, _ = made.reset(seed=int(self._random.integers(2**31)))
+        return observation  # type: ignore[no-any-return]
+
+
+def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:
+    """Return a range of strengths, checked."""
+    accepted = "the lowest and the highest strength"
+    require(len(ends) == 2 and ends[0] <= ends[1], f"ranges[{name!r}]", ends, accepted)
+    low, high = float(ends[0]), float(ends[1])
+    for strength in (low, high):
+        scenario(f"{name}-{np.format_float_positional(strength, trim='-')}")
+    if not FAMILIES[name].whole:  # any strength in between can be drawn
+        FAMILIES[name].scenario(low + (high - low) / math.e)
+    return low, high
+
+
 class Residual(VecEnvWrapper):
     """A reaching environment whose actions correct those of a base agent.
 
-    Its proposed action follows the observation.
+    The action that the base agent proposes follows the observation.
     """
 
     def __init__(self, venv: VecEnv, base_agent: str = "mmc") -> None:
-        """Wrap an environment with `Box` observations; `base_agent` is a key of `BASE_AGENTS`.
+        """Wrap an environment; `base_agent` is a key of `BASE_AGENTS`.
 
         Raises:
-            UserError: if there is no such agent, or the observations are of another kind.
+            UserError: if there is no such agent, or the observations are not in a `Box`.
         """
         if base_agent not in BASE_AGENTS:
             raise UserError(f"base_agent must be one of {list(BASE_AGENTS)}, got {base_agent!r}")
@@ -248,14 +414,14 @@ class Residual(VecEnvWrapper):
         return np.concatenate((observation, self._proposal), axis=-1)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take note of the corrections, of shape (n, N)."""
+        """Begin a step with corrections, of shape (n, N)."""
         self.venv.step_async(corrected(self._proposal, actions))
 
     @override
     def step_wait(self) -> VecEnvStepReturn:
         observation, rewards, dones, infos = self.venv.step_wait()
         assert isinstance(observation, np.ndarray)
-        if dones.any():  # what the base agent would have gone on to do
+        if dones.any():  # what the base agent would have proposed next
             last, ended = observation.copy(), np.flatnonzero(dones)
             last[ended] = [infos[index]["terminal_observation"] for index in ended]
             proposal, _ = self._base.predict(last, self._state)

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from mmc_gym.agents.policy import load_policy
-from mmc_gym.training.grid import PolicyName, TrainingCell, shipped_policies, train_all
+from mmc_gym.training.hyperparameters import read_recipe
+from mmc_gym.training.training import PolicyName, Training, shipped_policies, train_all
 
 POLICIES = [PolicyName("ppo", 0), PolicyName("ppo", 1)]
 STEPS = 4_096  # one rollout
@@ -46,7 +47,7 @@ def test_what_is_there_is_not_trained_again(trained, monkeypatch):
     def fail(cell: Any) -> None:
         raise AssertionError(f"{cell} is trained again")
 
-    monkeypatch.setattr("mmc_gym.training.grid.train_cell", fail)
+    monkeypatch.setattr("mmc_gym.training.training.train_cell", fail)
     cards = train_all(POLICIES, trained, steps=STEPS, jobs=1)
     assert cards == [load_policy(trained / f"ppo-{seed}.json")[1] for seed in (0, 1)]
 
@@ -61,7 +62,7 @@ def test_a_damaged_policy_is_trained_again(trained, tmp_path):
 
 def test_a_checkpoint_of_another_training_is_discarded(trained, tmp_path):
     checkpoints = tmp_path / "checkpoints" / "ppo-0"
-    TrainingCell(POLICIES[0], steps=1).training(checkpoints).run()
+    Training(read_recipe("ppo", steps=1), 0, checkpoints).run()
     notes: list[str] = []
     train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1, on_note=notes.append)
     (note,) = notes
@@ -72,12 +73,12 @@ def test_a_checkpoint_of_another_training_is_discarded(trained, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"steps": 0}, "steps must be at least 1, got 0"),
+        ({"steps": 0}, "n_timesteps must be at least 1, got 0"),
         ({"device": "foo"}, "device must be one that PyTorch can use"),
         ({"jobs": 0}, "jobs must be a whole number of at least 1"),
     ],
 )
-def test_mistakes_are_told_before_anything_is_trained(tmp_path, options, message):
+def test_mistakes_are_named_before_anything_is_trained(tmp_path, options, message):
     with pytest.raises(ValueError, match=message):
         train_all(POLICIES, tmp_path, **options)
     assert not list(tmp_path.iterdir())
@@ -88,3 +89,4 @@ def test_the_seeds_that_ship_are_those_asked_for():
     assert len(set(policies)) == len(policies)
     counts = Counter(policy.name for policy in policies)
     assert (counts["ppo"], counts["sac"], counts["tqc-her"]) == (10, 5, 5)
+    assert "ppo-memory" not in counts  # a study trains it
