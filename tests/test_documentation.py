@@ -7,26 +7,27 @@ otherwise.  Arms that are drawn a single control step later differ by 40 to 110 
 panels.  `ALIKE` lies between.
 """
 
-import inspect
 import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from PIL import Image
 
-from mmc_gym._plotting import PlottedMovement, paths_and_profiles, save_figure
-from mmc_gym.agents import make_agent, resolve
-from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
-from mmc_gym.cli import compare, main
-from mmc_gym.measures import episode_seeds, run_episodes
-
 ROOT = Path(__file__).parents[1]
 ALIKE = 40
 SQUARE = 8
+
+# Picture, the command that draws it, its file, and the frames that are compared.
+PICTURES = [
+    ("contact-sheet.png", "examples/arm/plot_contact_sheet.py sheet.png", "sheet.png", (0,)),
+    # Starts, the joint locks, ends.
+    ("film.gif", "docs/draw_film.py film.gif", "film.gif", (0, 3, 25, 51)),
+    ("learning-curves.png", "-m mmc_gym.cli curves --out .", "learning_curves.png", (0,)),
+    ("compare.png", "-m mmc_gym.cli compare --out .", "paths_and_profiles.png", (0,)),
+]
 
 # Another matplotlib may put labels elsewhere.
 pinned = f"matplotlib=={version('matplotlib')}" in (ROOT / "constraints.txt").read_text()
@@ -39,58 +40,24 @@ pytestmark = [
 ]
 
 
-def differences(drawn: Path, name: str, frame: int = 0) -> np.ndarray:
-    """How far the squares of a picture are from those in the documentation."""
-    shown = []
-    for path in (drawn, ROOT / "docs" / name):
-        with Image.open(path) as image:
-            image.seek(frame)
-            shown.append(np.asarray(image.convert("RGB").reduce(SQUARE), float))
-    assert shown[0].shape == shown[1].shape, f"docs/{name} has another size than it is drawn with"
-    return np.abs(shown[0] - shown[1]).mean(axis=-1)
+def squares(path: Path, frame: int) -> np.ndarray:
+    """Return the mean colours of a picture's squares."""
+    with Image.open(path) as image:
+        image.seek(frame)
+        return np.asarray(image.convert("RGB").reduce(SQUARE), float)
 
 
-def test_the_contact_sheet_shows_every_scenario_as_it_is(tmp_path):
-    drawn = tmp_path / "sheet.png"
-    example = ROOT / "examples" / "arm" / "plot_contact_sheet.py"
-    subprocess.run([sys.executable, example, drawn], check=True, capture_output=True)
-    found = differences(drawn, "contact-sheet.png").max()
-    assert found < ALIKE, f"draw it anew: python {example} docs/contact-sheet.png"
-
-
-def test_the_film_shows_what_the_agents_do(tmp_path):
-    drawn = tmp_path / "film.gif"
-    script = ROOT / "docs" / "draw_film.py"
-    subprocess.run([sys.executable, script, drawn], check=True, capture_output=True)
-    assert drawn.stat().st_size < 500_000
-    for number in (0, 3, 25, 51):  # starts, the joint locks, ends
-        found = differences(drawn, "film.gif", number).max()
-        assert found < ALIKE, "draw it anew: python docs/draw_film.py"
-
-
-def test_the_learning_curves_are_those_of_what_ships(tmp_path):
-    main(["curves", "--out", str(tmp_path)])
-    found = differences(tmp_path / "learning_curves.png", "learning-curves.png").max()
-    assert found < ALIKE, "copy learning_curves.png of `mmc-gym curves` to docs/learning-curves.png"
-
-
-def test_the_comparison_shows_what_the_agents_do(tmp_path):
-    agents = inspect.signature(compare).parameters["agents"].default
-    seeds, episodes = episode_seeds(0, 200), {}
-    for name in agents:
-        agent = resolve(name)
-        control = agent.control
-        # Many at once draw other actions, or round otherwise.
-        if name == "random" or agent.policy is not None:
-            env = gym.make("MMCReach-v0", control=control)
-        else:
-            env = gym.make_vec("MMCReach-v0", 200, control=control, autoreset_mode="Disabled")
-        episodes[name] = run_episodes(make_agent(name, env), env, seeds, records_effort=False)
-    episodes[REFERENCE] = minimum_jerk_episodes(episodes["mmc"])
-    movements = {
-        name: [PlottedMovement(one.hands, one.target, one.speeds) for one in found]
-        for name, found in episodes.items()
-    }
-    save_figure(paths_and_profiles(movements, 3.0, 0.05, 0.02), tmp_path / "drawn")
-    found = differences(tmp_path / "drawn.png", "compare.png").max()
-    assert found < ALIKE, "copy paths_and_profiles.png of `mmc-gym compare` to docs/compare.png"
+@pytest.mark.parametrize(("name", "command", "file", "frames"), PICTURES)
+def test_a_picture_shows_what_its_command_draws(name, command, file, frames, tmp_path):
+    first, *others = command.split()
+    script = ROOT / first
+    arguments = [script if script.exists() else first, *others]
+    done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    drawn, shown = tmp_path / file, ROOT / "docs" / name
+    assert drawn.suffix != ".gif" or drawn.stat().st_size < 500_000
+    for frame in frames:
+        now, before = squares(drawn, frame), squares(shown, frame)
+        assert now.shape == before.shape
+        differences = np.abs(now - before).mean(axis=-1)
+        assert differences.max() < ALIKE, f"draw docs/{name} anew: python {command}"
