@@ -1,7 +1,7 @@
 """The network as a torch module: gradients flow through its iterations, on any device.
 
-`model` has the equations, and the linear part of an iteration is made by the same function.  The
-iterations need no value on the host, so that an accelerator never waits.
+`model` has the equations, and the function that makes the linear part of an iteration.  Iterations
+need no value on the host, so that an accelerator never waits.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mmc_gym._errors import UserError, require, require_whole, unknown
+from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Pair
-from mmc_gym.network.model import MMCNetwork, linear_part, triangle_products
+from mmc_gym.network.model import MMCNetwork, held_rows, linear_part, triangle_products
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer
 
 _STRAIGHT = 64  # roundings within which vectors are in one line
@@ -66,13 +66,13 @@ class TorchState:
 class TorchNetwork(torch.nn.Module):
     """An `MMCNetwork` in torch, equal to it up to rounding (1e-12 in float64).
 
-    What is held is a mapping from pairs of nodes to vectors (..., 2), as for `MMCNetwork.clamp`.
-    Tensors of another device or dtype are brought to the module's.  They are not looked at, so
-    what is not finite gives what is not finite.
+    Clamps are a mapping from pairs of nodes to vectors (..., 2), as for `MMCNetwork.clamp`.
+    Tensors of another device or dtype are converted to the module's.  Their values are not checked:
+    values that are not finite spread.
 
-    A learned normalizer has its weights as parameters, and its biases, unless all of a layer are
-    zero: so an odd one stays odd.  The other parameters need no gradient until they are told to,
-    as in `network.damping.requires_grad_()`.
+    The weights of a learned normalizer are parameters, and so are the biases of each layer, unless
+    they are all zero: so an odd normalizer stays odd.  The other parameters get no gradient until
+    it is asked for, as in `network.damping.requires_grad_()`.
 
     Attributes:
         segment_lengths: lengths, (N,).
@@ -80,7 +80,7 @@ class TorchNetwork(torch.nn.Module):
         velocity_damping: d_v, how slowly the velocity follows.
         velocity_decay: factor on the velocity in each iteration.
         normalizer: a module that takes vectors (n, 2, batch) and lengths (n, 1), and returns the
-            vectors brought to these lengths; any other may be put in its place.
+            vectors with these lengths; another may replace it.
 
     Args:
         network: the network to make; by default the paper's, `MMCNetwork()`.
@@ -141,10 +141,10 @@ class TorchNetwork(torch.nn.Module):
 
         Raises:
             UserError: if a parameter has left its range, such as a damping that is too small; or
-                for a normalizer that was put in place of the one that was made.
+                if the normalizer was replaced.
         """
-        if not isinstance(self.normalizer, _Euclidean | _Learned):
-            raise UserError(f"normalizer must be the one that was made, got {self.normalizer}")
+        fine = isinstance(self.normalizer, _Euclidean | _Learned)
+        require(fine, "normalizer", self.normalizer, "the original one")
         return MMCNetwork(
             segment_lengths=tuple(self.segment_lengths.tolist()),
             damping=self.damping.item(),
@@ -186,13 +186,13 @@ class TorchNetwork(torch.nn.Module):
     ) -> TorchState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
 
-        It does what `MMCNetwork.run` does, and bends what lies in one line as that does.
+        Like `MMCNetwork.run`, it bends arms that lie in one line with their targets.
 
         Args:
-            state: where to begin.
-            clamps: vectors held, by their pair of nodes; (..., 2) each.  Batch axes of the state
+            state: the state to begin with.
+            clamps: held vectors, by their pair of nodes; (..., 2) each.  Batch axes of the state
                 and of clamps are broadcast against each other.
-            iterations: how many.
+            iterations: number of iterations.
 
         Raises:
             UserError: if the state comes from another kind of network, a pair is no vector of the
@@ -202,7 +202,7 @@ class TorchNetwork(torch.nn.Module):
         accepted = "a TorchState of a network of this kind"
         fine = isinstance(state, TorchState) and len(state.values) == self.row_count
         require(fine and state.segment_count == self.segment_count, "state", state, accepted)
-        held = self._held(clamps)
+        held = held_rows(self, "clamps", {} if clamps is None else clamps, self._tensor)
         begin = state.values.movedim((0, 1), (-2, -1))
         shapes = [begin.shape[:-2], *(value.shape[:-1] for value in held.values())]
         try:
@@ -255,21 +255,6 @@ class TorchNetwork(torch.nn.Module):
             is_stuck &= (target != values[hand]).any()
         bent = TorchState(values, count).joint_angles + chain.BEND
         return torch.where(is_stuck, self.state_from_joint_angles(bent).values, values)
-
-    def _held(self, clamps: Mapping[Pair, Any] | None) -> dict[int, Tensor]:
-        """Return what each held row is held at, (..., 2)."""
-        pairs = chain.vector_pairs(self.segment_count)
-        accepted = "a mapping from pairs of nodes to vectors, such as {(0, 1): (1.0, 0.0)}"
-        require(clamps is None or isinstance(clamps, Mapping), "clamps", clamps, accepted)
-        held = {}
-        for pair, value in (clamps or {}).items():
-            if pair not in pairs:
-                raise unknown("clamp", pair, pairs)
-            held[pairs.index(pair)] = self._tensor(f"clamp {pair}", value, (2,))
-        if self.schedule == "delayed":  # the pending value of a clamped segment is held as well
-            segments = [row for row in held if row < self.segment_count]
-            held |= {len(pairs) + row: held[row] for row in segments}
-        return held
 
     def _tensor(self, name: str, value: Any, trailing: tuple[int, ...]) -> Tensor:
         """Return the value as a tensor of this module's whose last axes are `trailing`."""

@@ -41,7 +41,7 @@ from mmc_gym.network.model import (
     MMCNetwork,
     MMCState,
     compile_iteration,
-    mean_operator,
+    triangle_products,
     velocity_rule,
 )
 from mmc_gym.network.normalizers import Normalizer
@@ -133,9 +133,10 @@ def _pull(
         return None
     count, is_dynamic = network.segment_count, network.dynamics != "kinematic"
     sensed = _batch_last(body.sensed, values, (count, 2))
-    mean = mean_operator(network)[:count]
+    triangles = triangle_products(count)
+    mean = np.eye(len(triangles)) - triangles / network.damping
     to_mean = np.zeros((count, len(values)), dtype=values.dtype)  # makes L̃⁰ of the state
-    to_mean[:, : mean.shape[1]] = mean
+    to_mean[:, : len(mean)] = mean[:count]
     gain = velocity_rule(network)[0] if is_dynamic else 1.0
     factor = gain * (body.weight / (network.damping + body.weight))
 

@@ -1,6 +1,6 @@
 """Fit the MLPs that learn to normalize, several runs of them at once.
 
-Each MLP f sees vectors x = r u of random length r in direction u, and should answer u (paper,
+Each MLP f gets vectors x = r u of random length r in direction u, and should return u (paper,
 Sect. "Learning the Normalization Network").  There are two recipes:
 
 * `PAPER`: the paper's.  Adam on the mean squared error |f(x) − u|²/2.  For lengths near 1 it
@@ -26,7 +26,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import inf, pi, sqrt
+from math import pi, sqrt
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -35,7 +35,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from mmc_gym._errors import is_whole, require, require_whole
+from mmc_gym._errors import is_whole, require, require_not_negative, require_whole
 from mmc_gym._grid import one_torch_thread
 from mmc_gym.network.normalizers import (
     WEIGHTS,
@@ -55,7 +55,7 @@ class Refinement:
 
     Attributes:
         iterations: number of steps.
-        near: lengths within this of 1 have weight 1, because an arm at rest asks for them.
+        near: lengths within this of 1 have weight 1, because an arm at rest needs them.
         far_weight: weight of all other lengths.
         short: length below which the weight falls to 0, because no MLP does well near the zero
             vector, where all directions meet.
@@ -70,22 +70,22 @@ class Refinement:
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """A way to train normalization MLPs; the defaults are the paper's values.
+class FittingSettings:
+    """Settings of the training of normalization MLPs; the defaults are the paper's values.
 
     Attributes:
         name: name that is written on the card.
-        samples: number of vectors, their directions spread evenly over the circle.
+        samples: number of vectors, their directions spread evenly over the circle.  A fifth of
+            them, drawn at random, is left out of the training, for validation.
         length_ranges: lengths are uniform in ]low, high]; sample k takes range k mod their number.
-        validation_share: share of the samples, drawn at random, that is left out of the training.
         epochs: passes of Adam over the training samples.
         batch_size: samples per update.
         learning_rate: Adam's step size.
         weight_decay: λ of the penalty λ Σ w² on the weights, without the biases, during Adam;
             recorded errors are without it.
-        biases: tells whether units have biases; without them the MLP is odd.
+        biases: whether units have biases; without them the MLP is odd.
         precision: floating point type to train in.
-        refinement: what follows Adam; nothing at zero iterations.
+        refinement: follows Adam, unless it has zero iterations.
 
     Raises:
         UserError: if a value is out of range.
@@ -94,7 +94,6 @@ class Recipe:
     name: str = "paper"
     samples: int = 3600
     length_ranges: tuple[tuple[float, float], ...] = ((0.0, 2.0),)
-    validation_share: float = 0.2
     epochs: int = 400
     batch_size: int = 16
     learning_rate: float = 0.001
@@ -104,25 +103,21 @@ class Recipe:
     refinement: Refinement = field(default_factory=lambda: Refinement(iterations=0))
 
     def __post_init__(self) -> None:
-        for name in ("samples", "epochs", "batch_size"):
-            value = getattr(self, name)
-            require(value >= 1, name, value, "1 or more")
-        decay, share, ranges = self.weight_decay, self.validation_share, self.length_ranges
-        require(0 <= decay < inf, "weight_decay", decay, "finite and not negative")
-        fine = 0 < self.held_out < self.samples
-        accepted = f"a share of {self.samples} that leaves some to train and to validate on"
-        require(fine, "validation_share", share, accepted)
+        for name, least in (("samples", 3), ("epochs", 1), ("batch_size", 1)):
+            require_whole(name, getattr(self, name), least)
+        require_not_negative(weight_decay=self.weight_decay)
+        ranges = self.length_ranges
         fine = bool(ranges) and all(0 <= low < high for low, high in ranges)
         require(fine, "length_ranges", ranges, "pairs 0 <= low < high")
 
     @property
     def held_out(self) -> int:
         """Number of validation samples."""
-        return round(self.validation_share * self.samples)
+        return round(0.2 * self.samples)
 
 
-PAPER = Recipe()
-ACCURATE = Recipe(
+PAPER = FittingSettings()
+ACCURATE = FittingSettings(
     name="accurate",
     samples=7200,
     length_ranges=((0.0, 3.0), (0.8, 1.2)),
@@ -139,7 +134,7 @@ class TrainedNormalizer:
     """A normalizer and the history of its training.
 
     Attributes:
-        normalizer: the trained MLP; its card tells recipe, seed, and measured errors.
+        normalizer: the trained MLP; its card has recipe, seed, and measured errors.
         training_mse: mean squared error on the training samples, one entry per epoch (mean over
             its batches at the time), then one per refinement iteration.
         validation_mse: the same on the validation samples, after each epoch or iteration.
@@ -152,10 +147,9 @@ class TrainedNormalizer:
 
 def train_normalizers(
     hidden_units: Sequence[int] = (16, 16),
-    recipe: Recipe = ACCURATE,
+    recipe: FittingSettings = ACCURATE,
     runs: int = 1,
     seed: int = 0,
-    device: str = "cpu",
     progress: Progress | None = None,
 ) -> list[TrainedNormalizer]:
     """Train `runs` MLPs of one architecture together.
@@ -171,7 +165,6 @@ def train_normalizers(
         recipe: `ACCURATE`, `PAPER`, or another.
         runs: number of MLPs, each with its own samples, initial weights and order of samples.
         seed: seed of all random numbers, not negative.
-        device: torch's name of the device for Adam; refinement runs in numpy.
         progress: called with (epochs and refinement iterations done, their total number).
 
     Returns:
@@ -185,7 +178,8 @@ def train_normalizers(
     fine = isinstance(hidden_units, Sequence) and bool(hidden_units)
     fine = fine and all(is_whole(units) and units >= 1 for units in hidden_units)
     require(fine, "hidden_units", hidden_units, "a tuple of whole numbers, 1 or more each")
-    require(isinstance(recipe, Recipe), "recipe", recipe, "a Recipe, such as PAPER or ACCURATE")
+    fine, accepted = isinstance(recipe, FittingSettings), "FittingSettings, such as PAPER"
+    require(fine, "recipe", recipe, accepted)
     widths = (2, *hidden_units, 2)
     total = recipe.epochs + runs * recipe.refinement.iterations
     done = 0
@@ -200,7 +194,7 @@ def train_normalizers(
         generators = [_generator(seed, run) for run in range(runs)]
         samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
         parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
-        parameters, history = _adam(parameters, widths, samples, generators, recipe, device, tick)
+        parameters, history = _adam(parameters, widths, samples, generators, recipe, tick)
     trained = []
     for run in range(runs):
         normalizer = _normalizer(parameters[run], widths)
@@ -213,7 +207,7 @@ def train_normalizers(
     return trained
 
 
-def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
+def _card(normalizer: LearnedNormalizer, recipe: FittingSettings) -> dict[str, str]:
     near = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21)))
     everywhere = np.degrees(angle_errors(normalizer, np.geomspace(1e-6, 3.0, 200), directions=720))
     mse = mean_squared_error(normalizer, directions=360)
@@ -229,13 +223,12 @@ def _card(normalizer: LearnedNormalizer, recipe: Recipe) -> dict[str, str]:
 
 
 def _generator(seed: int, run: int) -> torch.Generator:
-    # With a seed sequence run 1 of seed 0 and run 0 of seed 1 share nothing.  Drawing on the CPU
-    # gives every device the same samples.
+    # With a seed sequence run 1 of seed 0 and run 0 of seed 1 share nothing.
     state = np.random.SeedSequence((seed, run)).generate_state(1, np.uint64)
     return torch.Generator().manual_seed(int(state[0]))
 
 
-def _draw_samples(recipe: Recipe, generator: torch.Generator) -> Tensor:
+def _draw_samples(recipe: FittingSettings, generator: torch.Generator) -> Tensor:
     """Draw inputs r u and answers u, shuffled: rows r u_x, r u_y, u_x, u_y, (4, samples)."""
     count = recipe.samples
     angles = torch.arange(count, dtype=torch.float64) * (2 * pi / count)
@@ -306,21 +299,20 @@ def _adam(
     widths: Sequence[int],
     samples: Tensor,
     generators: Sequence[torch.Generator],
-    recipe: Recipe,
-    device: str,
+    recipe: FittingSettings,
     tick: Callable[[], None],
 ) -> tuple[Tensor, Array]:
     """Run Adam; return the fitted parameters and the history of errors (runs, epochs, 2)."""
     dtype = torch.float32 if recipe.precision == "float32" else torch.float64
-    is_weight = (parameters != 0).to(device, dtype)  # only biases start at zero
-    parameters, samples = parameters.to(device, dtype, copy=True), samples.to(device, dtype)
+    is_weight = (parameters != 0).to(dtype)  # only biases start at zero
+    parameters, samples = parameters.to(dtype, copy=True), samples.to(dtype)
     validation, training = samples[..., : recipe.held_out], samples[..., recipe.held_out :]
     layers, count = _layers(parameters, widths), training.shape[2]
     mean, variance = torch.zeros_like(parameters), torch.zeros_like(parameters)
     history, update = [], 0
     for _ in range(recipe.epochs):
         orders = [torch.randperm(count, generator=generator) for generator in generators]
-        order = torch.stack(orders).to(device)[:, None].expand_as(training)
+        order = torch.stack(orders)[:, None].expand_as(training)
         total = training.new_zeros(len(parameters))
         for batch in torch.split(training.gather(2, order), recipe.batch_size, dim=2):
             values = _forward(layers, batch[:, :2])
@@ -340,11 +332,11 @@ def _adam(
         error = _forward(layers, validation[:, :2])[-1] - validation[:, 2:]
         history.append(torch.stack([total / (2 * count), error.square().mean((1, 2))], dim=1))
         tick()
-    return parameters.double().cpu(), torch.stack(history, dim=1).double().cpu().numpy()
+    return parameters.double(), torch.stack(history, dim=1).double().numpy()
 
 
 def _refined(
-    normalizer: LearnedNormalizer, samples: Array, recipe: Recipe, tick: Callable[[], None]
+    normalizer: LearnedNormalizer, samples: Array, recipe: FittingSettings, tick: Callable[[], None]
 ) -> tuple[LearnedNormalizer, Array]:
     """Refine on samples (n, 4); return the normalizer and the history (iterations, 2)."""
     validation, training = np.split(samples, [recipe.held_out])

@@ -119,11 +119,11 @@ class MMCState:
 
 @dataclass(frozen=True, eq=False)
 class Clamps:
-    """Variables held at given values; made by the network that they are used with.
+    """Variables held at given values, made by the network that they are used with.
 
     Attributes:
         rows: their rows in the state, in ascending order.
-        values: what they are held at, (rows, 2, ...).
+        values: the given values, (rows, 2, ...).
         segment_count: N of the network.
     """
 
@@ -136,10 +136,10 @@ NO_CLAMPS = Clamps((), np.empty((0, 2)), 0)
 
 
 class Trajectory(NamedTuple):
-    """What a network went through.
+    """The course of a network through its iterations.
 
     Attributes:
-        state: the last one.
+        state: the last state.
         segments: after every iteration, (iterations, ..., N, 2).
     """
 
@@ -147,12 +147,12 @@ class Trajectory(NamedTuple):
     segments: Floats
 
     def plot(self, axes: Axes | None = None) -> Figure:
-        """Return a figure of the first arms, later iterations darker, and of their hands' paths.
+        """Draw the first arms, later iterations darker, and the paths of their hands.
 
         A cross marks R, which an inverse task holds at the target.
 
         Args:
-            axes: to draw on; of a new figure if None.
+            axes: the axes to draw on; those of a new figure if None.
         """
         from mmc_gym._plotting import plot_postures
 
@@ -177,9 +177,9 @@ class MMCNetwork:
         velocity_damping: d_v (paper: 5).  Dynamic networks only.
         velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
         schedule: "synchronous" or "delayed".
-        engine: "numpy"; or "numba", which compiles the iterations of a Euclidean network, takes a
-            quarter of the time, and gives the same up to rounding (1e-12).  The first run of the
-            first network of N segments compiles for some seconds.
+        engine: "numpy"; or "numba", which compiles the iterations of a Euclidean network.  That
+            takes a quarter of the time and gives the same up to rounding (1e-12).  The first run of
+            the first network of N segments compiles for some seconds.
 
     Raises:
         UserError: for fewer than two segments, a value outside its range, or an unknown argument;
@@ -222,7 +222,7 @@ class MMCNetwork:
             accepted = "Euclidean for the engine 'numba'"
             fine = type(self.normalizer) is EuclideanNormalizer
             require(fine, "normalizer", self.normalizer, accepted)
-            import mmc_gym.network.compiled  # noqa: F401  (or say now that numba is missing)
+            import mmc_gym.network.compiled  # noqa: F401  (raises here if numba is missing)
 
     @property
     def segment_count(self) -> int:
@@ -231,7 +231,7 @@ class MMCNetwork:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is to know of the network, by heading."""
+        """Facts about the network, by heading."""
         return {one.name.replace("_", " "): str(getattr(self, one.name)) for one in fields(self)}
 
     def _repr_html_(self) -> str:
@@ -289,21 +289,9 @@ class MMCNetwork:
             UserError: for a pair that is no vector of the chain, or a value that is not a finite
                 array of shape (..., 2).
         """
-        pairs = chain.vector_pairs(self.segment_count)
-        accepted = "a mapping from pairs of nodes to vectors, such as {(0, 1): (1.0, 0.0)}"
-        require(isinstance(vectors, Mapping), "vectors", vectors, accepted)
-        held: dict[int, Floats] = {}
-        for pair, value in vectors.items():
-            if pair not in pairs:
-                turned = pair[::-1] if isinstance(pair, tuple) else ()
-                guess = f"{turned} with the opposite sign" if turned in pairs else ""
-                raise unknown("clamp", pair, pairs, guess=guess)
-            held[pairs.index(pair)] = _as_floats(f"clamp {pair}", value, (2,))
+        held = held_rows(self, "vectors", vectors, _as_floats)
         if not held:
             return NO_CLAMPS
-        if self.schedule == "delayed":  # the pending value of a clamped segment is held as well
-            segments = [row for row in held if row < self.segment_count]
-            held |= {len(pairs) + row: held[row] for row in segments}
         rows = tuple(sorted(held))
         try:
             values = np.stack(np.broadcast_arrays(*(held[row] for row in rows)))
@@ -323,10 +311,9 @@ class MMCNetwork:
 
         Batch axes of state and clamps are broadcast against each other.
 
-        Where a straight or folded arm, its target and all that is clamped lie in one line, all
-        means do, too, and no iteration would ever leave it.  If such an arm is not at its target,
-        and in reach of it, it is first bent by `chain.BEND` at each joint.  All others start as
-        they are.
+        If a straight or folded arm, its target and all clamped vectors lie in one line, so do all
+        means, and no iteration would ever leave that line.  If such an arm is not at its target,
+        but in reach of it, it is first bent by `chain.BEND` at each joint.
 
         Raises:
             UserError: if state or clamps come from another kind of network, or `iterations` is no
@@ -335,7 +322,12 @@ class MMCNetwork:
         self._check(state, clamps, iterations)
         values, clamped = state.values, clamps.values
         if clamped.ndim > 2 and clamped.shape[2:] != values.shape[2:]:
-            batch = _common_batch(values, clamped)
+            try:
+                batch = np.broadcast_shapes(values.shape[2:], clamped.shape[2:])
+            except ValueError as error:
+                accepted = f"that go with the state's, {values.shape[2:]}"
+                got = clamped.shape[2:]
+                raise UserError(f"clamps must have batch axes {accepted}, got {got}") from error
             values, clamped = _broadcast(values, batch), _broadcast(clamped, batch)
         values = self._out_of_line(values, clamps.rows, clamped)
         result = np.empty(values.shape, dtype=values.dtype)
@@ -380,28 +372,20 @@ class MMCNetwork:
 
     def _check(self, state: MMCState, clamps: Clamps, iterations: int) -> None:
         """Raise a `UserError` if state or clamps are those of another network, or none."""
-        # Agents come here in every control step: where all is well, this asks little.
-        if not isinstance(state, MMCState):
-            accepted = "an MMCState, such as network.state_from_joint_angles([0.3, 0.6, 0.6])"
-            require(False, "state", state, accepted)
-        if not isinstance(clamps, Clamps):
-            require(False, "clamps", clamps, "Clamps, such as network.inverse([1.0, 1.5])")
-        count = self.segment_count
-        if state.segment_count != count:
-            raise self._of_another("state", state)
-        if clamps.rows and clamps.segment_count != count:
-            raise self._of_another("clamps", clamps)
-        if type(iterations) is not int or iterations < 0:
-            require_whole("iterations", iterations, least=0)
+        accepted = "an MMCState, such as network.state_from_joint_angles([0.3, 0.6, 0.6])"
+        require(isinstance(state, MMCState), "state", state, accepted)
+        accepted = "Clamps, such as network.inverse([1.0, 1.5])"
+        require(isinstance(clamps, Clamps), "clamps", clamps, accepted)
+        require_whole("iterations", iterations, least=0)
+        for name, count in (("state", state.segment_count), ("clamps", clamps.segment_count)):
+            if count not in (self.segment_count, NO_CLAMPS.segment_count):
+                accepted = f"of {self.segment_count} segments, as this network is"
+                raise UserError(f"{name} must be {accepted}, got {count} segments")
         if len(state.values) != self.row_count:
             raise UserError(
                 f"state must come from a network of dynamics {self.dynamics!r} and schedule "
                 f"{self.schedule!r}, as this one, got {len(state.values)} rows"
             )
-
-    def _of_another(self, name: str, one: MMCState | Clamps) -> UserError:
-        accepted = f"of {self.segment_count} segments, as this network is"
-        return UserError(f"{name} must be {accepted}, got {one.segment_count} segments")
 
     @cached_property
     def row_count(self) -> int:
@@ -413,7 +397,7 @@ class MMCNetwork:
     def _out_of_line(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
         """Return states (rows, 2, ...), bent where they could never leave the line they lie in.
 
-        To be quick, only states are looked at whose target is a new one.
+        To be quick, it examines only states with a new target.
         """
         count = self.segment_count
         hand = count * (count + 1) // 2 - 1
@@ -453,8 +437,8 @@ class Iteration:
         clamped: rows that hold clamp values.
         normalized: rows to normalize, those of the free segments.
         lengths: lengths to bring them to, (n, 1).
-        normalizer: what brings them there.
-        normalizes_first: tells whether this is done before the linear part (schedule "delayed").
+        normalizer: the network's.
+        normalizes_first: whether this comes before the linear part (schedule "delayed").
     """
 
     operator: Floats
@@ -465,7 +449,7 @@ class Iteration:
     normalizes_first: bool
 
     def repeat(self, values: Floats, iterations: int) -> Floats:
-        """Return the state (rows, 2, batch) after so many iterations; `values` is overwritten."""
+        """Return the state (rows, 2, batch) after some iterations; `values` is overwritten."""
         following = np.empty_like(values)
         flat = (len(values), -1)
         for _ in range(iterations):
@@ -489,7 +473,7 @@ class Iteration:
 
 @lru_cache(maxsize=256)
 def compile_iteration(network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> Iteration:
-    """Prepare the iteration for clamped rows (`Clamps.rows`) and a dtype's character."""
+    """Prepare an iteration for clamped rows (`Clamps.rows`) and a dtype's character."""
     count = network.segment_count
     free = [row for row in range(count) if row not in clamped]
     delayed = network.schedule == "delayed"
@@ -545,7 +529,7 @@ def linear_part(network: Any, clamped: Sequence[int], triangles: Any, arrays: An
     count, size, vectors = network.segment_count, network.row_count, len(triangles)
     delayed = network.schedule == "delayed"
     dynamic = network.dynamics != "kinematic"
-    # Rows of the identity stand for what is read of the old state.
+    # Rows of the identity select rows of the old state.
     identity = arrays.eye(size, dtype=triangles.dtype, device=triangles.device)
     old, velocity = identity[:vectors], identity[size - count :]
     new = identity[vectors : vectors + count] if delayed else old[:count]
@@ -566,6 +550,36 @@ def linear_part(network: Any, clamped: Sequence[int], triangles: Any, arrays: An
     return operator
 
 
+def held_rows(
+    network: Any, name: str, vectors: Any, read: Callable[[str, Any, tuple[int, ...]], Any]
+) -> dict[int, Any]:
+    """Return the values of all held rows of an `MMCNetwork` or `TorchNetwork`, by row.
+
+    Args:
+        network: the network.
+        name: name of the argument `vectors`.
+        vectors: a mapping from node pairs to vectors (..., 2).
+        read: makes an array of a name, a value and the value's last axes.
+
+    Raises:
+        UserError: for something else than a mapping, or a pair that is no vector of the chain.
+    """
+    accepted = "a mapping from pairs of nodes to vectors, such as {(0, 1): (1.0, 0.0)}"
+    require(isinstance(vectors, Mapping), name, vectors, accepted)
+    pairs = chain.vector_pairs(network.segment_count)
+    held = {}
+    for pair, value in vectors.items():
+        if pair not in pairs:
+            turned = pair[::-1] if isinstance(pair, tuple) else ()
+            guess = f"{turned} with the opposite sign" if turned in pairs else ""
+            raise unknown("clamp", pair, pairs, guess=guess)
+        held[pairs.index(pair)] = read(f"clamp {pair}", value, (2,))
+    if network.schedule == "delayed":  # the pending value of a clamped segment is held as well
+        segments = [row for row in held if row < network.segment_count]
+        held |= {len(pairs) + row: held[row] for row in segments}
+    return held
+
+
 def check_clamped(network: MMCNetwork, clamped: Sequence[int]) -> None:
     """Raise a `UserError` if clamps are those of another schedule."""
     count = network.segment_count
@@ -575,14 +589,8 @@ def check_clamped(network: MMCNetwork, clamped: Sequence[int]) -> None:
         raise UserError(f"clamps must come from a network of schedule {network.schedule!r}")
 
 
-def mean_operator(network: MMCNetwork) -> NDArray[np.float64]:
-    """Return I − 1/d ∂₂∂₂ᵀ, which makes the means ṽ of the vectors v."""
-    triangles = triangle_products(network.segment_count)
-    return np.eye(len(triangles)) - triangles / network.damping
-
-
 def triangle_products(segment_count: int) -> NDArray[np.float64]:
-    """Return ∂₂∂₂ᵀ, (vectors, vectors): what the triangles of two vectors have in common."""
+    """Return ∂₂∂₂ᵀ, (vectors, vectors): the triangles that two vectors share."""
     incidence = chain.triangle_incidence(segment_count)
     return incidence @ incidence.T
 
@@ -607,16 +615,6 @@ def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
     rows, two, *own = values.shape
     missing = (1,) * (len(batch) - len(own))
     return np.broadcast_to(values.reshape(rows, two, *missing, *own), (rows, two, *batch))
-
-
-def _common_batch(values: Floats, clamped: Floats) -> tuple[int, ...]:
-    """Return the batch axes that those of a state and of clamps broadcast to."""
-    own, other = values.shape[2:], clamped.shape[2:]
-    try:
-        return np.broadcast_shapes(own, other)
-    except ValueError as error:
-        accepted = f"that go with the state's, {own}"
-        raise UserError(f"clamps must have batch axes {accepted}, got {other}") from error
 
 
 def _are_lengths(numbers: tuple[float, ...]) -> bool:

@@ -20,7 +20,7 @@ import numpy as np
 from mmc_gym._files import write_atomically
 from mmc_gym._grid import run_grid
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.fitting import PAPER, Recipe, train_normalizers
+from mmc_gym.network.fitting import PAPER, FittingSettings, train_normalizers
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors, mean_squared_error
 from studies.paper.experiment import Settings, pack_arrays
 
@@ -117,7 +117,7 @@ class _Task:
     """The training of one architecture, with all that its result depends on but the version."""
 
     hidden_units: Units
-    recipe: Recipe
+    recipe: FittingSettings
     runs: int
     seed: int
 

@@ -8,7 +8,14 @@ import torch
 
 from mmc_gym._errors import UserError
 from mmc_gym.network import fitting
-from mmc_gym.network.fitting import ACCURATE, PAPER, Recipe, Refinement, refine, train_normalizers
+from mmc_gym.network.fitting import (
+    ACCURATE,
+    PAPER,
+    FittingSettings,
+    Refinement,
+    refine,
+    train_normalizers,
+)
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors
 
 WIDTHS = (2, 5, 3, 2)
@@ -169,12 +176,19 @@ def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
             {"hidden_units": ()},
             r"hidden_units must be .*, got \(\)",
         ),
-        (Recipe, {"epochs": 0}, "epochs must be 1 or more, got 0"),
-        (Recipe, {"samples": 0}, "samples must be 1 or more, got 0"),
-        (Recipe, {"batch_size": 0}, "batch_size must be 1 or more, got 0"),
-        (Recipe, {"weight_decay": -0.1}, "weight_decay must be finite and not neg.*, got -0.1"),
-        (Recipe, {"validation_share": 1.0}, "validation_share must be .* of 3600 .* got 1.0"),
-        (Recipe, {"length_ranges": ((1.0, 1.0),)}, r"length_ranges must .* got \(\(1.0, 1.0\),\)"),
+        (FittingSettings, {"epochs": 0}, "epochs must be a whole number of at least 1, got 0"),
+        (FittingSettings, {"samples": 2}, "samples must be a whole number of at least 3, got 2"),
+        (FittingSettings, {"batch_size": 0}, "batch_size must be .* of at least 1, got 0"),
+        (
+            FittingSettings,
+            {"weight_decay": -0.1},
+            "weight_decay must be finite and not neg.*, got -0.1",
+        ),
+        (
+            FittingSettings,
+            {"length_ranges": ((1.0, 1.0),)},
+            r"length_ranges must .* got \(\(1.0, 1.0\),\)",
+        ),
     ],
 )
 def test_impossible_trainings_are_refused(make, settings, message):

@@ -36,7 +36,7 @@ from studies.paper.networks import Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
 WEIGHT_DECAY = 0.0005
-"""Of the further networks [8, 8]; an L2 penalty on the weights, see `Recipe`."""
+"""Of the further networks [8, 8]; an L2 penalty on the weights, see `FittingSettings`."""
 
 SILENT = 0.01
 """A unit whose activation ranges over less than this is silent."""
