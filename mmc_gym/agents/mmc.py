@@ -1,8 +1,8 @@
 """The MMC network as a policy: target → internal model → joint targets.
 
-At the start of an episode the network is set to the observed posture.  From then on it runs by
-itself, a few iterations per control step with its end effector clamped to the target, and the
-servos follow the joint angles of its segments.
+At the start of an episode the network is set to the observed posture.  From then on it runs
+without further senses, a few iterations per control step with its end effector clamped to the
+target.  The servos follow the joint angles of its segments.
 """
 
 from __future__ import annotations
@@ -118,13 +118,13 @@ def run_within_limits(
 ) -> MMCState:
     """Run networks, and keep their joints within the limits.
 
-    A joint limit enters as a sensed posture does (`network.embodied`): for an arm with a joint
-    beyond one, the nearest posture within the limits is one more computation in the mean, of
-    weight N + 1.  So the other joints take over what that joint cannot do.
+    A joint limit acts like a sensed posture (`network.embodied`): for an arm with a joint beyond a
+    limit, the nearest posture within the limits is one more computation in the mean, of weight
+    N + 1.  So the other joints take over what that joint cannot do.
 
-    Of 200 random targets under limits of ±3, ±2, ±2 the network reaches 80 % so, 64 % if the
-    servos alone stop at the limits, and 53 % if it is set to the posture in which its joints have
-    stopped.  Those it does not reach need a way round that it does not look for.
+    Of 200 random targets under limits of ±3, ±2, ±2 the network reaches 80 % in this way, 64 % if
+    the servos alone stop at the limits, and 53 % if it is set to the posture in which its joints
+    have stopped.  The rest needs a detour, which it does not look for.
     """
     weight = network.segment_count + 1.0
     for _ in range(iterations):
@@ -140,11 +140,11 @@ def run_within_limits(
 
 
 def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
-    """Return networks, bent a little where they could not get to their targets.
+    """Return networks, bent a little if they could not get to their targets.
 
-    An arm gets into such a dead end (see `leave_line`) when its target becomes another one: `held`,
-    where the end effector is to be held, is compared with where it was held last.  Then a look at
-    the segments says whether any arm is nearly straight.  Both are quick.
+    An arm gets into such a dead end (see `leave_line`) only with a new target, so `held`, the clamp
+    of the end effector, is first compared with the last one.  Then it is checked whether any arm is
+    nearly straight.  Both are quick.
     """
     (row,), count = held.rows, network.segment_count
     if held.values.tobytes() == state.values[row].tobytes():
@@ -164,11 +164,10 @@ def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
 def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None) -> MMCAgent:
     """Return the dynamic network at its best setting; the normalizer is Euclidean if None is given.
 
-    d = N + 1 is where the linear part converges fastest without oscillation; the rest are the
-    paper's constants.  With three iterations per control step all but about one in a thousand
-    random targets are reached within the 2 s of an episode.  Longer chains converge more slowly: of
-    ten segments it reaches 41 % in these 300 iterations, as the network does by itself, which comes
-    to 85 % in 600.
+    With d = N + 1 the linear part converges fastest without oscillation; the other constants are
+    the paper's.  With three iterations per control step it reaches all but about one in a thousand
+    random targets within the 2 s of an episode.  Longer chains converge more slowly: with ten
+    segments it reaches 41 % in these 300 iterations, and 85 % in 600.
     """
     network = network_of_arm(
         interface,
@@ -182,8 +181,8 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None)
 def tuned_mmc(interface: ReachInterface) -> MMCAgent:
     """Return the network of `mmc` with constants from `mmc-gym tune mmc`: 20 trials, 200,000 steps.
 
-    They bring 77.2 % of the time at the target, those of `mmc` 75.5 %.  d is just above
-    (N + 1) / 2, where the network no longer converges.
+    With them the hand is at the target for 77.2 % of the time, with those of `mmc` for 75.5 %.  d
+    is just above (N + 1) / 2, the bound of convergence.
     """
     network = network_of_arm(
         interface,
@@ -205,9 +204,9 @@ class TimedMMCState(NamedTuple):
 class TimedMMCAgent(NetworkAgent[TimedMMCState]):
     """A kinematic MMC network on a time base that drives the arm, with a bell-shaped speed.
 
-    As `MMCAgent`, but the gain of every iteration is such that the hand covers the share of its way
-    that a minimum-jerk movement would (`network.time_base`).  `planners` says when a movement
-    begins and how long it takes.
+    Unlike in `MMCAgent`, the gain of every iteration lets the hand cover the share of its way that
+    a minimum-jerk movement would (`network.time_base`).  `planners` defines when a movement begins
+    and how long it takes.
     """
 
     @override
@@ -228,7 +227,7 @@ class TimedMMCAgent(NetworkAgent[TimedMMCState]):
         return network.joint_angles, TimedMMCState(network, step(movement))
 
     def _within_limits(self, network: MMCState) -> MMCState:
-        """Return the networks, those with a joint beyond its limit halfway back within."""
+        """Return the networks; joints beyond their limits are moved half of the way back."""
         if self.interface.joint_limits is None:
             return network
         joint_angles = network.joint_angles

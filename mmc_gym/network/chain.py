@@ -111,7 +111,7 @@ def wrap_angle(angle: Floats) -> Floats:
 
 
 BEND = 0.02
-"""Angle by which each joint of a straight arm is bent where no method could leave the line, rad."""
+"""Angle by which each joint of a straight arm is bent if it could not leave the line, rad."""
 
 
 def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
@@ -125,7 +125,7 @@ def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
 
 
 def nearest_reachable(target: Floats, segment_lengths: Sequence[float]) -> Floats:
-    """Return targets (..., 2), those out of reach moved to the nearest point within.
+    """Return targets (..., 2); those out of reach are moved to the nearest point within.
 
     >>> nearest_reachable(np.array([4.0, 0.0]), (1.0, 1.0, 1.0))
     array([3., 0.])

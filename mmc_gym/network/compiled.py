@@ -13,9 +13,9 @@ fit best.)  And the arms of a block stay in the first-level cache for all iterat
 Lanes never mix and nothing is reassociated or fused: the numbers of an arm do not depend on its
 neighbours.  Everything is computed in float64, whatever the dtype of the state.
 
-A block is a record of arrays whose shapes are part of its type.  So the compiler knows N, writes
-the loops over nodes out, and turns those over lanes into vector instructions.  It does so anew for
-each N: a few seconds, once on a machine.
+A block is a record of arrays whose shapes are part of its type.  So the compiler knows N, unrolls
+the loops over nodes, and turns those over lanes into vector instructions.  It compiles once for
+each N, in a few seconds, and keeps the result on the machine.
 """
 
 from __future__ import annotations

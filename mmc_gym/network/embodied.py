@@ -1,7 +1,7 @@
-"""Iterations of the network when something is known of the body: sensed, measured, or locked.
+"""Iterations of the network with knowledge of the body: sensed posture, lengths, locked joints.
 
-The end effector R is held at the target.  Three things are added, each of which may differ between
-the arms of a batch.  Without them an iteration is that of `MMCNetwork.run`, bit for bit.
+The end effector R is held at the target.  Each kind of knowledge may differ between the arms of a
+batch.  Without any, an iteration is that of `MMCNetwork.run`, bit for bit.
 
 **A sensed posture is one more computation in the mean.**  With L^s the sensed segments and w the
 weight of that computation, the mean of a segment becomes
@@ -11,17 +11,17 @@ weight of that computation, the mean of a segment becomes
 
 **Each arm may have its own lengths**: L ← ℓ · normalize(L̃/ℓ) with these ℓ.
 
-**A locked joint is a clamp on an angle.**  The segments about it are one rigid body, which can turn
-but not bend.  Its segments are ℓ_i R(c_i) u, where R(c_i) turns by the sum of the locked joints'
-angles.  Its span is D = Σ ℓ_i R(c_i) u, of fixed length and at a fixed angle to each segment.  As a
-free segment is brought to the nearest vector of its length, so a body is brought to where its
-proposed segments L̃_i and their sum fit best,
+**A locked joint is a clamp on an angle.**  The segments on both sides of it are one rigid body,
+which can turn but not bend.  Its segments are ℓ_i R(c_i) u, where R(c_i) turns by the sum of the
+locked joints' angles.  Its span is D = Σ ℓ_i R(c_i) u, of fixed length and at a fixed angle to each
+segment.  A free segment is replaced by the nearest vector of its length; likewise a body by the one
+that fits its proposed segments L̃_i and their sum best,
 
     u = normalize(λ Σ ℓ_i R(c_i)ᵀ L̃_i + (Σ ℓ_i R(c_i))ᵀ Σ L̃_i),     L_i ← ℓ_i R(c_i) u
 
-The span decides (λ is small), as it does for a network of one segment less, in which the body is a
+The span dominates (λ is small), as in a network of one segment less, in which the body is a
 segment.  With the segments alone, a folded body would turn slowly.  With the span alone, a body
-folded to nothing would have no direction.  A body of one segment is the free segment.  A body that
+folded to nothing would have no direction.  A body of one segment is a free segment.  A body that
 is tied to the base, because the first joint is locked, cannot turn.
 """
 
@@ -58,7 +58,7 @@ class Embodiment:
         segment_lengths: lengths of each arm, (..., N), in place of the network's.
         sensed: sensed segments, (..., N, 2).
         weight: w, the weight of the sensed posture in the mean; at least 0.
-        locked: tells for each joint whether it is locked, (..., N).
+        locked: whether each joint is locked, (..., N).
         joint_angles: angles of the locked joints, radians, (..., N); the others do not matter.
 
     Raises:
@@ -128,7 +128,7 @@ def embodied_run(
 def _pull(
     network: MMCNetwork, body: Embodiment, values: Floats
 ) -> Callable[[Floats, Floats], None] | None:
-    """Return what adds the sensed posture to an iteration; both states are (rows, 2, batch)."""
+    """Return a function that adds the sensed posture to an iteration; states (rows, 2, batch)."""
     if body.sensed is None or not body.weight:
         return None
     count, is_dynamic = network.segment_count, network.dynamics != "kinematic"
@@ -153,9 +153,9 @@ def _pull(
 def _rigid_bodies(
     normalizer: Normalizer, body: Embodiment, lengths: Floats, values: Floats
 ) -> Callable[[Floats], Floats] | None:
-    """Return what brings segments (N, 2, batch) to the nearest ones of the bodies made by locks.
+    """Return a function of segments (N, 2, batch): the nearest ones of the bodies made by locks.
 
-    Complex numbers stand for vectors and turns.
+    Complex numbers represent vectors and turns.
     """
     if body.locked is None or body.joint_angles is None or not body.locked.any():
         return None
@@ -184,7 +184,7 @@ def _rigid_bodies(
 
 
 def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
-    """Sum over each rigid body, and hand the sum to all its segments, (N, batch)."""
+    """Sum over each rigid body, and give the sum to all its segments, (N, batch)."""
     sums, count = values.copy(), len(values)
     for joint in range(1, count):  # complete at the last segment of each body
         sums[joint] += np.where(starts[joint], 0.0, sums[joint - 1])

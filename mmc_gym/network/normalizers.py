@@ -6,9 +6,9 @@ output units, is trained to map any vector onto the unit circle without turning 
 
     L = ℓ · f(L̃ / ℓ),      f(x) = tanh(W_K … tanh(W_1 x + b_1) … + b_K).
 
-Inside the network the batch stands on the last axis, (rows, 2, batch), so that an iteration is
-one matrix product over contiguous memory.  `normalize_rows` works on that layout, in place.
-Calling a normalizer works on the usual one, (..., 2).
+Inside the network the batch is the last axis, (rows, 2, batch), so that an iteration is one matrix
+product over contiguous memory.  `normalize_rows` works on that layout, in place.  Calling a
+normalizer works on the usual one, (..., 2).
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Normalizer(ABC):
 
         Args:
             rows: vectors with the batch last, shape (n, 2, batch).
-            lengths: lengths to bring them to, of the same dtype, shape (n, 1), or (n, batch) if
-                each of the batch has its own.
+            lengths: the wanted lengths, of the same dtype, shape (n, 1), or (n, batch) if they
+                differ within the batch.
         """
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
@@ -62,7 +62,7 @@ class EuclideanNormalizer(Normalizer):
 
     @override
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
-        # Far below the rounding error of any vector but zero itself, which it gives a direction.
+        # It gives the zero vector a direction, and is below the rounding error of all others.
         rows[:, 0] += _NUDGE[rows.dtype.char]
         squares = rows * rows
         scale = squares[:, 0] + squares[:, 1]
@@ -84,7 +84,7 @@ class LearnedNormalizer(Normalizer):
     Attributes:
         weights: one (outputs, inputs) array per layer, float64.
         biases: one (outputs,) array per layer, float64.
-        card: strings that say how it was trained, stored with the weights.
+        card: strings that describe its training, stored with the weights.
     """
 
     def __init__(
@@ -96,8 +96,8 @@ class LearnedNormalizer(Normalizer):
         """Make a normalizer from layer weights (outputs, inputs) and biases (outputs,).
 
         Raises:
-            UserError: if the layers do not lead from 2 inputs to 2 outputs, or a value is no
-                finite number.
+            UserError: if the layers do not lead from 2 inputs to 2 outputs, or a value is not
+                finite.
         """
         for name, layers in (("weights", weights), ("biases", biases)):
             fine = isinstance(layers, Sequence) and not isinstance(layers, str)
@@ -206,7 +206,7 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
 
     Args:
         normalizer: the normalizer to measure.
-        lengths: lengths of the vectors it is given, shape (n,).
+        lengths: lengths of the vectors to normalize, shape (n,).
         directions: number of directions, spread evenly over the circle.
 
     Returns:
@@ -228,11 +228,11 @@ def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3
 def mean_squared_error(
     normalizer: Normalizer, lengths: ArrayLike | None = None, directions: int = 3600
 ) -> float:
-    """Return the mean of |output − direction|²/2, the paper's loss, without the luck of a test set.
+    """Return the mean of |output − direction|²/2, the paper's loss, over an even grid of vectors.
 
     Args:
         normalizer: the normalizer to measure.
-        lengths: lengths of the vectors it is given, shape (n,); by default, 1,000 spread evenly
+        lengths: lengths of the vectors to normalize, shape (n,); by default 1,000, spread evenly
             over the paper's ]0, 2].
         directions: number of directions, spread evenly over the circle.
     """

@@ -16,15 +16,15 @@ iterations it is a rule for the step of the hand x = ΣL:
 
     |x_k − x_{k−1}| = σ_k |R − x_{k−1}|,     σ_k = (ξ_k − ξ_{k−1}) / (1 − ξ_{k−1})
 
-The rule is about the length of the step, not about the distance that is left: a path that sets
-out sideways would need large steps to come nearer, and its speed would have a second peak.
+The rule is about the length of the step, not about the remaining distance: a path that begins
+sideways would need large steps to come nearer, and its speed would have a second peak.
 
 The linear part of the network moves the hand by the slow mode, of eigenvalue 2.  It covers the
 share 2g of the distance, so that g = σ/2, or d = 2/σ.  Normalization makes the hand slower than
 that, by a factor that depends on the posture.  So g = σ/2 is a first guess, which a few secant
-steps correct until the hand's step has the wanted length.  They need the normalization alone:
-what g multiplies stays the same.  g is at most 2/(2 + (N + 1)), which damps the slow modes, of
-eigenvalue 2, and the fast ones, N + 1, equally well.  Where this is too little, as with the arm
+steps correct until the hand's step has the wanted length.  They repeat only the normalization,
+because the factor of g stays the same.  g is at most 2/(2 + (N + 1)), which damps the slow modes,
+of eigenvalue 2, and the fast ones, N + 1, equally well.  If this is too little, as with the arm
 folded or stretched out, the hand arrives late.  The network's own damping plays no part.
 
 Literature: T. Flash, N. Hogan (1985), J. Neurosci. 5, 1688–1703.  M. Zak (1988), Terminal
@@ -68,8 +68,7 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
 def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
     """Return σ, the share of the remaining distance that the hand is to go in an iteration.
 
-    After `duration` iterations the share is 1: what the hand has not covered by then, it covers
-    as fast as the network can.
+    After `duration` iterations the share is 1: the hand covers the rest as fast as the network can.
 
     Args:
         iteration: its number k, from 1.
@@ -175,9 +174,9 @@ def timed_trajectory(
 def _solve(
     function: Callable[[Floats], Floats], wanted: Floats, first: Floats, largest: float
 ) -> Floats:
-    """Find where in [0, largest] an increasing function is as wanted; at 0 it is taken to be 0.
+    """Find where in [0, largest] an increasing function has the wanted value; at 0 it is 0.
 
-    Steps are proportional until the answer is bracketed, and secants of the bracket from then on.
+    Steps are proportional until the answer is bracketed, then secants of the bracket.
     """
     tiny = np.finfo(wanted.dtype).tiny
     low, low_value = np.zeros_like(wanted), np.zeros_like(wanted)

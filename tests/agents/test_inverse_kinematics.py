@@ -64,13 +64,13 @@ def test_reaches_random_targets_from_random_postures(name, lengths):
 
 
 @given(st.data())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_stays_finite_and_ends_no_farther_away_from_anywhere(data):
     name, lengths = data.draw(st.sampled_from(CASES))
     posture = np.array(data.draw(st.lists(angles, min_size=len(lengths), max_size=len(lengths))))
     target = polar(data.draw(st.floats(0.0, 2 * sum(lengths))), data.draw(angles))
     first = distances(posture, target, lengths)
-    after = iterate(SOLVERS[name], posture, target, lengths, 200)
+    after = iterate(SOLVERS[name], posture, target, lengths, 100)
     assert np.isfinite(after).all()
     assert distances(after, target, lengths) <= first + 0.01 * sum(lengths)  # of a bend
 
@@ -79,21 +79,15 @@ def test_stays_finite_and_ends_no_farther_away_from_anywhere(data):
 def test_a_batch_is_solved_as_its_members_are_alone(name, lengths):
     postures, targets = random_reaches(lengths, 12)
     shape = (3, 4, len(lengths))
+    before = postures.copy(), targets.copy()
     together = iterate(SOLVERS[name], postures.reshape(shape), targets.reshape(3, 4, 2), lengths, 5)
+    np.testing.assert_array_equal(postures, before[0])  # what is handed in stays as it is
+    np.testing.assert_array_equal(targets, before[1])
     alone = [
         iterate(SOLVERS[name], posture, target, lengths, 5)
         for posture, target in zip(postures, targets)
     ]
     np.testing.assert_allclose(together, np.reshape(alone, shape), rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(("name", "lengths"), CASES)
-def test_what_is_handed_in_stays_as_it_is(name, lengths):
-    postures, targets = random_reaches(lengths, 3)
-    before = postures.copy(), targets.copy()
-    SOLVERS[name](postures, targets, lengths)
-    np.testing.assert_array_equal(postures, before[0])
-    np.testing.assert_array_equal(targets, before[1])
 
 
 @pytest.mark.parametrize(("name", "lengths"), CASES)
@@ -204,21 +198,6 @@ def test_one_iteration_is_what_the_textbook_says(target):
     added = null_space(posture, target, lengths) - damped_least_squares(posture, target, lengths)
     projector = np.eye(3) - np.linalg.pinv(matrix) @ matrix
     np.testing.assert_allclose(added, -0.03 * projector @ (posture * [0, 1, 1]), atol=1e-12)
-
-
-def test_comfort_bends_all_joints_but_the_first_evenly():
-    lengths, target = (1.0, 1.0, 1.0), np.array([0.5, 1.5])
-    postures, _ = random_reaches(lengths, 50)
-    ends = iterate(null_space, postures, np.broadcast_to(target, (50, 2)), lengths, 1000)
-    bends = wrap_angle(ends)[:, 1:]
-    hand = distances(ends, target, lengths)
-    np.testing.assert_allclose(hand, 0, atol=1e-6)
-    # The sum of squares is least where its gradient has no part in the null space of J.
-    for end, bend in zip(ends, bends):
-        _, *rows = jacobian(end, lengths)
-        null = np.linalg.svd(np.stack(rows))[2][-1]
-        assert abs(null @ [0.0, *bend]) < 1e-4
-    assert np.median(np.abs(bends[:, 0] - bends[:, 1])) < 1.0
 
 
 def test_only_an_arm_that_cannot_get_nearer_otherwise_is_bent():

@@ -48,7 +48,7 @@ def best(assumed=DEFAULT, moves: float = 1.0) -> np.ndarray:
     return optimal_gain(assumed, STEP, staying_value(assumed, STEP, moves))
 
 
-@pytest.mark.parametrize("moves", [0.01, 0.3, 1.0, 3.0])
+@pytest.mark.parametrize("moves", [0.01, 1.0])
 def test_without_noise_the_gain_is_that_of_the_riccati_equation(moves):
     (a, b), q, r = plant(QUIET, STEP), staying_cost(QUIET, moves), QUIET.effort_cost**2
     p = solve_discrete_are(a, b, q, [[r]])
@@ -59,7 +59,7 @@ def test_the_cost_to_go_is_what_the_noisy_controller_pays():
     np.testing.assert_allclose(expected_cost(best()), staying_value(DEFAULT, STEP, 1.0), rtol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_other_gain_costs_less(seed):
     other = best() * np.random.default_rng(seed).uniform(0.7, 1.4, 3)
     more = expected_cost(other) - staying_value(DEFAULT, STEP, 1.0)
@@ -95,10 +95,8 @@ def test_a_long_reach_begins_gently_and_ends_as_staying_does():
 
 
 def test_the_gain_of_the_senses_falls_with_their_noise():
-    def of_joints(noise: float) -> float:
-        return float(gains(replace(DEFAULT, joint_noise=noise), STEP).posture[0])
-
-    assert 1 > of_joints(0.001) > of_joints(0.01) > of_joints(0.1) > 0
+    least, most = (gains(replace(DEFAULT, joint_noise=noise), STEP) for noise in (0.001, 0.1))
+    assert 1 > least.posture[0] > most.posture[0] > 0
 
 
 def test_the_kalman_gain_is_the_one_of_least_error():
@@ -144,7 +142,9 @@ def test_a_joint_that_does_not_turn_is_not_relied_on():
     assert success["locked-2-told"] > 0.9
 
 
-@pytest.mark.parametrize("control", ["joint_velocity", "joint_position"])
+@pytest.mark.parametrize(
+    "control", ["joint_velocity", pytest.param("joint_position", marks=pytest.mark.slow)]
+)
 def test_senses_that_are_known_to_be_late_do_little_harm(control):
     env = gym.make_vec("MMCReach-v0", 50, control=control, perturbations="delay-200")
     success = {}
@@ -158,7 +158,7 @@ def test_senses_that_are_known_to_be_late_do_little_harm(control):
 
 def test_noise_is_left_where_it_does_not_move_the_hand():
     """Minimal intervention: the joints vary along the uncontrolled manifold (Todorov & Jordan)."""
-    env = gym.make_vec("MMCReach-v0", 100, control="joint_velocity")
+    env = gym.make_vec("MMCReach-v0", 60, control="joint_velocity")
     noisy = replace(DEFAULT, motor_noise=0.5)
     agent = OptimalControlAgent(ReachInterface.of(env), noisy, noise_seed=0)
     start = {"joint_angles": [0.3, 0.9, 0.8], "target": (0.6, 1.8)}

@@ -43,8 +43,6 @@ def test_an_agent_acts_alike_on_either_engine():
 def test_a_learned_normalizer_is_refused():
     with pytest.raises(UserError, match="normalizer must be Euclidean for the engine 'numba', got"):
         MMCNetwork(normalizer=LearnedNormalizer.shipped(), engine="numba")
-    with pytest.raises(UserError, match="engine 'jax' is not accepted"):
-        MMCNetwork(engine="jax")
 
 
 def test_clamps_of_another_schedule_are_refused():

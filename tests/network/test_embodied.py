@@ -38,10 +38,10 @@ def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, 
     state = network.state_from_joint_angles(postures(0, 7))
     target = targets(1, 7)
     expected = network.run(state, network.inverse(target), 20)
-    told = Embodiment(segment_lengths=np.array(network.segment_lengths))
+    given = Embodiment(segment_lengths=np.array(network.segment_lengths))
     unlocked = Embodiment(locked=np.zeros(3, dtype=bool), joint_angles=np.zeros(3))
     unweighted = Embodiment(sensed=np.ones((7, 3, 2)))
-    for body in (Embodiment(), told, unlocked, unweighted):
+    for body in (Embodiment(), given, unlocked, unweighted):
         actual = run_to(network, state, target, body, 20)
         np.testing.assert_array_equal(actual.values, expected.values)
 
@@ -49,9 +49,9 @@ def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, 
 @every_normalizer
 def test_each_arm_of_a_batch_may_have_its_own_lengths(normalizer):
     lengths = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.5], [2.0, 0.5, 0.7]])
-    told = MMCNetwork(normalizer=normalizer)
-    state, target = told.state_from_joint_angles(postures(0, 3)), targets(1, 3)
-    together = run_to(told, state, target, Embodiment(segment_lengths=lengths), 30)
+    given = MMCNetwork(normalizer=normalizer)
+    state, target = given.state_from_joint_angles(postures(0, 3)), targets(1, 3)
+    together = run_to(given, state, target, Embodiment(segment_lengths=lengths), 30)
     for index, own in enumerate(lengths):
         network = MMCNetwork(tuple(own), normalizer=normalizer)
         one = type(state)(state.values[..., index], 3)
@@ -92,20 +92,7 @@ def test_to_sense_the_posture_of_the_model_takes_the_place_of_as_much_damping(dy
     )
 
 
-def test_the_greater_its_weight_the_nearer_the_model_stays_to_the_sensed_posture():
-    network = MMCNetwork(damping=4.0, dynamics="paper")
-    start = network.state_from_joint_angles([0.3, 0.6, 0.6])
-    moved = []
-    for weight in (0.0, 0.5, 2.0, 8.0):
-        body = Embodiment(sensed=start.segments, weight=weight)
-        end = run_to(network, start, [-1.0, 1.5], body, 200)
-        moved.append(np.linalg.norm(end.end_effector - start.end_effector))
-    assert moved == sorted(moved, reverse=True)
-    assert moved[-1] < 0.9 * moved[0]
-
-
-@pytest.mark.parametrize("weight", [0.2, 1.0, 5.0])
-@pytest.mark.parametrize("count", [2, 3, 5, 8])
+@pytest.mark.parametrize(("count", "weight"), [(2, 5.0), (3, 1.0), (5, 0.2)])
 def test_posture_and_hand_are_fused_where_the_squares_of_what_they_miss_are_least(count, weight):
     """Those of the hand, and `weight` times those of the segments: the best estimate of both."""
     network = MMCNetwork((1.0,) * count, damping=count + 1)
