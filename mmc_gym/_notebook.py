@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def facts_table(thing: object, facts: Mapping[str, str]) -> str:
-    """Return HTML: the class of a thing, the first line of its docstring, and a row a fact."""
+    """Return HTML: a thing's class, the first line of its docstring, and a row for each fact."""
     first = (inspect.getdoc(type(thing)) or "").partition("\n")[0]
     rows = "".join(
         f'<tr><th style="text-align: left">{escape(heading)}</th><td>{escape(fact)}</td></tr>'
@@ -22,7 +22,7 @@ def facts_table(thing: object, facts: Mapping[str, str]) -> str:
 
 
 def png(picture: NDArray[np.uint8], shrink: int = 1) -> bytes:
-    """Return a picture (height, width, 3) as PNG, each side by a whole number smaller."""
+    """Return a picture (height, width, 3) as PNG, with each side divided by `shrink`."""
     from PIL import Image
 
     file = io.BytesIO()

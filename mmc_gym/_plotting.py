@@ -1,4 +1,4 @@
-"""Figures: their style and files, and the hand paths and speed profiles of a comparison."""
+"""Draw figures: their style and files, hand paths, speed profiles and postures."""
 
 from __future__ import annotations
 
@@ -22,9 +22,14 @@ from mmc_gym._files import write_atomically
 Floats = NDArray[np.float64]
 
 EXAMPLES = 4  # paths shown per agent
-POSTURES = 16  # of a network, shown at most
-LINES = ("-", "--", "-.", (0, (1, 1)))  # so that episodes differ without colour too
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c")  # Okabe and Ito: safe for colour blindness
+POSTURES = 16  # of a network, at most
+LINES = ("-", "--", "-.", (0, (1, 1)))  # episodes differ without colour, too
+COLOURS = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#7f3b8c",
+)  # by Okabe and Ito, for the colour-blind
 STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 9,
@@ -78,10 +83,10 @@ def paths_and_profiles(
     control_step: float,
     figure: Figure | None = None,
 ) -> Figure:
-    """Draw hand paths above and the speed profile over all movements below, a column per agent.
+    """Draw hand paths above and the speed profile of all movements below, a column per agent.
 
     Args:
-        movements: of each agent, by the name to stand above its column.
+        movements: of each agent, by the heading of its column.
         reach: radius of the disc that the hand can reach, segment lengths.
         tolerance: distance from the target that counts as success, segment lengths.
         control_step: seconds.
@@ -128,7 +133,7 @@ def draw_paths(
 ) -> None:
     """Draw the hand paths of the first `EXAMPLES` movements, with their targets and the reach.
 
-    Arguments as of `paths_and_profiles`; a `halo` sets off the numbers of the targets.
+    For the arguments see `paths_and_profiles`; a `halo` sets off the numbers of the targets.
     """
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
     for number, (hands, (x, y), _) in enumerate(movements[:EXAMPLES]):
@@ -152,7 +157,7 @@ def write_number(
     halo: bool = True,
     **style: Any,
 ) -> None:
-    """Write a number beside a place; `offset` is in points, and a halo sets it off."""
+    """Write a number beside a place, `offset` by points; a halo sets it off."""
     effects = [withStroke(linewidth=2, foreground="white")] if halo else None
     axes.annotate(
         str(number), place, offset, textcoords="offset points", path_effects=effects, **style
@@ -160,12 +165,12 @@ def write_number(
 
 
 def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = None) -> Figure:
-    """Draw the way of the first `EXAMPLES` arms from posture to posture, later ones darker.
+    """Draw the postures of the first `EXAMPLES` arms in turn, later ones darker.
 
     Args:
         nodes: base, joints and hand in each posture, (postures, arms, N + 1, 2).
-        ends: where a cross is drawn for each arm, (arms, 2).
-        axes: to draw on; of a new figure if None.
+        ends: the place of each arm's cross, (arms, 2).
+        axes: to draw on; those of a new figure if None.
     """
     # The first steps are the largest.
     count = len(nodes)
@@ -194,7 +199,7 @@ def speed_quartiles(movements: Sequence[PlottedMovement]) -> Floats:
     """Return the quartiles over all movements of the speed in each step, (3, longest)."""
     padded = np.full((len(movements), max(len(one.speeds) for one in movements)), np.nan)
     for row, movement in zip(padded, movements, strict=True):
-        row[: len(movement.speeds)] = movement.speeds  # shorter ones drop out of the quartiles
+        row[: len(movement.speeds)] = movement.speeds  # NaNs drop out of the quartiles
     quartiles: Floats = np.nanpercentile(padded, (25, 50, 75), axis=0)
     return quartiles
 

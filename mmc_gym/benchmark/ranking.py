@@ -1,17 +1,17 @@
-"""Ranking agents over the environments of a benchmark.
+"""Rank agents over the environments of a benchmark.
 
-    rank          by success s = mean over environments of the fraction of episodes, of all training
-                  seeds, that end at the target; agents with the same s by time to target, the mean
-                  over environments of its median over the episodes that have one
-    settled       part of an episode after which the hand has come to stay at the target,
-                  1 − time to target / duration, 0 if it never does: its interquartile mean
-    improvement   probability that the agent's policy is settled for longer in an episode than the
-                  baseline's is in the same; ½ for the baseline itself, and for a copy of it
+    rank          by success, the mean over environments of the fraction of episodes (of all
+                  training seeds) that end at the target; agents with the same success by time to
+                  target, the mean over environments of its median over the episodes that have one
+    settled       part of an episode in which the hand stays at the target, its interquartile mean:
+                  1 − time to target / duration, 0 if it never stays
+    improvement   probability that the agent's policy is settled for longer than the baseline's in
+                  the same episode; ½ for the baseline itself, and for a copy of it
 
-Every environment weighs the same, whatever its number of instances.  Environments count that all
-agents have attempted.  Where an agent could not act, or failed, it had no success.  Agents with the
-same success and the same time have the same rank; intervals tell which differences mean something.
-They are over training seeds and instances, see `statistics`.
+All environments that all agents have attempted count, with equal weight whatever their number of
+instances.  An agent that could not act, or failed, had no success.  Agents with the same success
+and the same time share a rank; intervals over training seeds and instances say which differences
+mean something, see `statistics`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from mmc_gym.benchmark.store import (
 )
 
 BASELINE_AGENT = "mmc"
-_DIGITS = 12  # sums of the same numbers in another order are the same
+_DIGITS = 12  # rounding makes sums of the same numbers in another order equal
 _POLICY = ["agent", "training_seed"]
 
 
@@ -54,12 +54,12 @@ def rank_agents(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Rank agents; the ideal hand, which has not met all environments, is left out.
+    """Rank agents, without the ideal hand, which cannot play all environments.
 
     Args:
         episodes: as `read_episodes` returns them.
         not_played: cells that were attempted and have no episodes.
-        baseline: the agent that all are compared with; no comparison if it is not there.
+        baseline: the agent that all are compared with; without it there is no comparison.
         resamples: of the bootstrap.
         seed: of the bootstrap.
 
@@ -69,7 +69,7 @@ def rank_agents(
         environments, instances, not_played (cells).
 
     Raises:
-        UserError: if there is no environment that all agents have attempted.
+        UserError: if no environment was attempted by all agents.
     """
     missing = [key for key in not_played if key.agent != REFERENCE]
     scores = ranked_scores(episodes, missing)
@@ -115,7 +115,7 @@ def success_by_environment(
 
     Args:
         episodes: as `read_episodes` returns them.
-        not_played: cells that were attempted and have no episodes: without success.
+        not_played: cells that were attempted and have no episodes; they count as no success.
 
     Returns:
         Means over training seeds and instances; NaN where nothing was attempted.
@@ -128,11 +128,11 @@ def success_by_environment(
 
 
 def ranked_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
-    """Return the scores that a ranking is made of, in the environments that all have attempted.
+    """Return the scores that a ranking uses, in the environments that all agents have attempted.
 
     Returns:
-        A row for each episode of each policy, also of those not played: agent, training_seed,
-        environment, instance, success, time_to_target, settled.
+        A row for each episode of each policy, played or not: agent, training_seed, environment,
+        instance, success, time_to_target, settled.
 
     Raises:
         UserError: if there is no such environment.
@@ -175,24 +175,24 @@ def _mean_over_environments(scores: pd.DataFrame, column: str, statistic: str) -
 RANKING = "ranking.csv"
 """The ranking in a store's folder, as `rank_agents` returns it, for other programs."""
 
-_MADE_OF = "ranking.json"  # beside it: which cells it is made of
+_MADE_OF = "ranking.json"  # beside it: the cells that it was computed from
 
 
 def read_ranking(folder: Path) -> pd.DataFrame:
-    """Return the ranking in a store's folder; no rows if it is not of the cells that are there."""
+    """Return the ranking in a store's folder; no rows if its cells have changed since."""
     try:
         made_of = json.loads((folder / _MADE_OF).read_bytes())["cells"]
         if made_of == cells_digest(folder):
             return pd.read_csv(folder / RANKING)
     except (OSError, ValueError, KeyError, TypeError):
-        pass  # it is made anew
+        pass  # it is computed again
     return pd.DataFrame()
 
 
 def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     """Rank the agents of a store, print the table, write it to `RANKING`, and return it.
 
-    Where nothing can be ranked it prints why, and returns no rows.
+    If nothing can be ranked, print the reason and return no rows.
 
     Raises:
         UserError: if the folder holds no store, or no agent could play.
@@ -239,10 +239,10 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
     left_out = len(manifest.environments) - int(one["environments"])
     partly = f" ({left_out} more have not been attempted by all)" if left_out else ""
     versions = [f"{name} {found}" for name, found in manifest.versions.items() if ", " in found]
-    mixed = f" They were played with several versions: {'; '.join(versions)}." if versions else ""
+    mixed = f" Cells were played with several versions: {'; '.join(versions)}." if versions else ""
     if manifest.changed:
         mixed += (
-            " Changed since some of their cells were played: "
+            f" These have changed since some of their cells were played: "
             f"{', '.join(manifest.changed)}; play them again in all environments."
         )
     return (
@@ -255,7 +255,7 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         "instances; without several training seeds over instances alone. Cells that were not "
         "played count as without success. All cells took "
         f"{sum(manifest.cpu_seconds.values()):.0f} s of one processor's time; "
-        f"{manifest.reused} were there already and not played again.{mixed}"
+        f"{manifest.reused} were in the store already and not played again.{mixed}"
     )
 
 

@@ -365,14 +365,16 @@ class Interval:
 def bootstrap_interval(
     values: ArrayLike, statistic: Statistic, seed: int = 0, resamples: int = RESAMPLES
 ) -> Interval:
-    """Return the mean or median of `values` (n,) with its 95 % percentile bootstrap interval.
+    """Return the mean or median of `values` with its 95 % percentile bootstrap interval.
 
     Percentile, not BCa: the jackknife in BCa fails for the median.  Where all values are equal,
     all resamples are, and the interval has no width.  It does not cover what did not occur: after
     n successes in n episodes a failure rate of up to 3/n is still plausible.
 
     Args:
-        values: one per episode; NaNs are left out and counted.
+        values: one per episode, (episodes,), or of several trainings on the same episodes,
+            (trainings, episodes): then a resample draws trainings and episodes, see the top of
+            this module.  NaNs are left out and counted.
         statistic: "mean" or "median".
         seed: of the resampling.
         resamples: number of resamples.
@@ -383,21 +385,25 @@ def bootstrap_interval(
     Example:
         >>> bootstrap_interval([2.0, 2.0, float("nan")], "mean")
         Interval(estimate=2.0, low=2.0, high=2.0, count=2, missing=1)
+        >>> found = bootstrap_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
+        >>> found.estimate, found.low, found.high, found.count
+        (0.5, 0.0, 1.0, 6)
     """
-    present, missing = _present(values)
-    count = len(present)
-    if count == 0:
-        return Interval(math.nan, math.nan, math.nan, count, missing)
-    estimate = float(np.mean(present) if statistic == "mean" else np.median(present))
-    low, high = math.nan, math.nan
-    if count > 1:
-        scores = Scores((count,), {"": (present[None],)}, {"": 0})
-        found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
-        low, high = percentile_interval(found[1:])
+    table = np.asarray(values, dtype=np.float64)
+    is_sample = table.ndim == 1
+    present, missing = _present(table)
+    if not present.size or (is_sample and present.size == 1):
+        estimate = present.item() if present.size else math.nan
+        return Interval(estimate, math.nan, math.nan, present.size, missing)
+    if is_sample:
+        table = present[None]
+    scores = Scores((table.shape[1],), {"": (table,)}, {"": len(table)})
+    found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
+    middle = np.mean(present) if is_sample and statistic == "mean" else found[0]
+    ends = (float(middle), *percentile_interval(found[1:]))
     # Rounding may put a mean outside the range of the values.
-    least, most = present.min(), present.max()
-    estimate, low, high = (float(np.clip(end, least, most)) for end in (estimate, low, high))
-    return Interval(estimate, low, high, count, missing)
+    estimate, low, high = np.clip(ends, present.min(), present.max()).tolist()
+    return Interval(estimate, low, high, present.size, missing)
 
 
 def success_interval(
@@ -431,35 +437,6 @@ def success_interval(
     succeeded = np.random.default_rng((seed, _EPISODES)).binomial(seeds * episodes, present)
     low, high = percentile_interval(succeeded.sum(axis=-1) / (count * episodes))
     return Interval(float(np.mean(present)), low, high, count, missing)
-
-
-def trainings_interval(
-    values: ArrayLike, statistic: Statistic, seed: int = 0, resamples: int = RESAMPLES
-) -> Interval:
-    """Return the mean or median of several trainings on the same episodes, with its interval.
-
-    A resample draws training seeds and episodes, see the top of this module.
-
-    Args:
-        values: of each training in each episode, (seeds, episodes); NaNs are left out and counted.
-        statistic: "mean" or "median".
-        seed: of the resampling.
-        resamples: number of resamples.
-
-    Example:
-        >>> found = trainings_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
-        >>> found.estimate, found.low, found.high, found.count
-        (0.5, 0.0, 1.0, 6)
-    """
-    table = np.asarray(values, dtype=np.float64)
-    present, missing = _present(table)
-    if not present.size:
-        return Interval(math.nan, math.nan, math.nan, 0, missing)
-    scores = Scores((table.shape[1],), {"": (table,)}, {"": len(table)})
-    found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
-    ends = (float(found[0]), *percentile_interval(found[1:]))
-    estimate, low, high = np.clip(ends, present.min(), present.max()).tolist()
-    return Interval(estimate, low, high, present.size, missing)
 
 
 def _present(values: ArrayLike) -> tuple[Floats, int]:
@@ -500,9 +477,9 @@ def _interval(group: pd.DataFrame, measure: Measure, seed: int) -> Interval:
     """Return the interval of a measure over the episodes of one agent, and over its trainings."""
     values = group[measure.name].to_numpy(np.float64)
     trainings = group["training_seed"].nunique() if "training_seed" in group else 1
-    if trainings < 2:
-        return bootstrap_interval(values, measure.statistic, seed)
-    return trainings_interval(values.reshape(trainings, -1), measure.statistic, seed)
+    if trainings > 1:
+        values = values.reshape(trainings, -1)
+    return bootstrap_interval(values, measure.statistic, seed)
 
 
 def percentile_interval(resampled: Floats) -> tuple[float, float]:

@@ -1,9 +1,9 @@
-"""From an episode to numbers: rollouts, and measures with their labels and units."""
+"""Turn episodes into numbers: rollouts, and measures with their labels and units."""
 
 from mmc_gym.measures.episode import Episode
 
-# In the order of the columns of data and the rows of tables.
-from mmc_gym.measures import reaching, path, speed, cost, sets  # isort: skip
+# This order is that of the columns of data and the rows of tables.
+from mmc_gym.measures import reaching, path, speed, sets  # isort: skip
 from mmc_gym.measures.catalogue import (
     MEASURES,
     SET_MEASURES,
@@ -22,7 +22,6 @@ __all__ = [
     "Episode",
     "Measure",
     "SetMeasure",
-    "cost",
     "episode_seeds",
     "leave_out_failures",
     "measure",

@@ -1,7 +1,7 @@
-"""The registry of measures: a decorator puts label, unit and direction beside a function.
+"""The registry of measures: a decorator declares label, unit and direction beside a function.
 
-Every registered measure has a column in the data of comparisons and benchmarks; their tables and
-the report show it if it is `shown`.  Register your own the same way:
+Every registered measure has a column in the data of comparisons and benchmarks.  Their tables and
+the report show it if it is `shown`.  Register your own in the same way:
 
     from mmc_gym.measures import Episode, measure
 
@@ -12,10 +12,10 @@ the report show it if it is `shown`.  Register your own the same way:
 
 On the command line name the module: `mmc-gym compare --import my_measures`.
 
-Of a movement that did not arrive, path, shape and cost tell nothing: a hand that never moves has
+Path, shape and cost mean nothing for a movement that did not arrive: a hand that never moves has
 the shortest path, the least work and no overshoot.  So measures with `successes_only` are reported
-of the episodes that ended at the target, as is the custom for movements of people.  Data hold them
-for all episodes.
+for the episodes that ended at the target, as is usual for human movements.  The data hold them for
+all episodes.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ Direction: TypeAlias = Literal["high", "low", "neither"]
 OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
 OfEpisodes = TypeVar("OfEpisodes", bound=Callable[[Sequence[Episode]], float])
 
-# How a plain number was computed: in place of a unit, and beside the label in a text.
+# These stand in place of a unit, and say how a number without a unit was computed.
 METHODS = ("correlation", "SPARC", "log dimensionless jerk")
 
-# Other columns of the data, which no measure may be called.
+# Other columns of the data, which no measure may have as its name.
 _COLUMNS = (
     *("agent", "training_seed", "training_steps", "environment", "episode", "instance", "seed"),
     *("start_x", "start_y", "target_x", "target_y", "duration", "measure"),
@@ -54,7 +54,7 @@ _COLUMNS = (
 
 
 def _not_here(episode: object) -> float:
-    raise RuntimeError("this measure is known from a store, but its function is not here")
+    raise RuntimeError("this measure is known from a store, but its function is not loaded")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,37 +79,28 @@ class Quantity:
 
     @property
     def full_label(self) -> str:
-        """The label, with how it was computed where that stands in place of a unit."""
+        """The label, with the method in brackets where that stands in place of a unit."""
         return f"{self.label} ({self.unit})" if self.unit in METHODS else self.label
 
-    @property
-    def resolution(self) -> float:
-        """The size of the last decimal that is written, in the measure's unit."""
-        scale, decimals = self._scale()
-        return float(10.0**-decimals) / scale
-
-    def _scale(self) -> tuple[int, int]:
-        return (100, 1) if self.unit == "fraction" else (1, self.decimals)
-
-    def number(self, value: float, more: int = 0) -> str:
-        """Write a value without its unit, a fraction in percent, with `more` decimals than usual.
+    def number(self, value: float) -> str:
+        """Write a value without its unit, a fraction in percent.
 
         Example:
             >>> from mmc_gym.measures import MEASURES
             >>> MEASURES["success"].number(0.975)
             '97.5'
         """
-        scale, decimals = self._scale()
-        return number(scale * value, decimals + more)
+        scale, decimals = (100, 1) if self.unit == "fraction" else (1, self.decimals)
+        return number(scale * value, decimals)
 
-    def quantity(self, value: float, more: int = 0) -> str:
+    def quantity(self, value: float) -> str:
         """Write a value as `number` does, with its unit if it has one."""
-        text = self.number(value, more)
+        text = self.number(value)
         has_unit = self.unit and self.unit not in METHODS
         return f"{text} {self.shown_unit}" if has_unit and text != "–" else text
 
     def interval(self, low: float, high: float) -> str:
-        """Write the ends of an interval in brackets; empty if there is none."""
+        """Write the ends of an interval in brackets; return "" if it has none."""
         return f"[{self.number(low)}, {self.number(high)}]" if math.isfinite(low) else ""
 
 
@@ -132,10 +123,10 @@ class SetMeasure(Quantity):
 
 
 MEASURES: dict[str, Measure] = {}
-"""All measures of an episode by their names, in the order of the columns."""
+"""All measures of an episode by name, in the order of the columns."""
 
 SET_MEASURES: dict[str, SetMeasure] = {}
-"""All measures of sets of episodes by their names."""
+"""All measures of sets of episodes by name."""
 
 
 def measure(
@@ -148,20 +139,20 @@ def measure(
     shown: bool = False,
     successes_only: bool = False,
 ) -> Callable[[OfEpisode], OfEpisode]:
-    """Register a function `Episode -> float` as a measure under its own name.
+    """Register a function `Episode -> float` as a measure, under the function's name.
 
     Args:
         label: heading in tables.
         unit: of the values; "fraction" is shown in percent, "" is a plain number.
-        best: whether "high" or "low" values are good, or "neither".
-        statistic: of many episodes, in tables: "mean" or "median".
-        decimals: that are shown; of a fraction always one, in percent.
-        shown: whether tables show it; files hold all.
-        successes_only: whether it is reported only of episodes that ended at the target.
+        best: "high" or "low" if such values are good, else "neither".
+        statistic: that tables show for many episodes: "mean" or "median".
+        decimals: number of decimals shown; a fraction always has one, in percent.
+        shown: whether tables show it; files hold all measures.
+        successes_only: whether it is reported only for episodes that ended at the target.
 
     Raises:
-        UserError: if another measure or another column of the data has this name, or a value is
-            none of those.
+        UserError: if another measure or another column of the data has this name, or `best` or
+            `statistic` is not accepted.
     """
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
     facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
@@ -181,10 +172,10 @@ def set_measure(
     best: Direction = "neither",
     decimals: int = 2,
 ) -> Callable[[OfEpisodes], OfEpisodes]:
-    """Register a function `Sequence[Episode] -> float` as a measure of sets under its own name.
+    """Register a function `Sequence[Episode] -> float` as a measure of sets of episodes.
 
-    It is given all episodes of an agent in an `environment` of the benchmark.  Other arguments and
-    errors as of `measure`.
+    The function gets all episodes of an agent in one `environment` of the benchmark.  Other
+    arguments and errors are those of `measure`.
     """
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
 
@@ -196,16 +187,16 @@ def set_measure(
 
 
 def register(made: Measure | SetMeasure) -> None:
-    """Register a measure; raise a `UserError` for a name that is taken or an unknown fact."""
+    """Register a measure; raise a `UserError` if its name is taken or a value is not accepted."""
     for name, accepted in (("best", get_args(Direction)), ("statistic", get_args(Statistic))):
         value = getattr(made, name, accepted[0])
         if value not in accepted:
             raise UserError(f"{name} of {made.name!r} must be one of {accepted}, got {value!r}")
     known = MEASURES.get(made.name) or SET_MEASURES.get(made.name)
-    # The same function may come again: a notebook's cell that is run twice, a module in a worker.
+    # The same function may be registered again: a notebook's cell runs twice, a worker imports it.
     if made.name in _COLUMNS or (known and _origin(known) != _origin(made)):
-        taken = f"{_origin(known)} has it" if known else "a column of the data has it"
-        raise UserError(f"measures must have names of their own, got {made.name!r}: {taken}")
+        owner = _origin(known) if known else "a column of the data"
+        raise UserError(f"a measure must have a new name, got {made.name!r}: {owner} has it")
     if isinstance(made, Measure):
         MEASURES[made.name] = made
     else:
@@ -217,13 +208,13 @@ def _origin(known: Measure | SetMeasure) -> str:
 
 
 def own_measures() -> tuple[Measure | SetMeasure, ...]:
-    """Return the measures that users have registered; workers must `register` them too."""
+    """Return the measures that users have registered; workers must `register` them as well."""
     known: list[Measure | SetMeasure] = [*MEASURES.values(), *SET_MEASURES.values()]
     return tuple(one for one in known if not one.of.__module__.startswith("mmc_gym."))
 
 
 def digest(known: Measure | SetMeasure) -> str:
-    """Return the SHA-256 of a measure's facts and its function's source, as far as it is known."""
+    """Return the SHA-256 of a measure's facts and of its function's source, if that is known."""
     try:
         source = inspect.getsource(known.of)
     except (OSError, TypeError):  # typed into an interpreter, or compiled
@@ -232,14 +223,14 @@ def digest(known: Measure | SetMeasure) -> str:
 
 
 def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
-    """Return all measures by their names, with those that only a store knows by their `facts`."""
-    others = {name: Measure(**told) for name, told in facts.items() if name not in MEASURES}
+    """Return all measures by name, and those that only a store knows, from their `facts`."""
+    others = {name: Measure(**kept) for name, kept in facts.items() if name not in MEASURES}
     return {**MEASURES, **others}
 
 
 def set_measures_of(facts: Mapping[str, Any]) -> dict[str, SetMeasure]:
-    """Return all measures of sets by their names, as `measures_of` does."""
-    others = {name: SetMeasure(**told) for name, told in facts.items() if name not in SET_MEASURES}
+    """Return all measures of sets by name, as `measures_of` does."""
+    others = {name: SetMeasure(**kept) for name, kept in facts.items() if name not in SET_MEASURES}
     return {**SET_MEASURES, **others}
 
 
@@ -249,18 +240,18 @@ def shown_measures() -> tuple[Measure, ...]:
 
 
 def measure_all(episode: Episode) -> dict[str, float]:
-    """Return all measures of an episode by their names."""
+    """Return the values of all measures of an episode, by name."""
     return {name: one.of(episode) for name, one in MEASURES.items()}
 
 
 def leave_out_failures(
     episodes: pd.DataFrame, measures: Iterable[Measure] | None = None
 ) -> pd.DataFrame:
-    """Return episodes with NaN for measures of `successes_only` wherever success is not 1.
+    """Return episodes with NaN in the columns of `successes_only` measures where success is not 1.
 
     Args:
         episodes: a row each, with a column for each measure, "success" among them.
-        measures: whose columns are looked at; `MEASURES` by default.
+        measures: measures to consider; `MEASURES` by default.
     """
     known = MEASURES.values() if measures is None else measures
     names = [one.name for one in known if one.successes_only and one.name in episodes]

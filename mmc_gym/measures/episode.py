@@ -1,4 +1,4 @@
-"""One recorded episode: the arrays that all measures are taken from."""
+"""One recorded episode: the arrays from which all measures are computed."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 
-MOVING = 0.05  # of the peak speed, from which on the hand counts as moving
+MOVING = 0.05  # of the peak speed: a slower hand counts as resting
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Episode:
     """One recorded episode of n steps, of an arm with N joints; N = 0 for a hand without an arm.
 
-    What an environment does not tell is NaN.
+    Values that an environment does not report are NaN.
 
     Attributes:
-        seed: that the environment was reset with.
+        seed: with which the environment was reset.
         hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
         distances: from hand (or cursor) to target, segment lengths, (n + 1,).
         targets: positions of the target, segment lengths, (n + 1, 2).
@@ -29,12 +29,12 @@ class Episode:
         servo_impulses: ∫ |τ| dt of each step and joint, mass · length² / s, (n, N).
         servo_work: ∫ |τ q̇| dt of each step and joint, mass · length² / s², (n, N).
         rewards: of each step, (n,).
-        action_times: that `predict` took in each step, seconds, (n,).
+        action_times: duration of `predict` in each step, seconds, (n,).
         control_step: duration of a step, seconds.
         tolerance: distance within which the environment counts the target as reached.
-        reach: of the arm that agents are told of, segment lengths.
-        cursors: positions of the cursor under a visuomotor rotation, (n + 1, 2), which distances
-            and success are about; None where the hand itself is seen.
+        reach: of the arm as agents are given it, segment lengths.
+        cursors: positions of the cursor under a visuomotor rotation, (n + 1, 2), of which distances
+            and success are taken; None where agents see the hand itself.
     """
 
     seed: int
@@ -57,7 +57,7 @@ class Episode:
 
     @property
     def seen_hands(self) -> Floats:
-        """Positions of what is to reach the target, the cursor or the hand, (n + 1, 2)."""
+        """Positions of the cursor if there is one, else of the hand, (n + 1, 2)."""
         return self.hands if self.cursors is None else self.cursors
 
     @property
@@ -67,7 +67,7 @@ class Episode:
 
     @property
     def target_stands(self) -> bool:
-        """True if the target neither moves nor is followed by another."""
+        """True if the target does not move, and no other one follows."""
         return bool((self.targets == self.targets[0]).all())
 
     @cached_property
@@ -88,15 +88,15 @@ class Episode:
 
     @property
     def movement_points(self) -> slice:
-        """Indices of the positions before and after the steps of the `movement`, m + 1."""
+        """Indices of the m + 1 positions before, between and after the steps of the `movement`."""
         return slice(self.movement.start, self.movement.stop + 1)
 
 
 def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
     """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T.
 
-    In segment lengths/s, (steps,): the mean over a step as the crow flies, and so the speed in its
-    middle, up to terms in T².
+    In segment lengths/s, (steps,).  It is the mean over a straight step, and so the speed in the
+    middle of the step up to terms in T².
 
     Args:
         hands: positions p, segment lengths, (steps + 1, 2).
@@ -108,7 +108,9 @@ def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
 
 
 def moving_part(speeds: ArrayLike) -> slice:
-    """Return the steps from the first to the last at 5 % of the peak speed or more; none at rest.
+    """Return the steps from the first to the last with at least 5 % of the peak speed.
+
+    None at rest.
 
     Example:
         >>> moving_part([0.01, 0.2, 1.0, 0.02, 0.1, 0.04])

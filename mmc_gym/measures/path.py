@@ -1,4 +1,4 @@
-"""Measures of the path: how long it is, how straight, and in which space it is straighter."""
+"""Measures of the path: its length, its straightness, and the space in which it is straighter."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from mmc_gym.measures.episode import Episode, Floats, moving_part
 
 
 def straightness(points: ArrayLike) -> float:
-    """Return the straight line between a path's ends over the path's length: 1 is straight.
+    """Return the distance between a path's ends over the path's length; 1 is straight.
 
-    |x_n − x_0| / Σ|x_{k+1} − x_k|, between 0 and 1; NaN for a path that goes nowhere.
+    |x_n − x_0| / Σ|x_{k+1} − x_k|, between 0 and 1; NaN for a path without length.
 
     Args:
         points: of the hand, or of the joints, (points, dimensions).
 
     Example:
-        >>> straightness([[0, 0], [3, 0], [3, 4]])  # 5 as the crow flies, 7 on the path
+        >>> straightness([[0, 0], [3, 0], [3, 4]])  # 5 on the line, 7 on the path
         0.714286
     """
     path = np.asarray(points, dtype=np.float64)
@@ -35,9 +35,9 @@ def _length(path: Floats) -> float:
 def linearity_index(points: ArrayLike) -> float:
     """Return the largest distance of a path from the line between its ends, over its length.
 
-    max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0, u the unit vector from the first
-    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.  Points
-    as of `straightness`.
+    max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0 and u the unit vector from the first
+    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.  For
+    `points` see `straightness`.
 
     Source:
         Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
@@ -62,10 +62,10 @@ def linearity_index(points: ArrayLike) -> float:
 def path_ratio(episode: Episode) -> float:
     """Return the length of the hand's path over the line from start to target; 1 is straight.
 
-    Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, corrections and tremor at the
-    target included.  Below 1 only if the hand stops short.  Under a visuomotor rotation both are
-    the cursor's: the target is not where the hand is to go.  NaN where the target moves, and where
-    the line is shorter than ε: the ratio would blow up.
+    Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, with corrections and tremor at the
+    target.  Below 1 only if the hand stops short.  Under a visuomotor rotation both lengths are the
+    cursor's, because the cursor is to reach the target.  NaN where the target moves, and where the
+    line is shorter than ε, because the ratio would grow without bound.
     """
     line = float(np.linalg.norm(episode.target - episode.seen_hands[0]))
     if line < episode.tolerance or not episode.target_stands:
@@ -83,8 +83,8 @@ def path_efficiency(episode: Episode) -> float:
 def maximal_deviation(episode: Episode) -> float:
     """Return the `linearity_index` of the hand's path while it moves.
 
-    Not of the line to the target: under a visuomotor rotation the hand is to go elsewhere.  NaN if
-    the ends are closer than ε.
+    It is about the line between the path's ends, not the line to the target, which under a
+    visuomotor rotation the cursor is to reach.  NaN if the ends are closer than ε.
     """
     part = moving_part(episode.speeds)
     hands = episode.hands[part.start : part.stop + 1]
@@ -103,13 +103,13 @@ def joint_path_efficiency(episode: Episode) -> float:
 def hand_over_joint_straightness(episode: Episode) -> float:
     """Return how much straighter the movement is in hand space (1) than in joint space (−1).
 
-    (d_joints − d_hand) / (d_joints + d_hand), d the `linearity_index` of the path in either space,
-    while the hand moves.  0 where both are equally bent, NaN where the hand or the joints end where
-    they began, or without joints.
+    (d_joints − d_hand) / (d_joints + d_hand), where d is the `linearity_index` of the path in
+    either space while the hand moves.  0 if both are equally bent; NaN if the hand or the joints
+    end where they began, and without joints.
 
     Source:
-        The question whether movements are planned in hand or in joint space: Morasso (1981), Exp.
-        Brain Res. 42, 223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
+        On planning movements in hand or in joint space: Morasso (1981), Exp. Brain Res. 42,
+        223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
     """
     points = episode.movement_points
     if episode.joint_angles.shape[-1] == 0:

@@ -1,7 +1,7 @@
 """Measures of reaching: success, time, accuracy and rest at the target.
 
-In formulas d_k is the distance from hand to target after step k, d_0 at the start, T the control
-step in seconds, and ε the distance within which a target counts as reached.
+In formulas d_k is the distance from hand to target after step k, d_0 that at the start, T the
+control step in seconds, and ε the distance within which a target counts as reached.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from numpy.typing import ArrayLike
 from mmc_gym.measures.catalogue import measure
 from mmc_gym.measures.episode import Episode
 
-DWELL = 0.2  # s that the hand must have stayed for a success with dwell
-REST = 0.5  # s at the end of an episode in which the hand's jitter is measured
+DWELL = 0.2  # s at the end of an episode in which the hand must stay, for success with dwell
+REST = 0.5  # s at the end of an episode in which jitter is measured
 
 
 def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool:
-    """Tell whether the hand is within `tolerance` throughout the last `steps` steps.
+    """Return whether the hand is within `tolerance` throughout the last `steps` steps.
 
-    d_k ≤ ε for k = n − steps … n, n the last.  A hand that happens to pass when time is up does
-    not stay for a step.
+    d_k ≤ ε for k = n − steps … n, where n is the last step.  With one step or more, a hand that
+    only passes the target when time is up does not count.
 
     Args:
         distances: from hand to target, segment lengths, (steps + 1,).
-        tolerance: ε, segment lengths; ε exactly is within, as in the environment.
-        steps: control steps; the whole of a shorter episode.
+        tolerance: ε, segment lengths; a distance of exactly ε is within, as in the environment.
+        steps: number of control steps; a shorter episode counts as a whole.
 
     Example:
         >>> [stays_within([1.0, 0.3, 0.05], 0.05, steps) for steps in (0, 1)]
@@ -37,11 +37,12 @@ def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool
 
 
 def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) -> float:
-    """Return the seconds until the hand is within `tolerance` to stay until the episode ends.
+    """Return the seconds until the hand is within `tolerance` and stays until the episode ends.
 
-    T · min{k : d_j ≤ ε for every j ≥ k}, T the `control_step`: 0 for a hand that is there from the
-    start, NaN if the episode ends outside.  Not the first entry: a hand that rushes through the
-    target would be the quickest.  Other arguments as of `stays_within`.
+    T · min{k : d_j ≤ ε for every j ≥ k}, where T is the `control_step`: 0 for a hand that is there
+    from the start, NaN if the episode ends outside.  It is not the first entry, because a
+    hand that rushes through the target would then be the quickest.  For the other arguments see
+    `stays_within`.
 
     Example:
         >>> arrival_time([1.0, 0.0, 0.5, 0.04, 0.01], 0.05, 0.02)  # enters, leaves, settles
@@ -53,7 +54,7 @@ def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) ->
 
 
 def largest_retreat(distances: ArrayLike) -> float:
-    """Return how far the hand moves away from the target again: max_{k>j} (d_k − d_j), at least 0.
+    """Return how far the hand retreats from the target: max_{k>j} (d_k − d_j), at least 0.
 
     The published figures call more than 0.01 of the way from start to target an overshoot.
 
@@ -76,7 +77,7 @@ def largest_retreat(distances: ArrayLike) -> float:
 def success(episode: Episode) -> float:
     """Return 1 if the hand is within ε of the target when the episode ends, else 0.
 
-    Passing through the target is no success: the task is to stay there.
+    Passing through the target is no success, because the task is to stay there.
     """
     return float(stays_within(episode.distances, episode.tolerance))
 
@@ -119,19 +120,19 @@ def final_distance(episode: Episode) -> float:
 
 @measure(label="time to target", unit="s", best="low", shown=True, successes_only=True)
 def time_to_target(episode: Episode) -> float:
-    """Return the seconds until the hand is at the target to stay, see `arrival_time`.
+    """Return the seconds until the hand is at the target and stays, see `arrival_time`.
 
-    It exists exactly where `success` is 1.
+    An episode has this value exactly if its `success` is 1.
     """
     return arrival_time(episode.distances, episode.tolerance, episode.control_step)
 
 
 @measure(label="settling at the target", unit="s", best="low", successes_only=True)
 def settling_time(episode: Episode) -> float:
-    """Return the seconds from the first time that the hand is within ε until it stays there.
+    """Return the seconds from the hand's first entry within ε until it stays there.
 
-    `time_to_target` less T · min{k : d_k ≤ ε}: 0 for a hand that comes and stays, NaN for one that
-    does not stay.
+    `time_to_target` less T · min{k : d_k ≤ ε}: 0 for a hand that arrives and stays, NaN for one
+    that does not stay.
     """
     arrived = time_to_target(episode)
     if math.isnan(arrived):
@@ -142,9 +143,9 @@ def settling_time(episode: Episode) -> float:
 
 @measure(label="overshoot", unit="lengths", best="low", decimals=3, successes_only=True)
 def overshoot(episode: Episode) -> float:
-    """Return how far the hand moves away from the target again, see `largest_retreat`.
+    """Return how far the hand retreats from the target, see `largest_retreat`.
 
-    NaN where the target moves, or another follows.
+    NaN where the target moves, or another one follows.
     """
     return largest_retreat(episode.distances) if episode.target_stands else math.nan
 
@@ -153,8 +154,8 @@ def overshoot(episode: Episode) -> float:
 def jitter(episode: Episode) -> float:
     """Return how much the hand trembles in the last `REST` seconds: √(mean |e_k − ē|²).
 
-    e_k is the hand seen from the target, ē its mean, so that neither an error that stays nor a
-    target that moves counts.  The radius, for a hand that circles.  In segment lengths; NaN unless
+    e_k is the vector from target to hand and ē its mean, so that neither a constant error nor a
+    moving target counts.  For a hand that circles it is the radius.  In segment lengths; NaN unless
     the hand is at the target throughout.
     """
     steps = round(REST / episode.control_step)

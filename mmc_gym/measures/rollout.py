@@ -1,6 +1,6 @@
-"""Rollouts: an agent plays episodes, and each is recorded as arrays over its steps.
+"""Let agents play episodes, and record each episode as arrays over its steps.
 
-Episodes may differ in length, so they are a tuple of `Episode`, and nothing is padded.
+Episodes may differ in length: they are a tuple of `Episode`, without padding.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mmc_gym.measures.reaching import final_distance, success, time_to_target
 
 MAX_STEPS = 100_000
 
-# Attributes of an `Episode`, and the entries of info that they are; some have no cursor.
+# Attributes of an `Episode` and the entries of info that they record; "cursor" may be missing.
 _SEEN = {"hands": "end_effector", "distances": "distance", "targets": "target", "cursors": "cursor"}
 _REQUIRED = ("distance", "end_effector", "target")
 _EFFORT = ("servo_impulses", "servo_work")
@@ -39,11 +39,11 @@ Options: TypeAlias = Mapping[str, Any]
 def episode_seeds(seed: int, episodes: int) -> list[int]:
     """Return one seed per episode: the first words of `numpy.random.SeedSequence(seed)`.
 
-    More episodes add to the former.  (With seed, seed + 1, …, neighbouring seeds would share nearly
-    all their episodes.)
+    A larger number of episodes begins with the same seeds.  (With seed, seed + 1, … as the seeds of
+    episodes, neighbouring seeds would share nearly all episodes.)
 
     Raises:
-        UserError: if `episodes` is no whole number of at least 1, or `seed` none of at least 0.
+        UserError: if `episodes` is not a whole number of at least 1, or `seed` of at least 0.
     """
     require_whole("episodes", episodes)
     require_whole("seed", seed, least=0)
@@ -51,7 +51,7 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
 
 
 def check_environment(env: gym.Env[Any, Any]) -> None:
-    """Raise a `UserError` unless `env`, wrapped or not, tells what the measures need."""
+    """Raise a `UserError` unless `env`, wrapped or not, reports what the measures need."""
     _, info = env.reset(seed=0)
     missing = [f"info[{key!r}]" for key in _REQUIRED if key not in info]
     for name in ("parameters.control_step", "success_distance", "reach"):
@@ -78,25 +78,25 @@ def run_episodes(
 ) -> tuple[Episode, ...]:
     """Let `agent` play one episode per seed, without exploration.
 
-    A single environment plays one after the other, a vector environment all at once.  An episode
+    A single environment plays the episodes in turn, a vector environment all at once.  Each episode
     depends on its own seed only.  PyTorch, if loaded, computes on one thread.
 
     Args:
-        agent: whose actions are taken; it keeps what it remembers in the state that it returns.
+        agent: that chooses the actions; its memory is in the state that `predict` returns.
         env: a reaching environment that ends its episodes, single and wrapped or not; or a native
             vector environment with an arm for each seed.
         seeds: one per episode, see `episode_seeds`.
-        on_episode: is handed each episode when it is over, to show progress.
-        options: of the environment's reset, for each episode, such as `{"trial": 3}`.
-        records_effort: whether the arm records the effort of its servos, NaN if not.
+        on_episode: called with each episode at its end, to show progress.
+        options: of the environment's reset for each episode, such as `{"trial": 3}`.
+        records_effort: whether the arm records the effort of its servos; otherwise it is NaN.
 
     Returns:
         The episodes, in the order of the seeds.  A vector environment gives the same as a single
-        one, but for action times, which are NaN, and for agents that sample actions.
+        one, except that action times are NaN, and that agents may sample other actions.
 
     Raises:
-        UserError: if the environment does not tell what the measures need, or there are not as many
-            options or arms as seeds.
+        UserError: if the environment does not report what the measures need, or the number of
+            options or arms differs from the number of seeds.
         RuntimeError: if an episode does not end.
 
     Example:
@@ -137,7 +137,7 @@ def run_episodes(
 def _play(
     agent: Predictor, env: Env, seeds: Sequence[int], options: Sequence[Options], arm: Any
 ) -> list[Episode]:
-    """Play from a reset to the end of an episode, or of those of all arms of a vector."""
+    """Play one episode, or those of all arms of a vector environment, from reset to end."""
     together = isinstance(env, gym.vector.VectorEnv)
     observation, info = (_reset_together if together else _reset)(env, seeds, options)
     effort = _EFFORT if getattr(arm, "records_effort", False) else ()
@@ -147,7 +147,7 @@ def _play(
         for name, key in _SEEN.items():
             if key in info:
                 records[name].append(info[key])
-        # Senses may be noisy and late: the posture is the arm's own and not the observed one.
+        # The arm's own posture, because the observed one may be noisy and late.
         records["joint_angles"].append(np.array(getattr(arm, "joint_angles", ())))
 
     note(info)
@@ -176,14 +176,14 @@ def _play(
         return np.ascontiguousarray(found.swapaxes(0, 1)) if together else found[None]
 
     arrays = {name: by_episode(values) for name, values in records.items()}
-    untold = np.full_like(arrays["joint_angles"][:, 1:], math.nan)
-    arrays = {**dict.fromkeys(_EFFORT, untold), **arrays}
+    unreported = np.full_like(arrays["joint_angles"][:, 1:], math.nan)
+    arrays = {**dict.fromkeys(_EFFORT, unreported), **arrays}
     world: Any = env.unwrapped
     return [
         Episode(
             seed=seed,
             **{name: values[number] for name, values in arrays.items()},
-            # Of one `predict` for many arms nobody can tell how long it takes for one.
+            # One `predict` for many arms does not show how long it takes for one arm.
             action_times=np.where(together, math.nan, np.array(times, dtype=np.float64) * 1e-9),
             control_step=float(world.parameters.control_step),
             tolerance=float(world.success_distance),
@@ -195,8 +195,8 @@ def _play(
 
 def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> Any:
     (seed,), (option,) = seeds, options
-    # Not `seed` itself: the space would draw the very numbers that the environment draws for its
-    # starting state, and the first random action would be the posture the arm is in.
+    # Not `seed` itself: the action space would draw the same numbers as the environment does for
+    # its starting state, and the first random action would be the posture of the arm.
     env.action_space.seed(int(np.random.SeedSequence((seed, 1)).generate_state(1)[0]))
     return env.reset(seed=seed, options=dict(option))
 
@@ -222,7 +222,7 @@ def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) 
 
 @contextmanager
 def _effort(arm: Any, records: bool) -> Iterator[None]:
-    """Let an arm, or many, record the effort of their servos; what is no arm stays as it is."""
+    """Let an arm, or several, record the effort of their servos; leave anything else alone."""
     if not hasattr(arm, "records_effort"):
         yield
         return
@@ -234,7 +234,7 @@ def _effort(arm: Any, records: bool) -> Iterator[None]:
 
 
 def _check_vector(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MMCReachVectorEnv:
-    """Return the native environment; raise a `UserError` if it is none."""
+    """Return the native environment; raise a `UserError` if there is none."""
     native = env.unwrapped
     if not isinstance(native, MMCReachVectorEnv) or native.max_episode_steps is None:
         raise UserError(
@@ -253,13 +253,14 @@ def evaluate(
     env_id: str,
     arguments: Mapping[str, Any],
     episodes: int,
-    seed: int = 1_000_000,  # far from the seeds that a comparison starts from
+    seed: int = 1_000_000,  # far from the seeds of comparisons
 ) -> dict[str, float]:
-    """Return how an agent does over episodes of the seeds from `seed` on, played at once.
+    """Return the scores of an agent over episodes of the seeds `seed`, `seed` + 1, …, all at once.
 
     Returns:
-        Means of success, final_distance (segment lengths) and episode_return; time_at_target, a
-        share of the time; and time_to_target (seconds), the median over the successes if any.
+        Means of success, final_distance (segment lengths) and episode_return; time_at_target, the
+        share of the time within the tolerance; and time_to_target (seconds), the median over the
+        successes, if there are any.
 
     Raises:
         UserError: if the environment has no time limit.
@@ -267,7 +268,7 @@ def evaluate(
     with closing(gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)) as env:
         agent, seeds = make(ReachInterface.of(env)), range(seed, seed + episodes)
         played = run_episodes(agent, env, seeds, records_effort=False)
-    # Summed step by step, as a training always did: the last bit of a mean depends on the order.
+    # Summed step by step, as trainings always have: the last bit of a mean depends on the order.
     returns = np.cumsum([one.rewards for one in played], axis=-1)[:, -1]
     at_target = np.array([one.distances[1:] <= one.tolerance for one in played])
     scores = {

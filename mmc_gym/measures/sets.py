@@ -19,16 +19,16 @@ from mmc_gym.network.chain import wrap_angle
 
 FITTS_WIDTHS = (0.02, 0.05, 0.1, 0.2)  # diameters of the target, segment lengths
 
-# The power law is fitted to samples of a path whose curvature can be told.
-WARM_UP = 1.0  # s in which a hand finds a moving target, left out
-SLOWEST = 0.05  # of the highest speed: slower samples are left out
-STILLEST = 0.01  # segment lengths / s: slower is at rest, whatever the highest speed is
-STRAIGHTEST = 0.1  # 1 / segment length: below, a path is straight
-FEWEST = 10  # samples
+# The power law is fitted to those samples of a path that have a curvature.
+WARM_UP = 1.0  # s until a hand has found a moving target; left out
+SLOWEST = 0.05  # of the highest speed; slower samples are left out
+STILLEST = 0.01  # segment lengths / s; slower counts as rest, whatever the highest speed
+STRAIGHTEST = 0.1  # 1 / segment length; a smaller curvature counts as straight
+FEWEST = 10  # samples for a fit
 
 
 class Line(NamedTuple):
-    """A straight line through points (x, y): intercept, slope, and the share R² it explains."""
+    """A straight line through points (x, y): intercept, slope, and explained share R²."""
 
     intercept: float
     slope: float
@@ -48,15 +48,15 @@ def _fit_line(x: Floats, y: Floats, fewest: int) -> Line:
 
 
 def posture_spread(joint_angles: ArrayLike) -> float:
-    """Return how much the postures of a hand at one place differ, radians.
+    """Return how much the postures with the hand at one place differ, radians.
 
-    √((1/N) Σ_i 2 (1 − R_i)), R_i = |mean over the movements of e^{i q_i}|: the root mean square
-    over the joints of the angular deviation, which is the standard deviation for small spreads
-    and √2 for uniform angles.  0 if the posture depends on the target alone (Donders' law), and
-    more if on the way to it too.
+    √((1/N) Σ_i 2 (1 − R_i)) with R_i = |mean over the movements of e^{i q_i}|.  This is the root
+    mean square over the joints of the angular deviation, which equals the standard deviation for
+    small spreads and √2 for uniform angles.  0 if the posture depends on the target alone (Donders'
+    law), more if it also depends on the way there.
 
     Args:
-        joint_angles: when the hand is there, radians, (movements, N).
+        joint_angles: with the hand at that place, radians, (movements, N).
 
     Source:
         Angular deviation: Batschelet (1981), Circular Statistics in Biology.  Donders' law for the
@@ -79,8 +79,8 @@ def posture_spread(joint_angles: ArrayLike) -> float:
 def posture_variability(episodes: Sequence[Episode]) -> float:
     """Return the mean over targets of the `posture_spread` at the end of successful episodes.
 
-    A hand elsewhere than at the target would have another posture for that alone.  Targets that
-    were reached fewer than twice are left out.
+    Episodes that end elsewhere are left out: the posture would differ for that reason alone.  So
+    are targets that were reached fewer than twice.
     """
     postures = defaultdict(list)
     for episode in episodes:
@@ -91,15 +91,15 @@ def posture_variability(episodes: Sequence[Episode]) -> float:
 
 
 def manifold_ratio(joint_angles: ArrayLike, segment_lengths: Sequence[float]) -> float:
-    """Return how much more joints vary where that leaves the hand in place than where it moves it.
+    """Return how much more the joints vary without moving the hand than moving it.
 
-    V_UCM / V_ORT, variances per degree of freedom of q − q̄ in the null space of the Jacobian at
-    the mean posture q̄, and across it: 1 if joints vary alike in all directions, more if errors are
-    corrected only where they move the hand (the uncontrolled manifold).  NaN for fewer than three
-    joints or two movements.
+    V_UCM / V_ORT: the variances per degree of freedom of q − q̄ within the null space of the
+    Jacobian at the mean posture q̄, and across it.  1 if the joints vary alike in all directions,
+    more if only those errors are corrected that move the hand (the uncontrolled manifold).  NaN for
+    fewer than three joints or two movements.
 
     Args:
-        joint_angles: of repeated movements to one target, at the same time, radians,
+        joint_angles: of repeated movements to one target at the same time, radians,
             (movements, N).
         segment_lengths: N lengths.
 
@@ -129,7 +129,7 @@ def fitts_law(amplitudes: ArrayLike, widths: ArrayLike, times: ArrayLike) -> Lin
     Args:
         amplitudes: A, distance from start to centre of the target, segment lengths, (conditions,).
         widths: W, diameter of the target, segment lengths, (conditions,).
-        times: mean time to be in the target and to stay, s; conditions with NaN are left out.
+        times: mean time until the hand stays in the target, s; conditions with NaN are left out.
 
     Returns:
         a in s, b in s per bit, and R²; NaN for fewer than three different difficulties.
@@ -148,8 +148,8 @@ def fitts_law(amplitudes: ArrayLike, widths: ArrayLike, times: ArrayLike) -> Lin
 def fitts_line(episodes: Sequence[Episode]) -> Line:
     """Fit `fitts_law` to the mean times to stay within half of each of `FITTS_WIDTHS`.
 
-    A condition, a distance and a width, in which some hand does not settle is left out: the mean
-    of the others would be too short.
+    A condition is a distance and a width.  It is left out if some hand does not settle, because
+    the mean over the others would be too short.
     """
     groups = defaultdict(list)
     for episode in episodes:
@@ -183,9 +183,9 @@ def fitts_r_squared(episodes: Sequence[Episode]) -> float:
 def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
     """Fit the two-thirds power law, log speed = log K − β log curvature.
 
-    v = K κ^{−β}, or angular speed A = K κ^{1−β}: two thirds, with β = 1/3 in human drawing.
-    κ = |x′y″ − y′x″| / v³ by central differences, where the hand is faster than 5 % of its highest
-    speed, and than 0.01, and κ > 0.1: a straight path has none.  A harmonic ellipse has β = 1/3.
+    v = K κ^{−β}, or angular speed A = K κ^{1−β}.  In human drawing β = 1/3, hence two thirds.
+    κ = |x′y″ − y′x″| / v³ by central differences.  Samples count where the hand is faster than 5 %
+    of its highest speed and than 0.01, and where κ > 0.1.  A harmonic ellipse has β = 1/3.
 
     Args:
         hands: positions, segment lengths, (steps + 1, 2).
@@ -211,7 +211,7 @@ def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
 
 
 def power_line(episodes: Sequence[Episode]) -> Line:
-    """Return medians over the episodes of the `speed_curvature_law` after `WARM_UP`."""
+    """Return the medians over the episodes of the `speed_curvature_law` after `WARM_UP`."""
     lines = [
         speed_curvature_law(e.hands[round(WARM_UP / e.control_step) :], e.control_step)
         for e in episodes

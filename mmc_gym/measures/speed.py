@@ -1,7 +1,7 @@
-"""Measures of the speed profile of the hand: its shape and its smoothness.
+"""Measures of the speed profile of the hand, its shape and smoothness, and of a movement's cost.
 
-A profile (steps,) holds the hand's speed in each control step.  Shape and smoothness are those of
-its `moving_part`.  That cuts minimum jerk at `MINIMUM_JERK_SPAN`, which changes its numbers:
+A profile (steps,) holds the hand's speed in each control step.  Shape and smoothness are taken from
+its `moving_part`.  That part of minimum jerk is its `MINIMUM_JERK_SPAN`, with other numbers:
 
                                 whole               its moving part
     peak / mean                 15/8 = 1.875        1.658
@@ -11,7 +11,9 @@ its `moving_part`.  That cuts minimum jerk at `MINIMUM_JERK_SPAN`, which changes
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +23,7 @@ from mmc_gym.measures.catalogue import measure
 from mmc_gym.measures.episode import MOVING, Episode, Floats
 from mmc_gym.network.time_base import minimum_jerk
 
-PEAK_PROMINENCE = 0.05  # of the highest speed, as in the paper's figures: less is no peak
+PEAK_PROMINENCE = 0.05  # of the highest speed, as in the paper's figures; smaller is no peak
 
 MINIMUM_JERK_SPAN = (
     (1 - math.sqrt(1 - math.sqrt(MOVING))) / 2,
@@ -35,7 +37,7 @@ SPARC_PADDING = 4  # 2⁴ times the next power of two
 
 
 def highest_speed(speeds: ArrayLike) -> float:
-    """Return the largest speed of a profile; 0 without steps."""
+    """Return the largest speed of a profile, 0 without steps."""
     return float(np.max(speeds, initial=0.0))
 
 
@@ -46,7 +48,7 @@ def peak_speed(episode: Episode) -> float:
 
 
 def peakedness(speeds: ArrayLike) -> float:
-    """Return the highest over the mean speed: 1 if constant, 15/8 for minimum jerk, NaN at rest.
+    """Return the highest speed over the mean: 1 if constant, 15/8 for minimum jerk, NaN at rest.
 
     Source:
         As a measure of a profile's shape: Nelson (1983), Biol. Cybern. 46, 135–147.
@@ -64,8 +66,8 @@ def peak_to_mean(episode: Episode) -> float:
 def phase_of_peak(speeds: ArrayLike) -> float:
     """Return the middle of the fastest step, as a share of the duration; NaN at rest.
 
-    (p + ½)/n for the step p = 0 … n − 1.  ½ for every symmetric profile of an odd number of
-    steps; an even number has two middle steps, of which it is the faster or the first.
+    (p + ½)/n for the fastest of the steps p = 0 … n − 1, the first if several are.  ½ for every
+    symmetric profile with one peak and an odd number of steps.
 
     Example:
         >>> phase_of_peak([0.1, 1.0, 0.5, 0.2]), phase_of_peak([0.5, 1.0, 0.5])
@@ -85,9 +87,9 @@ def time_to_peak(episode: Episode) -> float:
 def count_peaks(speeds: ArrayLike) -> float:
     """Return the number of peaks in a profile that stand out by 5 % of the highest.
 
-    Standing out is prominence: how far the speed falls on both sides before it gets higher.
-    Before and after the profile is rest, so a hand that is fastest in its first step has a peak
-    there.  A single smooth submovement has 1, a hand at rest 0.
+    A peak stands out by its prominence: how far the speed falls on both sides before it gets
+    higher.  The hand rests before and after the profile, so one that is fastest in its first step
+    has a peak there.  A single smooth submovement has 1, a hand at rest 0.
 
     Source:
         Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
@@ -107,26 +109,8 @@ def count_peaks(speeds: ArrayLike) -> float:
 
 @measure(label="velocity peaks", best="low", decimals=1, shown=True, successes_only=True)
 def velocity_peaks(episode: Episode) -> float:
-    """Return the number of peaks in the speed of the whole episode, see `count_peaks`."""
+    """Return the number of peaks (`count_peaks`) in the speed of the whole episode."""
     return count_peaks(episode.speeds)
-
-
-def second_rise(speeds: ArrayLike) -> float:
-    """Return how far the speed rises again after its peak, as a share of the peak.
-
-    max_{k>j≥p} (s_k − s_j) / s_p, p the step of the peak s_p; 0 for a hand at rest.  Unlike
-    `count_peaks` it does not look at what is before the peak.
-
-    Example:
-        >>> second_rise([0.2, 0.1, 1.0, 0.3, 0.5]), second_rise([0.2, 0.1, 1.0, 0.5, 0.3])
-        (0.2, 0.0)
-    """
-    profile = np.asarray(speeds, dtype=np.float64)
-    highest = highest_speed(profile)
-    if highest == 0.0:
-        return 0.0
-    after = profile[profile.argmax() :]
-    return float((after - np.minimum.accumulate(after)).max()) / highest
 
 
 def correlation_with_minimum_jerk(
@@ -134,12 +118,12 @@ def correlation_with_minimum_jerk(
 ) -> float:
     """Return Pearson's correlation of a profile with minimum jerk of the same duration.
 
-    With the distances ξ(τ_k) − ξ(τ_{k−1}) that minimum jerk covers in each of n steps between two
-    phases.  1 for minimum jerk of any size, −1 at the least; NaN at constant speed.
+    The reference are the distances ξ(τ_k) − ξ(τ_{k−1}) that minimum jerk covers in each of n steps
+    between two phases.  1 for minimum jerk of any size, at least −1; NaN at constant speed.
 
     Args:
         speeds: the profile, (steps,).
-        span: phases to compare with; of a `moving_part` `MINIMUM_JERK_SPAN`.
+        span: first and last phase of the reference; `MINIMUM_JERK_SPAN` for a `moving_part`.
 
     Source:
         Flash and Hogan (1985), J. Neurosci. 5(7), 1688–1703,
@@ -169,9 +153,9 @@ def difference_from_minimum_jerk(
 ) -> float:
     """Return the root mean square difference from minimum jerk, as a share of the mean speed.
 
-    √(mean (s_k/s̄ − m_k/m̄)²), m minimum jerk of the same duration and distance, s̄ and m̄ the means.
-    0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.  Arguments as of
-    `correlation_with_minimum_jerk`.
+    √(mean (s_k/s̄ − m_k/m̄)²), where m is minimum jerk of the same duration and distance, and s̄ and m̄
+    are the means.  0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.  For the
+    arguments see `correlation_with_minimum_jerk`.
     """
     profile = np.asarray(speeds, dtype=np.float64)
     if profile.size < 3 or highest_speed(profile) == 0.0:
@@ -191,20 +175,21 @@ def minimum_jerk_rmse(episode: Episode) -> float:
 @lru_cache(maxsize=1024)
 def _minimum_jerk_profile(steps: int, span: tuple[float, float]) -> Floats:
     profile: Floats = np.diff(minimum_jerk(np.linspace(*span, steps + 1)))
-    profile.flags.writeable = False  # it is shared
+    profile.flags.writeable = False  # the cache shares it
     return profile
 
 
 def spectral_arc_length(speeds: ArrayLike, control_step: float) -> float:
-    """Return minus the length of the profile's spectrum, about −1.4 if smooth.
+    """Return minus the arc length of the profile's spectrum (SPARC), about −1.4 if smooth.
 
     −∫₀^{f_c} √((1/f_c)² + (dM̂/df)²) df, where M̂ is the magnitude of the profile's Fourier
     transform (padded with zeros) over its largest, and f_c the highest frequency, up to 10 Hz,
-    with M̂ ≥ 0.05.  Submovements, pauses and tremor make it more negative, size and duration do
-    not.  It hardly tells an exponential decay from a bell: see `time_to_peak`, `peak_to_mean`.
+    with M̂ ≥ 0.05.  Submovements, pauses and tremor make it more negative; size and duration do
+    not.  It hardly distinguishes an exponential decay from a bell; `time_to_peak` and
+    `peak_to_mean` do.
 
     Args:
-        speeds: the profile, (steps,), without the rest before and after it.
+        speeds: the profile, (steps,), without rest before and after the movement.
         control_step: T, seconds.
 
     Source:
@@ -236,11 +221,11 @@ def sparc(episode: Episode) -> float:
 
 
 def smoothness_by_jerk(speeds: ArrayLike) -> float:
-    """Return minus the logarithm of a profile's jerk, freed of size and duration; high is smooth.
+    """Return minus the log of a profile's jerk, whatever its size and duration; high is smooth.
 
-    −ln(D³/s_p² ∫₀^D (d²s/dt²)² dt), s_p the peak and D the duration; −ln 204.8 for minimum jerk.
-    Differences over T stand for derivatives: what a controller does from one step to the next
-    counts in full, and a bell of 35 samples gets 0.2 too much.  NaN for fewer than three steps, at
+    −ln(D³/s_p² ∫₀^D (d²s/dt²)² dt), where s_p is the peak and D the duration; −ln 204.8 for minimum
+    jerk.  Differences over T approximate the derivatives, so changes from one step to the next
+    count in full, and a bell of 35 samples gets 0.2 too much.  NaN for fewer than three steps, at
     rest, and without any jerk.
 
     Source:
@@ -259,3 +244,62 @@ def smoothness_by_jerk(speeds: ArrayLike) -> float:
 def log_dimensionless_jerk(episode: Episode) -> float:
     """Return the `smoothness_by_jerk` of the movement."""
     return smoothness_by_jerk(episode.movement_speeds)
+
+
+@measure(label="joint effort", unit="mass len²/s", best="low", decimals=1, successes_only=True)
+def joint_effort(episode: Episode) -> float:
+    """Return ∫ Σ_i |τ_i| dt over the servos of all joints i, mass · length² / s.
+
+    Holding still costs nothing in the horizontal plane.  NaN without joints, and where an engine
+    does not report it.
+    """
+    return _sum(episode.servo_impulses)
+
+
+@measure(
+    label="joint work", unit="mass len²/s²", best="low", decimals=1, shown=True, successes_only=True
+)
+def joint_work(episode: Episode) -> float:
+    """Return ∫ Σ_i |τ_i q̇_i| dt over the servos of all joints i, mass · length² / s².
+
+    Braking counts as much as driving, as in muscles and in motors that recover no energy.  NaN
+    where `joint_effort` is.
+
+    Source:
+        Absolute work as the cost of a reach: Alexander (1997), Biol. Cybern. 76, 97–105.
+    """
+    return _sum(episode.servo_work)
+
+
+def _sum(values: Floats) -> float:
+    return float(values.sum()) if values.size else math.nan
+
+
+@measure(label="sum of rewards", best="high", decimals=0, shown=True)
+def episode_return(episode: Episode) -> float:
+    """Return the sum of the rewards, undiscounted."""
+    return float(np.sum(episode.rewards))
+
+
+@measure(label="time per action", unit="µs", best="low", decimals=1, shown=True)
+def action_time(episode: Episode) -> float:
+    """Return the median time of one call of `predict`, µs; NaN for an episode without steps.
+
+    The median, because the operating system sometimes interrupts a call.
+    """
+    return _of_times(episode, np.median)
+
+
+@measure(label="time per action, 99th percentile", unit="µs", best="low", decimals=1)
+def slow_action_time(episode: Episode) -> float:
+    """Return the time that one call of `predict` in a hundred exceeds, µs; NaN without steps.
+
+    A control loop must allow for this 99th percentile.
+    """
+    return _of_times(episode, lambda times: np.percentile(times, 99))
+
+
+def _of_times(episode: Episode, statistic: Callable[[Floats], Any]) -> float:
+    times = episode.action_times * 1e6
+    # Unknown in most episodes of a benchmark: the first one shows that without sorting.
+    return float(statistic(times)) if times.size and not np.isnan(times[0]) else math.nan

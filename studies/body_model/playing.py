@@ -13,7 +13,7 @@ from mmc_gym._errors import MismatchWarning
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.body_model.agent import Parts, mmc_body
 from mmc_gym.benchmark.entries import find_entries, make_for
-from mmc_gym.benchmark.statistics import trainings_interval
+from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.interface import CannotActError, ReachInterface
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
@@ -67,7 +67,7 @@ def percent(played: Played, *, interval: bool = False) -> str:
     """
     if not played:
         return "–"
-    found = trainings_interval(successes(played), "mean")
+    found = bootstrap_interval(successes(played), "mean")
     text = f"{100 * found.estimate:.1f}"
     if interval and found.low < found.high:
         text += f" [{100 * found.low:.0f}, {100 * found.high:.0f}]"

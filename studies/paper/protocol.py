@@ -185,7 +185,7 @@ def summarize(recording: Recording) -> dict[str, float]:
         "peak_velocity": float(mean_velocity.max()),
         "peak_iteration": float(mean_velocity.argmax() + 1),
         "overshoots": float((each(largest_retreat, distance) > OVERSHOOT).sum()),
-        "second_peaks": float((each(speed.second_rise, velocity) > SECOND_PEAK).sum()),
+        "second_peaks": float((each(second_rise, velocity) > SECOND_PEAK).sum()),
     }
 
 
@@ -243,3 +243,23 @@ def summarize_networks(
             }
         )
     return pd.DataFrame(rows)
+
+
+def second_rise(speeds: Floats) -> float:
+    """Return how far the speed rises again after its peak, as a share of the peak.
+
+    max_{k>j≥p} (s_k − s_j) / s_p, where p is the step of the peak s_p; 0 for a hand at rest.
+    Unlike `count_peaks` it ignores what comes before the peak.
+
+    Args:
+        speeds: of the hand in each step, (steps,).
+
+    Example:
+        >>> second_rise(np.array([0.2, 0.1, 1.0, 0.3, 0.5]))
+        0.2
+    """
+    highest = speed.highest_speed(speeds)
+    if highest == 0.0:
+        return 0.0
+    after = speeds[speeds.argmax() :]
+    return float((after - np.minimum.accumulate(after)).max()) / highest
