@@ -16,7 +16,6 @@ mean something, see `statistics`.
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping
@@ -36,7 +35,6 @@ from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate, draw
 from mmc_gym.benchmark.store import (
     CellKey,
     Manifest,
-    cells_digest,
     read_episodes,
     read_manifest,
     reasons,
@@ -175,19 +173,6 @@ def _mean_over_environments(scores: pd.DataFrame, column: str, statistic: str) -
 RANKING = "ranking.csv"
 """The ranking in a store's folder, as `rank_agents` returns it, for other programs."""
 
-_MADE_OF = "ranking.json"  # beside it: the cells that it was computed from
-
-
-def read_ranking(folder: Path) -> pd.DataFrame:
-    """Return the ranking in a store's folder; no rows if its cells have changed since."""
-    try:
-        made_of = json.loads((folder / _MADE_OF).read_bytes())["cells"]
-        if made_of == cells_digest(folder):
-            return pd.read_csv(folder / RANKING)
-    except (OSError, ValueError, KeyError, TypeError):
-        pass  # it is computed again
-    return pd.DataFrame()
-
 
 def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     """Rank the agents of a store, print the table, write it to `RANKING`, and return it.
@@ -201,14 +186,12 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     if set(manifest.agents) == {REFERENCE}:
         console.print(text_for(console, f"nothing to rank: {REFERENCE} is a hand without an arm"))
         return pd.DataFrame()
-    made_of = cells_digest(folder)
     episodes = read_episodes(folder, ["success", "time_to_target", "duration"])
     try:
         ranking = rank_agents(episodes, [one.key for one in manifest.not_played])
     except UserError as error:
         raise UserError("; ".join([str(error), *reasons(manifest.not_played)])) from error
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
-    write_atomically(folder / _MADE_OF, json.dumps({"cells": made_of}))
     shows_lost = bool(ranking["not_played"].any())
     rows = [_cells(row, shows_lost) for row in ranking.to_dict("records")]
     print_rows(console, rows, left="agent")

@@ -311,17 +311,6 @@ def read_sets(folder: Path | str) -> pd.DataFrame:
     return frame if len(frame) else pd.DataFrame(columns=SET_COLUMNS)
 
 
-def cells_digest(folder: Path | str) -> str:
-    """Return the SHA-256 of all episodes of a store, and of what could not be played."""
-    digest = hashlib.sha256()
-    for path in _files(Path(folder), EPISODES):
-        digest.update(path.name.encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    for one in sorted(map(str, read_manifest(folder).not_played)):
-        digest.update(one.encode())
-    return digest.hexdigest()
-
-
 def _files(folder: Path, kind: str) -> list[Path]:
     return sorted((folder / kind).glob("[!.]*.parquet"))
 

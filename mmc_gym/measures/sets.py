@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import linregress
 
-from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.measures.catalogue import set_measure
 from mmc_gym.measures.episode import Episode, Floats
 from mmc_gym.measures.reaching import arrival_time, success
-from mmc_gym.network.chain import wrap_angle
 
 FITTS_WIDTHS = (0.02, 0.05, 0.1, 0.2)  # diameters of the target, segment lengths
 
@@ -88,39 +86,6 @@ def posture_variability(episodes: Sequence[Episode]) -> float:
             postures[tuple(episode.targets[-1].round(9).tolist())].append(episode.joint_angles[-1])
     spreads = [posture_spread(group) for group in postures.values() if len(group) > 1]
     return float(np.mean(spreads)) if spreads else math.nan
-
-
-def manifold_ratio(joint_angles: ArrayLike, segment_lengths: Sequence[float]) -> float:
-    """Return how much more the joints vary without moving the hand than moving it.
-
-    V_UCM / V_ORT: the variances per degree of freedom of q − q̄ within the null space of the
-    Jacobian at the mean posture q̄, and across it.  1 if the joints vary alike in all directions,
-    more if only those errors are corrected that move the hand (the uncontrolled manifold).  NaN for
-    fewer than three joints or two movements.
-
-    Args:
-        joint_angles: of repeated movements to one target at the same time, radians,
-            (movements, N).
-        segment_lengths: N lengths.
-
-    Source:
-        Scholz & Schöner (1999), The uncontrolled manifold concept, Exp. Brain Res. 126, 289–306.
-
-    Example:
-        >>> manifold_ratio([[0.1, 0.5, 0.9], [0.1, 0.6, 0.8], [0.2, 0.4, 0.8]], (1, 1, 1)) > 1
-        True
-    """
-    angles = np.asarray(joint_angles, dtype=np.float64)
-    movements, count = angles.shape
-    if movements < 2 or count < 3:
-        return math.nan
-    mean = np.angle(np.exp(1j * angles).mean(axis=0))
-    deviations = wrap_angle(angles - mean)
-    _, along_x, along_y = jacobian(mean, tuple(segment_lengths))
-    rows = np.linalg.svd(np.stack((along_x, along_y)))[2]
-    variances = ((deviations @ rows.T) ** 2).mean(axis=0)
-    across = float(variances[:2].mean())
-    return float(variances[2:].mean()) / across if across > 0.0 else math.inf
 
 
 def fitts_law(amplitudes: ArrayLike, widths: ArrayLike, times: ArrayLike) -> Line:

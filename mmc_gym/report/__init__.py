@@ -29,7 +29,7 @@ def write_report(store: Path | str, out: Path | str, resamples: int = RESAMPLES)
     Args:
         store: folder of the benchmark.
         out: the HTML file.
-        resamples: of each bootstrap.
+        resamples: of the ranking's intervals; those of all measures have at most 500.
 
     Raises:
         UserError: if there is no store, it is damaged or has no episodes, or `out` is a folder.
@@ -52,6 +52,7 @@ def _render(results: Results, resamples: int) -> str:
         lstrip_blocks=True,
     )
     pages.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
+    of_scores = min(resamples, tables.SCORE_RESAMPLES)
     shown: dict[str, Any] = {
         "results": results,
         "manifest": results.manifest,
@@ -64,10 +65,11 @@ def _render(results: Results, resamples: int) -> str:
         "laws": tables.law_table(results),
         "learning": figures.learning(results),
         "tables": {
-            key: tables.score_table(results, key, resamples) for key in results.environments
+            key: tables.score_table(results, key, of_scores) for key in results.environments
         },
         "not_played": reasons(results.manifest.not_played),
         "resamples": resamples,
+        "score_resamples": of_scores,
         "version": version("mmc-gym"),
     }
     return pages.get_template("report.html.j2").render(shown)

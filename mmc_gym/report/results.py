@@ -15,7 +15,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import UNKNOWN, Kind
-from mmc_gym.benchmark.ranking import rank_agents, read_ranking
+from mmc_gym.benchmark.ranking import rank_agents
 from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import (
@@ -245,7 +245,7 @@ def read_results(store: Path, resamples: int = RESAMPLES) -> Results:
 
     Args:
         store: the folder.
-        resamples: of the ranking, where the store holds none of its present cells.
+        resamples: of the ranking.
 
     Raises:
         UserError: if there is no store, it is damaged, or it has no episodes; the message then
@@ -279,10 +279,9 @@ def read_results(store: Path, resamples: int = RESAMPLES) -> Results:
         ),
         set_measures=set_measures_of(manifest.set_measures),
         sets=_plain_seeds(read_sets(store)),
-        ranking=read_ranking(store),
+        ranking=pd.DataFrame(),
     )
-    if results.ranking.empty:
-        results = replace(results, ranking=_rank(results, resamples))
+    results = replace(results, ranking=_rank(results, resamples))
     return replace(results, paths=_paths(store, results))
 
 

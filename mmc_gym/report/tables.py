@@ -11,12 +11,15 @@ import pandas as pd
 
 from mmc_gym._console import number
 from mmc_gym.benchmark.ranking import BASELINE_AGENT, success_by_environment
-from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap
+from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures import MEASURES, Measure, SetMeasure
 from mmc_gym.report.results import Results, count
 
 PRESENT = 0.5
 """Part of its episodes in which an agent must have a value to be marked as the best."""
+
+SCORE_RESAMPLES = 500
+"""Resamples of an interval in the tables of all measures, of which there are thousands."""
 
 _BETTER = {"high": "more is better", "low": "less is better", "neither": ""}
 _SHADES = 10
@@ -185,7 +188,7 @@ def _learned(results: Results, agent: str) -> str:
     return "unknown" if unknown else "nothing: not trained"
 
 
-def score_table(results: Results, environment: str, resamples: int = RESAMPLES) -> Table:
+def score_table(results: Results, environment: str, resamples: int = SCORE_RESAMPLES) -> Table:
     """Return all measures of all agents in an environment, with `resamples` for each interval."""
     episodes = results.episodes[results.episodes["environment"] == environment]
     columns = [_column(results, episodes, measure, resamples) for measure in results.measures]

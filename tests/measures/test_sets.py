@@ -5,13 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.measures import SET_MEASURES, run_episodes
 from mmc_gym.measures.sets import (
     FITTS_WIDTHS,
     fitts_law,
-    manifold_ratio,
     posture_spread,
     posture_variability,
     speed_curvature_law,
@@ -160,21 +158,3 @@ def test_the_power_law_is_that_of_the_path_after_the_warm_up(make_episode):
     assert take(POWER, [episode, episode]) == pytest.approx([1 / 3, 1], abs=1e-3)
     still = make_episode(np.zeros((500, 2)), [1.0, 0.0])
     assert np.isnan(take(POWER, [])).all() and np.isnan(take(POWER, [still])).all()
-
-
-@pytest.mark.parametrize(("direction", "ratio"), [("in place", np.inf), ("across", 0.0)])
-def test_joints_vary_along_the_uncontrolled_manifold_or_across_it(direction, ratio):
-    mean, lengths = np.array([0.3, 0.9, 0.8]), (1.0, 1.2, 0.7)
-    _, along_x, along_y = jacobian(mean, lengths)
-    rows = np.linalg.svd(np.stack((along_x, along_y)))[2]
-    row = rows[2] if direction == "in place" else rows[0]
-    angles = mean + 0.01 * np.array([[-1.0], [0.0], [1.0]]) * row
-    found = manifold_ratio(angles + 2 * np.pi * np.arange(3)[:, None], lengths)
-    assert 1 / (1 + found) == pytest.approx(1 / (1 + ratio), abs=1e-6)
-
-
-def test_joints_that_vary_alike_have_a_manifold_ratio_of_one():
-    angles = np.random.default_rng(0).normal([0.3, 0.9, 0.8], 0.01, (20_000, 3))
-    assert manifold_ratio(angles, (1.0, 1.0, 1.0)) == pytest.approx(1.0, abs=0.05)
-    assert np.isnan(manifold_ratio(angles[:1], (1.0, 1.0, 1.0)))
-    assert np.isnan(manifold_ratio(angles[:, :2], (1.0, 1.0)))

@@ -14,7 +14,6 @@ from mmc_gym.measures.speed import (
     highest_speed,
     peakedness,
     phase_of_peak,
-    second_rise,
     smoothness_by_jerk,
     spectral_arc_length,
 )
@@ -62,20 +61,6 @@ def test_hand_speed_is_path_over_time():
 )
 def test_peaks_are_rises_that_stand_out(profile, peaks):
     assert count_peaks(profile) == count_peaks(1e-3 * np.asarray(profile)) == peaks
-
-
-@pytest.mark.parametrize(
-    ("profile", "rise"),
-    [
-        ([0.5, 0.2, 1.0, 0.4, 0.3], 0),  # a rise before the peak is none
-        ([0.5, 2.0, 0.4, 0.6, 0.1, 0.5], 0.2),
-        (bell(501), 0),
-        (0.9 ** np.arange(40), 0),
-        (np.zeros(9), 0),
-    ],
-)
-def test_a_second_rise_is_after_the_peak(profile, rise):
-    assert second_rise(profile) == second_rise(4 * np.asarray(profile)) == pytest.approx(rise)
 
 
 def test_minimum_jerk_is_the_reference_of_all_shapes():

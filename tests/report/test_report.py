@@ -96,7 +96,7 @@ def test_every_caption_counts_seeds_and_instances(page):
 
 
 def test_the_page_says_how_many_resamples_were_drawn(text):
-    assert "bootstrap intervals of 200 resamples over" in text
+    assert "bootstrap intervals of 200 resamples (ranking) and 200 (all measures)" in text
     assert signature(write_report).parameters["resamples"].default == RESAMPLES
 
 
