@@ -1,9 +1,9 @@
-"""Runs of `make speed` kept as JSON: reading, writing, comparing and drawing them.
+"""Read, write, compare and draw the runs of `make speed`, kept as JSON.
 
-    runs/speed/2026-11-22T03-17-00Z.json    one run: the machine, and a row for each thing timed
+    runs/speed/2026-11-22T03-17-00Z.json    one run: the machine, and a row for each timed thing
 
-A machine is faster today than tomorrow, and another one faster still.  So what is compared between
-runs is each row's ratio to its peer, which was timed by turns with it.
+The speed of a machine changes from day to day.  So runs are compared by each row's ratio to its
+peer, which took turns with it.
 """
 
 from __future__ import annotations
@@ -16,31 +16,29 @@ from itertools import cycle
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mmc_gym._files import write_atomically
-from mmc_gym._plotting import LINES, save_figure
+LINES = ("-", "--", "-.", ":")
 
 LOSS = 0.20
-"""Part of its ratio that a row may lose before the check fails."""
+"""Share of its ratio that a row may lose before the check fails."""
 
 EARLIER = 7
-"""Runs before the last, whose median it is compared with."""
+"""Number of earlier runs whose median the last run is compared with."""
 
 FEWEST = 3
-"""Earlier runs with a row, below which it is not compared."""
+"""A row in fewer earlier runs is not compared."""
 
 
 @dataclass(frozen=True)
-class Row:
-    """One thing that was timed.
+class SpeedRow:
+    """One timed thing.
 
     Attributes:
-        name: what it is, the same in all runs.
-        ours: whether it is of this package; only these are compared with earlier runs.
+        name: of the thing, the same in all runs.
+        ours: whether it belongs to this package; only these are compared with earlier runs.
         seconds: per step of one arm, iteration of one arm, or action: the median over the rounds.
-        peer: name of the row that it took turns with, and is compared with.
+        peer: name of the row that it took turns with.
         ratio: how many times as fast as the peer, the median over the rounds.
         low: first quartile of the ratio.
         high: third quartile.
@@ -67,7 +65,7 @@ class Run:
 
     time: str
     machine: str
-    rows: tuple[Row, ...]
+    rows: tuple[SpeedRow, ...]
 
 
 def now() -> str:
@@ -78,15 +76,18 @@ def now() -> str:
 def write_run(run: Run, folder: Path) -> Path:
     """Write a run into the folder of all runs, and return its file."""
     stem = datetime.fromisoformat(run.time).strftime("%Y-%m-%dT%H-%M-%SZ")
-    return write_atomically(folder / f"{stem}.json", json.dumps(asdict(run), indent=1) + "\n")
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{stem}.json"
+    file.write_text(json.dumps(asdict(run), indent=1) + "\n")
+    return file
 
 
 def read_runs(folder: Path) -> list[Run]:
     """Return all runs of a folder, the oldest first."""
     runs = []
-    for file in sorted(folder.glob("[!.]*.json")):
+    for file in sorted(folder.glob("*.json")):
         content = json.loads(file.read_text())
-        rows = tuple(Row(**row) for row in content.pop("rows"))
+        rows = tuple(SpeedRow(**row) for row in content.pop("rows"))
         runs.append(Run(**content, rows=rows))
     return sorted(runs, key=lambda run: run.time)
 
@@ -94,8 +95,8 @@ def read_runs(folder: Path) -> list[Run]:
 def losses(runs: Sequence[Run]) -> list[str]:
     """Return a line for each row of the last run that lost more than `LOSS` of its ratio.
 
-    It is compared with the median of the ratios in the `EARLIER` runs before.  What was not timed
-    in `FEWEST` of them, or not with the same peer, is not compared.
+    The last ratio is compared with the median of the `EARLIER` runs before.  A row that fewer than
+    `FEWEST` of them timed with the same peer is left out.
     """
     if not runs:
         return []
@@ -119,10 +120,9 @@ def losses(runs: Sequence[Run]) -> list[str]:
     return found
 
 
-def draw_history(runs: Sequence[Run], stem: Path) -> list[Path]:
-    """Draw the ratio of each of our rows over all runs, as parts of its median; write the files."""
+def draw_history(runs: Sequence[Run], file: Path) -> None:
+    """Draw the ratio of each of our rows over all runs, as a part of its median."""
     figure = Figure(figsize=(8, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     times = [datetime.fromisoformat(run.time) for run in runs]
     names = dict.fromkeys(row.name for run in runs for row in run.rows if row.ours)
@@ -138,4 +138,4 @@ def draw_history(runs: Sequence[Run], stem: Path) -> list[Path]:
     axes.set_title(f"Speed beside peers, run by run; dotted: a loss of {LOSS:.0%}")
     axes.tick_params(axis="x", rotation=30)
     figure.legend(loc="outside right upper", fontsize=6, frameon=False)
-    return save_figure(figure, stem)
+    figure.savefig(file, dpi=150)

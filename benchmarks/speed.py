@@ -22,10 +22,10 @@ from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
+import torch
 import tyro
 from gymnasium.error import DependencyNotInstalled
-from history import Row, Run, draw_history, losses, now, read_runs, write_run
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from history import Run, SpeedRow, draw_history, losses, now, read_runs, write_run
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from peers import (
@@ -45,8 +45,6 @@ from rich.table import Table
 from timing import interleaved
 
 from mmc_gym import make_agent
-from mmc_gym._grid import one_torch_thread
-from mmc_gym._plotting import save_figure
 from mmc_gym.network import MMCNetwork
 
 Times: TypeAlias = Mapping[Entry, NDArray[np.float64]]
@@ -211,13 +209,13 @@ def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
     for name, agent in agents.items():
         _, state = agent.predict(observation)
         calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
-    with one_torch_thread():
-        return interleaved(calls, arguments.rounds, arguments.seconds / 3)
+    torch.set_num_threads(1)  # small networks act faster so
+    return interleaved(calls, arguments.rounds, arguments.seconds / 3)
 
 
 def rows_of(
     times: Mapping[Any, NDArray[np.float64]], names: Mapping[Any, str], peer: Any
-) -> list[Row]:
+) -> list[SpeedRow]:
     """Return what is kept of some that took turns; without their peer nothing is."""
     if peer not in times:
         return []
@@ -229,11 +227,11 @@ def rows_of(
             key.variant != "async" and not is_peer(key) if isinstance(key, Entry) else key != peer
         )
         median = float(np.median(seconds))
-        rows.append(Row(names[key], ours, median, names[peer], middle, low, high))
+        rows.append(SpeedRow(names[key], ours, median, names[peer], middle, low, high))
     return rows
 
 
-def rows_table(title: str, unit: str, scale: float, rows: Iterable[Row]) -> Table:
+def rows_table(title: str, unit: str, scale: float, rows: Iterable[SpeedRow]) -> Table:
     """Make a table of kept rows."""
     table = empty_table(title, ("",), (unit, "ratio", "quartiles"))
     for row in rows:
@@ -275,7 +273,7 @@ def draw_growth(growth: Times, times: Times, folder: Path) -> None:
         speed_of = 1 / np.median(times[entry])
         axes.plot(entry.arms, speed_of, marker, color="0.3", label=name_of(entry))
     axes.legend(fontsize=7)
-    save_figure(figure, folder / "steps-per-second")
+    figure.savefig(folder / "steps-per-second.png", dpi=150)
 
 
 def draw_costs(
@@ -293,7 +291,7 @@ def draw_costs(
         costs = [1e6 * np.median(seconds) for seconds in by_count.values()]
         axes.plot(list(by_count), costs, f"{marker}:", color="0.4", label=label)
     axes.legend(fontsize=7)
-    save_figure(figure, folder / "cost-per-arm")
+    figure.savefig(folder / "cost-per-arm.png", dpi=150)
 
 
 def lines_of(growth: Times) -> list[tuple[dict[str, Any], list[Entry]]]:
@@ -310,7 +308,6 @@ def lines_of(growth: Times) -> list[tuple[dict[str, Any], list[Entry]]]:
 def new_axes(x: str, y: str) -> tuple[Figure, Any]:
     """Return a figure with logarithmic axes."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     axes.set(xscale="log", yscale="log", xlabel=x, ylabel=y)
     axes.grid(color="0.9", linewidth=0.6)
@@ -366,7 +363,7 @@ def main(arguments: Arguments) -> None:
         draw_costs(growth, networks, arguments.out)
     file = write_run(Run(now(), machine(), (*rows, *kept, *acting)), arguments.out)
     runs = read_runs(arguments.out)
-    draw_history(runs, arguments.out / "history")
+    draw_history(runs, arguments.out / "history.png")
     console.print(f"wrote {file}, and figures beside it; {len(runs)} runs are there")
     if lost := losses(runs):
         console.print("\n".join(["slower than before:", *lost]))

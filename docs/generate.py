@@ -26,9 +26,9 @@ from mmc_gym._files import write_atomically
 from mmc_gym.agents import AGENTS as AGENTS_THAT_SHIP
 from mmc_gym.benchmark.entries import make_together, one_entry
 from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import (
-    FAMILIES,
     PERTURBATION_NAMES,
     TASK_SCENARIOS,
     Scenario,

@@ -12,7 +12,7 @@ from mmc_gym.agents import make_agent
 
 if TYPE_CHECKING:
     from mmc_gym import agents, benchmark, body, measures, network, report, training
-    from mmc_gym._errors import UserError
+    from mmc_gym._errors import MismatchWarning, UserError
     from mmc_gym.benchmark.compare import compare
     from mmc_gym.listing import (
         list_agents,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 __version__ = version("mmc-gym")
 __all__ = [
+    "MismatchWarning",
     "UserError",
     "__version__",
     "agents",
@@ -48,6 +49,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "MismatchWarning": "_errors",
     "UserError": "_errors",
     "compare": "benchmark.compare",
     "list_agents": "listing",

@@ -353,9 +353,9 @@ def play(
         imports: Modules of yours to import first, see compare.
         allow_pickle: Load files that hold pickles, see compare.
     """
-    from mmc_gym.envs.render.renderer import open_display
+    from mmc_gym.envs.render import open_display
 
-    open_display()  # at once: what follows takes a while to load
+    open_display(must_be_seen=True)  # at once: what follows takes a while to load
     from mmc_gym import play
 
     import_modules(imports)

@@ -1,16 +1,16 @@
-"""The contract between an environment and an agent: observations, actions, what agents are told.
+"""The contract between environments and agents: observations, actions, what agents are given.
 
-Environments, agents, policies and wrappers ask here, and write no index of their own.
+Only this module knows which number stands where in an observation.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import cos, sin, sqrt
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
+from math import cos, isfinite, sin, sqrt
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, cast, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -83,16 +83,16 @@ def action_meaning(control: Control, body: ArmParameters) -> ActionMeaning:
 class ObservationParts(NamedTuple):
     """The parts of observations, arrays of numpy or torch with the batch in front.
 
-    Target and offset are seen from the first segment, whose direction is the x axis.
+    Target and offset are vectors in the first segment's frame, whose x axis is that segment.
 
     Attributes:
         cosines: of the joint angles, (..., N).
         sines: of the joint angles, (..., N).
         speeds: joint velocities as fractions of their limit, (..., N).
-        target: its position, segment lengths, (..., 2).
+        target: position of the target, segment lengths, (..., 2).
         offset: target − hand, segment lengths, (..., 2).
         near: the same, enlarged near 0: offset / (NEAR + |offset|), (..., 2).
-        rest: what else the observation ends with, (..., any number).
+        rest: values that follow, if the observation is longer, (..., any number).
     """
 
     cosines: Any
@@ -105,7 +105,6 @@ class ObservationParts(NamedTuple):
 
 
 NEAR = 0.05  # segment lengths
-_GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 
 
 @dataclass(frozen=True)
@@ -119,19 +118,27 @@ class ObservationLayout:
     One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
     `achieved_goal` the hand and `desired_goal` the target, (..., 2).  Lengths are in segment
     lengths.
+
+    Attributes:
+        joint_count: N.
+        reach: sum of the segment lengths that agents are given.
+        is_clipped: whether `encode` clips to `limits`: hand or target may be seen beyond the reach.
+        has_goals: whether `encode` makes observations of `MMCReachGoal-v0`.
     """
 
     joint_count: int
     reach: float
+    is_clipped: bool = False
+    has_goals: bool = False
 
     @cached_property
     def posture_size(self) -> int:
-        """Number of values that tell posture and joint speeds."""
+        """Number of values for posture and joint speeds."""
         return 3 * self.joint_count
 
     @cached_property
     def size(self) -> int:
-        """Number of values of an observation."""
+        """Number of values of an observation of `MMCReach-v0`."""
         return self.posture_size + 6
 
     @cached_property
@@ -167,94 +174,76 @@ class ObservationLayout:
             )
         return count
 
-    def encode_posture(
-        self, joint_angles: Floats, joint_speeds: Floats, *, more: int = 0
-    ) -> NDArray[np.float32]:
-        """Return the first 3 N values, and room at the end for some more, (..., 3 N + more)."""
-        count = self.joint_count
-        seen = np.empty((*joint_angles.shape[:-1], self.posture_size + more), np.float32)
-        seen[..., :count] = np.cos(joint_angles)
-        seen[..., count : 2 * count] = np.sin(joint_angles)
-        seen[..., 2 * count : 3 * count] = joint_speeds
-        return seen
-
     def encode(
         self,
-        joint_angles: Floats,
-        joint_speeds: Floats,
+        joint_angles: list[float] | Floats,
+        joint_speeds: list[float] | Floats,
         *,
-        hand: Floats,
-        target: Floats,
-        clip: bool = False,
-    ) -> NDArray[np.float32]:
-        """Return observations of `MMCReach-v0`, (..., 3 N + 6).
+        hand: Any,
+        target: Any,
+    ) -> Any:
+        """Return the observation of one arm, given as lists, or of many, given as arrays.
+
+        Lists of floats take a fraction of the time.  The operations are the same, and so are the
+        bits, where numpy's cosine and sine are those of the C library.
 
         Args:
-            joint_angles: radians, (..., N).
-            joint_speeds: as fractions of their limit, (..., N), see `relative_speeds`.
-            hand: where it is seen, segment lengths, (..., 2).
-            target: segment lengths, (..., 2).
-            clip: to `limits`, where hand or target may be seen beyond the reach.
+            joint_angles: radians, a list of N or (..., N).
+            joint_speeds: as fractions of their limit, likewise, see `relative_speeds`.
+            hand: where it, or its cursor, is seen, segment lengths, (x, y) or (..., 2).
+            target: segment lengths, (x, y) or (..., 2).
+
+        Returns:
+            (..., 3 N + 6), or the mapping of a goal environment, see the class.
         """
-        seen = self.encode_posture(joint_angles, joint_speeds, more=6)
-        first = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
-        offset = target - hand
-        x, y = turned_back(offset[..., 0], offset[..., 1], *first)
-        scale = NEAR + np.sqrt(x * x + y * y)
-        seen[..., -6], seen[..., -5] = turned_back(target[..., 0], target[..., 1], *first)
-        seen[..., -4], seen[..., -3] = x, y
-        seen[..., -2], seen[..., -1] = x / scale, y / scale
-        if clip:
+        if isinstance(joint_angles, list):
+            cosines, sines = [*map(cos, joint_angles)], [*map(sin, joint_angles)]
+            shown = () if self.has_goals else _shown(cosines[0], sines[0], hand, target, sqrt)
+            seen = np.array([*cosines, *sines, *joint_speeds, *shown], np.float32)
+        else:
+            count, size = self.joint_count, self.posture_size if self.has_goals else self.size
+            seen = np.empty((*joint_angles.shape[:-1], size), np.float32)
+            cosine, sine = np.cos(joint_angles), np.sin(joint_angles)
+            seen[..., :count], seen[..., count : 2 * count] = cosine, sine
+            seen[..., 2 * count : 3 * count] = joint_speeds
+            if not self.has_goals:
+                points = (hand[..., 0], hand[..., 1]), (target[..., 0], target[..., 1])
+                shown = _shown(cosine[..., 0], sine[..., 0], *points, np.sqrt)
+                for place, value in enumerate(shown, start=3 * count):
+                    seen[..., place] = value
+        if self.has_goals:
+            goals = {"achieved_goal": np.array(hand), "desired_goal": np.array(target)}
+            return {"observation": seen, **goals}
+        if self.is_clipped:
             np.clip(seen, -self.limits, self.limits, out=seen)
         return seen
 
-    def encode_one(
-        self,
-        joint_angles: Sequence[float],
-        joint_speeds: Sequence[float],
-        *,
-        hand: tuple[float, float],
-        target: tuple[float, float],
-        clip: bool = False,
-    ) -> NDArray[np.float32]:
-        """Return the observation of a single arm, as `encode` does, but four times as quickly."""
-        cosines, sines = [*map(cos, joint_angles)], [*map(sin, joint_angles)]
-        cosine, sine = cosines[0], sines[0]
-        target_x, target_y = target
-        along, across = target_x - hand[0], target_y - hand[1]
-        x, y = cosine * along + sine * across, cosine * across - sine * along
-        scale = NEAR + sqrt(x * x + y * y)
-        seen_x, seen_y = cosine * target_x + sine * target_y, cosine * target_y - sine * target_x
-        values = [*cosines, *sines, *joint_speeds, seen_x, seen_y, x, y, x / scale, y / scale]
-        seen = np.array(values, np.float32)
-        if clip:
-            np.clip(seen, -self.limits, self.limits, out=seen)
-        return seen
+    def check(self, observation: Observation) -> Observation:
+        """Return an observation of either kind as arrays of finite numbers.
 
-    def encode_goals(
-        self, joint_angles: Floats, joint_speeds: Floats, *, hand: Floats, target: Floats
-    ) -> dict[str, NDArray[Any]]:
-        """Return observations of `MMCReachGoal-v0`; the arguments are those of `encode`."""
-        return {
-            "observation": self.encode_posture(joint_angles, joint_speeds),
-            "achieved_goal": np.array(hand),
-            "desired_goal": np.array(target),
-        }
+        Args:
+            observation: (..., 3 N + 6), or a mapping of a goal environment, see the class.
 
-    def encode_goals_of_one(
-        self,
-        joint_angles: Sequence[float],
-        joint_speeds: Sequence[float],
-        *,
-        hand: tuple[float, float],
-        target: tuple[float, float],
-    ) -> dict[str, NDArray[Any]]:
-        """Return the observation of a single arm, as `encode_goals` does, but more quickly."""
-        posture = [*map(cos, joint_angles), *map(sin, joint_angles), *joint_speeds]
+        Raises:
+            UserError: if it has another shape, lacks a goal, or is not all finite numbers.
+        """
+        if type(observation) is np.ndarray and observation.ndim == 1:
+            values = observation.tolist()  # for a single arm quicker than numpy
+            if (
+                len(values) == self.size
+                and observation.dtype.char in "fd"
+                and isfinite(sum(values))
+            ):
+                return observation
+        if not isinstance(observation, Mapping):
+            return _finite_rows("observation", observation, self.size)
+        sizes = {"observation": self.posture_size, "achieved_goal": 2, "desired_goal": 2}
+        if any(name not in observation for name in sizes):
+            accepted = f"a mapping with {', '.join(sizes)}"
+            raise UserError(f"observation must be {accepted}, got {sorted(observation)}")
         return {
-            "observation": np.array(posture, dtype=np.float32),
-            "achieved_goal": np.array(hand),
-            "desired_goal": np.array(target),
+            name: _finite_rows(f"observation[{name!r}]", observation[name], size)
+            for name, size in sizes.items()
         }
 
     def split(self, observation: Any, arrays: Any = np) -> ObservationParts:
@@ -293,23 +282,57 @@ class ObservationLayout:
         return arrays.concatenate(self.split(observation, arrays), -1)
 
 
+def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[Any, ...]:
+    """Return the last six values of observations: R(−q_1) target, e, and e / (NEAR + |e|).
+
+    All are numbers, or arrays of one shape with numpy's square root.
+
+    Args:
+        cosine: of the first joint angle.
+        sine: likewise.
+        hand: (x, y).
+        target: (x, y).
+        root: the square root.
+    """
+    (hand_x, hand_y), (target_x, target_y) = hand, target
+    along, across = target_x - hand_x, target_y - hand_y
+    x, y = cosine * along + sine * across, cosine * across - sine * along
+    scale = NEAR + root(x * x + y * y)
+    seen_x, seen_y = cosine * target_x + sine * target_y, cosine * target_y - sine * target_x
+    return seen_x, seen_y, x, y, x / scale, y / scale
+
+
+def _finite_rows(name: str, value: Any, size: int) -> NDArray[np.floating]:
+    """Return arrays (..., size) of finite numbers; raise a `UserError` for anything else."""
+    if type(value) is not np.ndarray or value.dtype.char not in "fd":
+        value = require_array(name, value)
+    if value.shape[-1:] != (size,):
+        raise UserError(f"{name} must have shape (..., {size}), got {value.shape}")
+    if not np.isfinite(value).all():
+        raise UserError(f"{name} must be finite numbers, got {value}")
+    return cast("NDArray[np.floating]", value)
+
+
 def turned_back(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
     """Return the components of vectors (x, y) in a frame whose x axis is (cosine, sine)."""
     return cosine * x + sine * y, cosine * y - sine * x
 
 
-def relative_speeds(
-    joint_velocities: NDArray[np.float64], speed_limit: float
-) -> NDArray[np.float64]:
-    """Return joint velocities (..., N) as fractions of their limit, clipped to ±1."""
+def relative_speeds(joint_velocities: Any, limit: float) -> Any:
+    """Return joint velocities, a list of N or (..., N), as fractions of their limit, within ±1."""
+    if isinstance(joint_velocities, list):
+        return [
+            -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
+            for velocity in joint_velocities
+        ]
     # np.clip would take twice as long for few arms.
-    speeds: NDArray[np.float64] = np.maximum(joint_velocities / speed_limit, -1.0)
+    speeds: Floats = np.maximum(joint_velocities / limit, -1.0)
     return np.minimum(speeds, 1.0, out=speeds)
 
 
 @dataclass(frozen=True)
 class Sensed:
-    """An observation in physical units; all arrays lead with the batch.
+    """Posture and target of an observation in physical units; arrays lead with the batch.
 
     Attributes:
         joint_angles: radians, (..., N).
@@ -322,11 +345,9 @@ class Sensed:
 
 @dataclass(frozen=True)
 class Seen(Sensed):
-    """All that an observation shows, in physical units; all arrays lead with the batch.
+    """All that an observation shows in physical units; arrays lead with the batch.
 
     Attributes:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
         joint_speeds: rad/s, (..., N).
         hand: where it, or its cursor, is seen, segment lengths, (..., 2).
     """
@@ -337,7 +358,7 @@ class Seen(Sensed):
 
 @dataclass(frozen=True)
 class ReachInterface:
-    """All that an agent is told about a reaching environment.
+    """All that an agent is given about a reaching environment.
 
     Attributes:
         segment_lengths: N lengths.
@@ -346,7 +367,7 @@ class ReachInterface:
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         control_step: duration of a control step, s.
         joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
-        lockable_joints: joints that lock, or may lock, as far as that is told.
+        lockable_joints: joints that lock, or may lock, as far as agents are given them.
     """
 
     segment_lengths: tuple[float, ...]
@@ -400,37 +421,28 @@ class ReachInterface:
             observation: of MMCReach-v0, (..., 15) at N = 3, or of MMCReachGoal-v0, a mapping.
 
         Raises:
-            UserError: if its last axis has another length.
+            UserError: if it is no such observation, see `ObservationLayout.check`.
         """
-        layout = self.layout
-        goals = observation if isinstance(observation, Mapping) else None
-        if goals is not None and (lacking := set(_GOAL_KEYS).difference(goals)):
-            raise UserError(f"observation must have {_GOAL_KEYS}, got none of {sorted(lacking)}")
-        seen = require_array("observation", observation if goals is None else goals["observation"])
-        values = np.asarray(seen, dtype=np.float64)
-        expected = layout.size if goals is None else layout.posture_size
-        if values.shape[-1:] != (expected,):
-            raise UserError(f"observation must have shape (..., {expected}), got {values.shape}")
-        count = layout.joint_count
-        joint_angles = np.arctan2(values[..., count : 2 * count], values[..., :count])
-        if goals is not None:
-            target: Floats = np.asarray(goals["desired_goal"], dtype=np.float64)
+        observation = self.layout.check(observation)
+        if isinstance(observation, Mapping):
+            joint_angles = self._joint_angles(np.asarray(observation["observation"], np.float64))
+            target: Floats = np.asarray(observation["desired_goal"], np.float64)
         else:
-            target = in_the_world(layout.split(values).target, joint_angles)
+            values = np.asarray(observation, np.float64)
+            joint_angles = self._joint_angles(values)
+            target = in_the_world(self.layout.split(values).target, joint_angles)
         return Sensed(self.within_limits(joint_angles), target)
 
     def see(self, observation: Observation) -> Seen:
-        """Return all that observations show; see `sense`, which returns what most agents need.
+        """Return all that observations show; `sense` returns what most agents need.
 
         Raises:
-            UserError: if its last axis has another length.
+            UserError: if it is no such observation, see `ObservationLayout.check`.
         """
         layout = self.layout
-        values = np.asarray(layout.flatten(observation), dtype=np.float64)
-        if values.shape[-1:] != (layout.size,):
-            raise UserError(f"observation must have shape (..., {layout.size}), got {values.shape}")
+        values = np.asarray(layout.flatten(layout.check(observation)), dtype=np.float64)
         count, end = layout.joint_count, layout.posture_size
-        joint_angles = np.arctan2(values[..., count : 2 * count], values[..., :count])
+        joint_angles = self._joint_angles(values)
         # Target and offset, turned together.
         both = values[..., end : end + 4].reshape(*values.shape[:-1], 2, 2)
         points = in_the_world(both, joint_angles[..., None, :])
@@ -442,18 +454,11 @@ class ReachInterface:
             hand=target - points[..., 1, :],
         )
 
-    def checked(self, observation: Observation) -> Observation:
-        """Return the observation as arrays.
-
-        Raises:
-            UserError: if its last axis has another length than that of this environment.
-        """
-        if isinstance(observation, Mapping):
-            observation = {name: np.asarray(value) for name, value in observation.items()}
-        else:
-            observation = require_array("observation", observation).astype(np.float32)
-        self.sense(observation)
-        return observation
+    def _joint_angles(self, values: Floats) -> Floats:
+        """Return the joint angles (..., N) of observed cosines and sines (..., 2 N and more)."""
+        count = self.layout.joint_count
+        angles: Floats = np.arctan2(values[..., count : 2 * count], values[..., :count])
+        return angles
 
     def within_limits(self, joint_angles: Floats) -> Floats:
         """Return the angles within the joint limits that are nearest to these, (..., N)."""
@@ -522,7 +527,7 @@ class ReachInterface:
 
 
 def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
-    """Return vectors (..., 2) as the world sees them, that the first segment sees so."""
+    """Rotate vectors (..., 2) from the first segment's frame into the world frame."""
     cosine, sine = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
     turned = np.empty_like(vectors)
     # np.stack would take four times as long for few arms.

@@ -17,11 +17,10 @@ from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym._notebook import png
 from mmc_gym.agents import AGENTS, AgentEntry, make_agent
+from mmc_gym.envs.perturbations import FAMILIES, Family
 from mmc_gym.envs.scenarios import (
-    FAMILIES,
     PERTURBATION_NAMES,
     TASK_SCENARIOS,
-    Family,
     Scenario,
     environment_id,
     find_task,

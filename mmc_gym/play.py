@@ -16,10 +16,10 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
 from mmc_gym.benchmark.entries import Entry, make_together, one_entry
-from mmc_gym.envs.making import EnvLike
+from mmc_gym.envs import shapes as drawing
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.render import shapes as drawing
-from mmc_gym.envs.render.renderer import open_display
+from mmc_gym.envs.render import open_display
+from mmc_gym.envs.scenarios import EnvLike
 
 HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q: quit"
 _LINE = 26  # height of a line of text, pixels
@@ -50,7 +50,7 @@ def play(
     Raises:
         UserError: without a display, for an unknown agent or another environment.
     """
-    open_display()
+    open_display(must_be_seen=True)
     try:
         entry = one_entry(agent, allow_pickle=allow_pickle)
         given = {**(env_kwargs or {}), "render_mode": "rgb_array", "max_episode_steps": -1}

@@ -18,7 +18,7 @@ from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike
 from mmc_gym.benchmark.entries import make_together, one_entry
-from mmc_gym.envs.making import EnvLike
+from mmc_gym.envs.scenarios import EnvLike
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
 Picture = NDArray[np.uint8]

@@ -9,7 +9,8 @@ import gymnasium as gym
 import matplotlib.pyplot as plt
 import pytest
 
-from mmc_gym.envs.scenarios import FAMILIES, TASK_SCENARIOS
+from mmc_gym.envs.perturbations import FAMILIES
+from mmc_gym.envs.scenarios import TASK_SCENARIOS
 from mmc_gym.envs.tasks import TASKS
 from mmc_gym.measures import MEASURES
 

@@ -1,6 +1,7 @@
-"""The contract between environments and agents: observations, actions, and what is told."""
+"""The contract between environments and agents: observations, actions, and what is given."""
 
 import pickle
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import (
@@ -24,6 +26,8 @@ from mmc_gym.interface import (
 )
 
 LAYOUT = ObservationLayout(joint_count=3, reach=3.0)
+GOALS = ObservationLayout(joint_count=3, reach=3.0, has_goals=True)
+INTERFACE = ReachInterface((1.0,) * 3, "joint_delta", 6.0, 12.0, 0.02)
 
 
 def seen_along(joint_angles, vectors):
@@ -43,22 +47,19 @@ def arms(seed, count=5, joints=3):
     )
 
 
-@given(st.integers(0, 2**31), st.integers(1, 5), st.booleans())
-def test_one_arm_is_encoded_as_many_are(seed, joints, clip):
-    layout = ObservationLayout(joints, float(joints))
+@given(st.integers(0, 2**31), st.integers(1, 5), st.booleans(), st.booleans())
+def test_one_arm_is_encoded_as_many_are(seed, joints, is_clipped, has_goals):
+    layout = ObservationLayout(joints, float(joints), is_clipped and not has_goals, has_goals)
     angles, speeds, hands, targets = arms(seed, joints=joints)
-    many = layout.encode(angles, speeds, hand=hands, target=targets, clip=clip)
-    goals = layout.encode_goals(angles, speeds, hand=hands, target=targets)
-    assert many.shape == (5, layout.size)
-    assert many.dtype == np.float32
-    assert (np.abs(many) <= layout.limits).all() or not clip
+    many = layout.encode(angles, speeds, hand=hands, target=targets)
+    if not has_goals:
+        assert (many.shape, many.dtype) == ((5, layout.size), np.float32)
+        assert (np.abs(many) <= layout.limits).all() or not is_clipped
     for index, (angle, speed) in enumerate(zip(angles.tolist(), speeds.tolist())):
-        place = {"hand": tuple(hands[index]), "target": tuple(targets[index])}
-        one = layout.encode_one(angle, speed, clip=clip, **place)
-        np.testing.assert_allclose(one, many[index], atol=1e-7)
-        for name, value in layout.encode_goals_of_one(angle, speed, **place).items():
-            np.testing.assert_allclose(value, goals[name][index], atol=1e-7)
-            assert value.dtype == goals[name].dtype
+        one = layout.encode(angle, speed, hand=tuple(hands[index]), target=tuple(targets[index]))
+        for name in one if has_goals else [...]:
+            np.testing.assert_allclose(one[name], many[name][index], atol=1e-7)
+            assert one[name].dtype == many[name].dtype
 
 
 @pytest.mark.parametrize("arrays", [np.asarray, torch.from_numpy])
@@ -66,7 +67,7 @@ def test_an_observation_of_either_kind_is_split_into_what_was_encoded(arrays):
     angles, speeds, hands, targets = arms(0)
     flat = LAYOUT.encode(angles, speeds, hand=hands, target=targets)
     longer = np.concatenate([flat, np.ones((5, 2), np.float32)], axis=-1)
-    goals = LAYOUT.encode_goals(angles, speeds, hand=hands, target=targets)
+    goals = GOALS.encode(angles, speeds, hand=hands, target=targets)
     offsets = targets - hands
     large = offsets / (NEAR + np.linalg.norm(offsets, axis=-1, keepdims=True))
     for observation, rest in (
@@ -88,7 +89,7 @@ def test_observations_of_goal_environments_are_brought_into_the_form_of_the_othe
     angles, speeds, hands, targets = arms(1)
     module = np if arrays is np.asarray else torch
     flat = arrays(LAYOUT.encode(angles, speeds, hand=hands, target=targets))
-    goals = LAYOUT.encode_goals(angles, speeds, hand=hands, target=targets)
+    goals = GOALS.encode(angles, speeds, hand=hands, target=targets)
     found = LAYOUT.flatten({name: arrays(value) for name, value in goals.items()}, module)
     np.testing.assert_allclose(found, flat, atol=2e-6)
     assert LAYOUT.flatten(flat, module) is flat
@@ -112,10 +113,11 @@ def test_a_turned_world_looks_the_same_but_for_the_first_joint(seed, joints, tur
 
 @given(st.integers(0, 2**31), st.integers(1, 5))
 def test_the_world_is_recovered_from_observations_of_either_kind(seed, joints):
-    interface = ReachInterface((1.0,) * joints, "joint_delta", 6.0, 12.0, 0.02)
+    interface = replace(INTERFACE, segment_lengths=(1.0,) * joints)
     angles, speeds, hands, targets = arms(seed, joints=joints)
-    for encode in (interface.layout.encode, interface.layout.encode_goals):
-        observation = encode(angles, speeds, hand=hands, target=targets)
+    for has_goals in (False, True):
+        layout = replace(interface.layout, has_goals=has_goals)
+        observation = layout.encode(angles, speeds, hand=hands, target=targets)
         sensed = interface.sense(observation)
         np.testing.assert_allclose(sensed.joint_angles, angles, atol=1e-6)
         np.testing.assert_allclose(sensed.target, targets, atol=1e-5)
@@ -186,9 +188,44 @@ def test_the_last_hundredths_are_observed_large_and_all_of_them_within_one():
     np.testing.assert_allclose(shown[1:20] / sizes[1:20], 1 / NEAR, rtol=0.03)
 
 
-def test_speeds_are_told_as_fractions_of_their_limit():
-    found = relative_speeds(np.array([-9.0, -1.0, 0.5, 9.0]), 2.0)
+@pytest.mark.parametrize("kind", [list, np.array])
+def test_speeds_are_fractions_of_their_limit(kind):
+    found = relative_speeds(kind([-9.0, -1.0, 0.5, 9.0]), 2.0)
     np.testing.assert_array_equal(found, [-1.0, -0.5, 0.25, 1.0])
+
+
+def wrong_observations():
+    angles, speeds, hands, targets = (each[0] for each in arms(3))
+    flat, goals = (
+        one.encode(angles, speeds, hand=hands, target=targets) for one in (LAYOUT, GOALS)
+    )
+    nan, infinite = (np.where(np.arange(15) == 4, value, flat) for value in (np.nan, np.inf))
+    return {
+        "too long": (np.append(flat, 0), r"observation must have shape \(..., 15\), got \(16,\)"),
+        "a number": (3.0, r"observation must have shape \(..., 15\), got \(\)"),
+        "text": ("far", "observation must be an array of numbers, got 'far'"),
+        "none": (None, "observation must be an array of numbers, got None"),
+        "NaN": (nan, r"observation must be finite numbers, got \[.*nan"),
+        "infinity": (infinite.tolist(), r"observation must be finite numbers, got \[.*inf"),
+        "NaN of one arm": (np.stack([flat, nan]), "observation must be finite numbers"),
+        "no goals": ({"observation": goals["observation"]}, "mapping with observation, achieved_"),
+        "NaN goal": (goals | {"desired_goal": [0, np.nan]}, r"\['desired_goal'\] must be finite"),
+        "long goal": (goals | {"achieved_goal": [0, 0, 0]}, r"\['achieved_goal'\] must have shape"),
+    }
+
+
+@pytest.mark.parametrize("case", wrong_observations())
+@pytest.mark.parametrize("name", ["mmc", "mmc-body", "optimal-control", "ppo"])
+def test_every_agent_refuses_what_is_no_observation(name, case, env):
+    agent, (observation, message) = make_agent(name, env), wrong_observations()[case]
+    with pytest.raises(UserError, match=message):
+        agent.predict(observation)
+
+
+@pytest.mark.parametrize("large", [1e30, -1e30])
+def test_large_numbers_are_observations_too(large):
+    for observation in (np.full(15, large, np.float32), np.full((2, 15), large, np.float32)):
+        assert LAYOUT.check(observation) is observation
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta"])

@@ -11,7 +11,8 @@ import mmc_gym
 from mmc_gym.agents import AGENTS
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.cli import main
-from mmc_gym.envs.scenarios import FAMILIES, scenario
+from mmc_gym.envs.perturbations import FAMILIES
+from mmc_gym.envs.scenarios import scenario
 from mmc_gym.envs.tasks import TASKS
 from mmc_gym.listing import describe, picture
 from mmc_gym.measures import MEASURES

@@ -268,7 +268,6 @@ class PolicyAgent(Agent[Any]):
         self._interface = interface
         self._convert = not same
         self._random = np.random.default_rng(seed)
-        self._shape = (layout.size,)
         self._base = None
         if card.base_agent:
             self._base = BASE_AGENTS[card.base_agent](replace(interface, control=card.control))
@@ -301,9 +300,8 @@ class PolicyAgent(Agent[Any]):
         episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], Any]:
-        if not isinstance(observation, np.ndarray) or observation.shape[-1:] != self._shape:
-            observation = self._interface.checked(observation)
         layout = self._interface.layout
+        observation = layout.check(observation)
         seen = features(np, self.card.view, observation, layout)
         seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random

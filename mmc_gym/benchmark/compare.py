@@ -19,7 +19,7 @@ from mmc_gym.benchmark.entries import Agents, Entry, find_entries, make_together
 from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
 from mmc_gym.benchmark.statistics import summarize
 from mmc_gym.benchmark.store import episode_columns
-from mmc_gym.envs.making import EnvLike, name_of
+from mmc_gym.envs.scenarios import EnvLike, name_of
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures, run_episodes
 from mmc_gym.measures.rollout import check_environment

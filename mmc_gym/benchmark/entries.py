@@ -32,7 +32,7 @@ from mmc_gym.agents.policy import is_policy_path
 from mmc_gym.agents.resolver import AgentLike, Factory, ResolvedAgent, shipped_seeds
 from mmc_gym.agents.sb3 import SUFFIX, ModelAgent
 from mmc_gym.benchmark.reference import REFERENCE
-from mmc_gym.envs.making import EnvLike, is_own, make_environment
+from mmc_gym.envs.scenarios import EnvLike, is_own, make_environment
 from mmc_gym.interface import CONTROLS, ControlError
 
 Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequence[AgentLike]]"

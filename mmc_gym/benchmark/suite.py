@@ -6,12 +6,25 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, TypeAlias
 
-from mmc_gym.envs.making import EnvLike
-from mmc_gym.envs.scenarios import FAMILIES, TASK_SCENARIOS, Scenario, own_scenario, scenario
+from mmc_gym.envs.perturbations import FAMILIES, Family
+from mmc_gym.envs.scenarios import (
+    TASK_SCENARIOS,
+    EnvLike,
+    Scenario,
+    own_scenario,
+    perturbed,
+    scenario,
+)
+
+
+def _in_strengths(family: Family) -> list[Scenario]:
+    given = [perturbed(family, strength, told=True) for strength in family.told or ()]
+    return [*(perturbed(family, strength) for strength in family.strengths), *given]
+
 
 SCENARIOS: dict[str, Scenario] = {
     **TASK_SCENARIOS,
-    **{one.name: one for family in FAMILIES.values() for one in family.scenarios},
+    **{one.name: one for family in FAMILIES.values() for one in _in_strengths(family)},
 }
 """The scenarios of the benchmark by name."""
 
@@ -27,7 +40,7 @@ def find_scenarios(
 
     Args:
         environments: names, see `mmc_gym.envs.scenarios.scenario`; a mapping has environments of
-            yours by names of yours, see `mmc_gym.envs.making.make_environment`.
+            yours by names of yours, see `mmc_gym.envs.scenarios.make_environment`.
         env_kwargs: arguments of all of them.
 
     Raises:

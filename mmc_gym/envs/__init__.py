@@ -1,17 +1,22 @@
-"""Gymnasium environments over the simulated arm.  Importing this package registers them."""
+"""Gymnasium environments of the simulated arm.  Importing this package registers them."""
 
+import os
 import sys
 from typing import Any
 
 import gymnasium as gym
 
-from mmc_gym.envs.scenarios import Family, register_all, register_perturbation, register_task
+from mmc_gym.envs.perturbations import Family
+from mmc_gym.envs.scenarios import register_all, register_perturbation, register_task
+
+# Pygame greets on standard output, which may be piped.
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
 __all__ = ["Family", "register_perturbation", "register_task"]
 
 
 def _show_wrapped_environments() -> None:
-    """Let a notebook that runs now show environments as pictures, though Gymnasium wraps them."""
+    """Let the running notebook show environments as pictures, although Gymnasium wraps them."""
     ipython: Any = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython else None
     if shell is not None:

@@ -1,30 +1,66 @@
-"""A step of many arms of the analytic engine in one go: movement, observations and rewards.
+"""A control step of many arms of the analytic engine in one go: movement, observation, reward.
 
-Each thread takes its share of the arms through all of it: no thread has to read what another one
-has just written.  What arms observe and are rewarded for is one compiled pass.  It does what
-`ObservationLayout.encode` and `rewards` do, operation by operation.  Only the cosines and sines of
-the joint angles come from the engine instead of the C library.  Either is right to a unit in the
-last place of float64; so an observation differs, in the last place of its float32, once in some
-hundred million values.
+Each thread takes its share of the arms through all of it, so that no thread reads what another one
+has just written.  `look_and_reward` does what `ObservationLayout.encode` and `reward_and_info` do,
+operation by operation.  Only the cosines and sines of the joint angles come from the engine instead
+of the C library.  Both are right to a unit in the last place of float64, so an observation differs,
+in the last place of its float32, once in some hundred million values.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._compiling import compiled
 from mmc_gym.body.analytic.arms import AnalyticArmBatch
-from mmc_gym.envs.rewards import HALF_PRECISE
-from mmc_gym.envs.spec import GoalSetup, ReachSetup
+from mmc_gym.envs.reach import HALF_PRECISE
+from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import NEAR
 
 Floats = NDArray[np.float64]
-WEIGHTS = ("precision_weight", "control_weight", "smoothness_weight")
-SETTINGS = np.dtype([(name, np.float64) for name in ("speed_limit", "success_distance", *WEIGHTS)])
+
+
+class Constants(NamedTuple):
+    """What is the same for all arms and steps; `limits` is empty if nothing is clipped to it."""
+
+    speed_limit: float
+    success_distance: float
+    precision_weight: float
+    control_weight: float
+    smoothness_weight: float
+    limits: NDArray[np.float32]
+
+
+class Arms(NamedTuple):
+    """Arrays of n arms: what `look_and_reward` reads, and from `speeds` on what it writes.
+
+    Attributes:
+        cosines: of the joint angles, (n, N).
+        sines: of the joint angles, (n, N).
+        velocities: of the joints, rad/s, (n, N).
+        hands: where they, or their cursors, are, (n, 2).
+        targets: where they are, (n, 2).
+        may_succeed: whether the target is the last one, (n,).
+        speeds: of the joints one step earlier, and then now, as fractions of their limit, (n, N).
+        observation: (n, 3 N + 6), or (n, 3 N) of a goal environment.
+        terms: distance, minus distance, precision, control, smoothness, and dense reward, (6, n).
+        is_success: whether the target is reached, (n,).
+    """
+
+    cosines: Floats
+    sines: Floats
+    velocities: Floats
+    hands: Floats
+    targets: Floats
+    may_succeed: NDArray[np.bool_]
+    speeds: Floats
+    observation: NDArray[np.float32]
+    terms: Floats
+    is_success: NDArray[np.bool_]
 
 
 class CompiledStep:
@@ -33,15 +69,16 @@ class CompiledStep:
     def __init__(self, setup: ReachSetup, arms: AnalyticArmBatch) -> None:
         """Prepare for the arms of an environment."""
         self._arms, self._action = arms, setup.action
-        self._settings = np.zeros(1, SETTINGS)
-        self._settings["speed_limit"] = setup.given_body.speed_limit
-        for name in ("success_distance", *WEIGHTS):
-            self._settings[name] = getattr(setup, name)
-        # Goals are not clipped.
-        is_clipped = setup.may_exceed_reach and not isinstance(setup, GoalSetup)
-        self._limits = setup.layout.limits if is_clipped else np.empty(0, np.float32)
+        layout = setup.layout
+        self._constants = Constants(
+            setup.given_body.speed_limit,
+            setup.success_distance,
+            setup.precision_weight,
+            setup.control_weight,
+            setup.smoothness_weight,
+            layout.limits if layout.is_clipped else np.empty(0, np.float32),
+        )
         self._is_sparse = setup.reward_type == "sparse"
-        self._is_smooth = setup.smoothness_weight > 0.0
 
     def __call__(
         self,
@@ -57,96 +94,75 @@ class CompiledStep:
 
         Args:
             actions: what the arms do first, (n, N); None if they have moved already.
-            hands: where they, or their cursors, are, (n, 2); if the arms move, the very array in
-                which these tell it.
-            targets: where they are, (n, 2).
-            may_succeed: whether the target is the last one, (n,).
-            speeds: of the joints one step earlier, as fractions of their limit, (n, N).
+            hands: see `Arms`; if the arms move, the array in which the engine writes them.
+            targets: see `Arms`.
+            may_succeed: see `Arms`.
+            speeds: see `Arms`.
             observation: where observations go, (n, 3 N + 6), or those of a goal environment.
         """
-        arms, count = self._arms, len(targets)
+        engine, count = self._arms, len(targets)
         _, scale, is_relative = self._action
-        numbers, is_success = np.empty((6, count)), np.empty(count, dtype=bool)
         end_effector, target = np.empty((count, 2)), np.empty((count, 2))
-        copies, seen = [(end_effector, arms.end_effectors), (target, targets)], observation
+        copies, seen = [(end_effector, engine.end_effectors), (target, targets)], observation
         if isinstance(observation, dict):
             seen = observation["observation"]
             copies += (observation["achieved_goal"], hands), (observation["desired_goal"], targets)
+        arms = Arms(
+            engine.joint_cosines,
+            engine.joint_sines,
+            engine.joint_velocities,
+            hands,
+            targets,
+            may_succeed,
+            speeds,
+            seen,
+            terms=np.empty((6, count)),
+            is_success=np.empty(count, dtype=bool),
+        )
 
         def advance(first: int, last: int) -> None:
             if actions is not None:
-                arms.command_arms(actions, scale, is_relative, first, last)
-                arms.step_arms(first, last)
+                engine.command_arms(actions, scale, is_relative, first, last)
+                engine.step_arms(first, last)
             for copy, original in copies:
                 copy[first:last] = original[first:last]
-            see_and_reward(
-                first,
-                last,
-                self._settings,
-                self._limits,
-                arms.joint_cosines,
-                arms.joint_sines,
-                arms.joint_velocities,
-                hands,
-                targets,
-                may_succeed,
-                speeds,
-                seen,
-                numbers,
-                is_success,
-            )
+            look_and_reward(first, last, self._constants, arms)
 
-        arms.share_out(advance)
-        distance, distance_cost, precision, control, smoothness, reward = numbers
+        engine.share_out(advance)
+        distance, distance_cost, precision, control, smoothness, reward = arms.terms
         info = {
             "distance": distance,
-            "is_success": is_success,
+            "is_success": arms.is_success,
             "reward_distance": distance_cost,
             "reward_precision": precision,
             "reward_control": control,
         }
-        if self._is_smooth:
+        if self._constants.smoothness_weight:
             info["reward_smoothness"] = smoothness
         info |= {"end_effector": end_effector, "target": target}
-        return is_success - 1.0 if self._is_sparse else reward, info
+        return arms.is_success - 1.0 if self._is_sparse else reward, info
 
 
 @compiled
-def see_and_reward(
-    first,
-    last,
-    settings,
-    limits,
-    cosines,
-    sines,
-    velocities,
-    hands,
-    targets,
-    may_succeed,
-    speeds,
-    observation,
-    numbers,
-    is_success,
-):
-    """Do the last part of `CompiledStep` for arms from `first` to before `last`.
+def look_and_reward(first, last, constants, arms):
+    """Write observations, rewards and their terms of the arms from `first` to before `last`.
 
-    Observations are clipped to `limits`, unless it is empty.  Those of a goal environment end
-    before the target.  `numbers` are distances and the dense rewards, (6, n): distance, the parts
-    of the reward for distance, precision, control and smoothness, and their sum.
+    The observation of a goal environment ends before the target.
     """
     # Counted from 0: else numba would ask of each index whether it counts from the end.
-    cosines, sines, velocities = cosines[first:last], sines[first:last], velocities[first:last]
-    hands, targets, may_succeed = hands[first:last], targets[first:last], may_succeed[first:last]
-    speeds, observation = speeds[first:last], observation[first:last]
-    numbers, is_success = numbers[:, first:last], is_success[first:last]
-    told = settings[0]
+    cosines, sines = arms.cosines[first:last], arms.sines[first:last]
+    velocities, speeds = arms.velocities[first:last], arms.speeds[first:last]
+    hands, targets = arms.hands[first:last], arms.targets[first:last]
+    may_succeed, is_success = arms.may_succeed[first:last], arms.is_success[first:last]
+    observation, terms = arms.observation[first:last], arms.terms[:, first:last]
+    limits = constants.limits
     joints = cosines.shape[1]
     end = 3 * joints
     for arm in range(last - first):
         seen = observation[arm]
         squares = changes = 0.0
         for joint in range(joints):
-            speed = velocities[arm, joint] / told.speed_limit
+            speed = velocities[arm, joint] / constants.speed_limit
             speed = min(max(speed, -1.0), 1.0)
             change = speed - speeds[arm, joint]
             squares += speed * speed
@@ -170,16 +186,16 @@ def see_and_reward(
             seen[end + 5] = y / scale
         for place in range(limits.shape[0]):
             seen[place] = min(max(seen[place], -limits[place]), limits[place])
-        precision = told.precision_weight * (HALF_PRECISE / (HALF_PRECISE + distance))
-        control = -told.control_weight * squares / joints
-        smoothness = -told.smoothness_weight * changes / joints
+        precision = constants.precision_weight * (HALF_PRECISE / (HALF_PRECISE + distance))
+        control = -constants.control_weight * squares / joints
+        smoothness = -constants.smoothness_weight * changes / joints
         reward = -distance + precision + control
-        if told.smoothness_weight > 0.0:
+        if constants.smoothness_weight > 0.0:
             reward = reward + smoothness
-        is_success[arm] = (distance <= told.success_distance) & may_succeed[arm]
-        numbers[0, arm] = distance
-        numbers[1, arm] = -distance
-        numbers[2, arm] = precision
-        numbers[3, arm] = control
-        numbers[4, arm] = smoothness
-        numbers[5, arm] = reward
+        is_success[arm] = (distance <= constants.success_distance) & may_succeed[arm]
+        terms[0, arm] = distance
+        terms[1, arm] = -distance
+        terms[2, arm] = precision
+        terms[3, arm] = control
+        terms[4, arm] = smoothness
+        terms[5, arm] = reward

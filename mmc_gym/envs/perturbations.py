@@ -2,14 +2,15 @@
 
 Each is a frozen dataclass of physical parameters.  They can be combined.  Some change the body
 (`change_body`); a visuomotor rotation moves the cursor that stands for the hand; noise and delay
-change what is observed, not what is rewarded.  Lengths are in segment lengths.
+change observations, not rewards.  Lengths are in segment lengths.
 
-`mmc_gym.envs.scenarios` gives them names, with any strength.
+A `Family` gives them names, with any strength; `mmc_gym.envs.scenarios` reads the names.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
@@ -40,7 +41,7 @@ Coordinate = TypeVar("Coordinate", float, Floats)
 class Perturbation:
     """Something that goes wrong; this base class changes nothing."""
 
-    told: bool = False  # whether agents know the changed body
+    told: bool = False  # whether agents are given the changed body
 
     def change_body(self, body: ArmParameters) -> ArmParameters:
         """Return the arm under this perturbation."""
@@ -52,10 +53,9 @@ class Perturbation:
 class ForceField(Perturbation):
     """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
 
-    Viscous fields at the hand are Shadmehr & Mussa-Ivaldi's (1994), J. Neurosci. 14:3208.
-    The hand leaves its course where the field takes the servos to their torque limit.  Up to a curl
-    of about 120 they bring it to its target in 2 s nearly always, at 200 in 85 % of random
-    movements.
+    After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  The hand leaves its course where
+    the field takes the servos to their torque limit.  Up to a curl of about 120 nearly all random
+    movements reach their target within 2 s, at 200 85 % of them do.
 
     Attributes:
         curl: mass / s; positive bends to the right of the movement.
@@ -96,10 +96,10 @@ class HandMass(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class Gravity(Perturbation):
-    """The arm hangs in gravity, which pulls along −y.  Agents are told of it.
+    """The arm hangs in gravity, which pulls along −y.  Agents are always given it.
 
     Attributes:
-        acceleration: segment lengths / s²; it adds to the `gravity` of the arm.
+        acceleration: segment lengths / s²; it is added to the `gravity` of the arm.
     """
 
     acceleration: float = 60.0
@@ -117,12 +117,12 @@ class Gravity(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class SegmentLength(Perturbation):
-    """A segment is longer or shorter than it was: a tool, a growth, a cut.  Its mass stays.
+    """A segment is longer or shorter than it was, as by a tool, growth or a cut, of equal mass.
 
     Attributes:
         factor: new length over old.
         segment: index of the segment; -1 is the last.
-        told: whether agents are told the new length.
+        told: whether agents are given the new length.
     """
 
     factor: float = 1.2
@@ -142,15 +142,15 @@ class SegmentLength(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class LockedJoint(Perturbation):
-    """A joint becomes rigid at the angle that it has, and stays so until the next reset.
+    """A joint becomes rigid at its present angle until the next reset.
 
-    Locked from the start, the targets are ones that the other joints can reach.  Locked on the
-    way, the target may have become unreachable, and there is no way to tell beforehand.
+    If it is locked from the start, the other joints can reach all targets.  If it locks later, the
+    target may have become unreachable, which cannot be known beforehand.
 
     Attributes:
         joint: index of the joint, from the base outward.
         time: when it locks, s after the start; the same for all joints that lock.
-        told: whether agents are told which joint it is (`env.unwrapped.parameters`).
+        told: whether agents are given the joint (`env.unwrapped.parameters`).
     """
 
     joint: int = 1
@@ -172,10 +172,9 @@ class Obstacles(Perturbation):
     """Fixed discs in the plane stop the arm, without friction; several add.
 
     Starting postures and drawn targets are clear of them.  The way between may be blocked, and
-    the path of a pursued target may lead through.  A segment that is thrown against a disc is
-    stopped once it is in it.  Physics steps are therefore half as long as without obstacles:
-    in a million control steps of rough commands segments sank in by at most 0.07, and without
-    that by 0.14.
+    the path of a pursued target may lead through them.  A segment that is thrown against a disc
+    sinks in a little.  Physics steps are therefore half as long as without obstacles: in a million
+    control steps of rough commands segments sank in by at most 0.07, and by 0.14 at full steps.
 
     Attributes:
         discs: (x, y, radius) of each.
@@ -194,14 +193,14 @@ class Obstacles(Perturbation):
     def change_body(self, body: ArmParameters) -> ArmParameters:
         discs = (*body.obstacles, *self.discs)
         arm = replace(body, obstacles=discs, segment_radius=self.segment_radius)
-        if body.obstacles:  # with steps that are short enough
+        if body.obstacles:  # its steps are short already
             return arm
         return replace(arm, substep=body.substep / 2, substeps=2 * body.substeps)
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of the senses of arms before they are encoded; the hand may be a cursor's."""
+    """What the senses of arms read, before it is encoded; the hand may be a cursor."""
 
     joint_angles: Floats  # (..., N), radians
     joint_velocities: Floats  # (..., N), rad/s
@@ -224,16 +223,15 @@ class Noise(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class VisuomotorRotation(Perturbation):
-    """A cursor stands for the hand, turned about a centre; it is seen, measured and rewarded.
+    """A cursor, the hand turned about a centre, is seen, measured and rewarded.
 
     After Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20:8916, who turned by 30°.
 
     Attributes:
         degrees: counter-clockwise.
-        centre: (x, y) of the one place where the cursor is on the hand.  None: where the task's
-            movements begin; the base, if they begin anywhere.  Turned about the base, the cursor
-            reaches whatever the hand does; about another point, tasks with fixed targets near
-            the border of the reach may ask for more than that.
+        centre: (x, y), where the cursor is on the hand.  None: where the task's movements begin, or
+            the base if they begin anywhere.  About the base, the cursor reaches all that the hand
+            does; about another point, fixed targets near the border may be out of its reach.
     """
 
     degrees: float = 30.0
@@ -265,8 +263,8 @@ class JointNoise(Noise):
     der Gon, 1998, Exp. Brain Res. 122:367).
 
     Attributes:
-        std: standard deviation of the angles, rad; that of the velocities is ten a second of it.
-        speed_std: what is added to it by the joint's speed, s.
+        std: standard deviation of the angles, rad; that of the velocities is 10 / s times as large.
+        speed_std: increase of `std` with the joint's speed, s.
     """
 
     std: float = 0.02
@@ -294,12 +292,11 @@ class JointNoise(Noise):
 @spelt
 @dataclass(frozen=True)
 class VisionNoise(Noise):
-    """Noise of where hand and target are seen, in each coordinate.
+    """Noise of the seen hand and target, in each coordinate.
 
     Attributes:
         std: standard deviation, segment lengths.
-        distance_std: what is added to it by the distance between hand and target, as a
-            fraction of it (Weber's law).
+        distance_std: increase of `std` with the distance of hand and target (Weber's law).
     """
 
     std: float = 0.03
@@ -327,13 +324,13 @@ class VisionNoise(Noise):
 @spelt
 @dataclass(frozen=True)
 class SensoryDelay(Perturbation):
-    """All is observed late; until the delay is over, the state at the start is shown.
+    """All observations are late; until the delay is over, they show the start.
 
-    `gymnasium.wrappers.DelayObservation` delays likewise, but shows zeros at first, which are
-    the observation of no posture, and cannot wrap a vector environment.
+    `gymnasium.wrappers.DelayObservation` shows zeros at first, which no posture has, and cannot
+    wrap a vector environment.
 
     Attributes:
-        seconds: by how much, rounded to control steps; several add.
+        seconds: the delay, rounded to control steps; several add.
     """
 
     seconds: float = 0.1
@@ -343,7 +340,187 @@ class SensoryDelay(Perturbation):
 
 
 def _index(name: str, index: int, count: int) -> int:
-    """Return the index from 0 on, of one that may count from the end."""
+    """Return an index that may count from the end as one from 0 on."""
     fine = is_whole(index) and -count <= index < count
     require(fine, name, index, f"an index from {-count} to {count - 1}")
     return index % count
+
+
+@dataclass(frozen=True)
+class Family:
+    """Perturbations of one kind, which differ in strength.
+
+    Attributes:
+        name: the first part of their names.
+        unit: of the strength.
+        description: of a scenario, in a line; `{}` stands for the strength.
+        default: strength of a name without one.
+        make: makes the perturbation of a strength.
+        strengths: those of the benchmark.
+        told: strengths in the benchmark at which agents are given the change; None if they cannot
+            be given it.
+        ids: names that have an id, the family's by default; if agents can be given the change, the
+            same names with `-told` have one, too.
+        whole: whether strengths are whole numbers, of a joint or a count.
+    """
+
+    name: str
+    unit: str
+    description: str
+    default: float
+    make: Callable[[float], Perturbation]
+    strengths: tuple[float, ...] = ()
+    told: tuple[float, ...] | None = None
+    ids: tuple[str, ...] = ()
+    whole: bool = False
+
+    @property
+    def names_with_id(self) -> list[str]:
+        """The names that have an id."""
+        endings = ("",) if self.told is None else ("", "-told")
+        return [name + ending for name in self.ids or (self.name,) for ending in endings]
+
+
+def _joint(strength: float, time: float = 0.0) -> LockedJoint:
+    fine = strength >= 1 and strength == int(strength)
+    require(fine, "the joint that locks", strength, "a whole number from 1 (at the base) on")
+    return LockedJoint(int(strength) - 1, time)
+
+
+def _obstacles(strength: float) -> Obstacles:
+    fine = strength in range(1, len(_DISCS) + 1)
+    require(fine, "the number of obstacles", strength, f"a whole number from 1 to {len(_DISCS)}")
+    return Obstacles(_DISCS[: int(strength)])
+
+
+_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
+
+FAMILIES: dict[str, Family] = {
+    family.name: family
+    for family in (
+        Family(
+            name="force-field",
+            unit="mass/s",
+            description="viscous curl field of {} at the hand",
+            default=60.0,
+            make=ForceField,
+            strengths=(30.0, 60.0, 90.0),
+        ),
+        Family(
+            name="rotation",
+            unit="°",
+            description="cursor turned by {}° about the base",
+            default=30.0,
+            make=VisuomotorRotation,
+            strengths=(15.0, 30.0, 45.0, 60.0),
+            ids=("rotation-30", "rotation-45"),
+        ),
+        Family(
+            name="hand-mass",
+            unit="segment masses",
+            description="hand carries {} segment masses",
+            default=3.0,
+            make=HandMass,
+            strengths=(1.0, 3.0, 10.0),
+        ),
+        Family(
+            name="longer",
+            unit="%",
+            description="last segment {} % longer",
+            default=20.0,
+            make=lambda percent: SegmentLength(1 + percent / 100),
+            strengths=(10.0, 20.0, 50.0),
+            told=(20.0, 50.0),
+            ids=("longer-10", "longer-20", "longer-50"),
+        ),
+        Family(
+            name="shorter",
+            unit="%",
+            description="last segment {} % shorter",
+            default=20.0,
+            make=lambda percent: SegmentLength(1 - percent / 100),
+            strengths=(10.0, 20.0, 50.0),
+            told=(20.0, 50.0),
+            ids=("shorter-10", "shorter-20", "shorter-50"),
+        ),
+        Family(
+            name="locked",
+            unit="joint",
+            description="joint {} (from the base) locked from the start",
+            default=2.0,
+            make=_joint,
+            whole=True,
+            strengths=(1.0, 2.0, 3.0),
+            told=(1.0, 2.0, 3.0),
+        ),
+        Family(
+            name="locks",
+            unit="joint",
+            description="joint {} (from the base) locked after 0.2 s",
+            default=2.0,
+            make=lambda joint: _joint(joint, time=0.2),
+            whole=True,
+            strengths=(1.0, 2.0, 3.0),
+            told=(2.0,),
+        ),
+        Family(
+            name="joint-noise",
+            unit="rad",
+            description="noise of joint angles, {} rad",
+            default=0.02,
+            make=JointNoise,
+            strengths=(0.01, 0.02, 0.05),
+        ),
+        Family(
+            name="joint-noise-speed",
+            unit="s",
+            description="noise of joint angles, {} s of joint speed",
+            default=0.01,
+            make=lambda std: JointNoise(0.0, speed_std=std),
+            strengths=(0.01, 0.03),
+        ),
+        Family(
+            name="vision-noise",
+            unit="lengths",
+            description="noise of the seen hand and target, {} segment lengths",
+            default=0.03,
+            make=VisionNoise,
+            strengths=(0.01, 0.03, 0.1),
+        ),
+        Family(
+            name="vision-noise-distance",
+            unit="of distance",
+            description="noise of the seen hand and target, {} of their distance",
+            default=0.05,
+            make=lambda std: VisionNoise(0.0, distance_std=std),
+            strengths=(0.05, 0.15),
+        ),
+        Family(
+            name="delay",
+            unit="ms",
+            description="all senses late by {} ms",
+            default=100.0,
+            make=lambda ms: SensoryDelay(ms / 1000),
+            strengths=(20.0, 40.0, 100.0, 200.0, 400.0),
+            ids=("delay-40", "delay-100", "delay-200"),
+        ),
+        Family(
+            name="obstacles",
+            unit="discs",
+            description="fixed discs stop the arm, {}",
+            default=2.0,
+            make=_obstacles,
+            whole=True,
+            strengths=(1.0, 2.0, 4.0),
+        ),
+        Family(
+            name="gravity",
+            unit="lengths/s²",
+            description="arm hangs in a gravity of {} segment lengths/s²",
+            default=60.0,
+            make=Gravity,
+            strengths=(10.0, 60.0, 120.0),
+        ),
+    )
+}
+"""The families of perturbations by name."""

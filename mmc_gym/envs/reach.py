@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from functools import reduce
+from operator import add, mul, sub
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
@@ -15,14 +18,23 @@ from mmc_gym._notebook import png
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.rewards import distances, goal_reward, reward_and_info
-from mmc_gym.envs.spec import GoalSetup, ReachEnvironment, as_numbers, check_names, finite
+from mmc_gym.envs.spec import (
+    GoalSetup,
+    ReachEnvironment,
+    ReachSetup,
+    as_numbers,
+    check_names,
+    require_finite_numbers,
+)
 from mmc_gym.envs.workspace import Point
+from mmc_gym.interface import relative_speeds
 
 if TYPE_CHECKING:
-    from mmc_gym.envs.render.renderer import Renderer, Scene
+    from mmc_gym.envs.render import Renderer, Scene
 
 Info = dict[str, Any]
+Floats = NDArray[np.float64]
+HALF_PRECISE = 0.05  # segment lengths
 
 
 class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
@@ -30,11 +42,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     ## Description
     Three uniform rods of length 1 and mass 1 with continuous joints lie in a horizontal plane,
-    simulated by pymunk in control steps of 0.02 s (four physics steps of 0.005 s).  With each
-    segment turns the rotor of its drive, which has a quarter of the inertia of what it moves: so
-    it is in real arms, and so the solver comes near the exact movement in a few sweeps.  A servo
+    simulated by pymunk in control steps of 0.02 s (four physics steps of 0.005 s).  Each segment
+    turns the rotor of its drive, which has a quarter of the inertia that it moves: as in real arms,
+    and the solver then comes near the exact movement in a few sweeps.  A servo
     at each joint follows the action with at most 2π rad/s and a torque of at most 500
-    (mass · length² / s²): the whole stretched arm turns by 90° in 0.40 s, to within 0.05 rad.
+    (mass · length² / s²): the stretched arm turns by 90° in 0.40 s, to within 0.05 rad.
     Arms of more or longer segments get stronger servos (`ArmParameters.torque_limit`).
 
     ## Action Space
@@ -47,8 +59,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     | `joint_velocity` | the joint velocity 2π·a, rad/s |
     | `joint_torque` | the torque 500·a, until the joint turns at 2π rad/s |
 
-    Actions outside the Box are an error and are not clipped (stable-baselines3 clips by itself;
-    `gymnasium.wrappers.ClipAction` does it for others).
+    Actions outside the Box raise an error and are not clipped (stable-baselines3 clips by itself;
+    for others there is `gymnasium.wrappers.ClipAction`).
 
     ## Observation Space
     `Box((15,), float32)`:
@@ -62,9 +74,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     | 11–12 | target − hand, segment lengths | ±6 |
     | 13–14 | (target − hand) / (0.05 + distance) | ±1 |
 
-    From 9 on all is seen from the first segment, as if it lay on the x axis: reaching is the same
-    in every direction, and a learner need not find that out.  The last two show the last hundredths
-    large, in which success is decided.
+    From 9 on vectors are in the frame of the first segment, its x axis: reaching is the same
+    in every direction, and a learner need not learn that.  The last two enlarge small distances,
+    where success is decided.
 
     ## Rewards
     Dense (default): −distance + 0.05 / (0.05 + distance) − mean((joint velocity / 2π)²); the
@@ -75,8 +87,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     ## Starting State
     Joint angles are uniform on the circle, at rest; the target is area-uniform over the disc (for
     unequal segments: the ring) that the hand can reach.  `reset(options={"joint_angles": …})` (3
-    angles in radians) and `{"target": (x, y)}` set them.  Other tasks start in other ways; where
-    their trials are numbered (`setup.task.trial_count`), `{"trial": k}` takes one.
+    angles in radians) and `{"target": (x, y)}` set them.  Other tasks start in other ways; if
+    their trials are numbered (`setup.task.trial_count`), `{"trial": k}` chooses one.
 
     ## Episode End
     Episodes never terminate: the hand must stay at the target.  `gym.make` truncates them after
@@ -86,15 +98,15 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     `reset` and `step` return `distance`, `is_success` (distance ≤ 0.05; with via points only at
     the last), `end_effector`, `target`, and the terms of the dense reward, `reward_distance`,
     `reward_precision`, `reward_control` and, if it has a weight, `reward_smoothness`.  All are
-    true, whatever is observed.  Under a visuomotor rotation a `cursor` stands for the hand;
-    distance, success and reward are the cursor's.
+    true, even if the senses are disturbed.  Under a visuomotor rotation a `cursor` stands for the
+    hand; distance, success and reward are the cursor's.
 
     ## Tasks and Perturbations
     `task` says where the target is and how it moves; every task has an id, such as
-    `MMCReachPursuit-v0`.  `perturbations` says what goes wrong with body, cursor or senses, by
-    names with any strength: `["delay-150", "longer-35-told"]`.  Many have an id, too, such as
+    `MMCReachPursuit-v0`.  `perturbations` names what goes wrong with body, cursor or senses, with
+    any strength: `["delay-150", "longer-35-told"]`.  Many have an id, too, such as
     `MMCReachLonger20Told-v0`.  See `mmc_gym.envs.tasks` and `mmc_gym.envs.scenarios`.
-    `env.unwrapped.parameters` is the arm that agents are told of.
+    `env.unwrapped.parameters` is the arm that agents are given.
 
     ## Arguments
     `control`, `reward_type` ("dense", "sparse"), `control_weight` (1), `precision_weight` (1),
@@ -106,8 +118,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     and those that perturbations set.  The arm has as many joints as `segment_lengths`; action and
     observation grow with it.
 
-    A pickled or deep-copied environment goes on from where it is, bit for bit as the original
-    does; it has no window.  Far into an endless episode it refuses, see `mmc_gym.body.Arm`.
+    A pickled or deep-copied environment continues from its state, bit for bit as the original
+    does; it has no window.  Long after the last reset it cannot be copied, see `mmc_gym.body.Arm`.
 
     ## Version History
     * v0: initial version
@@ -116,10 +128,10 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
-        """Make the environment; the arguments are listed in the class docstring.
+        """Make the environment; the class docstring lists the arguments.
 
         Raises:
-            UserError: a `ValueError`, if an argument is unknown, or outside what it accepts.
+            UserError: a `ValueError`, if an argument is unknown, or not accepted.
         """
         check_names(arguments, "render_mode")
         require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
@@ -136,7 +148,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._renderer: Renderer | None = None
         self._trace: deque[Point] = deque(maxlen=setup.trace_length)
         self._ghost: list[float] | None = None
-        self._place([0.0] * setup.joint_count, [(self.reach, 0.0)])
+        self._place([0.0] * setup.joint_count, [(setup.reach, 0.0)])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -150,7 +162,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         checked = self.setup.check_options(options)
         super().reset(seed=seed)
         self._place(*self.setup.draw_trial(self.np_random, checked))
-        observation, _, info = self._outcome()
+        observation, _, info = self._look_and_reward()
         self._late.extend([observation] * self.setup.delay)
         observation = self._delayed(observation)
         if self.render_mode == "human":
@@ -176,7 +188,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             self._trace.append(arm.end_effector)
         if self._has_events:
             self._advance_events()
-        observation, reward, info = self._outcome()
+        observation, reward, info = self._look_and_reward()
         if setup.are_senses_disturbed:
             observation = self._delayed(observation)
         if self.render_mode == "human":
@@ -185,11 +197,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     @property
     def arm(self) -> SingleArm:
-        """The simulated arm, to look at: its state is the true one, whatever is observed of it."""
+        """The simulated arm, to look at: its state is true, even if the senses are disturbed."""
         return self._arm
 
     def set_target(self, target: ArrayLike) -> None:
-        """Move the target during an episode; the next step's observation and reward tell of it.
+        """Move the target during an episode; the next step observes and rewards it.
 
         Args:
             target: (x, y) in segment lengths.  It stays there, whatever the task.
@@ -201,16 +213,17 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._target = self._targets[0]
 
     def show_posture(self, joint_angles: ArrayLike | None) -> None:
-        """Draw a second, ghostly arm into the pictures to come, such as an internal model's.
+        """Draw a second arm into the following pictures, such as that of an internal model.
 
         Args:
-            joint_angles: N relative angles in radians, or None for no ghost.
+            joint_angles: N relative angles in radians, or None for no second arm.
 
         Raises:
             UserError: if they are not N finite numbers.
         """
         if joint_angles is not None:
-            joint_angles = finite("joint_angles", joint_angles, self.setup.joint_count)
+            count = self.setup.joint_count
+            joint_angles = require_finite_numbers("joint_angles", joint_angles, count)
         self._ghost = joint_angles
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -218,7 +231,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: gym.make(..., render_mode='rgb_array')")
             return None
-        from mmc_gym.envs.render.renderer import Renderer
+        from mmc_gym.envs.render import Renderer
 
         if self._renderer is None:
             self._renderer = Renderer(self.setup, self.render_mode)
@@ -226,13 +239,13 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     def _repr_png_(self) -> bytes:
         """Return the picture that a notebook shows, whatever the render mode."""
-        from mmc_gym.envs.render.renderer import Renderer
+        from mmc_gym.envs.render import Renderer
 
         frame: Any = Renderer(self.setup, "rgb_array").draw(self._scene())
         return png(frame, shrink=2)
 
     def _scene(self) -> Scene:
-        from mmc_gym.envs.render.renderer import Scene
+        from mmc_gym.envs.render import Scene
 
         return Scene(
             self._arm.segment_angles,
@@ -253,45 +266,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}  # windows belong to a process
 
-    def _outcome(self) -> tuple[Any, float, Info]:
-        """Return observation, reward and info of the present state."""
-        arm, setup, target = self._arm, self.setup, self._target
-        hand = arm.end_effector if setup.rotation is None else self._seen_hand()
-        limit = setup.given_body.speed_limit
-        speeds = [
-            -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
-            for velocity in arm.joint_velocities
-        ]
-        distance = _distance(hand, target)
-        is_success = distance <= setup.success_distance and self._is_last_target
-        reward, info = reward_and_info(setup, distance, is_success, speeds, self._speeds)
-        self._speeds = speeds
-        info["end_effector"] = np.array(arm.end_effector)
-        info["target"] = np.array(target)
-        if setup.rotation is not None:
-            info["cursor"] = np.array(hand)
-        if setup.noises:
-            readings = Readings(
-                np.array([arm.joint_angles]),
-                np.array([arm.joint_velocities]),
-                np.array([hand]),
-                np.array([target]),
-            )
-            return setup.observe(setup.disturb(readings, [self.np_random]))[0], reward, info
-        return setup.observe_one(arm.joint_angles, speeds, hand, target), reward, info
-
-    def _seen_hand(self) -> Point:
-        """Return where the hand is, or the cursor that stands for it."""
-        rotation, hand = self.setup.rotation, self._arm.end_effector
-        return hand if rotation is None else rotation.cursor(*hand)
-
-    def _delayed(self, observation: Any) -> Any:
-        """Return what is observed now if senses are late; it shares no memory with what comes."""
-        if not self.setup.are_senses_disturbed:
-            return observation
-        self._late.append(observation)
-        return self._late[0].copy()
-
     def _place(self, posture: list[float], targets: list[Point]) -> None:
         self._arm.reset(posture)
         self._speeds = [0.0] * len(posture)
@@ -303,8 +277,20 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._trace.clear()
         self._trace.append(self._arm.end_effector)
 
+    def _command(self, action: ArrayLike) -> list[float]:
+        """Return the command to the servos; raise a `UserError` if the action is not accepted."""
+        if type(action) is not np.ndarray or action.dtype.kind not in "fiub":
+            action = as_numbers("action", action)
+        if action.shape != self._action_shape:
+            raise UserError(f"action must have shape {self._action_shape}, got {action.shape}")
+        values, scale = action.tolist(), self.setup.action.scale
+        for value in values:
+            if not -1.0 <= value <= 1.0:  # true for NaN too
+                raise UserError(f"action must lie within -1 and 1, got {values}")
+        return [scale * value for value in values]
+
     def _advance_events(self) -> None:
-        """Let the rest of a step happen: the target moves on, and joints lock."""
+        """Move the target along its path and lock joints, after a step."""
         self._steps += 1
         if self._steps == self.setup.lock_step:
             self._arm.lock()
@@ -317,30 +303,100 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
             self._is_last_target = place == last
         self._target = self._targets[place]
 
-    def _command(self, action: ArrayLike) -> list[float]:
-        """Return the command to the servos, or raise a `UserError` if the action is none."""
-        scale = self.setup.action.scale
-        try:
-            array = np.asarray(action)
-            if array.shape == self._action_shape:
-                values = array.tolist()
-                for value in values:
-                    if not -1.0 <= value <= 1.0:  # false for NaN too
-                        break
-                else:
-                    return [scale * value for value in values]
-        except (TypeError, ValueError):  # not numbers, or of uneven lengths
-            pass
-        array = as_numbers("action", action)
-        if array.shape != self._action_shape:
-            raise UserError(f"action must have shape {self._action_shape}, got {array.shape}")
-        raise UserError(f"action must lie within -1 and 1, got {array.tolist()}")
+    def _look_and_reward(self) -> tuple[Any, float, Info]:
+        """Return observation, reward and info of the present state, and remember its speeds."""
+        arm, setup, target = self._arm, self.setup, self._target
+        hand = arm.end_effector if setup.rotation is None else self._seen_hand()
+        speeds = relative_speeds(arm.joint_velocities, setup.given_body.speed_limit)
+        distance = _distance(hand, target)
+        is_success = distance <= setup.success_distance and self._is_last_target
+        reward, info = reward_and_info(setup, distance, is_success, speeds, self._speeds)
+        self._speeds = speeds
+        info["end_effector"] = np.array(arm.end_effector)
+        info["target"] = np.array(target)
+        if setup.rotation is not None:
+            info["cursor"] = np.array(hand)
+        if setup.noises:
+            state = arm.joint_angles, arm.joint_velocities, hand, target
+            readings = Readings(*(np.array([each]) for each in state))
+            return setup.observe_with_noise(readings, [self.np_random])[0], reward, info
+        seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
+        return seen, reward, info
+
+    def _seen_hand(self) -> Point:
+        """Return where the hand is, or the cursor that stands for it."""
+        rotation, hand = self.setup.rotation, self._arm.end_effector
+        return hand if rotation is None else rotation.cursor(*hand)
+
+    def _delayed(self, observation: Any) -> Any:
+        """Return the observation that has arrived; it shares no memory with later ones."""
+        if not self.setup.are_senses_disturbed:
+            return observation
+        self._late.append(observation)
+        return self._late[0].copy()
 
 
-def _distance(one: Point, other: Point) -> float:
-    # The operations of `rewards.distances`, so that relabelling gives the same bits.
-    x, y = other[0] - one[0], other[1] - one[1]
+# Distances, successes and rewards are numbers, or arrays (n,) of n arms.
+
+
+def distances(hands: Floats, targets: Floats) -> Floats:
+    """Return the distances (...) from hands (..., 2) to targets (..., 2)."""
+    offset = targets - hands
+    x, y = offset[..., 0], offset[..., 1]
+    return np.asarray(np.sqrt(x * x + y * y))[()]
+
+
+def _distance(hand: Point, target: Point) -> float:
+    # The operations of `distances`, so that relabelling gives the same bits.
+    x, y = target[0] - hand[0], target[1] - hand[1]
     return math.sqrt(x * x + y * y)
+
+
+def precision(setup: ReachSetup, distance: Any) -> Any:
+    """Return the reward for precision: its weight on the target, and half of it 0.05 away."""
+    return setup.precision_weight * (HALF_PRECISE / (HALF_PRECISE + distance))
+
+
+def reward_and_info(
+    setup: ReachSetup,
+    distance: Any,
+    is_success: Any,
+    speeds: Sequence[Any] | Floats,
+    speeds_before: Sequence[Any] | Floats,
+) -> tuple[Any, Info]:
+    """Return the reward of a state, and the infos that explain it.
+
+    Args:
+        setup: of the environment.
+        distance: of the hand, or the cursor that stands for it, from the target.
+        is_success: whether the task is done.
+        speeds: of the joints, the first axis, as fractions of their limit.
+        speeds_before: the same one control step earlier.
+    """
+    reward_control = _minus_mean_square(speeds, setup.control_weight)
+    reward_precision = precision(setup, distance)
+    is_sparse = setup.reward_type == "sparse"
+    reward = is_success - 1.0 if is_sparse else -distance + reward_precision + reward_control
+    info = {
+        "distance": distance,
+        "is_success": is_success,
+        "reward_distance": -distance,
+        "reward_precision": reward_precision,
+        "reward_control": reward_control,
+    }
+    if setup.smoothness_weight:
+        changes = list(map(sub, speeds, speeds_before))
+        info["reward_smoothness"] = _minus_mean_square(changes, setup.smoothness_weight)
+        if not is_sparse:
+            reward = reward + info["reward_smoothness"]
+    return reward, info
+
+
+def _minus_mean_square(speeds: Sequence[Any] | Floats, weight: float) -> Any:
+    """Return minus `weight` times the mean square over the first axis."""
+    # Not sum(): from Python 3.12 on it adds floats more precisely than arrays.
+    squares: Any = reduce(add, map(mul, speeds, speeds))
+    return -weight * squares / len(speeds)
 
 
 class GoalEnvironment(ReachEnvironment):
@@ -354,7 +410,10 @@ class GoalEnvironment(ReachEnvironment):
         """Return the reward for hands (..., 2) and targets (..., 2), shape (...)."""
         del info
         hands, targets = (np.asarray(goal, np.float64) for goal in (achieved_goal, desired_goal))
-        return goal_reward(self.setup, distances(hands, targets))
+        setup, distance = self.setup, distances(hands, targets)
+        if setup.reward_type == "sparse":
+            return (distance <= setup.success_distance) - 1.0
+        return -distance + precision(setup, distance)
 
     def compute_terminated(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
@@ -366,7 +425,7 @@ class GoalEnvironment(ReachEnvironment):
     def compute_truncated(
         self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
     ) -> Any:
-        """Return False for every transition, shape (...): the time limit alone truncates."""
+        """Return False for every transition, shape (...): only the time limit truncates."""
         return self.compute_terminated(achieved_goal, desired_goal, info)
 
 
@@ -385,7 +444,7 @@ class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):
     goals alone, so that replayed transitions can be relabelled.
 
     ## Arguments
-    Those of `MMCReachEnv`, less `control_weight` and `smoothness_weight`.
+    Those of `MMCReachEnv` without `control_weight` and `smoothness_weight`.
 
     ## Version History
     * v0: initial version

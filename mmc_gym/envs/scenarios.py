@@ -1,108 +1,126 @@
-"""Scenarios: a task with perturbations under one name; and the ids of the environments.
+"""Scenarios: a task with perturbations under one name; the ids of environments; how to make them.
 
 One grammar holds everywhere, in `perturbations=[…]`, in the benchmark, reports and file names:
 
     <perturbation>[-<strength>][-told]      delay-150, longer-35-told, rotation-30, force-field
 
-Any strength is accepted; without one it is the family's default (`force-field` is
-`force-field-60`).  With `-told`, agents are told of the changed body.  In an id the name is in
+Any strength is accepted; a name without one has the family's default (`force-field` is
+`force-field-60`).  With `-told`, agents are given the changed body.  In an id the name is in
 camel case: `MMCReachLonger20Told-v0`.
 
-Perturbations are met in the task "random", so that an agent's episodes under all of them differ
-from those without in the perturbation alone: starts and targets are drawn from the same seeds.
+Perturbations have the task "random", so that an agent's episodes differ from those without one in
+the perturbation alone: the same seeds draw the same starts and targets.
 """
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, nearest, require, unknown
-from mmc_gym.envs.making import EnvLike, code_of, is_own, make_environment, name_of
-from mmc_gym.envs.perturbations import (
-    ForceField,
-    Gravity,
-    HandMass,
-    JointNoise,
-    LockedJoint,
-    Obstacles,
-    Perturbation,
-    SegmentLength,
-    SensoryDelay,
-    VisionNoise,
-    VisuomotorRotation,
-)
+from mmc_gym._modules import import_object, look_here
+from mmc_gym.envs.perturbations import FAMILIES, Family, Perturbation
 from mmc_gym.envs.tasks import TASKS, Task, outward_task
+
+EnvLike: TypeAlias = "str | Callable[..., gym.Env[Any, Any]]"
+"""The id of an environment, "module:Id" as in Gymnasium, "module:function", or a function or class
+that takes the arguments and returns an environment."""
 
 BASELINE = "random"
 """The scenario without perturbation: strength 0 of every family."""
 
 
-@dataclass(frozen=True)
-class Family:
-    """Perturbations of one kind, which differ in strength.
+def is_own(env: EnvLike) -> bool:
+    """Tell whether it is the user's environment, not one of this package."""
+    spec = gym.registry.get(env) if isinstance(env, str) else None
+    return spec is None or not str(spec.entry_point).startswith("mmc_gym.envs.")
 
-    Attributes:
-        name: the first part of their names.
-        description: of a scenario, in a line; `{}` stands for the strength.
-        default: strength of a name without one.
-        make: makes the perturbation of a strength.
-        strengths: those of the benchmark.
-        told: strengths of the benchmark that agents are told; None if they cannot be told.
-        ids: names that have an id, the family's by default; if agents can be told, so have
-            those with `-told`.
-        whole: strengths are whole numbers, of a joint or a count.
+
+def name_of(env: EnvLike) -> str:
+    """Return the name of an environment for tables: its id, or the name of the function."""
+    return env if isinstance(env, str) else getattr(env, "__name__", type(env).__name__)
+
+
+def make_environment(
+    env: EnvLike, control: str | None = None, **arguments: Any
+) -> gym.Env[Any, Any]:
+    """Make an environment.
+
+    Args:
+        env: see `EnvLike`; modules in the working directory are found.
+        control: its control mode; None for its default, or that among the arguments.  Your own
+            environment keeps its default if it takes no such argument.
+        arguments: for its constructor.
+
+    Raises:
+        UserError: if there is no such environment, or it does not take the arguments.
     """
+    if control is not None:
+        try:
+            return _made(env, {**arguments, "control": control})
+        except TypeError:
+            if not is_own(env):
+                raise
+    try:
+        return _made(env, arguments)
+    except TypeError as error:
+        raise _not_accepted(env, error) from error
 
-    name: str
-    unit: str
-    description: str
-    default: float
-    make: Callable[[float], Perturbation]
-    strengths: tuple[float, ...] = ()
-    told: tuple[float, ...] | None = None
-    ids: tuple[str, ...] = ()
-    whole: bool = False
 
-    @property
-    def scenarios(self) -> list[Scenario]:
-        """The scenarios of the benchmark."""
-        told = [self.scenario(strength, told=True) for strength in self.told or ()]
-        return [*map(self.scenario, self.strengths), *told]
+def _made(env: EnvLike, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
+    make: Callable[..., Any] = env  # type: ignore[assignment]
+    if isinstance(env, str):
+        look_here()
+        try:
+            return gym.make(env, **arguments)
+        except UserError:
+            raise
+        except (gym.error.Error, ImportError) as error:  # "module:function" is no id
+            try:
+                make = import_object(env, "env") if ":" in env else None
+            except UserError:
+                make = None
+            if not callable(make):
+                raise _not_accepted(env, error) from error
+    made = make(**arguments)
+    require(isinstance(made, gym.Env), name_of(env), made, "a function that returns an environment")
+    checked: gym.Env[Any, Any] = made
+    return checked
 
-    def scenario(self, strength: float, told: bool = False) -> Scenario:
-        """Return the scenario of a strength, in the task "random".
 
-        Raises:
-            UserError: if the strength makes no sense, or agents cannot be told.
-        """
-        if told and self.told is None:
-            tellable = ", ".join(one.name for one in FAMILIES.values() if one.told is not None)
-            raise UserError(f"'-told' may follow {tellable} only, got it after {self.name!r}")
-        perturbation = self.make(strength)
-        # Digits without exponent, as the grammar reads them.
-        digits = np.format_float_positional(strength, trim="-")
-        description = self.description.format(digits)
-        if self.told is not None:
-            description += f", agents {'are' if told else 'are not'} told"
-            perturbation = replace(perturbation, told=told)  # type: ignore[type-var]
-        return Scenario(
-            name=f"{self.name}-{digits}{'-told' * told}",
-            description=description,
-            perturbations=(perturbation,),
-            family=self.name,
-            strength=strength,
-            unit=self.unit,
-            told=told,
-        )
+def _not_accepted(env: EnvLike, error: Exception) -> UserError:
+    return UserError(
+        f"env must be a reaching environment such as 'MMCReach-v0', got {name_of(env)!r}: {error}"
+    )
+
+
+def code_of(thing: Any) -> str:
+    """Return the SHA-256 of the source of an object's class, and of the environment it wraps.
+
+    It is empty without code of the user.  Changes in what that code imports are not noticed.
+    """
+    kinds = [type(thing)]
+    while isinstance(thing, gym.Wrapper):
+        thing = thing.env
+        kinds.append(type(thing))
+    digest = hashlib.sha256()
+    own = [one for one in kinds if not one.__module__.startswith(("mmc_gym.", "gymnasium."))]
+    for kind in own:
+        try:
+            digest.update(inspect.getsource(kind).encode())
+        except (OSError, TypeError):  # typed into an interpreter, or compiled
+            digest.update(kind.__qualname__.encode())
+    return digest.hexdigest() if own else ""
 
 
 @dataclass(frozen=True)
@@ -111,11 +129,11 @@ class Scenario:
 
     Attributes:
         name: the one name, with its strength.
-        env: an environment of yours, in place of the task and the perturbations.
+        env: your own environment, in place of task and perturbations.
         env_kwargs: more arguments of the environment.
         family: of the perturbation; empty for a task.
-        strength: of the perturbation, to be compared within its family.
-        told: whether agents are told of the perturbation, where they can be.
+        strength: of the perturbation, comparable within its family.
+        told: whether agents are given the perturbed body, where they can be.
     """
 
     name: str
@@ -144,11 +162,7 @@ class Scenario:
         return {**task, **changes, **self.env_kwargs}
 
     def make(self, control: str | None = None) -> gym.Env[Any, Any]:
-        """Make the single environment, with another control mode if one is given.
-
-        Raises:
-            UserError: if there is no such environment, or it does not take the arguments.
-        """
+        """Make the single environment, see `make_environment`."""
         return make_environment(self.env or self.env_id, control, **self._with_steps)
 
     def make_vec(
@@ -157,11 +171,9 @@ class Scenario:
         """Make the native vector environment, with another control mode if one is given.
 
         Returns:
-            None if it is an environment of yours that has none.
+            None if it is your own environment and has no vector environment.
         """
-        arguments = (
-            self._with_steps if control is None else {**self._with_steps, "control": control}
-        )
+        arguments = self._with_steps | ({} if control is None else {"control": control})
         if self.env is not None:
             spec = gym.registry.get(self.env_id.rpartition(":")[2])
             if spec is None or spec.vector_entry_point is None:
@@ -170,14 +182,14 @@ class Scenario:
 
     @property
     def _with_steps(self) -> dict[str, Any]:
-        """The arguments, with the length of an episode where it is another than the id's."""
+        """The arguments, with the length of an episode if it differs from that of the id."""
         if isinstance(self.task, Task) and self.task.episode_steps != TASKS["random"].episode_steps:
             return {**self.arguments, "max_episode_steps": self.task.episode_steps}
         return self.arguments
 
     @property
     def trial_count(self) -> int | None:
-        """Number of its numbered trials; None: they are drawn."""
+        """Number of its numbered trials; None if they are drawn."""
         if self.env is None:
             return find_task(self.task).trial_count
         with closing(self.make()) as env:
@@ -194,7 +206,7 @@ class Scenario:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that defines the scenario, ready for JSON; equal for equal scenarios."""
+        """The definition of the scenario for JSON; equal for equal scenarios."""
         return {
             "id": self.env_id,
             "kwargs": json.loads(json.dumps(self.arguments, default=_with_name)),
@@ -215,29 +227,56 @@ class Scenario:
 
 
 def scenario(name: str) -> Scenario:
-    """Return the scenario of a name: a task's, or a perturbation's with any strength.
+    """Return the scenario of a task, or of a perturbation with any strength.
 
-    An environment of yours is one, too, by the name that `make_environment` takes: an id that is
-    registered, "module:Id", or "module:function".
+    The name may also be that of your own environment, as `make_environment` takes it: a registered
+    id, "module:Id", or "module:function".
 
     Example:
         >>> scenario("longer-35-told").description
-        'last segment 35 % longer, agents are told'
+        'last segment 35 % longer, given to agents'
         >>> scenario("locked").name
         'locked-2'
 
     Raises:
-        UserError: for an unknown name, or a strength that makes no sense.
+        UserError: for an unknown name, or an impossible strength.
     """
     if name in TASK_SCENARIOS:
         return TASK_SCENARIOS[name]
     if isinstance(name, str) and (":" in name or (name in gym.registry and is_own(name))):
         return own_scenario(name)
-    return _perturbed("scenario", name)
+    return _named("scenario", name)
+
+
+def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
+    """Return the scenario of a perturbation, in the task "random".
+
+    Raises:
+        UserError: if the strength is impossible, or agents cannot be given the change.
+    """
+    if told and family.told is None:
+        accepted = ", ".join(one.name for one in FAMILIES.values() if one.told is not None)
+        raise UserError(f"'-told' may follow {accepted} only, got it after {family.name!r}")
+    perturbation = family.make(strength)
+    # Digits without exponent, as the grammar reads them.
+    digits = np.format_float_positional(strength, trim="-")
+    description = family.description.format(digits)
+    if family.told is not None:
+        description += f", {'given' if told else 'not given'} to agents"
+        perturbation = replace(perturbation, told=told)  # type: ignore[type-var]
+    return Scenario(
+        name=f"{family.name}-{digits}{'-told' * told}",
+        description=description,
+        perturbations=(perturbation,),
+        family=family.name,
+        strength=strength,
+        unit=family.unit,
+        told=told,
+    )
 
 
 def own_scenario(env: EnvLike, name: str = "") -> Scenario:
-    """Return the scenario of an environment of yours, under its own name unless one is given.
+    """Return the scenario of your own environment, under its own name unless one is given.
 
     Raises:
         UserError: if there is no such environment.
@@ -252,11 +291,11 @@ def find_perturbation(value: object) -> Perturbation:
     """Return the perturbation of a name, or `value` itself if it is a perturbation.
 
     Raises:
-        UserError: for an unknown name, a strength that makes no sense, or anything else.
+        UserError: for an unknown name, an impossible strength, or anything else.
     """
     if isinstance(value, Perturbation):
         return value
-    return _perturbed("perturbations", value).perturbations[0]
+    return _named("perturbations", value).perturbations[0]
 
 
 def find_task(value: object) -> Task:
@@ -301,7 +340,7 @@ def _register(env_id: str, task: Task, arguments: dict[str, Any], kind: str = "M
 _NAME = re.compile(r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?(?P<told>-told)?")
 
 
-def _perturbed(argument: str, name: object) -> Scenario:
+def _named(argument: str, name: object) -> Scenario:
     """Return the scenario of a perturbation's name; an error names the argument."""
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     if match is None or match["family"] not in FAMILIES:
@@ -311,11 +350,11 @@ def _perturbed(argument: str, name: object) -> Scenario:
         raise unknown(argument, name, (*tasks, *FAMILIES), *also, guess=guess)
     family = FAMILIES[match["family"]]
     strength = family.default if match["strength"] is None else float(match["strength"])
-    return family.scenario(strength, told=match["told"] is not None)
+    return perturbed(family, strength, told=match["told"] is not None)
 
 
 def _guess(name: str, tasks: Iterable[str]) -> str:
-    """Return the task, or the perturbation, that a wrong name is close to, or is the id of."""
+    """Return the task or perturbation that a wrong name resembles, or whose id it is."""
     for known in (*tasks, *PERTURBATION_NAMES):
         if name == environment_id(known):
             return known
@@ -327,14 +366,14 @@ def _guess(name: str, tasks: Iterable[str]) -> str:
 
 
 def _object_of(value: object, base: type) -> str:
-    """Return how an object is made, if a class was given in its place; else ""."""
+    """Return the call that makes an object if a class was given instead, else ""."""
     return f"{value.__name__}()" if isinstance(value, type) and issubclass(value, base) else ""
 
 
 def _with_name(value: Any) -> dict[str, Any]:
-    """Return the fields of a task or a perturbation, and the name of its class.
+    """Return the fields of a task or a perturbation, the name of its class, and a digest of it.
 
-    Of yours also a digest of its code: another one plays another scenario.
+    The digest is of your own code only: changed code is another scenario.
     """
     plain = vars(value) if hasattr(value, "__dict__") else {"value": repr(value)}
     values = asdict(value) if is_dataclass(value) and not isinstance(value, type) else plain
@@ -346,7 +385,7 @@ _WORDS = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
 def register_task(name: str, task: Task, description: str = "") -> None:
-    """Give a task of yours a name: in ids, arguments, the benchmark, the report and file names.
+    """Name your own task, for ids, arguments, the benchmark, the report and file names.
 
     Args:
         name: such as "near-targets", whose id is `MMCReachNearTargets-v0`.
@@ -354,7 +393,7 @@ def register_task(name: str, task: Task, description: str = "") -> None:
         description: a line for the report.
 
     Raises:
-        UserError: if the name is no such word, or stands for another task or a perturbation.
+        UserError: if the name is not such words, or that of another task or perturbation.
     """
     known = TASKS.get(name)
     free = name not in FAMILIES and (known is None or _is_same(known, task))
@@ -368,23 +407,23 @@ def register_task(name: str, task: Task, description: str = "") -> None:
 
 
 def register_perturbation(family: Family) -> None:
-    """Give perturbations of yours a name: in ids, arguments, the benchmark, report and file names.
+    """Name your own perturbations, for ids, arguments, the benchmark, the report and file names.
 
     Raises:
-        UserError: if the name is no word, or stands for others.
+        UserError: if the name is not such words, or that of others.
     """
     known = FAMILIES.get(family.name)
     free = family.name not in TASKS and (known is None or _is_same(known.make, family.make))
     fine = re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None and free
     require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
-    family.scenario(family.default)  # which says what is wrong with it
+    perturbed(family, family.default)  # raises an error if the family is not consistent
     FAMILIES[family.name] = family
-    for name in _ids(family):
+    for name in family.names_with_id:
         _register(environment_id(name), TASKS["random"], {"perturbations": [name]})
 
 
 def _is_same(known: Any, made: Any) -> bool:
-    """Tell whether it comes again: from a notebook's cell that is run twice, say."""
+    """Tell whether your own thing is registered again, as by a notebook's cell that runs twice."""
 
     def origin(thing: Any) -> tuple[str, str]:
         kind = thing if hasattr(thing, "__qualname__") else type(thing)
@@ -393,161 +432,8 @@ def _is_same(known: Any, made: Any) -> bool:
     return origin(known) == origin(made) and not origin(made)[0].startswith("mmc_gym.")
 
 
-def _joint(strength: float, time: float = 0.0) -> LockedJoint:
-    fine = strength >= 1 and strength == int(strength)
-    require(fine, "the joint that locks", strength, "a whole number from 1 (at the base) on")
-    return LockedJoint(int(strength) - 1, time)
-
-
-def _obstacles(strength: float) -> Obstacles:
-    fine = strength in range(1, len(_DISCS) + 1)
-    require(fine, "the number of obstacles", strength, f"a whole number from 1 to {len(_DISCS)}")
-    return Obstacles(_DISCS[: int(strength)])
-
-
-def _ids(family: Family) -> list[str]:
-    """Return the names of a family that have an id."""
-    return [
-        name
-        for untold in family.ids or (family.name,)
-        for name in ([untold] if family.told is None else [untold, f"{untold}-told"])
-    ]
-
-
-_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
-
-FAMILIES: dict[str, Family] = {
-    family.name: family
-    for family in (
-        Family(
-            name="force-field",
-            unit="mass/s",
-            description="viscous curl field of {} at the hand",
-            default=60.0,
-            make=ForceField,
-            strengths=(30.0, 60.0, 90.0),
-        ),
-        Family(
-            name="rotation",
-            unit="°",
-            description="cursor turned by {}° about the base",
-            default=30.0,
-            make=VisuomotorRotation,
-            strengths=(15.0, 30.0, 45.0, 60.0),
-            ids=("rotation-30", "rotation-45"),
-        ),
-        Family(
-            name="hand-mass",
-            unit="segment masses",
-            description="hand carries {} segment masses",
-            default=3.0,
-            make=HandMass,
-            strengths=(1.0, 3.0, 10.0),
-        ),
-        Family(
-            name="longer",
-            unit="%",
-            description="last segment {} % longer",
-            default=20.0,
-            make=lambda percent: SegmentLength(1 + percent / 100),
-            strengths=(10.0, 20.0, 50.0),
-            told=(20.0, 50.0),
-            ids=("longer-10", "longer-20", "longer-50"),
-        ),
-        Family(
-            name="shorter",
-            unit="%",
-            description="last segment {} % shorter",
-            default=20.0,
-            make=lambda percent: SegmentLength(1 - percent / 100),
-            strengths=(10.0, 20.0, 50.0),
-            told=(20.0, 50.0),
-            ids=("shorter-10", "shorter-20", "shorter-50"),
-        ),
-        Family(
-            name="locked",
-            unit="joint",
-            description="joint {} (from the base) locked from the start",
-            default=2.0,
-            make=_joint,
-            whole=True,
-            strengths=(1.0, 2.0, 3.0),
-            told=(1.0, 2.0, 3.0),
-        ),
-        Family(
-            name="locks",
-            unit="joint",
-            description="joint {} (from the base) locked after 0.2 s",
-            default=2.0,
-            make=lambda joint: _joint(joint, time=0.2),
-            whole=True,
-            strengths=(1.0, 2.0, 3.0),
-            told=(2.0,),
-        ),
-        Family(
-            name="joint-noise",
-            unit="rad",
-            description="noise of joint angles, {} rad",
-            default=0.02,
-            make=JointNoise,
-            strengths=(0.01, 0.02, 0.05),
-        ),
-        Family(
-            name="joint-noise-speed",
-            unit="s",
-            description="noise of joint angles, {} s of joint speed",
-            default=0.01,
-            make=lambda std: JointNoise(0.0, speed_std=std),
-            strengths=(0.01, 0.03),
-        ),
-        Family(
-            name="vision-noise",
-            unit="lengths",
-            description="noise of the seen hand and target, {} segment lengths",
-            default=0.03,
-            make=VisionNoise,
-            strengths=(0.01, 0.03, 0.1),
-        ),
-        Family(
-            name="vision-noise-distance",
-            unit="of distance",
-            description="noise of the seen hand and target, {} of their distance",
-            default=0.05,
-            make=lambda std: VisionNoise(0.0, distance_std=std),
-            strengths=(0.05, 0.15),
-        ),
-        Family(
-            name="delay",
-            unit="ms",
-            description="all senses late by {} ms",
-            default=100.0,
-            make=lambda ms: SensoryDelay(ms / 1000),
-            strengths=(20.0, 40.0, 100.0, 200.0, 400.0),
-            ids=("delay-40", "delay-100", "delay-200"),
-        ),
-        Family(
-            name="obstacles",
-            unit="discs",
-            description="fixed discs stop the arm, {}",
-            default=2.0,
-            make=_obstacles,
-            whole=True,
-            strengths=(1.0, 2.0, 4.0),
-        ),
-        Family(
-            name="gravity",
-            unit="lengths/s²",
-            description="arm hangs in a gravity of {} segment lengths/s²",
-            default=60.0,
-            make=Gravity,
-            strengths=(10.0, 60.0, 120.0),
-        ),
-    )
-}
-"""The families of perturbations by name."""
-
 PERTURBATION_NAMES: tuple[str, ...] = tuple(
-    name for family in FAMILIES.values() for name in _ids(family)
+    name for family in FAMILIES.values() for name in family.names_with_id
 )
 """Names of perturbations that have an id of their own."""
 

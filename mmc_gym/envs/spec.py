@@ -18,7 +18,6 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
-from typing_extensions import override
 
 from mmc_gym._errors import (
     UserError,
@@ -27,6 +26,7 @@ from mmc_gym._errors import (
     require_choice,
     require_known,
     require_not_negative,
+    require_numbers,
 )
 from mmc_gym.body import ArmParameters, Engine
 from mmc_gym.envs.perturbations import (
@@ -53,7 +53,7 @@ _MOST_TRIALS = 300
 
 
 class Options(NamedTuple):
-    """The options of a reset, checked; None where nothing was asked for."""
+    """The options of a reset, checked; None for an option that was not given."""
 
     joint_angles: list[float] | None = None
     target: Point | None = None
@@ -64,22 +64,25 @@ class ReachSetup:
     """The arguments of `MMCReachEnv`, and what follows from them.
 
     Attributes:
-        unperturbed: physical parameters of the arm, as the arguments give them.
-        given_body: those that agents are given: with the perturbations that they are given.
-        body: those of the arm that is simulated; perturbations make the difference.
-        task_name: the name that the task was given by, if any.
-        caption: task and perturbations, for a picture; empty if they are the plain ones.
-        rotation: the visuomotor rotation, or None.
+        unperturbed: physical parameters of the arm, from the arguments.
+        given_body: those that agents are given, with the perturbations that are `told`.
+        body: those of the simulated arm, with all perturbations.
+        task_name: the name by which the task was given, or None.
+        caption: task and perturbations, for a picture; empty without any.
+        noises: noises of the senses.
         delay: of the senses, control steps.
-        lock_step: after how many control steps the lockable joints lock; None: never.
-        path_length: places on the path of the target.
+        are_senses_disturbed: whether there is noise or delay.
+        rotation: the visuomotor rotation, or None.
+        lock_step: number of control steps after which the lockable joints lock, or None.
+        workspace: where hand and target can be.
+        path_length: number of places on the path of the target.
         draws_pairs: whether `workspace.draw_pairs` draws its trials, many at once.
         frame_rate: pictures a second, one each control step.
-        trace_length: places on the trace of the hand that a picture shows, a second's.
+        trace_length: number of places on the hand's trace in a picture, one second.
+        action: what actions mean for the servos.
         action_space, observation_space: of one arm.
         layout: of the observations; its `reach` is the sum of the given lengths.
-        farthest: distance from the base within which the hand, or its cursor, always is.
-        may_exceed_reach: whether that is beyond `reach`, so that observations must be clipped.
+        farthest: distance from the base that the hand, or its cursor, never exceeds.
     """
 
     observation_space: spaces.Space[Any]
@@ -98,10 +101,10 @@ class ReachSetup:
         engine: Engine = "pymunk",
         **arm_parameters: Any,
     ) -> None:
-        """Check the arguments; they are listed in `MMCReachEnv`.
+        """Check the arguments, which `MMCReachEnv` lists.
 
         Raises:
-            UserError: if one is unknown, or outside what it accepts.
+            UserError: if one is unknown, or not accepted.
         """
         require_choice("control", control, CONTROLS)
         require_choice("reward_type", reward_type, get_args(RewardType))
@@ -130,7 +133,9 @@ class ReachSetup:
         self.action = action_meaning(control, self.given_body)
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
-        self.layout = ObservationLayout(self.joint_count, self.reach)
+        # Noise, a longer arm or a cursor may take what is seen beyond the limits.
+        is_clipped = bool(self.noises) or self.farthest > self.reach
+        self.layout = ObservationLayout(self.joint_count, self.reach, is_clipped)
         self.observation_space = self.layout.space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         self.frame_rate = round(1 / self.given_body.control_step)
@@ -158,10 +163,9 @@ class ReachSetup:
         self.rotation = self.workspace.rotation = self._rotation()
         shift = self.rotation.cursor(0.0, 0.0) if self.rotation else (0.0, 0.0)
         self.farthest = sum(self.body.segment_lengths) + math.hypot(*shift)
-        self.may_exceed_reach = self.farthest > sum(self.given_body.segment_lengths)
 
     def _rotation(self) -> VisuomotorRotation | None:
-        """Return the rotation, if there is one, about the point that it is meant to turn about."""
+        """Return the rotation, if there is one, with its centre filled in."""
         rotations = [one for one in self.perturbations if isinstance(one, VisuomotorRotation)]
         require(len(rotations) <= 1, "perturbations", rotations, "a list with at most one rotation")
         if not rotations or rotations[0].centre is not None:
@@ -170,41 +174,27 @@ class ReachSetup:
         reach = self.workspace.outer
         return replace(rotations[0], centre=(x * reach, y * reach))
 
-    def disturb(self, readings: Readings, randoms: Sequence[np.random.Generator]) -> Readings:
-        """Return the readings of n arms, (n, …), under noises from the generator of each."""
+    def observe_with_noise(
+        self, readings: Readings, randoms: Sequence[np.random.Generator]
+    ) -> NDArray[np.float32]:
+        """Return observations of n arms, (n, …), with noise from the generator of each."""
         for noise in self.noises:
             normals = np.empty((len(randoms), noise.draws(self.joint_count)))
             for random, row in zip(randoms, normals, strict=True):
                 random.standard_normal(out=row)
             readings = noise.disturb(readings, normals)
-        return readings
-
-    def observe(self, readings: Readings) -> Any:
-        """Return the observations of n arms for their readings, (n, …)."""
-        return self.layout.encode(
-            readings.joint_angles,
-            relative_speeds(readings.joint_velocities, self.given_body.speed_limit),
-            hand=readings.hand,
-            target=readings.target,
-            clip=self.may_exceed_reach or bool(self.noises),
+        speeds = relative_speeds(readings.joint_velocities, self.given_body.speed_limit)
+        seen: NDArray[np.float32] = self.layout.encode(
+            readings.joint_angles, speeds, hand=readings.hand, target=readings.target
         )
-
-    def observe_one(
-        self, joint_angles: Sequence[float], speeds: list[float], hand: Point, target: Point
-    ) -> Any:
-        """Return the observation of one arm with undisturbed senses: as `observe`, but quicker.
-
-        The `speeds` of the joints are fractions of their limit.
-        """
-        clip = self.may_exceed_reach
-        return self.layout.encode_one(joint_angles, speeds, hand=hand, target=target, clip=clip)
+        return seen
 
     def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
-        """Return a trial of the task, with what the options decide.
+        """Return a trial of the task with the options filled in.
 
         A target given as an option stands still.  Everything is drawn in any case, so that an
-        option for the one does not change the other.  Where next to nothing can be drawn, this
-        may be one and the same trial time and again.
+        option for the one does not change the other.  Where hardly anything can be drawn, this
+        may be the same trial again and again.
         """
         try:
             trial = self._draw(random, options)
@@ -215,7 +205,7 @@ class ReachSetup:
         return Trial(options.joint_angles or trial.joint_angles, [options.target])
 
     def _draw(self, random: np.random.Generator, options: Options) -> Trial:
-        """Return a trial of the task; a posture without a target in reach is drawn anew.
+        """Return a trial of the task; draw again if a posture has no target in reach.
 
         Raises:
             UserError: if none is found.
@@ -249,20 +239,16 @@ class ReachSetup:
             None if trial is None else self._check_trial(trial),
         )
         if self.workspace.locked and posture is not None:
-            self._check_start(checked)
+            try:
+                self._draw(np.random.default_rng(0), checked)
+            except NoTarget as error:
+                name, accepted = "options['joint_angles']", "a posture with a target in reach"
+                raise UserError(f"{name} must be {accepted}, got {checked.joint_angles}") from error
         return checked
-
-    def _check_start(self, options: Options) -> None:
-        """Raise a `UserError` if locked joints leave no target in reach of the posture given."""
-        try:
-            self._draw(np.random.default_rng(0), options)
-        except NoTarget as error:
-            name, accepted = "options['joint_angles']", "a posture with a target in reach"
-            raise UserError(f"{name} must be {accepted}, got {options.joint_angles}") from error
 
     def _check_posture(self, posture: ArrayLike) -> list[float]:
         name, body = "options['joint_angles']", self.body
-        given = finite(name, posture, self.joint_count)
+        given = require_finite_numbers(name, posture, self.joint_count)
         angles = [math.remainder(angle, math.tau) for angle in given]
         for angle, (low, high) in zip(angles, body.joint_limits or (), strict=False):
             accepted = f"within the joint limits {body.joint_limits}"
@@ -272,8 +258,8 @@ class ReachSetup:
         return angles
 
     def check_target(self, name: str, target: ArrayLike) -> Point:
-        """Return the target, or raise a `UserError` if it is no point that can be reached."""
-        x, y = finite(name, target, 2)
+        """Return the target (x, y); raise a `UserError` unless it can be reached."""
+        x, y = require_finite_numbers(name, target, 2)
         clear = " and clear of the obstacles" if self.body.obstacles else ""
         accepted = f"between {self.workspace.inner:g} and {self.workspace.outer:g} from the base"
         require(self.workspace.contains((x, y)), name, (x, y), accepted + clear)
@@ -294,7 +280,7 @@ class GoalSetup(ReachSetup):
     """The arguments of `MMCReachGoalEnv`, and what follows from them."""
 
     def __init__(self, *, reward_type: RewardType = "sparse", **arguments: Any) -> None:
-        """Check the arguments; raise a `UserError` if they make goals not tell the reward."""
+        """Check the arguments; raise a `UserError` if the reward would not follow from goals."""
         for name in ("control_weight", "smoothness_weight"):
             weight = arguments.pop(name, 0.0)
             require(weight == 0.0, name, weight, "0: the reward is a function of the goals")
@@ -305,47 +291,27 @@ class GoalSetup(ReachSetup):
                 f"no noise, no delay and no via points, got task={self.task}, "
                 f"perturbations={self.perturbations}"
             )
+        self.layout = replace(self.layout, is_clipped=False, has_goals=True)
         # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
         self.observation_space = self.layout.goal_space(self.farthest * (1 + REACH_TOLERANCE))
 
-    @override
-    def observe(self, readings: Readings) -> Any:
-        return self.layout.encode_goals(
-            readings.joint_angles,
-            relative_speeds(readings.joint_velocities, self.given_body.speed_limit),
-            hand=readings.hand,
-            target=readings.target,
-        )
-
-    @override
-    def observe_one(
-        self, joint_angles: Sequence[float], speeds: list[float], hand: Point, target: Point
-    ) -> Any:
-        return self.layout.encode_goals_of_one(joint_angles, speeds, hand=hand, target=target)
-
 
 class ReachEnvironment:
-    """The part that the single and the vector environment share."""
+    """What the single and the vector environment have in common."""
 
     make_setup: ClassVar[type[ReachSetup]] = ReachSetup
     setup: ReachSetup
     _spec: EnvSpec | None = None
 
-    parameters = property(attrgetter("setup.given_body"), doc="The arm as agents are given it.")
+    parameters = property(attrgetter("setup.given_body"), doc="The arm that agents are given.")
     unperturbed = property(attrgetter("setup.unperturbed"), doc="The arm without perturbations.")
     engine = property(attrgetter("setup.engine"), doc="The engine that moves the arm.")
     control = property(attrgetter("setup.control"), doc="The control mode.")
-    reward_type = property(attrgetter("setup.reward_type"), doc="The kind of reward.")
-    control_weight = property(attrgetter("setup.control_weight"), doc="Weight of the control cost.")
-    success_distance = property(
-        attrgetter("setup.success_distance"), doc="How near a target is reached, segment lengths."
-    )
     reach = property(attrgetter("setup.reach"), doc="Sum of the given segment lengths.")
-
-    @property
-    def max_joint_delta(self) -> float:
-        """How far an action of 1 puts the joint target ahead under `joint_delta`, radians."""
-        return action_meaning("joint_delta", self.setup.given_body).scale
+    success_distance = property(
+        attrgetter("setup.success_distance"),
+        doc="Largest distance to a reached target, segment lengths.",
+    )
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -376,7 +342,7 @@ class ReachEnvironment:
 
 
 def check_names(arguments: Iterable[str], *own: str) -> None:
-    """Raise a `UserError` for an argument of no setup, nor an environment's `own`."""
+    """Raise a `UserError` for an argument that is no setup's, nor one of an environment's `own`."""
     setup = [name for name in signature(ReachSetup).parameters if name != "arm_parameters"]
     known = (*own, *setup, *signature(ArmParameters).parameters)
     require_known("the environment", arguments, known)
@@ -393,13 +359,10 @@ def as_numbers(name: str, value: ArrayLike) -> NDArray[Any]:
     raise UserError(f"{name} must be numbers within -1 and 1, got {value!r}")
 
 
-def finite(name: str, value: ArrayLike, count: int) -> list[float]:
-    """Return the value as `count` numbers, or raise a `UserError` that names the argument."""
-    accepted = f"{count} finite numbers"
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:  # not numbers, or of uneven lengths
-        raise UserError(f"{name} must be {accepted}, got {value!r}") from error
-    require(array.shape == (count,) and bool(np.isfinite(array).all()), name, value, accepted)
-    values: list[float] = array.tolist()
-    return values
+def require_finite_numbers(name: str, value: ArrayLike, count: int) -> list[float]:
+    """Return the value as `count` floats, or raise a `UserError` that names the argument."""
+
+    def are_fine(numbers: tuple[float, ...]) -> bool:
+        return len(numbers) == count and all(map(math.isfinite, numbers))
+
+    return list(require_numbers(name, value, f"{count} finite numbers", are_fine))

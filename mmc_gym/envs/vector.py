@@ -23,8 +23,7 @@ from mmc_gym._notebook import png
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.reach import GoalEnvironment
-from mmc_gym.envs.rewards import distances, reward_and_info
+from mmc_gym.envs.reach import GoalEnvironment, Info, distances, reward_and_info
 from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, check_names
 from mmc_gym.envs.workspace import Point
 from mmc_gym.interface import relative_speeds
@@ -32,9 +31,8 @@ from mmc_gym.interface import relative_speeds
 if TYPE_CHECKING:
     from mmc_gym.body.analytic.arms import AnalyticArmBatch
     from mmc_gym.envs.compiled import CompiledStep
-    from mmc_gym.envs.render.renderer import Renderer, Scene
+    from mmc_gym.envs.render import Renderer, Scene
 
-Info = dict[str, Any]
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _EVERY = slice(None)
@@ -47,17 +45,16 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     `gym.make_vec("MMCReach-v0", num_envs=64)` makes one.  With the same seeds and actions it
     returns what `vectorization_mode="sync"` does, bit for bit, where numpy's `cos` and `sin` are
     those of the C library (elsewhere observations, distances and rewards may differ in the last
-    bit, the movements never).  The analytic engine has its own cosines and sines, as exact: its
-    observations differ in the last bit of a float32, about once in a hundred million values.
+    bit, the movements never).  The analytic engine has its own cosines and sines, equally exact:
+    its observations differ in the last bit of a float32, about once in a hundred million values.
 
     ## Arguments
     Those of `MMCReachEnv`, and `num_envs`, `max_episode_steps` (by default the task's; None: no
     limit), `autoreset_mode` (Gymnasium's `AutoresetMode`, or its value: "NextStep", "SameStep",
-    "Disabled"), `threads` that step the arms (1), and `copy` (True): whether observations are
-    arrays of their own, or False, overwritten by the next step, as in Gymnasium's vector
-    environments.
+    "Disabled"), `threads` that step the arms (1), and `copy` (True: each observation is a new
+    array; False: the next step overwrites it), as in Gymnasium's vector environments.
 
-    It cannot be pickled or copied: make it anew.
+    It cannot be pickled or copied: make a new one.
     """
 
     metadata = {
@@ -77,10 +74,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        """Make the environment; the arguments are listed in the class docstring.
+        """Make the environment; the class docstring lists the arguments.
 
         Raises:
-            UserError: a `ValueError`, if an argument is unknown, or outside what it accepts.
+            UserError: a `ValueError`, if an argument is unknown, or not accepted.
         """
         own = ("max_episode_steps", "autoreset_mode", "threads", "copy", "render_mode")
         check_names(arguments, "num_envs", *own)
@@ -118,9 +115,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         space = self.single_observation_space
         # Observations on their way, oldest first: that one is shown.
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
-        self._compiled = self._compile()
-        # Whether a thread may take its arms through a whole step, without a look at all of them.
-        self._may_go_through = (
+        self._compiled: CompiledStep | None = None
+        if setup.engine == "analytic":
+            from mmc_gym.envs.compiled import CompiledStep  # needs numba
+
+            self._compiled = CompiledStep(setup, cast("AnalyticArmBatch", self._body))
+        # Whether a thread may take its arms through a whole step without waiting for the others.
+        self._is_fused = (
             self._compiled is not None
             and setup.task.advance == "time"
             and setup.rotation is None
@@ -136,14 +137,14 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, Info]:
-        """Start episodes, of all arms, or of those that `options["reset_mask"]` names.
+        """Start episodes of all arms, or of those that `options["reset_mask"]` chooses.
 
         Args:
             seed: of the first arm, the next gets `seed` + 1 and so on; or one for each.
             options: as in `MMCReachEnv.reset`, the same for all; and `reset_mask`, (n,) bool.
 
         Raises:
-            UserError: if a seed or an option is outside what it accepts; nothing has changed.
+            UserError: if a seed or an option is not accepted; the arms stay as they were.
         """
         options = dict(options or {})
         mask = check_mask(options.pop("reset_mask", None), self.num_envs)
@@ -153,7 +154,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         arms = np.flatnonzero(mask)
         self._place(arms, checked)
         self._is_started[arms], self._is_over[arms] = True, False
-        observation, _, info = self._outcome(arms)
+        observation, _, info = self._look_and_reward(arms)
         self._show_start(arms, observation)
         return self._shown(), spread(info, mask)
 
@@ -163,24 +164,24 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Hand each arm its action, (n, N), and simulate one control step.
 
         Raises:
-            UserError: if the actions are of wrong shape, or one is not within −1 and 1; nothing
-                has changed.
-            gymnasium.error.ResetNeeded: if there was no reset yet; or, without autoreset, if an
+            UserError: if the actions have another shape, or one is not within −1 and 1; the arms
+                stay as they were.
+            gymnasium.error.ResetNeeded: before the first reset; or, without autoreset, if an
                 episode is over.
         """
         self._require_running()
         waiting = np.flatnonzero(self._is_over)  # they are reset instead of stepped
         values = self._checked(actions, waiting)
         self._steps += 1
-        if self._may_go_through and not len(waiting):
+        if self._is_fused and not len(waiting):
             self._move_targets()
-            observation, rewards, info = self._outcome(_EVERY, values)
+            observation, rewards, info = self._move_look_and_reward(values)
         else:
             self._move(values)
             self._move_targets()
             if len(waiting):
                 self._place(waiting, Options())
-            observation, rewards, info = self._outcome(_EVERY)
+            observation, rewards, info = self._look_and_reward(_EVERY)
         if self.setup.lock_step:
             self._body.lock(np.flatnonzero(self._steps == self.setup.lock_step))
         self._late = [*self._late[1:], observation]
@@ -198,7 +199,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     @property
     def arms(self) -> ArmBatch:
-        """The simulated arms, to look at: their state is the true one, whatever is observed."""
+        """The simulated arms, to look at: their state is true, even if senses are disturbed."""
         return self._body
 
     def render(self) -> tuple[Any, ...] | None:
@@ -206,7 +207,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if self.render_mode is None:
             gym.logger.warn("render() needs render_mode='rgb_array'")
             return None
-        from mmc_gym.envs.render.renderer import Renderer
+        from mmc_gym.envs.render import Renderer
 
         if not self._renderers:
             self._renderers = [Renderer(self.setup, "rgb_array") for _ in self._all]
@@ -214,14 +215,14 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _repr_png_(self) -> bytes:
         """Return the picture that a notebook shows, of the first arms, whatever the render mode."""
-        from mmc_gym.envs.render.renderer import Renderer
+        from mmc_gym.envs.render import Renderer
 
         renderer = Renderer(self.setup, "rgb_array")
         pictures: list[Any] = [renderer.draw(self._scene(arm)) for arm in self._all[:_SHOWN]]
         return png(np.concatenate(pictures, axis=1), shrink=2)
 
     def _scene(self, arm: np.intp) -> Scene:
-        from mmc_gym.envs.render.renderer import Scene
+        from mmc_gym.envs.render import Scene
 
         return Scene(
             self._body.segment_angles[arm].tolist(),
@@ -250,7 +251,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return tuple(self._seeds)
 
     def __getstate__(self) -> NoReturn:
-        raise TypeError("a vector environment cannot be pickled or copied: make it anew")
+        raise TypeError("a vector environment cannot be pickled or copied: make a new one")
 
     @override
     def _check_length(self, registered: EnvSpec) -> None:
@@ -258,7 +259,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             super()._check_length(registered)
 
     def _seed(self, seeds: Sequence[int | None]) -> None:
-        """Give each arm a generator of its seed; without one, it keeps the one it has, or any."""
+        """Give each arm a generator with its seed; without a seed it keeps its generator."""
         if not self._randoms:
             made = [seeding.np_random() for _ in self._all]
             self._randoms, self._seeds = [one for one, _ in made], [seed for _, seed in made]
@@ -267,7 +268,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 self._randoms[arm], self._seeds[arm] = seeding.np_random(seed)
 
     def _place(self, arms: Indices, options: Options) -> None:
-        """Draw trials for these arms, and place them."""
+        """Draw trials for these arms and place them."""
         randoms = [self._randoms[arm] for arm in arms.tolist()]
         if self.setup.draws_pairs and options == Options():
             postures, targets = self.setup.workspace.draw_pairs(randoms)
@@ -299,7 +300,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
                 trace.append((x, y))
 
     def _move_targets(self) -> None:
-        """Let the targets go on to where they are after this step."""
+        """Move the targets to where they are after this step."""
         setup, last = self.setup, self._last_places
         if setup.path_length == 1:
             return
@@ -314,7 +315,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._targets = self._paths[self._all, self._places]
 
     def _restart(self, infos: Info, over: Bools) -> Info:
-        """Restart the arms that are over, under SAME_STEP; the infos tell how they ended."""
+        """Restart the arms whose episodes are over; add how they ended to the infos (SAME_STEP)."""
         arms = np.flatnonzero(over)
         final_observations = np.full(self.num_envs, None, dtype=object)
         for arm in arms:
@@ -322,67 +323,76 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         names = [name for name in infos if not name.startswith("_")]
         final = spread({name: infos[name][arms] for name in names}, over)
         self._place(arms, Options())
-        observation, _, info = self._outcome(arms)
+        observation, _, info = self._look_and_reward(arms)
         self._show_start(arms, observation)
         for name, values in info.items():
             infos[name][arms] = values
         ends = {"final_obs": final_observations, "final_info": final}
         return {**infos, **ends, **{f"_{name}": over.copy() for name in ends}}
 
-    def _compile(self) -> CompiledStep | None:
-        """Return what steps all arms of the analytic engine; None for another engine."""
-        if self.setup.engine != "analytic":
-            return None
-        from mmc_gym.envs.compiled import CompiledStep  # needs numba
-
-        return CompiledStep(self.setup, cast("AnalyticArmBatch", self._body))
-
-    def _outcome(
-        self, arms: Indices | slice, actions: NDArray[np.floating] | None = None
-    ) -> tuple[Any, NDArray[np.float64], Info]:
+    def _look_and_reward(self, arms: Indices | slice) -> tuple[Any, NDArray[np.float64], Info]:
         """Return observation, reward and info of the present state of these arms.
 
-        If they `_may_go_through`, they carry out actions first.
+        Their speeds are remembered for the cost of smoothness in the next step.
         """
-        setup, targets, hands = self.setup, self._targets[arms], self._seen_hands(arms)
-        angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
-        readings = Readings(angles, velocities, hands, targets)
-        may_succeed = self._is_at_last_target(arms)
         if self._compiled is not None and arms is _EVERY:
-            observation: Any = self._late[0]  # was shown in the last step
-            rewards, info = self._compiled(
-                actions,
-                hands=hands,
-                targets=targets,
-                may_succeed=may_succeed,
-                speeds=self._speeds,
-                observation=observation,
-            )
-        else:
-            observation = None if setup.noises else setup.observe(readings)
-            distance = distances(hands, targets)
-            is_success = (distance <= self.success_distance) & may_succeed
-            speeds = relative_speeds(velocities, setup.given_body.speed_limit)
-            before = self._speeds[arms].T
-            rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
-            self._speeds[arms] = speeds
-            ends = self._body.end_effectors[arms].copy()
-            info |= {"end_effector": ends, "target": targets.copy()}
-        if setup.rotation is not None:
+            return self._move_look_and_reward(None)
+        setup, targets, hands = self.setup, self._targets[arms], self._seen_hands(arms)
+        speeds = relative_speeds(self._body.joint_velocities[arms], setup.given_body.speed_limit)
+        observation: Any = None
+        if not setup.noises:
+            angles = self._body.joint_angles[arms]
+            observation = setup.layout.encode(angles, speeds, hand=hands, target=targets)
+        distance = distances(hands, targets)
+        is_success = (distance <= self.success_distance) & self._is_at_last_target(arms)
+        before = self._speeds[arms].T
+        rewards, info = reward_and_info(setup, distance, is_success, speeds.T, before)
+        self._speeds[arms] = speeds
+        info["end_effector"] = self._body.end_effectors[arms].copy()
+        info["target"] = targets.copy()
+        return self._sensed(arms, hands, observation, info), rewards, info
+
+    def _move_look_and_reward(
+        self, actions: NDArray[np.floating] | None
+    ) -> tuple[Any, NDArray[np.float64], Info]:
+        """Do in one compiled pass what `_move` and `_look_and_reward` do, for all arms.
+
+        Without actions the arms do not move.
+        """
+        assert self._compiled is not None
+        hands = self._seen_hands(_EVERY)
+        observation = self._late[0]  # was shown in the last step
+        rewards, info = self._compiled(
+            actions,
+            hands=hands,
+            targets=self._targets,
+            may_succeed=self._is_at_last_target(_EVERY),
+            speeds=self._speeds,
+            observation=observation,
+        )
+        return self._sensed(_EVERY, hands, observation, info), rewards, info
+
+    def _sensed(
+        self, arms: Indices | slice, hands: NDArray[np.float64], observation: Any, info: Info
+    ) -> Any:
+        """Return what these arms observe, noise included; write the cursor into `info`."""
+        if self.setup.rotation is not None:
             info["cursor"] = hands
-        if setup.noises:
-            randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
-            observation = setup.observe(setup.disturb(readings, randoms))
-        return observation, rewards, info
+        if not self.setup.noises:
+            return observation
+        angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
+        readings = Readings(angles, velocities, hands, self._targets[arms])
+        randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
+        return self.setup.observe_with_noise(readings, randoms)
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
-        """Tell which arms succeed by being at their target."""
+        """Tell which arms have their last target, the only one that counts as success."""
         if self.setup.task.advance == "time":
             return np.ones(len(self._all[arms]), dtype=bool)
         return np.asarray(self._places[arms] == self._last_places[arms])
 
     def _shown(self) -> Any:
-        """Return the observation of now."""
+        """Return the observation that has arrived."""
         return deepcopy(self._late[0]) if self._copy else self._late[0]
 
     def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
@@ -393,7 +403,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return np.stack(self.setup.rotation.cursor(*hands.T), axis=-1)
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
-        """Show these arms' observation from now on, also where senses are late."""
+        """Show this observation of these arms until the delay of the senses is over."""
         for late in self._late:
             put(late, arms, observation)
 
@@ -405,7 +415,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             raise ResetNeeded(f"reset the arms whose episodes are over before step(): {arms}")
 
     def _checked(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.floating]:
-        """Return the actions, (n, N), float32 or float64; those of waiting arms do not matter."""
+        """Return the actions, (n, N), float32 or float64, with 0 for the waiting arms."""
         values = np.ascontiguousarray(as_numbers("actions", actions))
         if values.dtype not in (np.float32, np.float64):
             values = values.astype(np.float64)
@@ -460,7 +470,7 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
 
 
 def check_mask(mask: Any, count: int) -> Bools:
-    """Return the mask of the arms to reset, or raise a `UserError`; None stands for all."""
+    """Return the mask of the arms to reset, None stands for all; or raise a `UserError`."""
     if mask is None:
         return np.ones(count, dtype=bool)
     fine = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)

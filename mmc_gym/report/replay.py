@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.envs.render import shapes
+from mmc_gym.envs import shapes
 from mmc_gym.report.results import Results
 
 INSTANCES = 6

@@ -30,8 +30,8 @@ from typing_extensions import override
 from mmc_gym._errors import UserError, is_whole, require
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
 from mmc_gym.agents.views import Float32
-from mmc_gym.envs.perturbations import Obstacles
-from mmc_gym.envs.scenarios import FAMILIES, Scenario, scenario
+from mmc_gym.envs.perturbations import FAMILIES, Obstacles
+from mmc_gym.envs.scenarios import Scenario, perturbed, scenario
 from mmc_gym.interface import ReachInterface
 
 VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]
@@ -275,7 +275,9 @@ class RandomScenarios(VecEnvWrapper):
         own = ("task", "num_envs", "max_episode_steps")
         self._arguments = {key: value for key, value in spec.kwargs.items() if key not in own}
         self._size, self._twice = venv.num_envs // groups, twice
-        ends = [FAMILIES[name].scenario(end) for name in self._ranges for end in self._ranges[name]]
+        ends = [
+            perturbed(FAMILIES[name], end) for name in self._ranges for end in self._ranges[name]
+        ]
         for one in (*self._fixed, *ends):
             self.make_group(one).close()  # refused here rather than in the training
         self._random = np.random.default_rng()
@@ -349,8 +351,9 @@ class RandomScenarios(VecEnvWrapper):
         name = list(self._ranges)[index - len(self._fixed)]
         family, (low, high) = FAMILIES[name], self._ranges[name]
         if family.whole:
-            return family.scenario(float(self._random.integers(int(low), int(high), endpoint=True)))
-        return family.scenario(float(self._random.uniform(low, high)))
+            strength = float(self._random.integers(int(low), int(high), endpoint=True))
+            return perturbed(family, strength)
+        return perturbed(family, float(self._random.uniform(low, high)))
 
     def _begin(self, group: int, share: float = 1.0) -> Float32:
         """Give a group a scenario, and return its first observations."""
@@ -379,7 +382,7 @@ def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:
     for strength in (low, high):
         scenario(f"{name}-{np.format_float_positional(strength, trim='-')}")
     if not FAMILIES[name].whole:  # any strength in between can be drawn
-        FAMILIES[name].scenario(low + (high - low) / math.e)
+        perturbed(FAMILIES[name], low + (high - low) / math.e)
     return low, high
 
 

@@ -22,14 +22,15 @@ from unittest import mock
 import gymnasium as gym
 import numpy as np
 import tyro
+from rich.console import Console
 
-from mmc_gym._console import make_console, print_rows
 from mmc_gym.agents.registry import AGENTS
 from mmc_gym.body import make_arms
 from mmc_gym.body.parameters import ArmParameters
 from mmc_gym.body.pymunk import linkage
 from mmc_gym.envs.perturbations import LockedJoint
 from mmc_gym.measures.rollout import evaluate
+from studies.tables import table_of
 
 ENV = "MMCReach-v0"
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -49,10 +50,12 @@ class Arguments:
     Attributes:
         agents: names of agents; all but those that do not reach by default.
         episodes: of each agent in each setting.
+        steps: of one arm, timed five times; of 256 arms a hundredth of them.
     """
 
     agents: tuple[str, ...] = tuple(name for name in AGENTS if name != "random")
     episodes: int = 1000
+    steps: int = 4000
 
 
 @contextmanager
@@ -77,13 +80,13 @@ def success(name: str, setting: str, episodes: int) -> str:
     return f"{100 * scores['success']:.1f}"
 
 
-def step_times(setting: str) -> tuple[str, str]:
+def step_times(setting: str, count: int) -> tuple[str, str]:
     """Return the time of a step, µs: of one arm, and of each of 256."""
     with solved(setting):
         one = gym.make(ENV, max_episode_steps=10**9, **SETTINGS[setting])
         many = gym.make_vec(ENV, 256, **SETTINGS[setting])
     times = []
-    for env, arms, steps in ((one, 1, 4000), (many, 256, 40)):
+    for env, arms, steps in ((one, 1, count), (many, 256, max(count // 100, 1))):
         env.reset(seed=0)
         action = env.action_space.sample()
         best = min(timeit.repeat(lambda: env.step(action), number=steps, repeat=5))  # noqa: B023
@@ -146,24 +149,21 @@ def energies(engine: Any, curl: float, spread: float) -> dict[str, str]:
 
 def main(arguments: Arguments) -> None:
     """Print the tables."""
-    console = make_console()
-    console.print(f"Success in {ENV}, % of {arguments.episodes} episodes", style="bold")
+    console = Console(width=120)
     rows = [
         {"agent": name} | {s: success(name, s, arguments.episodes) for s in SETTINGS}
         for name in arguments.agents
     ]
-    times = {setting: step_times(setting) for setting in SETTINGS}
+    times = {setting: step_times(setting, arguments.steps) for setting in SETTINGS}
     for row, label in enumerate(("a step, µs", "of 256 arms, µs an arm")):
         rows.append({"agent": label} | {setting: pair[row] for setting, pair in times.items()})
-    print_rows(console, rows, "agent")
-    console.print("\nError after 2 s of random commands, rad: median / largest", style="bold")
+    console.print(table_of(rows, f"Success in {ENV}, % of {arguments.episodes} episodes"))
     rows = [
         {"drive inertia": f"{share:g}"}
         | {f"{count} sweeps": convergence(share, count) for count in (10, 20, 40, 60)}
         for share in (0.0, 0.1, 0.25, 0.5)
     ]
-    print_rows(console, rows, "drive inertia")
-    console.print("\nEnergy of slack arms in a field, over that at the start", style="bold")
+    console.print(table_of(rows, "Error after 2 s of random commands, rad: median / largest"))
     rows = [
         {"engine": engine, "curl": f"{curl:g}", "rad/s": f"{spread:g}"}
         | energies(engine, curl, spread)
@@ -171,7 +171,7 @@ def main(arguments: Arguments) -> None:
         for spread in (0.05, 0.5, 2.0)
         for engine in ("pymunk", "analytic")
     ]
-    print_rows(console, rows, "engine")
+    console.print(table_of(rows, "Energy of slack arms in a field, over that at the start"))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from mmc_gym._errors import MismatchWarning
+from mmc_gym import MismatchWarning
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.body_model.agent import Parts, mmc_body
 from mmc_gym.benchmark.entries import find_entries, make_for

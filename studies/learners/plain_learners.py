@@ -21,7 +21,6 @@ not run again: after a change of the environment's code choose another folder.
 
 from __future__ import annotations
 
-import io
 import time
 from contextlib import closing
 from dataclasses import dataclass
@@ -30,25 +29,23 @@ from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium as gym
+import loky
 import numpy as np
 import pandas as pd
 import tyro
 import yaml
 from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, NullLocator, PercentFormatter
+from rich.console import Console
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.env_util import make_vec_env
 
-from mmc_gym._console import interval, make_console, number, print_rows, print_written
-from mmc_gym._errors import UserError, require
-from mmc_gym._files import check_folder, write_atomically
-from mmc_gym._grid import run_grid
-from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.measures.reaching import final_distance, success
 from mmc_gym.measures.rollout import run_episodes
+from studies.drawing import COLOURS, LINES, STYLE
 from studies.learners.cleanrl_ppo import CleanRLPPO
+from studies.tables import table_of
 
 Learner = Literal["ppo", "sac", "td3", "cleanrl"]
 
@@ -108,17 +105,16 @@ class Training:
         }
 
     def rows(self) -> dict[int, dict[str, Any]]:
-        """Return what is there already, by environment steps.
+        """Return the finished evaluations, by environment steps.
 
         Raises:
-            UserError: if it is of another environment.
+            ValueError: if they are of another environment.
         """
         if not self.file.exists():
             return {}
         rows = pd.read_csv(self.file, keep_default_na=False).to_dict("records")
-        here = {"env": self.env, "env_kwargs": " ".join(self.env_kwargs)}
-        for name, value in here.items():
-            require(rows[0][name] == value, name, value, f"{rows[0][name]!r} as in {self.file}")
+        if (rows[0]["env"], rows[0]["env_kwargs"]) != (self.env, " ".join(self.env_kwargs)):
+            raise ValueError(f"out has results of another environment: {self.file}")
         return {row["steps"]: row for row in rows}
 
     def run(self) -> None:
@@ -137,7 +133,8 @@ class Training:
                 found |= dict(zip(("seconds", "cpu_seconds"), np.round(paused - begun, 1)))
                 rows[found["steps"]] = found
                 table = pd.DataFrame([rows[steps] for steps in sorted(rows)])
-                write_atomically(self.file, table.to_csv(index=False, lineterminator="\n"))
+                self.file.parent.mkdir(parents=True, exist_ok=True)
+                table.to_csv(self.file, index=False, lineterminator="\n")
                 line = "{learner}-{seed}: success {success:.3f} after {steps:,} steps, {seconds} s"
                 print(line.format_map(found), flush=True)
                 begun += self._now() - paused
@@ -176,9 +173,6 @@ class Training:
 def trainings(arguments: Arguments) -> list[Training]:
     """Return the trainings that are not finished, seed by seed."""
     marks = tuple(sorted(mark for mark in set(arguments.at) if mark <= arguments.steps))
-    require(bool(marks) and marks[0] > 0, "at", arguments.at, f"from 1 to {arguments.steps:,}")
-    for text in arguments.env_kwargs:
-        require(text.partition("=")[1] == "=", "env_kwargs", text, "NAME=VALUE")
     found = []
     for seed, learner in product(arguments.seeds, arguments.learners):
         file = arguments.out / f"{learner}-{seed}.csv"
@@ -189,14 +183,8 @@ def trainings(arguments: Arguments) -> list[Training]:
 
 
 def read_results(folder: Path) -> pd.DataFrame:
-    """Return all rows of a folder, learners in the order of `LABELS`.
-
-    Raises:
-        UserError: if there are none.
-    """
+    """Return all rows of a folder, learners in the order of `LABELS`."""
     tables = [pd.read_csv(path, keep_default_na=False) for path in sorted(folder.glob("*-*.csv"))]
-    if not tables:
-        raise UserError(f"out must hold results, found none in {str(folder)!r}")
     return pd.concat(tables).sort_values("learner", key=lambda names: names.map([*LABELS].index))
 
 
@@ -207,12 +195,12 @@ def cells(results: pd.DataFrame) -> list[dict[str, str]]:
         row = {"learner": LABELS[str(learner)], "seeds": str(group["seed"].nunique())}
         for steps in sorted(results["steps"].unique()):
             values = group.loc[group["steps"] == steps, "success"]
-            ends = interval(values.min(), values.max(), 3)
-            text = f"{number(values.median(), 3)}\n{ends}" if len(values) else "–"
+            ends = f"[{values.min():.3f}, {values.max():.3f}]"
+            text = f"{values.median():.3f}\n{ends}" if len(values) else "–"
             is_all = len(values) in (0, group["seed"].nunique())
             row[f"{steps:,} steps"] = text if is_all else f"{text}\n{len(values)} seeds"
         last = group[group["steps"] == group["steps"].max()]
-        row["minutes"] = number(last["seconds"].median() / 60, 1)
+        row["minutes"] = f"{last['seconds'].median() / 60:.1f}"
         rows.append(row)
     return rows
 
@@ -227,7 +215,6 @@ def draw(results: pd.DataFrame) -> Figure:
     """Draw success against steps: the median over seeds, and a band from the worst to the best."""
     with rc_context(STYLE):
         figure = Figure(figsize=(5.0, 3.4), layout="constrained")
-        FigureCanvasAgg(figure)
         axes = figure.subplots()
         for place, (learner, group) in enumerate(results.groupby("learner", sort=False)):
             seeds = group.groupby("steps")["success"]
@@ -248,18 +235,16 @@ def draw(results: pd.DataFrame) -> Figure:
 
 def main(arguments: Arguments) -> None:
     """Train what is not finished; print the table of all that is there."""
-    check_folder(arguments.out, "out")
-    run_grid(Training.run, trainings(arguments), jobs=arguments.jobs)
-    results, console = read_results(arguments.out), make_console()
+    executor = loky.get_reusable_executor(arguments.jobs, env={"OMP_NUM_THREADS": "1"})
+    list(executor.map(Training.run, trainings(arguments)))
+    results = read_results(arguments.out)
     if arguments.markdown:
         print(to_markdown(cells(results)))
     else:
-        print_rows(console, cells(results), "learner")
+        Console().print(table_of(cells(results)))
     if arguments.plot is not None:
-        picture = io.BytesIO()
         with rc_context(STYLE):
-            draw(results).savefig(picture, format="png", dpi=150)
-        print_written(console, [write_atomically(arguments.plot, picture.getvalue())])
+            draw(results).savefig(arguments.plot, dpi=150)
 
 
 if __name__ == "__main__":

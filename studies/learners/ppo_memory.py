@@ -45,9 +45,8 @@ from typing_extensions import override
 
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.agents.views import History
-from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.scenarios import Scenario
-from mmc_gym.interface import ObservationLayout, ReachInterface, turned_back
+from mmc_gym.interface import ObservationLayout, ReachInterface, relative_speeds, turned_back
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.policies import export_network
 from mmc_gym.training.training import Training, TrainingProgress
@@ -108,7 +107,8 @@ class Truth(gym.vector.VectorWrapper[Any, Any, Any]):
     def _with_truth(self, seen: Float32, infos: dict[str, Any]) -> Float32:
         setup, arms, targets = self._setup, self._arms, infos["target"]
         hands = infos.get("cursor", infos["end_effector"])
-        true = setup.observe(Readings(arms.joint_angles, arms.joint_velocities, hands, targets))
+        speeds = relative_speeds(arms.joint_velocities, setup.given_body.speed_limit)
+        true = setup.layout.encode(arms.joint_angles, speeds, hand=hands, target=targets)
         moved, self._targets = targets - self._targets, targets
         moved[np.abs(moved).max(axis=-1) > TARGET_JUMP] = 0.0
         count = setup.joint_count

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple, TypeAlias, TypeVar
 
@@ -14,10 +11,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
+from rich.console import Console
+from rich.progress import track
 
-from mmc_gym._errors import require
-from mmc_gym._files import write_atomically
-from mmc_gym._plotting import save_figure
+from studies.drawing import save_figure
 
 Value: TypeAlias = float | str | None
 Data: TypeAlias = "pd.DataFrame | Mapping[str, NDArray[np.generic]]"
@@ -25,55 +22,48 @@ Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings of the experiments, and functions that take their reports.
+class ExperimentSettings:
+    """Settings of the experiments.
 
     Attributes:
         quick: run a small part of each experiment, to see that everything works.
         seed: seed of everything random, not negative.
-        folder: keeps the finished parts of long work, to go on from; None keeps nothing.
-        jobs: number of processes for long work.
-        version: version of the package; parts that another version kept are made anew.
-        on_progress: takes the number of parts done, and of all.
-        on_note: takes a line that the user should read.
-
-    Raises:
-        UserError: if the seed or the number of processes is out of range.
+        folder: keeps trained networks, so that an interrupted run resumes.
+        jobs: number of processes that train networks.
     """
 
     quick: bool = False
     seed: int = 0
-    folder: Path | None = None
+    folder: Path = Path("runs/paper")
     jobs: int = 1
-    version: str = version("mmc-gym")
-    on_progress: Callable[[int, int], None] = lambda done, total: None
-    on_note: Callable[[str], None] = warnings.warn
 
-    def __post_init__(self) -> None:
-        require(self.seed >= 0, "seed", self.seed, "0 or more")
-        require(self.jobs >= 1, "jobs", self.jobs, "1 or more")
 
-    def tracked(self, parts: Sequence[Part]) -> Iterator[Part]:
-        """Yield the parts, and report how many are done before each and after the last."""
-        for done, part in enumerate(parts):
-            self.on_progress(done, len(parts))
-            yield part
-        self.on_progress(len(parts), len(parts))
+def tracked(parts: Iterable[Part], what: str, total: int | None = None) -> Iterable[Part]:
+    """Yield the parts, with a progress bar on stderr if that is a terminal."""
+    console = Console(stderr=True)
+    return track(
+        parts,
+        what,
+        total,
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
 
 
 @dataclass(frozen=True)
-class Row:
+class ResultRow:
     """One line of the table: a quantity as published and as measured.
 
-    Numbers are shown with four digits, text as it is, None as a dash.
+    Numbers are shown with four digits, text unchanged, None as a dash.
 
     Attributes:
-        quantity: name of what was measured.
+        quantity: name of the measured quantity.
         paper: value in the paper's text.
         data: value from the data published with the paper.
         ours: value measured here.
         unit: of all three; empty for a plain number.
-        note: anything a reader must know to compare them.
+        note: anything that a reader needs to compare them.
     """
 
     quantity: str
@@ -85,7 +75,7 @@ class Row:
 
 
 class Captioned(NamedTuple):
-    """A figure, and a caption that says what it shows."""
+    """A figure and its caption."""
 
     figure: Figure
     caption: str
@@ -102,7 +92,7 @@ class Result:
         points: findings by number of a point of `published.POINTS`.
     """
 
-    rows: Sequence[Row] = ()
+    rows: Sequence[ResultRow] = ()
     figures: Mapping[str, Captioned] = field(default_factory=dict)
     data: Mapping[str, Data] = field(default_factory=dict)
     points: Mapping[int, str] = field(default_factory=dict)
@@ -145,22 +135,13 @@ def how_many(networks: int) -> str:
     return f"{networks} networks: mean (least to most)" if networks > 1 else ""
 
 
-def write_result(result: Result, folder: Path) -> list[Path]:
-    """Write figures and data into `folder`, each file whole or not at all; return the files."""
-    written = []
+def write_result(result: Result, folder: Path) -> None:
+    """Write figures and data into `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
     for stem, (figure, _) in result.figures.items():
-        written += save_figure(figure, folder / stem)
+        save_figure(figure, folder / stem)
     for stem, data in result.data.items():
         if isinstance(data, pd.DataFrame):
-            text = data.to_csv(index=False, lineterminator="\n")
-            written.append(write_atomically(folder / f"{stem}.csv", text))
+            data.to_csv(folder / f"{stem}.csv", index=False, lineterminator="\n")
         else:
-            written.append(write_atomically(folder / f"{stem}.npz", pack_arrays(data)))
-    return written
-
-
-def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
-    """Return the content of an npz file of arrays; equal arrays give equal bytes."""
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **dict(arrays))
-    return buffer.getvalue()
+            np.savez_compressed(folder / f"{stem}.npz", allow_pickle=False, **dict(data))

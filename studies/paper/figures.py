@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
-from mmc_gym._plotting import COLOURS, LINES, STYLE
 from mmc_gym.network.chain import Floats, node_positions
+from studies.drawing import COLOURS, LINES, STYLE
 from studies.paper.protocol import EUCLIDEAN, Recording
 
 DISTANCE = "distance [of start to target]"
@@ -143,3 +144,13 @@ def draw_postures(movements: Mapping[str, Recording]) -> Figure:
     row[0].set_ylabel("y [segment lengths]")
     row[0].legend(frameon=False, loc="lower left")
     return figure
+
+
+def write_number(
+    axes: Axes, number: int, place: tuple[float, float], offset: tuple[float, float], **style: Any
+) -> None:
+    """Write a number beside a place; `offset` is in points, and a white halo sets it off."""
+    halo = [withStroke(linewidth=2, foreground="white")]
+    axes.annotate(
+        str(number), place, offset, textcoords="offset points", path_effects=halo, **style
+    )

@@ -22,7 +22,7 @@ from mmc_gym.measures.reaching import largest_retreat
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from studies.paper.experiment import Settings
+from studies.paper.experiment import ExperimentSettings, tracked
 from studies.paper.networks import trained_architectures
 
 _ANGLES = np.arange(7) * (np.pi / 6)
@@ -207,7 +207,7 @@ def each(measure: Callable[[Floats], float], profiles: Floats) -> Floats:
     return np.array([measure(profile) for profile in profiles])
 
 
-def all_normalizers(settings: Settings) -> dict[str, tuple[Normalizer, ...]]:
+def all_normalizers(settings: ExperimentSettings) -> dict[str, tuple[Normalizer, ...]]:
     """Return Euclidean, the shipped accurate one, and all runs of every architecture, by name."""
     return {
         EUCLIDEAN: (EuclideanNormalizer(),),
@@ -217,7 +217,6 @@ def all_normalizers(settings: Settings) -> dict[str, tuple[Normalizer, ...]]:
 
 
 def summarize_networks(
-    settings: Settings,
     networks: Sequence[MMCNetwork],
     normalizers: Mapping[str, Sequence[Normalizer]],
     iterations: int,
@@ -230,7 +229,7 @@ def summarize_networks(
     """
     runs = [(name, *run) for name, found in normalizers.items() for run in enumerate(found)]
     rows = []
-    for network, (name, number, normalizer) in settings.tracked(list(product(networks, runs))):
+    for network, (name, number, normalizer) in tracked(list(product(networks, runs)), "networks"):
         recording = record_movements(replace(network, normalizer=normalizer), iterations)
         rows.append(
             {

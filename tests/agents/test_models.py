@@ -17,7 +17,7 @@ from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym.agents import resolve
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.entries import find_entries, make_for
-from mmc_gym.envs.making import make_environment
+from mmc_gym.envs.scenarios import make_environment
 from mmc_gym.interface import CannotActError, ControlError
 
 CONTROL = "joint_velocity"

@@ -17,8 +17,8 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes, read_manifest
 from mmc_gym.cli import main
 from mmc_gym.envs import Family, register_perturbation, register_task
-from mmc_gym.envs.perturbations import Perturbation
-from mmc_gym.envs.scenarios import FAMILIES, TASK_SCENARIOS, scenario
+from mmc_gym.envs.perturbations import FAMILIES, Perturbation
+from mmc_gym.envs.scenarios import TASK_SCENARIOS, scenario
 from mmc_gym.envs.tasks import TASKS, RandomTarget, Trial
 from mmc_gym.report import write_report
 

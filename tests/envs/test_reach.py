@@ -15,8 +15,7 @@ from scipy import stats
 
 from mmc_gym._errors import UserError
 from mmc_gym.body import Engine
-from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
-from mmc_gym.envs.rewards import precision
+from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
 from mmc_gym.interface import NEAR, Control, ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
 

@@ -24,6 +24,7 @@ import mmc_gym  # noqa: F401  (registers the environments)
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
 from mmc_gym.envs.perturbations import (
+    FAMILIES,
     ForceField,
     Gravity,
     JointNoise,
@@ -37,7 +38,6 @@ from mmc_gym.envs.perturbations import (
 )
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import (
-    FAMILIES,
     PERTURBATION_NAMES,
     TASK_SCENARIOS,
     environment_id,

@@ -151,7 +151,8 @@ class BodyAgent(InternalModelAgent[BodyState]):
         episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], BodyState]:
-        values = np.asarray(self.interface.layout.flatten(observation))
+        layout = self.interface.layout
+        values = layout.flatten(layout.check(observation))
         batch = values.shape[:-1]
         seen = self.interface.see(values.reshape(-1, values.shape[-1]))
         state = self._sense(self.resumed(state, seen, episode_start), seen)

@@ -33,7 +33,14 @@ from mmc_gym.network.normalizers import (
     angle_errors,
 )
 from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
-from studies.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
+from studies.paper.experiment import (
+    Captioned,
+    ExperimentSettings,
+    Result,
+    ResultRow,
+    mean_and_deviation,
+    tracked,
+)
 from studies.paper.figures import (
     DISTANCE,
     VELOCITY,
@@ -101,7 +108,7 @@ def measure(normalizer: Normalizer, directions: int) -> Measured:
     )
 
 
-def accurate(settings: Settings) -> Result:
+def accurate(settings: ExperimentSettings) -> Result:
     """Measure the shipped networks, accurate and by the paper's recipe, beside the Euclidean."""
     normalizers: dict[str, Normalizer] = {
         EUCLIDEAN: EuclideanNormalizer(),
@@ -110,7 +117,8 @@ def accurate(settings: Settings) -> Result:
     }
     directions = 720 if settings.quick else 3600
     measured = {
-        name: measure(normalizers[name], directions) for name in settings.tracked([*normalizers])
+        name: measure(normalizer, directions)
+        for name, normalizer in tracked(list(normalizers.items()), "normalizers")
     }
     errors = {
         f"{name}: {kind} [deg]": getattr(found, f"{kind}_error")
@@ -134,7 +142,7 @@ def accurate(settings: Settings) -> Result:
     )
 
 
-def _accurate_rows(measured: Mapping[str, Measured]) -> list[Row]:
+def _accurate_rows(measured: Mapping[str, Measured]) -> list[ResultRow]:
     exact = measured[EUCLIDEAN].distance[:, -1]
     angle_error = NORMALIZATION_PUBLISHED["[16, 16]"].angle_error
     final_distance, ending_far = KINEMATIC_PUBLISHED["[16, 16]"]
@@ -147,39 +155,39 @@ def _accurate_rows(measured: Mapping[str, Measured]) -> list[Row]:
         found = measured[name]
         final = found.distance[:, -1]
         rows += [
-            Row(
+            ResultRow(
                 f"{name}: mean angle error at lengths 0.9 to 1.1",
                 data=near,
                 ours=found.near_error,
                 unit="°",
                 note=notes[0],
             ),
-            Row(
+            ResultRow(
                 f"{name}: normalized distance after 100 iterations",
                 data=distance,
                 ours=mean_and_deviation(final, 5),
                 note=f"Euclidean {mean_and_deviation(exact, 5)}",
             ),
-            Row(
+            ResultRow(
                 f"{name}: the same, as a multiple of the Euclidean",
                 data=ratio,
                 ours=final.mean() / exact.mean(),
                 note=notes[1],
             ),
-            Row(
+            ResultRow(
                 f"{name}: movements that end above {FAR}",
                 data=far,
                 ours=float((final > FAR).sum()),
                 note=f"of 420; Euclidean {(exact > FAR).sum()}",
             ),
-            Row(
+            ResultRow(
                 f"{name}: worst angle error at lengths in ]0, 3]",
                 ours=float(found.worst_error.max()),
                 unit="°",
                 note=f"at length {LENGTHS[found.worst_error.argmax()]:.2g}; below 90° no output "
                 "points the wrong way",
             ),
-            Row(
+            ResultRow(
                 f"{name}: lengths of the outputs for lengths in ]0.05, 3]",
                 ours="{:.4f} to {:.4f}".format(*found.output_length),
                 note="exact: 1",
@@ -256,12 +264,12 @@ def movers() -> dict[str, Callable[[int], Recording]]:
     }
 
 
-def bell_shaped(settings: Settings) -> Result:
+def bell_shaped(settings: ExperimentSettings) -> Result:
     """Measure how bell-shaped the movements of all networks are."""
     makers = movers()
     recordings = {
         (name, iterations): makers[name](iterations)
-        for name, iterations in settings.tracked(list(product(makers, ITERATIONS)))
+        for name, iterations in tracked(list(product(makers, ITERATIONS)), "movements")
     }
     found = {key: shapes(recording) for key, recording in recordings.items()}
     shown = {name: recordings[name, ITERATIONS[0]] for name in _SHOWN}
@@ -310,16 +318,18 @@ def _label(movement: int | np.intp) -> str:
     return f"{first} → {second}"
 
 
-def _shape_rows(name: str, found: Mapping[tuple[str, int], Mapping[str, Floats]]) -> list[Row]:
+def _shape_rows(
+    name: str, found: Mapping[tuple[str, int], Mapping[str, Floats]]
+) -> list[ResultRow]:
     """Return a row per measure, with 40 and 100 iterations side by side."""
     both = [found[name, iterations] for iterations in ITERATIONS]
     classical = [found[CLASSICAL, iterations]["final"] for iterations in ITERATIONS]
 
-    def row(quantity: str, values: Sequence[str], unit: str = "", note: str = "") -> Row:
+    def row(quantity: str, values: Sequence[str], unit: str = "", note: str = "") -> ResultRow:
         ours = "; ".join(f"{k}: {value}" for k, value in zip(ITERATIONS, values, strict=True))
-        return Row(f"{name}: {quantity}", ours=ours, unit=unit, note=note)
+        return ResultRow(f"{name}: {quantity}", ours=ours, unit=unit, note=note)
 
-    def spread(quantity: str, column: str, digits: str, aim: str, unit: str = "") -> Row:
+    def spread(quantity: str, column: str, digits: str, aim: str, unit: str = "") -> ResultRow:
         texts = []
         for one in both:
             low, median, high = np.nanpercentile(one[column], (5, 50, 95))

@@ -29,11 +29,11 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mmc_gym._plotting import COLOURS
 from mmc_gym.network.chain import Floats, Pair, chain_vectors, vector_pairs
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
-from studies.paper.experiment import Captioned, Result, Row, Settings
+from studies.drawing import COLOURS
+from studies.paper.experiment import Captioned, ExperimentSettings, Result, ResultRow, tracked
 from studies.paper.figures import add_legend, look, make_panels, styled
 from studies.paper.protocol import ACCURATE, EUCLIDEAN
 
@@ -98,7 +98,7 @@ def errors(network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int
     return found
 
 
-def run(settings: Settings) -> Result:
+def run(settings: ExperimentSettings) -> Result:
     """Give every task to every network with every normalizer."""
     arms = ARMS // 10 if settings.quick else ARMS
     normalizers: dict[str, Normalizer] = {
@@ -107,7 +107,7 @@ def run(settings: Settings) -> Result:
         "paper's recipe [16, 16]": LearnedNormalizer.shipped("paper"),
     }
     found: dict[tuple[str, str, str], Floats] = {}
-    for name, normalizer, task in settings.tracked(list(product(NETWORKS, normalizers, TASKS))):
+    for name, normalizer, task in tracked(list(product(NETWORKS, normalizers, TASKS)), "tasks"):
         network = replace(NETWORKS[name], normalizer=normalizers[normalizer])
         state, vectors = random_tasks(network, arms, settings.seed)
         clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
@@ -153,7 +153,7 @@ def draw_errors(panels: Mapping[str, Mapping[str, Floats]], slope: float) -> Fig
     return figure
 
 
-def _forward_rows(found: _Found) -> list[Row]:
+def _forward_rows(found: _Found) -> list[ResultRow]:
     task = next(iter(TASKS))
     rows = []
     for name, network in NETWORKS.items():
@@ -165,14 +165,14 @@ def _forward_rows(found: _Found) -> list[Row]:
         )
         measured = (course[99].mean() / course[49].mean()) ** (1 / 50)
         rows += [
-            Row(
+            ResultRow(
                 f"{task}, {name} network: factor of the error in an iteration",
                 paper="(a forward task is claimed, none is shown)",
                 ours=f"{measured:.5f}",
                 note=f"theory: (d − 2 + √2)/d = {factor(network.damping):.5f}; iterations 50 "
                 f"to 100; largest difference between normalizers {same:.0e}",
             ),
-            Row(
+            ResultRow(
                 f"{task}, {name} network: error after {', '.join(map(str, _SHOWN[:3]))} iterations",
                 ours=", ".join(f"{course[k - 1].mean():.5f}" for k in _SHOWN[:3]),
                 unit="segment lengths",
@@ -181,9 +181,9 @@ def _forward_rows(found: _Found) -> list[Row]:
     return rows
 
 
-def _mixed_rows(found: _Found) -> list[Row]:
+def _mixed_rows(found: _Found) -> list[ResultRow]:
     return [
-        Row(
+        ResultRow(
             f"{task}, {network} network, {normalizer}: mean error after "
             f"{', '.join(map(str, _SHOWN))} iterations; below 0.05 at the end",
             paper="(mixed tasks are claimed, none is shown)" if task.startswith("mixed") else None,

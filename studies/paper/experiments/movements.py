@@ -24,7 +24,14 @@ from mmc_gym.measures.speed import peakedness, phase_of_peak
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, Schedule
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
-from studies.paper.experiment import Captioned, Result, Row, Settings, how_many, over_runs
+from studies.paper.experiment import (
+    Captioned,
+    ExperimentSettings,
+    Result,
+    ResultRow,
+    how_many,
+    over_runs,
+)
 from studies.paper.figures import (
     DISTANCE,
     VELOCITY,
@@ -73,15 +80,15 @@ NETWORKS: tuple[MMCNetwork, ...] = (
 )
 """Networks of the dynamic experiment."""
 
-_of_distance = partial(Row, unit="of start to target")
-_of_movements = partial(Row, unit="of 420")
+_of_distance = partial(ResultRow, unit="of start to target")
+_of_movements = partial(ResultRow, unit="of 420")
 
 
-def kinematic(settings: Settings) -> Result:
+def kinematic(settings: ExperimentSettings) -> Result:
     """Run the 420 movements of the kinematic network, and longer than the paper's."""
     normalizers = all_normalizers(settings)
     networks = (CLASSICAL, SYNCHRONOUS)
-    table = summarize_networks(settings, networks, normalizers, KINEMATIC_ITERATIONS)
+    table = summarize_networks(networks, normalizers, KINEMATIC_ITERATIONS)
     shown = (EUCLIDEAN, "[16]", HIDDEN)
     courses = {
         name: record_runs(CLASSICAL, normalizers[name], KINEMATIC_ITERATIONS).distance
@@ -139,7 +146,7 @@ def longer_course(normalizers: Sequence[Normalizer]) -> Floats:
     return mean
 
 
-def _kinematic_rows(table: pd.DataFrame) -> list[Row]:
+def _kinematic_rows(table: pd.DataFrame) -> list[ResultRow]:
     delayed = table[table["schedule"] == "delayed"]
     rows = []
     for name, runs in delayed.groupby("normalizer", sort=False):
@@ -162,7 +169,7 @@ def _kinematic_rows(table: pd.DataFrame) -> list[Row]:
     return rows
 
 
-def _course_rows(table: pd.DataFrame) -> list[Row]:
+def _course_rows(table: pd.DataFrame) -> list[ResultRow]:
     rows = []
     for network in (CLASSICAL, SYNCHRONOUS):
         found = _of(table, network, EUCLIDEAN).iloc[0]
@@ -179,7 +186,7 @@ def _course_rows(table: pd.DataFrame) -> list[Row]:
     return rows
 
 
-def _longer_rows(longer: Mapping[str, Floats]) -> list[Row]:
+def _longer_rows(longer: Mapping[str, Floats]) -> list[ResultRow]:
     return [
         _of_distance(
             f"{name}: mean distance after {LONG} iterations",
@@ -192,10 +199,10 @@ def _longer_rows(longer: Mapping[str, Floats]) -> list[Row]:
     ]
 
 
-def dynamic(settings: Settings) -> Result:
+def dynamic(settings: ExperimentSettings) -> Result:
     """Run the 420 movements with every rule, decay, schedule and normalizer."""
     normalizers = all_normalizers(settings)
-    table = summarize_networks(settings, NETWORKS, normalizers, DYNAMIC_ITERATIONS)
+    table = summarize_networks(NETWORKS, normalizers, DYNAMIC_ITERATIONS)
     exact, hidden = normalizers[EUCLIDEAN], normalizers[HIDDEN]
     classical, *followers = recordings = {
         "classical (Euclidean)": record_runs(CLASSICAL, exact, DYNAMIC_ITERATIONS),
@@ -301,7 +308,7 @@ def _of(table: pd.DataFrame, network: MMCNetwork, normalizer: str) -> pd.DataFra
     ]
 
 
-def _dynamic_rows(table: pd.DataFrame) -> list[Row]:
+def _dynamic_rows(table: pd.DataFrame) -> list[ResultRow]:
     classical = _of(table, CLASSICAL, EUCLIDEAN)
     rows = _network_rows("classical (Euclidean)", classical, CLASSICAL_PUBLISHED)
     for (dynamics, decay), published in DYNAMIC_PUBLISHED.items():
@@ -311,7 +318,7 @@ def _dynamic_rows(table: pd.DataFrame) -> list[Row]:
     return rows
 
 
-def _network_rows(name: str, runs: pd.DataFrame, published: PublishedDynamics) -> list[Row]:
+def _network_rows(name: str, runs: pd.DataFrame, published: PublishedDynamics) -> list[ResultRow]:
     peaks = zip(runs["peak_velocity"], runs["peak_iteration"], strict=True)
     decays = name.endswith("decay 0.92")
     return [
@@ -329,7 +336,7 @@ def _network_rows(name: str, runs: pd.DataFrame, published: PublishedDynamics) -
             data=published.deviation,
             ours=over_runs(runs["deviation"]),
         ),
-        Row(
+        ResultRow(
             f"{name}: peak of the mean velocity, at iteration",
             data=published.peak,
             ours=", ".join(f"{peak:.4f} at {iteration:.0f}" for peak, iteration in peaks),
@@ -350,7 +357,7 @@ def _network_rows(name: str, runs: pd.DataFrame, published: PublishedDynamics) -
     ]
 
 
-def _euclidean_rows(table: pd.DataFrame) -> list[Row]:
+def _euclidean_rows(table: pd.DataFrame) -> list[ResultRow]:
     rows = []
     for (dynamics, decay, schedule), published in DYNAMIC_EUCLIDEAN.items():
         network = MMCNetwork(dynamics=dynamics, velocity_decay=decay, schedule=schedule)
@@ -367,7 +374,7 @@ def _euclidean_rows(table: pd.DataFrame) -> list[Row]:
     return rows
 
 
-def example(settings: Settings) -> Result:
+def example(settings: ExperimentSettings) -> Result:
     """Make the example movement, from the starting posture to (−1.8, 1.8) in 40 iterations.
 
     Figures and data show the first of the [16, 16] networks.
@@ -408,7 +415,7 @@ def example(settings: Settings) -> Result:
                 )
                 for name, recordings in movements.items()
             ),
-            Row(
+            ResultRow(
                 f"{undecayed}: second velocity peak, at iteration",
                 data="0.0139 at 28",
                 ours=", ".join(f"{peak[0]:.4f} at {peak[1]}" if peak else "none" for peak in peaks),

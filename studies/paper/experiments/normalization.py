@@ -24,11 +24,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from mmc_gym._plotting import COLOURS, LINES
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.fitting import PAPER
 from mmc_gym.network.normalizers import LearnedNormalizer
-from studies.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
+from studies.drawing import COLOURS, LINES
+from studies.paper.experiment import (
+    Captioned,
+    ExperimentSettings,
+    Result,
+    ResultRow,
+    mean_and_deviation,
+)
 from studies.paper.figures import make_panels, styled
 from studies.paper.networks import QUICK_RECIPE, TrainedArchitecture, trained_architectures
 from studies.paper.published import NORMALIZATION_PUBLISHED, MeanAndDeviation
@@ -36,7 +42,7 @@ from studies.paper.published import NORMALIZATION_PUBLISHED, MeanAndDeviation
 _FIELDS = ("[8]", "[16]")
 
 
-def run(settings: Settings) -> Result:
+def run(settings: ExperimentSettings) -> Result:
     """Train the networks, or read them, and compare their errors with the published ones."""
     trained = trained_architectures(settings)
     histories = {name: found.validation_mse.mean(axis=0) for name, found in trained.items()}
@@ -101,7 +107,7 @@ def agreement(ours: MeanAndDeviation, published: MeanAndDeviation) -> str:
     return f"outside the spread of both: {apart:.1f} × the sum of the deviations"
 
 
-def _rows(trained: Mapping[str, TrainedArchitecture], quick: str) -> list[Row]:
+def _rows(trained: Mapping[str, TrainedArchitecture], quick: str) -> list[ResultRow]:
     validation, training, angles = [], [], []
     for name, found in trained.items():
         published = NORMALIZATION_PUBLISHED[name]
@@ -112,7 +118,7 @@ def _rows(trained: Mapping[str, TrainedArchitecture], quick: str) -> list[Row]:
             _mse_row(f"{name}: training MSE", found.training_mse, published.training, quick)
         )
         angles.append(
-            Row(
+            ResultRow(
                 f"{name}: mean angle error",
                 data=f"{published.angle_error:.2f}",
                 ours=mean_and_deviation(found.angle_error, 2),
@@ -123,9 +129,9 @@ def _rows(trained: Mapping[str, TrainedArchitecture], quick: str) -> list[Row]:
     return validation + training + angles
 
 
-def _mse_row(quantity: str, mse: Floats, published: MeanAndDeviation, quick: str) -> Row:
+def _mse_row(quantity: str, mse: Floats, published: MeanAndDeviation, quick: str) -> ResultRow:
     final = mse[:, -1]
-    return Row(
+    return ResultRow(
         quantity,
         data="{:.5f} ± {:.5f}".format(*published),
         ours=mean_and_deviation(final, 5),

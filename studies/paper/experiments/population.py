@@ -27,11 +27,17 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mmc_gym._plotting import COLOURS, LINES, write_number
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import LearnedNormalizer
-from studies.paper.experiment import Captioned, Result, Row, Settings, mean_and_deviation
-from studies.paper.figures import make_panels, styled
+from studies.drawing import COLOURS, LINES
+from studies.paper.experiment import (
+    Captioned,
+    ExperimentSettings,
+    Result,
+    ResultRow,
+    mean_and_deviation,
+)
+from studies.paper.figures import make_panels, styled, write_number
 from studies.paper.networks import Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
@@ -106,7 +112,7 @@ def layer_tunings(normalizer: LearnedNormalizer) -> list[Tuning]:
     return [tuning(outputs) for outputs in normalizer.activations(vectors)[:-1]]
 
 
-def run(settings: Settings) -> Result:
+def run(settings: ExperimentSettings) -> Result:
     """Measure and draw the hidden units of the networks with 4, 8, and [8, 8] hidden units."""
     trained = trained_architectures(settings, ARCHITECTURES)
     trained[_DECAYED] = trained_architectures(settings, ((8, 8),), WEIGHT_DECAY)[_PLAIN]
@@ -122,7 +128,7 @@ def run(settings: Settings) -> Result:
         rows=[
             *(row for name, of_runs in layers.items() for row in _rows(name, of_runs)),
             *(
-                Row(
+                ResultRow(
                     f"{name}: MSE over all directions and lengths in ]0, 2]",
                     ours=mean_and_deviation(trained[name].grid_mse, 5),
                     note=f"{len(trained[name].grid_mse)} runs; without the penalty",
@@ -175,7 +181,7 @@ def _frame(layers: Mapping[str, Sequence[Tuning]]) -> pd.DataFrame:
     )
 
 
-def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
+def _rows(name: str, runs: Sequence[Tuning]) -> list[ResultRow]:
     widths = np.concatenate([found.width for found in runs])
     gaps = np.array([found.largest_gap for found in runs])
     active = np.concatenate([found.active for found in runs])
@@ -183,20 +189,20 @@ def _rows(name: str, runs: Sequence[Tuning]) -> list[Row]:
     silent = units - widths.size
     silence = f"; {silent} of {units} units are silent and left out" if silent else ""
     return [
-        Row(
+        ResultRow(
             f"{name}: tuning width, mean (smallest to largest)",
             paper="“a certain range of the orientation”",
             ours=f"{widths.mean():.0f} ({widths.min():.0f} to {widths.max():.0f})",
             unit="°",
             note=f"{len(runs)} runs{silence}",
         ),
-        Row(
+        ResultRow(
             f"{name}: largest gap between preferred directions",
             ours=f"{gaps.mean():.0f} ± {gaps.std():.0f}",
             unit="°",
             note=f"evenly spread units would have {360 / runs[0].size:.0f}°",
         ),
-        Row(
+        ResultRow(
             f"{name}: units within their tuning width, mean (fewest to most)",
             paper="“more overlap” with more units",
             ours=f"{active.mean():.1f} ({active.min()} to {active.max()})",

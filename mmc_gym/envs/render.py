@@ -1,4 +1,4 @@
-"""Pictures of `MMCReachEnv`, frame by frame: into an array, or into a window.
+"""Pictures of `MMCReachEnv`, frame by frame, as an array or in a window.
 
 A picture is painted larger than it is shown and then averaged down, which smooths all edges.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,9 +17,8 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs.perturbations import SegmentLength
-from mmc_gym.envs.render import shapes
-from mmc_gym.envs.render.shapes import SIZE, Canvas, Point, View
+from mmc_gym.envs import shapes
+from mmc_gym.envs.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import in_the_world
 
@@ -34,11 +32,11 @@ class Scene:
     Attributes:
         segment_angles: N absolute angles, radians.
         target: (x, y), segment lengths.
-        trace: where the hand has been, a place for each control step, the last one now.
+        trace: where the hand has been at each control step, now last.
         path: all places of the target in this trial, in order, or nothing if it stands still.
         ghost: N joint angles of an internal model, radians, or None.
         steps: control steps since the reset.
-        observation: the last; what was sensed is shown if the senses are disturbed.
+        observation: the last; it is drawn if the senses are disturbed.
     """
 
     segment_angles: Sequence[float]
@@ -63,7 +61,7 @@ class Renderer:
         """
         self._setup = setup
         self._lengths = setup.body.segment_lengths
-        self._old_lengths = old_lengths(setup)
+        self._old_lengths = setup.unperturbed.segment_lengths
         large = View(setup.farthest, _OVERSAMPLING * SIZE)
         self._canvas = Canvas(pygame.Surface((large.size,) * 2, depth=32), large)
         self._scenery = Canvas(self._canvas.surface.copy(), large)
@@ -97,7 +95,7 @@ class Renderer:
             self._window.close()
 
     def _paint_scenery(self) -> None:
-        """Paint all that is the same in every frame."""
+        """Paint the parts that are the same in every frame."""
         canvas, body = self._scenery, self._setup.body
         canvas.surface.fill(shapes.BACKGROUND)
         canvas.draw_reachable_set(self._lengths)
@@ -110,7 +108,7 @@ class Renderer:
         canvas.draw_caption(self._setup.caption)
 
     def _paint_path(self, scene: Scene) -> None:
-        """Paint where the target will be, if it moves."""
+        """Paint the places where a moving target will be."""
         canvas, setup = self._canvas, self._setup
         target, places = tuple(scene.target), [tuple(place) for place in scene.path]
         if len(set(places)) <= 1:
@@ -144,7 +142,7 @@ class Renderer:
         canvas.draw_target(scene.target, setup.success_distance, is_reached)
 
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
-        """Paint the arm as an observation of `MMCReach-v0` tells it."""
+        """Paint arm, hand and target where an observation of `MMCReach-v0` shows them."""
         setup = self._setup
         seen = setup.layout.split(observation.astype(float))
         relative = np.arctan2(seen.sines, seen.cosines)
@@ -156,49 +154,41 @@ class Renderer:
         self._canvas.draw_sensed(nodes, hand, target)
 
 
-def old_lengths(setup: ReachSetup) -> tuple[float, ...]:
-    """Return the segment lengths before perturbations changed them."""
-    lengths = list(setup.body.segment_lengths)
-    for change in setup.perturbations:
-        if isinstance(change, SegmentLength):
-            lengths[change.segment] /= change.factor
-    return tuple(lengths)
-
-
-def open_display() -> None:
+def open_display(*, must_be_seen: bool = False) -> None:
     """Open the display for a window.
 
+    Args:
+        must_be_seen: whether to refuse SDL's drivers without a screen, unless SDL_VIDEODRIVER asks
+            for one.
+
     Raises:
-        UserError: if there is none.
+        UserError: if SDL cannot open one.
     """
-    asked = os.environ.get("SDL_VIDEODRIVER")
-    reason = "neither DISPLAY nor WAYLAND_DISPLAY is set"
-    is_told = any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
-    if asked or is_told or not sys.platform.startswith("linux"):
-        try:
-            pygame.display.init()
-        except pygame.error as error:
-            reason = str(error)
-        else:
-            driver = pygame.display.get_driver()
-            if asked or driver not in ("offscreen", "dummy"):
-                return
-            pygame.display.quit()  # SDL would draw where nobody sees it
-            reason = "SDL finds no screen"
-    raise UserError(
+    try:
+        pygame.display.init()
+    except pygame.error as error:
+        raise _no_display(str(error)) from error
+    is_seen = pygame.display.get_driver() not in ("offscreen", "dummy")
+    if must_be_seen and not is_seen and not os.environ.get("SDL_VIDEODRIVER"):
+        pygame.display.quit()
+        raise _no_display("SDL finds no screen")
+
+
+def _no_display(reason: str) -> UserError:
+    return UserError(
         f"a window needs a display, and there is none: {reason}. Without one, `mmc-gym record "
         '--agent mmc movement.gif` makes a film, and render_mode="rgb_array" gives pictures'
     )
 
 
 class Window:
-    """A window that shows pictures at a steady rate, until its user closes it."""
+    """A window that shows pictures at a steady rate until its user closes it."""
 
     def __init__(self, frame_rate: int) -> None:
         """Open the window; it shows at most `frame_rate` pictures a second.
 
         Raises:
-            UserError: if there is no display.
+            UserError: if SDL cannot open a display.
         """
         open_display()
         pygame.display.set_caption("mmc-gym")
@@ -213,7 +203,7 @@ class Window:
             return
         if not pygame.display.get_init() or pygame.event.get(pygame.QUIT):
             self.close()
-            gym.logger.warn("the window was closed: the environment runs on, unseen")
+            gym.logger.warn("the window was closed: the environment continues without it")
             return
         # Keys are left for the caller; motion would fill the queue, and then no QUIT gets in.
         pygame.event.clear(pygame.MOUSEMOTION)

@@ -1,0 +1,17 @@
+"""Tables on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rich.table import Table
+
+
+def table_of(rows: Sequence[Mapping[str, str]], title: str | None = None) -> Table:
+    """Return a table with a row for each mapping, headed by its keys; the first column is text."""
+    table = Table(title=title, title_justify="left")
+    for number, heading in enumerate(rows[0]):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=not number)
+    for row in rows:
+        table.add_row(*row.values())
+    return table

@@ -1,0 +1,317 @@
+"""Each experiment of the paper runs, and gives the published figures where nothing is learned."""
+
+import doctest
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network.fitting import PAPER
+from mmc_gym.network.model import linear_operator
+from studies.paper import experiment, networks, protocol
+from studies.paper.experiment import ExperimentSettings
+from studies.paper.experiments import bettered, forward_and_mixed, movements, normalization
+from studies.paper.experiments import population as hidden_units
+from studies.paper.experiments.bettered import LENGTHS, measure
+from studies.paper.experiments.forward_and_mixed import TASKS, errors, factor, random_tasks
+from studies.paper.experiments.population import DIRECTIONS, layer_tunings, tuning
+from studies.paper.networks import ARCHITECTURES, RUNS, architecture_name, trained_architectures
+from studies.paper.protocol import INNER, OVERSHOOT, PAIRS, STARTING_SEGMENTS, TARGETS
+from studies.paper.published import NORMALIZATION_PUBLISHED, POINTS
+from studies.paper.run import EXPERIMENTS, reproduce
+
+pytestmark = pytest.mark.slow
+
+ACCURATE = LearnedNormalizer.shipped("accurate")
+SHIPPED = (LearnedNormalizer.shipped("paper"), ACCURATE)
+FEW = ((2,), (3, 2))
+
+
+def stand_in(settings, architectures=((16,), (16, 16))):
+    """Instead of training: the two shipped 2-16-16-2 networks for every architecture."""
+    none = np.zeros((2, 0))
+    found = networks.TrainedArchitecture(SHIPPED, none, none, np.zeros(2), np.zeros(2))
+    return {architecture_name(units): found for units in architectures}
+
+
+class Results(dict):
+    """Results of the experiments on movements by name, run when they are first used."""
+
+    def __missing__(self, name):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(protocol, "trained_architectures", stand_in)
+            patch.setattr(movements, "trained_architectures", stand_in)
+            quick = name in ("accurate", "bell-shaped", "forward-and-mixed")
+            self[name] = EXPERIMENTS[name].run(ExperimentSettings(quick))
+        return self[name]
+
+
+@pytest.fixture(scope="module")
+def results():
+    return Results()
+
+
+@pytest.fixture(scope="module")
+def small_recipe():
+    with pytest.MonkeyPatch.context() as patch:
+        recipe = replace(PAPER, samples=400, epochs=6)
+        patch.setattr(networks, "QUICK_RECIPE", recipe)
+        patch.setattr(normalization, "QUICK_RECIPE", recipe)
+        yield
+
+
+def row(result, quantity):
+    return next(row for row in result.rows if row.quantity.startswith(quantity))
+
+
+# The command
+
+
+def test_a_quick_run_writes_figures_data_and_a_table(small_recipe, tmp_path, capsys):
+    names = ["normalization", "population"]
+    assert list(reproduce(names, tmp_path, quick=True, jobs=1)) == names
+    assert "[16]: validation MSE" in capsys.readouterr().out
+    table = (tmp_path / "table.md").read_text("utf-8")
+    assert "This is a quick run" in table
+    assert "| [16]: validation MSE | 0.0042 | 0.00427 ± 0.00015 |" in table
+    assert all(f"| {number} | {point.subject} |" in table for number, point in POINTS.items())
+    for name, stems in {
+        "normalization": ["mse_by_architecture", "mse_surface", "training_curves", "vector_field"],
+        "population": ["hidden_units", "hidden_units_3d", "tuning"],
+    }.items():
+        assert sorted(path.stem for path in (tmp_path / name).glob("*.svg")) == stems
+        assert all((tmp_path / name / f"{stem}.png").stat().st_size > 5000 for stem in stems)
+        assert all(f"]({name}/{stem}.png)" in table for stem in stems)
+    assert (tmp_path / "normalization" / "mse.csv").exists()
+    # One more than the architectures: the population's [8, 8] with weight decay.
+    trained = len(networks.QUICK_ARCHITECTURES) + 1
+    assert len(list((tmp_path / "networks").iterdir())) == trained
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "figures"),
+    [
+        ("kinematic", 20, 2),
+        ("dynamic", 41, 1),
+        ("example", 6, 2),
+        ("accurate", 12, 1),
+        ("bell-shaped", 71, 3),
+        ("forward-and-mixed", 30, 1),
+    ],
+)
+def test_an_experiment_has_rows_captioned_figures_and_data(name, rows, figures, results):
+    result = results[name]
+    assert (len(result.rows), len(result.figures)) == (rows, figures)
+    assert all(figure.caption for figure in result.figures.values())
+    assert result.data
+
+
+def test_the_examples_in_docstrings_hold():
+    modules = (experiment, protocol, bettered, forward_and_mixed, movements, normalization)
+    flags = doctest.NORMALIZE_WHITESPACE
+    tried = [doctest.testmod(one, optionflags=flags) for one in (*modules, hidden_units)]
+    assert sum(one.attempted for one in tried) > 10
+    assert not any(one.failed for one in tried)
+
+
+# Published figures
+
+
+def test_the_paper_s_twelve_architectures_of_five_runs_have_published_errors():
+    assert (len(ARCHITECTURES), RUNS, PAPER.epochs) == (12, 5, 400)
+    assert list(NORMALIZATION_PUBLISHED) == [architecture_name(units) for units in ARCHITECTURES]
+
+
+def test_there_are_21_targets_and_every_ordered_pair_of_them():
+    np.testing.assert_allclose(
+        TARGETS[[0, 6, 7, 10, 20]], [[1, 0], [-1, 0], [2, 0], [0, 2], [-3, 0]], atol=1e-15
+    )
+    expected = [(start, end) for start in range(21) for end in range(21) if start != end]
+    assert [tuple(pair) for pair in PAIRS] == expected
+    assert INNER.sum() == 14 * 13
+
+
+def test_rows_without_learned_weights_agree_with_the_data_to_the_digit(results):
+    rows = [
+        row
+        for name in ("kinematic", "dynamic")
+        for row in results[name].rows
+        if row.quantity.startswith("Euclidean") and row.data is not None
+    ]
+    assert len(rows) == 13
+    for found in rows:
+        if found.quantity.endswith("500 iterations"):
+            assert found.ours == pytest.approx(found.data, abs=5e-5)
+        else:
+            assert str(found.ours) == str(found.data)
+
+
+def test_the_classical_rows_agree_with_the_data(results):
+    for found in results["dynamic"].rows:
+        if found.quantity.startswith("classical") and not found.quantity.endswith("at iteration"):
+            assert float(found.ours) == pytest.approx(found.data, abs=5e-4)
+    assert row(results["dynamic"], "classical (Euclidean): peak").ours == "0.1082 at 2"
+    assert row(results["example"], "kinematic (Euclidean)").ours == "0.00977"
+
+
+def test_the_points_on_movements_are_all_measured(results):
+    found = [results[name].points for name in ("kinematic", "dynamic", "example")]
+    assert {number for points in found for number in points} == {1, 2, 3, 4, 5, 6}
+    points = results["dynamic"].points
+    assert "not within 40 iterations" in points[1]
+    assert points[2].endswith("26 with Euclidean normalization")
+    # 3.4 and 0 for the classical network, 2.6 and 0.15 for the dynamic one.
+    assert "classical 3.37, 0.00 (" in points[5]
+    assert "dynamic (Euclidean) 2.61, 0.15 (" in points[5]
+
+
+def test_the_example_s_second_peak_is_that_of_the_data(results):
+    found = results["example"].rows[-1]
+    assert found.data == "0.0139 at 28"
+    for peak in found.ours.split(", "):
+        height, iteration = peak.split(" at ")
+        assert float(height) == pytest.approx(0.0139, rel=0.5)
+        assert abs(int(iteration) - 28) <= 3
+
+
+def test_the_synchronous_network_takes_its_own_course():
+    distance = protocol.record_movements(MMCNetwork(schedule="synchronous")).distance
+    for iteration, expected in {10: 0.39447, 20: 0.20629, 40: 0.08648, 100: 0.01945}.items():
+        assert distance[:, iteration - 1].mean() == pytest.approx(expected, abs=1e-5)
+    assert distance[:, -1].std() == pytest.approx(0.02585, abs=1e-5)
+
+
+# What is measured, and how
+
+
+def test_a_recording_measures_the_arm_that_moved():
+    network = MMCNetwork(dynamics="paper")
+    recording = protocol.record_movements(network, iterations=5, warm_iterations=7)
+    start, target = TARGETS[PAIRS[123]]
+    state = network.run(network.state_from_segments(STARTING_SEGMENTS), network.inverse(start), 7)
+    before, path = state.end_effector, np.linalg.norm(target - start)
+    for iteration in range(5):
+        state = network.step(state, network.inverse(target))
+        np.testing.assert_allclose(recording.segments[123, iteration], state.segments, atol=1e-13)
+        distance = np.linalg.norm(state.end_effector - target) / path
+        assert recording.distance[123, iteration] == pytest.approx(distance)
+        velocity = np.linalg.norm(state.end_effector - before) / path
+        assert recording.velocity[123, iteration] == pytest.approx(velocity)
+        before = state.end_effector
+
+
+@pytest.mark.parametrize(
+    ("distances", "overshoots", "second_peaks", "far"),
+    [
+        ([0.9, 0.5, 0.1, 0.0], 0, 0, 0),
+        ([0.9, 0.5, 0.2, 0.22], 1, 0, 1),
+        ([0.9, 0.5, 0.1, 0.109], 0, 0, 1),
+        ([0.9, 0.5, 0.49, 0.2], 0, 1, 1),
+    ],
+)
+def test_a_movement_is_summarized_by_the_published_definitions(
+    distances, overshoots, second_peaks, far
+):
+    segments = np.zeros((1, len(distances), 3, 2))
+    segments[0, :, 0, 0] = distances
+    start = np.array([[[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]])
+    movement = protocol.Recording(start, segments, np.array([[1.0, 0.0]]), np.zeros((1, 2)))
+    found = protocol.summarize(movement)
+    names = ("overshoots", "second_peaks", "far", "peak_iteration")
+    assert [found[name] for name in names] == [overshoots, second_peaks, far, 2]
+    assert (found["final"], found["peak_velocity"]) == pytest.approx((distances[-1], 0.4))
+
+
+def test_the_accurate_normalizer_is_as_good_as_was_sought(results):
+    result = results["accurate"]
+    assert row(result, "accurate: mean angle error at lengths 0.9 to 1.1").ours <= 0.01
+    assert row(result, "accurate: the same, as a multiple of the Euclidean").ours <= 1.02
+    assert row(result, "accurate: movements that end above 0.1").ours <= 7
+    assert (LENGTHS.min(), LENGTHS.max()) == (1e-6, 3)
+    assert row(result, "accurate: worst angle error").ours < 5
+    exact = measure(EuclideanNormalizer(), directions=36)
+    assert max(exact.near_error, exact.worst_error.max()) < 1e-12
+    assert exact.distance[:, -1].mean() == pytest.approx(0.02264, abs=1e-5)
+
+
+@pytest.mark.parametrize("iterations", [40, 100])
+def test_a_time_base_makes_each_movement_bell_shaped_as_minimum_jerk_is(iterations, results):
+    frame = results["bell-shaped"].data["bell_shape"].set_index(["name", "iterations"]).sort_index()
+    for name in ("minimum jerk", "time base (Euclidean)", "time base (accurate [16, 16])"):
+        found = frame.loc[name, iterations]
+        assert len(found) == 420
+        assert found["correlation"].median() >= 0.98
+        assert 1.8 <= found["peak_to_mean"].median() <= 2.0
+        assert 0.45 <= found["time_to_peak"].median() <= 0.55
+        assert (found["velocity_peaks"] == 1).mean() >= 0.95
+        assert (found["overshoot"] > OVERSHOOT).sum() == 0
+        kinematic = frame.loc["kinematic (Euclidean)", iterations]
+        assert found["final"].mean() <= kinematic["final"].mean()
+    for name in ("dynamic (Euclidean), decay 0.92", "kinematic (Euclidean), synchronous"):
+        assert frame.loc[name, 40]["correlation"].median() < 0.1
+
+
+@pytest.mark.parametrize("damping", [4.0, 10.0, 30.0])
+def test_the_forward_task_has_the_eigenvalues_of_its_equation(damping):
+    operator = linear_operator(MMCNetwork(damping=damping), (0, 1, 2))[3:, 3:]
+    expected = 1 - np.array([2 + np.sqrt(2), 2, 2 - np.sqrt(2)]) / damping
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(operator).real), expected, atol=1e-12)
+    assert factor(damping) == pytest.approx(expected[-1])
+
+
+@pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), ACCURATE], ids=["exact", "learned"])
+@pytest.mark.parametrize("task", TASKS)
+def test_forward_mixed_and_inverse_tasks_are_solved(task, normalizer):
+    network = MMCNetwork(normalizer=normalizer)
+    state, vectors = random_tasks(network, 100, seed=1)
+    clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
+    course = errors(network, state, clamps, 500)
+    assert np.median(course[-1]) < 0.01
+    assert course[-1].mean() < 0.03 * course[0].mean()
+    if task.startswith("forward"):
+        means = course.mean(axis=1)
+        np.testing.assert_allclose(means[60:200] / means[59:199], factor(10), rtol=1e-4)
+
+
+@pytest.mark.parametrize("bias", [-1.0, 0.7])
+@pytest.mark.parametrize("strength", [0.5, 3.0])
+def test_a_first_layer_unit_prefers_the_direction_of_its_weights(strength, bias):
+    # h(φ) = tanh(s cos(φ − φ_w) + b) is above half where cos(φ − φ_w) > (artanh(half) − b)/s.
+    preferred = np.radians([10.0, 75.5, 300.0])
+    weights = strength * np.stack([np.cos(preferred), np.sin(preferred)], axis=1)
+    network = LearnedNormalizer([weights, np.ones((2, 3))], [[bias] * 3, [0, 0]])
+    (found,) = layer_tunings(network)
+    np.testing.assert_allclose(np.exp(1j * found.preferred), np.exp(1j * preferred), atol=1e-9)
+    half = (np.tanh(bias + strength) + np.tanh(bias - strength)) / 2
+    width = 2 * np.degrees(np.arccos((np.arctanh(half) - bias) / strength))
+    np.testing.assert_allclose(found.width, width, atol=1.0)
+
+
+def test_silent_units_are_counted_and_left_out():
+    activations = np.cos(DIRECTIONS[:, None] - np.array([3.0, 1.0, 5.0])) * [1.0, 1e-6, 0.5]
+    found = tuning(activations)
+    np.testing.assert_allclose(found.preferred, [3, 5])
+    assert (len(found.width), found.size, found.active.max()) == (2, 3, 2)
+
+
+# Trained networks
+
+
+def test_networks_are_trained_once_and_alike_in_one_process_and_two(
+    small_recipe, tmp_path, monkeypatch
+):
+    settings = ExperimentSettings(quick=True, folder=tmp_path / "one")
+    one = trained_architectures(settings, FEW)
+    two = trained_architectures(replace(settings, folder=tmp_path / "two", jobs=2), FEW)
+    other = trained_architectures(replace(settings, seed=1), FEW)
+    monkeypatch.setattr(networks, "train_normalizers", None)  # nothing is trained again
+    read = trained_architectures(settings, FEW)
+    assert list(one) == ["[2]", "[3, 2]"]
+    for name, found in one.items():
+        assert found.training_mse.shape == (2, 6)
+        for same in (two[name], read[name]):
+            np.testing.assert_array_equal(found.validation_mse, same.validation_mse)
+            for normalizer, twin in zip(found.normalizers, same.normalizers, strict=True):
+                np.testing.assert_array_equal(normalizer.weights[0], twin.weights[0])
+        assert not np.allclose(found.training_mse, other[name].training_mse)

@@ -1,0 +1,56 @@
+"""One short run of each study, by the command that its README names."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from mmc_gym.benchmark.runner import benchmark
+
+pytestmark = pytest.mark.slow
+
+STUDIES = Path(__file__).parents[2] / "studies"
+FEW = "--episodes 3 --scenarios random longer-20"
+
+# A short run of each: its arguments, and what it prints.
+SHORT = {
+    "body_model.parts": (f"{FEW} --tables parts switches vigour", r"longer-20 .* 100\.0"),
+    "body_model.failures": (FEW, r"failures of mmc-body"),
+    "body_model.standings": ("--stores store", r"tasks, unperturbed \(1\)"),
+    "body_model.hidden_scenarios": ("--episodes 2 --only delay-60", r"delay-60 .* 100\.0"),
+    "learners.plain_learners": (
+        "--learners ppo cleanrl --seeds 0 --steps 2048 --at 2048 --jobs 1 --out out",
+        r"(?s)PPO, sb3 .* \[0\.\d+.*PPO, CleanRL's",
+    ),
+    "learners.learning_speed": (
+        "--seeds 1 --arms 64 --steps 1024 --targets 20 --no-profile",
+        r"median .* 95%",
+    ),
+    "network.abilities": ("--segments 2 3 --arms 50 --iterations 100", r"inverse .*100%"),
+    "network.normalization_training": ("--epochs 1 --widest 4", r"\[4, 4\]"),
+    "body.physics": ("--agents mmc --episodes 5 --steps 40", r"(?s)mmc .* 100\.0.*analytic"),
+}
+
+
+@pytest.mark.parametrize("study", SHORT)
+def test_a_study_runs_and_prints_its_table(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    if study == "body_model.standings":
+        benchmark(["mmc-body", "ik-dls", "ppo-0"], "store", ["random"], 3, jobs=1)
+    arguments, shown = SHORT[study]
+    monkeypatch.setattr(sys, "argv", [study, *arguments.split()])
+    runpy.run_module(f"studies.{study}", run_name="__main__", alter_sys=True)
+    assert re.search(shown, capsys.readouterr().out)
+
+
+def test_the_readme_names_every_study_that_is_there():
+    readme = (STUDIES / "README.md").read_text("utf-8")
+    commands = {
+        ".".join(path.relative_to(STUDIES).with_suffix("").parts)
+        for path in STUDIES.rglob("*.py")
+        if 'if __name__ == "__main__"' in path.read_text("utf-8")
+    }
+    named = set(re.findall(r"python -m studies\.([\w.]+)", readme))
+    assert {name.removesuffix(".__main__") for name in commands} == named
