@@ -14,7 +14,8 @@ from generate import Filmed
 from PIL import Image, ImageDraw, ImageFont
 
 from mmc_gym._files import write_atomically
-from mmc_gym.benchmark.entries import make_together, one_entry
+from mmc_gym.agents import resolve
+from mmc_gym.benchmark.suite import make_player
 from mmc_gym.measures import episode_seeds, run_episodes
 
 AGENTS = ("mmc", "mmc-body", "ppo")
@@ -26,7 +27,7 @@ COLOURS = 64
 
 def panels(agent: str) -> list[Image.Image]:
     """Return the pictures of one agent, with its name."""
-    world, player = make_together(one_entry(agent), "MMCReach-v0", SCENARIO)
+    world, player = make_player(resolve(agent), "MMCReach-v0", SCENARIO)
     filmed, found = Filmed(world), []
     for number in EPISODES:
         run_episodes(player, filmed, [episode_seeds(0, number + 1)[-1]], records_effort=False)

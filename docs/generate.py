@@ -24,8 +24,8 @@ from PIL import Image
 import mmc_gym
 from mmc_gym._files import write_atomically
 from mmc_gym.agents import AGENTS as AGENTS_THAT_SHIP
-from mmc_gym.benchmark.entries import make_together, one_entry
-from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.agents import resolve
+from mmc_gym.benchmark.suite import SCENARIOS, make_player
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import (
@@ -297,13 +297,12 @@ def film(one: Scenario, folder: Path) -> dict[str, int]:
 def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
     """Return how many of the episodes end at the target, and pictures of the first."""
     seeds = episode_seeds(0, EPISODES)
-    entry = one_entry(agent)
-    world, player = make_together(entry, one.env_id, dict(one.arguments))
+    world, player = make_player(resolve(agent), one)
     episodes = run_episodes(player, world, seeds, records_effort=False)
     world.close()
     named = {"perturbations": [one.name]} if one.family else {}  # for the caption
-    arguments = {**one.arguments, **named, "render_mode": "rgb_array"}
-    world, player = make_together(entry, one.env_id, arguments)
+    arguments = {**named, "render_mode": "rgb_array"}
+    world, player = make_player(resolve(agent), one, arguments)
     filmed = Filmed(world)
     run_episodes(player, filmed, seeds[:1], records_effort=False)
     world.close()

@@ -1,13 +1,18 @@
-"""Write files so that a reader sees the old content or the new one, never half of it."""
+"""Write files so that a reader sees the old content or the new one, and import users' modules."""
 
 from __future__ import annotations
 
+import importlib
 import os
+import pkgutil
 import re
 import secrets
 import socket
+import sys
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from mmc_gym._errors import UserError, require
 
@@ -72,3 +77,41 @@ def _lives(process: int) -> bool:
     except PermissionError:  # another user's
         return True
     return True
+
+
+# Modules of users
+
+
+def look_here() -> None:
+    """Let modules in the working directory be found, as `python -m` does but no console script."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+
+
+def import_modules(names: Iterable[str]) -> None:
+    """Import modules that register environments, tasks, perturbations or measures.
+
+    Raises:
+        UserError: if one cannot be imported; any error of its own code keeps its traceback.
+    """
+    look_here()
+    for name in names:
+        try:
+            require(bool(name), "the name of a module", name, "a text")
+            importlib.import_module(name)
+        except ImportError as error:
+            raise UserError(f"module {name!r} cannot be imported: {error}") from error
+
+
+def import_object(path: str, what: str) -> Any:
+    """Return the object that `path`, "module:name", stands for.
+
+    Raises:
+        UserError: if the module cannot be imported or has no such name; it says `what` it is.
+    """
+    look_here()
+    try:
+        return pkgutil.resolve_name(path)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise UserError(f"{what} {path!r} cannot be imported: {error}") from error

@@ -1,21 +1,21 @@
 """The command line: one function for each command.
 
     mmc-gym compare | benchmark | report | train | tune | curves
-            | play | record | list | show | completion
+            | play | record | list | show
 
 A mistake of the user's ends with one line on stderr and status 2, a cell of a grid that failed with
 one line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
-environment all end with the traceback.
+environment each ends with the traceback instead.
 """
 
 from __future__ import annotations
 
-import inspect
 import os
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -26,20 +26,69 @@ from tyro.conf import Positional
 
 from mmc_gym._console import make_console, print_list, progress_bar
 from mmc_gym._errors import MismatchWarning, UserError, require
+from mmc_gym._files import import_modules
 from mmc_gym._grid import CellError
-from mmc_gym._modules import import_modules
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
     from mmc_gym.benchmark.runner import Progress as BenchmarkProgress
+    from mmc_gym.training.hyperparameters import Recipe
     from mmc_gym.training.training import TrainingProgress
 
-DESCRIPTION = "Agents that reach with a planar arm, compared.  --version alone prints the version."
+DESCRIPTION = "Compare agents that reach with a planar arm.  --version alone prints the version."
 TRACEBACK = "MMC_GYM_TRACEBACK"
-
-Imports = Annotated[tuple[str, ...], tyro.conf.arg(name="import")]
+_PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
 
 _app = tyro.extras.SubcommandApp()
+
+
+# Options that commands share.
+
+
+@dataclass(frozen=True)
+class Imports:
+    """The option of commands that know things by name."""
+
+    imports: Annotated[tuple[str, ...], tyro.conf.arg(name="import")] = ()
+    """Modules of yours to import first, which register environments, tasks, perturbations or
+    measures."""
+
+    def load(self) -> None:
+        """Import the modules."""
+        import_modules(self.imports)
+
+
+@dataclass(frozen=True)
+class World(Imports):
+    """The options of commands that make environments."""
+
+    env_kwargs: tuple[str, ...] = ()
+    """Arguments of the environment: NAME=VALUE, values in YAML."""
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The arguments of the environment; reading a value as YAML runs no code."""
+        found = {}
+        for text in self.env_kwargs:
+            name, _, value = text.partition("=")
+            try:
+                require(name.isidentifier() and bool(value), "env-kwargs", text, _PAIR)
+                found[name] = yaml.safe_load(value)
+            except yaml.YAMLError as error:
+                raise UserError(f"env-kwargs must be {_PAIR}, got {text!r}") from error
+        return found
+
+
+@dataclass(frozen=True)
+class Played(World):
+    """The options of commands in which agents play."""
+
+    allow_pickle: bool = False
+    """Load files that hold pickles, as .zip files of stable-baselines3 do: that runs whatever code
+    they name."""
+
+
+NO_IMPORTS, WORLD, PLAYED = Imports(), World(), Played()
 
 
 @_app.command
@@ -59,29 +108,21 @@ def compare(
     episodes: int = 200,
     seed: int = 0,
     out: Path = Path("runs/compare"),
-    env_kwargs: tuple[str, ...] = (),
-    imports: Imports = (),
-    allow_pickle: bool = False,
+    given: Played = PLAYED,
 ) -> None:
     """Let agents play the same starts and targets; print a table, write data and figure.
 
     Args:
         agents: Names, files or folders of policies, .zip files of stable-baselines3, module:name;
-            'runs/mine-*' for several trainings of one, LABEL=... for another name, and
-            ...@joint_velocity for the control mode.
+            'runs/mine-*' for several trainings of one agent, LABEL=... for another name.
         env: Environment id, module:Id or module:function.
         episodes: Episodes per agent.
         seed: Seed of the starts and targets.
         out: Folder for episodes.csv, the summary and the figure.
-        env_kwargs: Arguments of the environment: NAME=VALUE, values in YAML.
-        imports: Modules of yours to import first, which register environments, tasks,
-            perturbations or measures.
-        allow_pickle: Load files that hold pickles, as .zip files of stable-baselines3 do: that runs
-            whatever code they name.
     """
     from mmc_gym.benchmark import compare
 
-    import_modules(imports)
+    given.load()
     compare.compare(
         agents,
         env,
@@ -89,8 +130,8 @@ def compare(
         seed,
         out,
         make_console(),
-        env_kwargs=_values(env_kwargs),
-        allow_pickle=allow_pickle,
+        env_kwargs=given.arguments,
+        allow_pickle=given.allow_pickle,
     )
 
 
@@ -103,29 +144,24 @@ def benchmark(
     out: Path = Path("runs/benchmark"),
     jobs: int | None = None,
     cluster: str | None = None,
-    env_kwargs: tuple[str, ...] = (),
-    imports: Imports = (),
-    allow_pickle: bool = False,
+    given: Played = PLAYED,
 ) -> None:
     """Let agents play many scenarios; keep all in a store, and print a ranking.
 
     Args:
-        agents: Names (ppo: all its training seeds; ppo-3: one), and all else that compare takes
-            (default: most that ship).
+        agents: Names (ppo: all its training seeds; ppo-3: one), and everything else that compare
+            accepts (default: most that ship).
         environments: Names of scenarios, such as random or delay-100, or environments of yours, by
             id, module:Id or module:function (default: all scenarios).
         episodes: Episodes in each scenario; numbered trials are played once each.
         seed: Seed of the starts and targets.
-        out: Folder of the store; a benchmark that is there goes on, or is added to.
-        jobs: How many cells at once (default: one per core).
-        cluster: Where, if not here: "ray", or "ray://HOST:PORT", to play on a Ray cluster.
-        env_kwargs: Arguments of all environments, see compare.
-        imports: Modules of yours to import first, see compare.
-        allow_pickle: Load files that hold pickles, see compare.
+        out: Folder of the store; an existing benchmark is resumed, or added to.
+        jobs: Number of cells at once (default: one per core).
+        cluster: "ray", or "ray://HOST:PORT", to play on a Ray cluster instead of here.
     """
-    from mmc_gym.benchmark import entries, ranking, runner
+    from mmc_gym.benchmark import ranking, runner, suite
 
-    import_modules(imports)
+    given.load()
     with progress_bar() as bar:
         task = bar.add_task("cells")
 
@@ -133,15 +169,15 @@ def benchmark(
             bar.update(task, completed=progress.done, total=progress.total)
 
         runner.benchmark(
-            agents or entries.default_agents(),
+            agents or suite.default_agents(),
             out,
             environments,
             episodes,
             seed,
             jobs=jobs,
             cluster=cluster,
-            env_kwargs=_values(env_kwargs),
-            allow_pickle=allow_pickle,
+            env_kwargs=given.arguments,
+            allow_pickle=given.allow_pickle,
             on_progress=report,
         )
     ranking.print_ranking(make_console(), out)
@@ -173,8 +209,7 @@ def train(
     device: str = "cpu",
     jobs: int | None = None,
     cluster: str | None = None,
-    env_kwargs: tuple[str, ...] = (),
-    imports: Imports = (),
+    given: World = WORLD,
 ) -> None:
     """Train an agent with YAML hyperparameters; --resume continues a killed training.
 
@@ -188,13 +223,11 @@ def train(
         resume: Continue from the checkpoint in the folder, if there is one; --all always does.
         tensorboard: Folder for TensorBoard's logs.
         device: Device that PyTorch computes on: cpu, cuda, cuda:1, auto.
-        jobs: With --all: how many trainings at once (default: one per core).
+        jobs: With --all: number of trainings at once (default: one per core).
         cluster: With --all: "ray", or "ray://HOST:PORT", to train on a Ray cluster.
-        env_kwargs: Arguments of the environment, beside those in the YAML file, see compare.
-        imports: Modules of yours to import first, see compare.
     """
-    import_modules(imports)
-    from mmc_gym.training.hyperparameters import names
+    given.load()
+    from mmc_gym.training.hyperparameters import names, read_recipe
 
     if all == bool(name):
         raise UserError(
@@ -202,41 +235,35 @@ def train(
             f"or else give --all, got {name!r}{' and --all' if all else ''}"
         )
     if all:
+        env_kwargs = " ".join(given.env_kwargs)
         _only_for(
             "a single training", env=env, seed=seed, tensorboard=tensorboard, env_kwargs=env_kwargs
         )
         _train_all(out or Path("runs/train-all"), steps, device, jobs, cluster)
     else:
         _only_for("--all", jobs=jobs, cluster=cluster)
-        given = _values(env_kwargs)
-        _train_one(name, env, seed, steps, out, resume, tensorboard, device, given)
+        recipe = read_recipe(name, env, steps, given.arguments)
+        _train_one(recipe, seed, out, resume, tensorboard, device)
 
 
 def _only_for(other: str, **options: Any) -> None:
     """Raise a `UserError` if an option of `train` is given that is for something else only."""
-    parameters = inspect.signature(train).parameters
     for name, value in options.items():
-        if value != parameters[name].default:
-            shown = " ".join(value) if isinstance(value, tuple) else value
-            raise UserError(f"--{name.replace('_', '-')} is for {other} only, got {shown}")
+        if value:
+            raise UserError(f"--{name.replace('_', '-')} is for {other} only, got {value}")
 
 
 def _train_one(
-    name: str,
-    env: str | None,
+    recipe: Recipe,
     seed: int,
-    steps: int | None,
     out: Path | None,
     resume: bool,
     tensorboard: Path | None,
     device: str,
-    env_kwargs: dict[str, Any],
 ) -> None:
     from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
-    from mmc_gym.training.hyperparameters import read_recipe
     from mmc_gym.training.training import Training
 
-    recipe = read_recipe(name, env, steps, env_kwargs)
     folder = out or Path("runs") / file_stem(recipe.name, seed)
     with progress_bar() as bar:
         task = bar.add_task(f"{recipe.name}, seed {seed}")
@@ -300,7 +327,7 @@ def tune(
     """Let Optuna look for better constants; resumes where it stopped.
 
     Args:
-        name: What to tune: mmc, or what train takes.
+        name: mmc, or a name or file that train accepts.
         trials: Number of trials, those of earlier calls included.
         steps: Environment steps of each trial.
         out: Folder for trials and result.
@@ -339,9 +366,7 @@ def play(
     agent: str = "mmc",
     env: str = "MMCReach-v0",
     seed: int | None = None,
-    env_kwargs: tuple[str, ...] = (),
-    imports: Imports = (),
-    allow_pickle: bool = False,
+    given: Played = PLAYED,
 ) -> None:
     """Open a window in which the mouse is the target of an agent's arm.
 
@@ -349,65 +374,44 @@ def play(
         agent: The agent to start with, see compare.
         env: Environment id, module:Id or module:function.
         seed: Seed of the first posture.
-        env_kwargs: Arguments of the environment, see compare.
-        imports: Modules of yours to import first, see compare.
-        allow_pickle: Load files that hold pickles, see compare.
     """
     from mmc_gym.envs.render import open_display
 
     open_display(must_be_seen=True)  # at once: what follows takes a while to load
     from mmc_gym import play
 
-    import_modules(imports)
-    play.play(agent, env, seed, env_kwargs=_values(env_kwargs), allow_pickle=allow_pickle)
-
-
-def _values(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Read NAME=VALUE, where values are YAML: nothing in them is run."""
-    found = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            require(name.isidentifier() and bool(value), "env-kwargs", text, _PAIR)
-            found[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise UserError(f"env-kwargs must be {_PAIR}, got {text!r}") from error
-    return found
-
-
-_PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
+    given.load()
+    play.play(agent, env, seed, env_kwargs=given.arguments, allow_pickle=given.allow_pickle)
 
 
 @_app.command(name="list")
 def list_(
     what: Positional[Literal["agents", "tasks", "perturbations", "scenarios", "measures"]],
-    imports: Imports = (),
+    given: Imports = NO_IMPORTS,
 ) -> None:
-    """List what there is, a line each: its name, what it is, and what it needs.
+    """List the available agents, tasks, ..., a line each: name, description and needs.
 
     Args:
         what: The things to list.
-        imports: Modules of yours to import first, see compare.
     """
     from mmc_gym import listing
 
-    import_modules(imports)
+    given.load()
     found: listing.Listing = getattr(listing, f"list_{what}")()
     print_list(make_console(), found.rows, found.headings)
 
 
 @_app.command
-def show(scenario: Positional[str], out: Path | None = None, imports: Imports = ()) -> None:
-    """Say all about a scenario: how to make it, what goes on in it, and what agents are told.
+def show(scenario: Positional[str], out: Path | None = None, given: Imports = NO_IMPORTS) -> None:
+    """Describe a scenario: how to make it, what happens in it, and what agents are given.
 
     Args:
         scenario: Name of a task, of a perturbation with any strength (delay-150), or an id.
         out: File to write a picture of it to, .png.
-        imports: Modules of yours to import first, see compare.
     """
     from mmc_gym import listing
 
-    import_modules(imports)
+    given.load()
     print_list(make_console(), listing.describe(scenario))
     if out is not None:
         print(f"wrote {listing.write_picture(scenario, out)}")
@@ -420,26 +424,20 @@ def record(
     env: str = "MMCReach-v0",
     episodes: int = 1,
     seed: int = 0,
-    env_kwargs: tuple[str, ...] = (),
-    imports: Imports = (),
-    allow_pickle: bool = False,
+    given: Played = PLAYED,
 ) -> None:
-    """Write a film of an agent at work, as .gif or .mp4; it takes no display.
+    """Write a film of an agent at work, as .gif or .mp4; this needs no display.
 
     Args:
-        out: The file to write; .mp4 takes the extra "video".
+        out: The file to write; .mp4 needs the extra "video".
         agent: The agent, see compare.
         env: Environment id, module:Id or module:function.
         episodes: How many episodes follow each other.
         seed: Seed of the starts and targets; the episodes are those of compare.
-        env_kwargs: Arguments of the environment, see compare.
-        imports: Modules of yours to import first, see compare.
-        allow_pickle: Load files that hold pickles, see compare.
     """
     from mmc_gym.record import record
 
-    import_modules(imports)
-    given = _values(env_kwargs)
+    given.load()
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes)
         record(
@@ -449,20 +447,10 @@ def record(
             episodes,
             seed,
             lambda _: bar.advance(task),
-            env_kwargs=given,
-            allow_pickle=allow_pickle,
+            env_kwargs=given.arguments,
+            allow_pickle=given.allow_pickle,
         )
     print(f"wrote {out}")
-
-
-@_app.command
-def completion(shell: Positional[Literal["bash", "zsh", "fish"]]) -> None:
-    """Print what makes a shell complete commands and options: source <(mmc-gym completion bash).
-
-    Args:
-        shell: The shell.
-    """
-    _app.cli(prog="mmc-gym", args=["--tyro-print-completion", shell])
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -472,8 +460,9 @@ def main(arguments: list[str] | None = None) -> None:
         return
     try:
         with _warnings_in_one_line():
-            _app.cli(prog="mmc-gym", args=arguments, description=DESCRIPTION)
-    except BrokenPipeError:  # whoever reads has had enough, as `head` does
+            config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --given.env-kwargs
+            _app.cli(prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config)
+    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
     except KeyboardInterrupt:
@@ -486,7 +475,8 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         message, status = str(error), 2
         if isinstance(error, CellError):
-            message, status = f"{message.splitlines()[0]} (where, tells {TRACEBACK}=1)", 1
+            message = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)"
+            status = 1
         print(f"mmc-gym: {message}", file=sys.stderr)
         raise SystemExit(status) from error
 

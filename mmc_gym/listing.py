@@ -1,4 +1,4 @@
-"""What there is to choose from, a line each; and one scenario, looked at closely."""
+"""Lists of what is available, a line each; and one scenario in detail."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class Listed(NamedTuple):
-    """A line of a list: the name of a thing, what it is, and what it needs or comes in."""
+    """A line of a list: the name of a thing, its description, and what it needs or its unit."""
 
     name: str
     what: str
@@ -41,11 +41,11 @@ class Listed(NamedTuple):
 
 
 class Listing(list[str]):
-    """Names; a notebook shows them as a table.
+    """Names; a notebook shows them as a table with descriptions.
 
     Attributes:
         headings: of the table's columns.
-        rows: a line on each.
+        rows: a line for each name.
     """
 
     def __init__(self, headings: Listed, rows: Iterable[Listed]) -> None:
@@ -77,7 +77,7 @@ def list_agents() -> Listing:
 def _needs_of_agent(entry: AgentEntry) -> str:
     if entry.training_seeds:
         return f"{entry.control}, 3 joints"
-    return "lengths, servo" if entry.knowledge.lengths.startswith("told") else "nothing"
+    return "lengths, servo" if entry.knowledge.lengths.startswith("given") else "nothing"
 
 
 def list_tasks() -> Listing:
@@ -145,7 +145,7 @@ def find_scenario(name: str) -> Scenario:
 
 
 def describe(name: str) -> Iterator[tuple[str, str]]:
-    """Yield headings and texts that say all about a scenario.
+    """Yield headings and texts that describe a scenario.
 
     Args:
         name: of a task or a perturbation with any strength; or the id of an environment.
@@ -163,7 +163,7 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
     yield "task", f"{task_name}: {_about(task)}"
     for one in found.perturbations:
         yield "perturbation", f"{one}: {_about(one)}"
-    yield "agents", "\n".join(_told(found, setup))
+    yield "agents", "\n".join(_given(found, setup))
     trials = "are drawn" if task.trial_count is None else f"are those of {task.trial_count} trials"
     seconds = task.episode_steps * setup.given_body.control_step
     length = f"{task.episode_steps} steps of {setup.given_body.control_step:g} s ({seconds:g} s)"
@@ -176,7 +176,7 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _about(thing: object) -> str:
-    """Return what a docstring says before it comes to arguments."""
+    """Return the part of a docstring before the arguments."""
     text = inspect.getdoc(type(thing)) or ""
     return " ".join(text.partition("Attributes:")[0].split())
 
@@ -194,21 +194,21 @@ def _ways_to_make(found: Scenario) -> Iterator[str]:
     yield f"mmc-gym benchmark --environments {found.name}"
 
 
-def _told(found: Scenario, setup: Any) -> Iterator[str]:
-    """Say what agents are told, and what differs from the arm that is simulated."""
+def _given(found: Scenario, setup: Any) -> Iterator[str]:
+    """Yield what agents are given, and how the simulated arm differs from that."""
     if not found.family:
-        yield "are told the arm as it is"
+        yield "are given the arm as it is"
         return
     if all(one.told for one in found.perturbations):
-        yield "are told"
+        yield "are given the perturbation"
     elif FAMILIES[found.family].told is None:
-        yield "are not told"
+        yield "are not given the perturbation"
     else:
-        yield f"are not told; with {found.name}-told they are"
+        yield f"are not given the perturbation; with {found.name}-told they are"
     for one in fields(setup.given_body):
-        told, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)
-        if told != true:
-            yield f"{one.name}: {_short(true)}, told {_short(told)}"
+        given, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)
+        if given != true:
+            yield f"{one.name}: {_short(true)}, given {_short(given)}"
 
 
 def _short(value: Any) -> str:
@@ -220,9 +220,9 @@ def _short(value: Any) -> str:
 def picture(
     name: str, steps: int = 11, options: dict[str, Any] | None = None, seed: int = 6
 ) -> NDArray[np.uint8]:
-    """Return a picture (height, width, 3) of a scenario: the MMC network's arm on its way.
+    """Return a picture (height, width, 3) of a scenario: an arm that the MMC network moves.
 
-    The thin arm is the network's own, ahead of the body.
+    The thin arm is the posture of the network, ahead of the body.
 
     Args:
         name: as in `describe`.

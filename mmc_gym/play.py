@@ -14,8 +14,8 @@ import pygame
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike
-from mmc_gym.benchmark.entries import Entry, make_together, one_entry
+from mmc_gym.agents.resolver import AgentLike, ResolvedAgent, resolve
+from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs import shapes as drawing
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import open_display
@@ -52,21 +52,20 @@ def play(
     """
     open_display(must_be_seen=True)
     try:
-        entry = one_entry(agent, allow_pickle=allow_pickle)
+        first = resolve(agent, allow_pickle=allow_pickle)
         given = {**(env_kwargs or {}), "render_mode": "rgb_array", "max_episode_steps": -1}
-        _play(entry, env, given, seed)
+        _play(first, env, given, seed)
     finally:
         pygame.display.quit()
 
 
-def _play(entry: Entry, env: EnvLike, env_kwargs: dict[str, Any], seed: int | None) -> None:
-    label, factory = entry.label, entry.agent.factory
-    world, _ = make_together(entry, env, env_kwargs)
+def _play(first: ResolvedAgent, env: EnvLike, env_kwargs: dict[str, Any], seed: int | None) -> None:
+    world, _ = make_player(first, env, env_kwargs)
     try:
         makers: dict[str, Callable[[], Predictor]]
         makers = {name: partial(entry.make, world) for name, entry in AGENTS.items()}
-        makers[label] = partial(factory, world)
-        Game(world, makers, label, seed).run()
+        makers[first.label] = partial(first.factory, world)
+        Game(world, makers, first.label, seed).run()
     finally:
         world.close()
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from mmc_gym._errors import UserError, missing
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike
-from mmc_gym.benchmark.entries import make_together, one_entry
+from mmc_gym.agents.resolver import AgentLike, resolve
+from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.scenarios import EnvLike
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
@@ -60,9 +60,10 @@ def record(
         raise UserError(f"out must be a file that ends in .gif or .mp4, got {str(out)!r}")
     if out.suffix == ".mp4":
         _require_ffmpeg()
-    entry = one_entry(agent, allow_pickle=allow_pickle)
+    resolved = resolve(agent, allow_pickle=allow_pickle)
     seeds = episode_seeds(seed, episodes)
-    world, player = make_together(entry, env, {**(env_kwargs or {}), "render_mode": "rgb_array"})
+    given = {**(env_kwargs or {}), "render_mode": "rgb_array"}
+    world, player = make_player(resolved, env, given)
     try:
         pictures = _pictures(player, RenderCollection(world), seeds, on_episode)
         film = films[out.suffix](pictures, world.metadata["render_fps"])

@@ -132,7 +132,7 @@ def test_the_version_is_printed_and_help_says_so(capsys):
 @pytest.mark.skipif(not shutil.which("bash"), reason="no bash")
 def test_bash_completes_commands_and_options(tmp_path, capsys):
     with pytest.raises(SystemExit) as stop:
-        main(["completion", "bash"])
+        main(["--tyro-print-completion", "bash"])
     assert not stop.value.code
     script = tmp_path / "completion.bash"
     script.write_text(capsys.readouterr().out)

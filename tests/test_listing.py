@@ -60,15 +60,15 @@ def test_an_id_is_as_good_as_a_name():
     assert list(describe("MMCReachLonger20-v0")) == list(describe("longer"))
 
 
-def test_it_says_what_agents_are_not_told_of_the_arm(capsys, monkeypatch):
+def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     main(["show", "longer-35"])
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80
-    assert "agents        are not told; with longer-35-told they are" in out
-    assert "segment_lengths: (1, 1, 1.35), told (1, 1, 1)" in out
+    assert "are not given the perturbation; with longer-35-told they are" in " ".join(out.split())
+    assert "segment_lengths: (1, 1, 1.35), given (1, 1, 1)" in out
     assert "segment_lengths" not in str(dict(describe("longer-35-told"))["agents"])
-    assert dict(describe("gravity"))["agents"] == "are told"
+    assert dict(describe("gravity"))["agents"] == "are given the perturbation"
 
 
 def test_a_scenario_is_drawn_into_a_file(tmp_path, capsys):

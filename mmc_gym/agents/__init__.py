@@ -1,11 +1,12 @@
 """Controllers for the reaching environments, all behind stable-baselines3's `predict`."""
 
 from mmc_gym.agents.base import Agent, Predictor
-from mmc_gym.agents.registry import AGENTS, AgentEntry, Knowledge
-from mmc_gym.agents.resolver import ResolvedAgent, make_agent, resolve, shipped_seeds
+from mmc_gym.agents.registry import AGENTS, REFERENCE, AgentEntry, Knowledge
+from mmc_gym.agents.resolver import ResolvedAgent, make_agent, resolve, resolve_all
 
 __all__ = [
     "AGENTS",
+    "REFERENCE",
     "Agent",
     "AgentEntry",
     "Knowledge",
@@ -13,5 +14,5 @@ __all__ = [
     "ResolvedAgent",
     "make_agent",
     "resolve",
-    "shipped_seeds",
+    "resolve_all",
 ]

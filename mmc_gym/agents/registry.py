@@ -1,7 +1,4 @@
-"""Controllers for the reaching environments, all behind stable-baselines3's `predict`.
-
-`AGENTS` lists them, with all that is known of each.  A new agent is one new entry.
-"""
+"""The agents of this package, with all that is known of each.  A new agent is one new entry."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ from mmc_gym.agents.inverse_kinematics import (
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm, tuned_mmc
 from mmc_gym.agents.optimal_control import OptimalControlAgent
 from mmc_gym.agents.planners import MinimumJerkAgent
-from mmc_gym.agents.views import VIEWS, View
+from mmc_gym.agents.policy_network import VIEWS, View
 from mmc_gym.interface import Control, ReachInterface
 from mmc_gym.network import LearnedNormalizer
 
@@ -41,28 +38,33 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Knowledge:
-    """The kind of an agent, what it is told of its body and what it senses, in words for a table.
+    """The kind of an agent, what it is given and what it senses, in words for a table.
 
     Attributes:
         kind: "yours" for one that does not ship with the package.
-        lengths: whether it is told the segment lengths.
-        actions: whether it is told what its actions do (the servo and its limits).
+        lengths: whether it is given the segment lengths.
+        actions: whether it is given what its actions do (the servo and its limits).
         senses: what it looks at, and when.
     """
 
     kind: Kind
-    lengths: str = "told"
-    actions: str = "told"
+    lengths: str = "given"
+    actions: str = "given"
     senses: str = "posture once, at the start; the target in every step"
 
 
 UNKNOWN = Knowledge("yours", "unknown", "unknown", "unknown")
 
+REFERENCE = "minimum jerk (ideal)"
+"""The name of the ideal hand, which plays without an arm, beside the agents."""
+
+IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
+
 
 def learned_knowledge(
     view: View, base_agent: str = "", kind: Kind = "learned", *, memory: int = 0
 ) -> Knowledge:
-    """Return what a trained policy is told and senses.
+    """Return what a trained policy is given and senses.
 
     Args:
         view: what it sees.
@@ -73,10 +75,10 @@ def learned_knowledge(
     senses = f"{VIEWS[view]}, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""
     if not base_agent:
-        unaware = "not told: had to learn"
+        unaware = "not given: had to learn"
         return Knowledge(kind, unaware, unaware, senses)
-    told = f"told to {base_agent}, which it corrects"
-    return Knowledge(kind, told, told, f"{senses}; and what {base_agent} proposes")
+    given = f"given to {base_agent}, which it corrects"
+    return Knowledge(kind, given, given, f"{senses}; and what {base_agent} proposes")
 
 
 @dataclass(frozen=True)
@@ -85,11 +87,12 @@ class AgentEntry:
 
     Attributes:
         description: a line.
-        build: makes it from what it is told; of trained agents, the one of training seed 0.
-        knowledge: its kind, what it is told, and what it senses.
-        control: the control mode in which it is compared.  What gives joint targets acts in every
-            mode that has a servo, but joint positions alone do not depend on late senses.
+        build: makes it from what it is given; of trained agents, the one of training seed 0.
+        knowledge: its kind, what it is given, and what it senses.
+        control: the control mode in which it is compared.  Agents that give joint targets act in
+            every mode that has a servo; only joint positions do not depend on late senses.
         training_seeds: how many trainings of it ship with the package; 0: it is not trained.
+        by_default: whether a benchmark plays it unless it is given others.
     """
 
     description: str
@@ -97,6 +100,7 @@ class AgentEntry:
     knowledge: Knowledge
     control: Control = "joint_position"
     training_seeds: int = 0
+    by_default: bool = True
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
         """Make it for an environment."""
@@ -110,17 +114,20 @@ def _mmc(
 
 
 _BODY = {
-    "lengths": "told, then identified",
+    "lengths": "given, then identified",
     "senses": "posture, speeds, seen hand and target in every step; estimates noise and delay, "
     "detects locked joints and contacts",
 }
 
 
-def _ik(description: str, solver: Solver, iterations_per_step: int = 3) -> AgentEntry:
+def _ik(
+    description: str, solver: Solver, iterations_per_step: int = 3, by_default: bool = True
+) -> AgentEntry:
     return AgentEntry(
         description,
         lambda interface: InverseKinematicsAgent(interface, solver, iterations_per_step),
         Knowledge("inverse kinematics"),
+        by_default=by_default,
     )
 
 
@@ -133,7 +140,7 @@ def _trained(
     view: View = "arm",
     base_agent: str = "",
     memory: int = 0,
-    command: str = "",
+    command: str = "mmc-gym train {}",
 ) -> AgentEntry:
     def build(interface: ReachInterface) -> Agent[Any]:
         # Not at the top: pydantic, which checks the card, takes a while to load.
@@ -142,7 +149,7 @@ def _trained(
         return PolicyAgent(*load_policy(shipped_file(name, 0)), interface)
 
     return AgentEntry(
-        f"{description}, trained by `{command or f'mmc-gym train {name}'}`",
+        f"{description}, trained by `{command.format(name)}`",
         build,
         learned_knowledge(view, base_agent, memory=memory),
         control=control,
@@ -152,7 +159,7 @@ def _trained(
 
 AGENTS: dict[str, AgentEntry] = {
     "mmc-body": _mmc(
-        "MMC network as internal model of a body that it finds out about: senses, body, locks, "
+        "MMC network as internal model of a body that it identifies: senses, body, locks, "
         "imagination, drive",
         mmc_body,
         **_BODY,
@@ -165,11 +172,11 @@ AGENTS: dict[str, AgentEntry] = {
     "mmc": _mmc("dynamic MMC network, best setting", dynamic_mmc),
     "mmc-classical": _mmc(
         "classical MMC network with the paper's constants, one iteration per control step",
-        lambda told: MMCAgent(told, network_of_arm(told)),
+        lambda interface: MMCAgent(interface, network_of_arm(interface)),
     ),
     "mmc-neural": _mmc(
         "as mmc, with the learned normalizer",
-        lambda told: dynamic_mmc(told, LearnedNormalizer.shipped()),
+        lambda interface: dynamic_mmc(interface, LearnedNormalizer.shipped()),
     ),
     "mmc-tuned": _mmc("as mmc, with constants that Optuna found (`mmc-gym tune mmc`)", tuned_mmc),
     "ik-dls": _ik("inverse kinematics by damped least squares", damped_least_squares),
@@ -207,10 +214,12 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
-        lambda told: RandomAgent(len(told.segment_lengths)),
-        Knowledge("baseline", "not told", "not told", "nothing"),
+        lambda interface: RandomAgent(len(interface.segment_lengths)),
+        Knowledge("baseline", "not given", "not given", "nothing"),
     ),
-    "ik-nullspace": _ik("as ik-dls, with a comfortable posture in the null space", null_space),
+    "ik-nullspace": _ik(
+        "as ik-dls, with a comfortable posture in the null space", null_space, by_default=False
+    ),
     "ik-closed-form": _ik(
         "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",
         closed_form,
@@ -218,7 +227,9 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "mmc-bell": _mmc(
         "classical MMC network on a minimum-jerk time base, for a bell-shaped speed",
-        lambda told: TimedMMCAgent(told, network_of_arm(told), iterations_per_step=2),
+        lambda interface: TimedMMCAgent(
+            interface, network_of_arm(interface), iterations_per_step=2
+        ),
     ),
     "minimum-jerk": AgentEntry(
         "minimum-jerk path of the hand, followed by damped least squares",
@@ -226,7 +237,7 @@ AGENTS: dict[str, AgentEntry] = {
         Knowledge("planner"),
     ),
     "optimal-control": AgentEntry(
-        "optimal feedback control (LQG with noise that grows with the command) of the arm as told",
+        "optimal feedback control (LQG with noise that grows with the command) of the given arm",
         OptimalControlAgent,
         Knowledge(
             "optimal control",

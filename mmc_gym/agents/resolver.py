@@ -1,16 +1,27 @@
-"""Finding out which agent is meant: by a name, the path of a file, a function or an object.
+"""Resolve agents: the one grammar for them, and all that is known of each.
 
-Nothing else in the package takes an agent's name apart.
+    mmc                            an agent of this package
+    ppo-3, ppo                     a trained one: its training of seed 3; all of them, or seed 0
+    runs/ppo-1/ppo-1.json          the file of a policy, or of a model of stable-baselines3 (.zip)
+    runs/ppo-1                     a folder with one of these
+    'runs/mine-*', 'mine-*.zip'    several trainings of one recipe: everything that matches
+    module:name                    your own function, class or object
+    LABEL=...                      any of these under another name
+
+In Python functions, classes, models of stable-baselines3 and other objects with `predict` are
+agents, too.  Nothing else in the package takes an agent's name apart.
 """
 
 from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property, partial
+from glob import glob
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,11 +31,13 @@ import cloudpickle
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import UserError, nearest, unknown
-from mmc_gym._modules import import_object, look_here
+from mmc_gym._errors import UserError, nearest, require, unknown
+from mmc_gym._files import import_object, look_here
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.registry import (
     AGENTS,
+    IDEAL,
+    REFERENCE,
     UNKNOWN,
     AgentEntry,
     Kind,
@@ -46,23 +59,26 @@ if TYPE_CHECKING:
 
 Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
 AgentLike: TypeAlias = "str | Path | Predictor | Factory | Callable[[Any], Any]"
+Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequence[AgentLike]]"
+"""Agents, in order; a mapping gives them labels, and a list in it is several trainings of one."""
 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedAgent:
-    """The agent that a name, a path, a function or an object stands for.
+    """An agent, or one of its trainings.
 
-    Files are read and modules imported when they are asked for; `check` asks for all.
+    Files are read and modules imported when something asks for them; `check` asks for all.  A
+    process that this is sent to reads them again.
 
     Attributes:
-        label: its name; the name of its file without suffix, or of its folder, function or class.
-        source: by which `resolve` finds it again, in another process too: "mmc", "ppo-3",
-            "runs/ppo-1.json" or "module:function"; empty for functions and objects.
-        name: its key in `AGENTS`; empty if it does not ship with the package.
+        label: the agent's name in tables and data.
+        source: the name from which `resolve` finds it again: "mmc", "ppo-3", "runs/ppo-1.json" or
+            "module:function"; empty for functions and objects.
+        name: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship with the package.
         policy: the path of its policy; None if it has none.
         model: its file of stable-baselines3; None if it has none.
-        given: what was handed in, if it was no name.
-        asked: the control mode that the user says it acts by; None if nothing is said.
+        given: the function or object itself; None for a name.
+        number: the place of this training among several whose files do not tell their seeds.
         allow_pickle: whether its pickles may be loaded.
     """
 
@@ -72,7 +88,7 @@ class ResolvedAgent:
     policy: Path | None = None
     model: SavedModel | None = None
     given: Any = None
-    asked: Control | None = None
+    number: int | None = None
     allow_pickle: bool = False
 
     @cached_property
@@ -88,28 +104,17 @@ class ResolvedAgent:
 
             return partial(load_agent, self.policy)
         if self.model is not None:
-            return self._loaded.acting_in
+            return self.model.load().acting_in
+        if self.is_reference:
+            return _refuse_reference
         if self.name:
             return AGENTS[self.name].make
         return partial(_made, self._thing, self.label)
 
     @cached_property
     def _thing(self) -> Any:
-        """What was handed in, or is imported by its name."""
+        """The function or object that was handed in, or is imported by its name."""
         return _imported(self.source) if self.given is None else self.given
-
-    @cached_property
-    def _loaded(self) -> ModelAgent:
-        assert self.model is not None
-        if not self.allow_pickle:
-            raise UserError(
-                f"agent {self.source!r} holds pickles, and to load them runs whatever code they "
-                "name: if you trust the file, say --allow-pickle (in Python: allow_pickle=True)"
-            )
-        loaded = self.model.load()
-        if self.asked is not None:
-            loaded.trained_in = loaded.trained_in._replace(control=self.asked)
-        return loaded
 
     @cached_property
     def card(self) -> PolicyCard | None:
@@ -127,10 +132,22 @@ class ResolvedAgent:
 
     @property
     def training_seed(self) -> int | None:
-        """The seed of its training, as its files have it; None if it is not trained, or unknown."""
+        """The seed of its training, from its files or counted; None if untrained or unknown."""
+        if self.number is not None:
+            return self.number
         if self.model is not None:
             return self.model.training_seed
         return None if self.card is None else self.card.seed
+
+    @property
+    def source_name(self) -> str:
+        """Its source; or for functions and objects a name that stands for it."""
+        return self.source or f"given:{self.label}"
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether it is the ideal hand, which needs no arm."""
+        return self.name == REFERENCE
 
     @property
     def entry(self) -> AgentEntry | None:
@@ -144,40 +161,42 @@ class ResolvedAgent:
 
     @property
     def own_control(self) -> Control | None:
-        """The only control mode that it acts by, as far as is known; None if it acts by several."""
-        if self.asked is not None:
-            return self.asked
+        """The only control mode that it acts by; None if it acts by several or does not tell.
+
+        An object may tell it by an attribute `control`.
+        """
         if self.card is not None:
             return self.card.control
         if self.model is not None:
             return self.model.trained_in.control
         if self.name:
             return None
+        if isinstance(self._thing, ModelAgent):
+            return self._thing.trained_in.control
         said = getattr(self._thing, "control", None)
-        if isinstance(said, str) and said in CONTROLS:
-            return said
-        return self._thing.trained_in.control if isinstance(self._thing, ModelAgent) else None
-
-    @property
-    def is_model(self) -> bool:
-        """Tells whether it is a model of stable-baselines3, which acts by one control mode only."""
-        return self.model is not None or isinstance(self.given, ModelAgent)
+        return said if isinstance(said, str) and said in CONTROLS else None
 
     @property
     def knowledge(self) -> Knowledge:
-        """Its kind, what it is told, and what it senses; of a policy, as its card has it."""
+        """Its kind, what it is given, and what it senses; of a policy, as its card says."""
         if self.card is not None:
             kind: Kind = "learned" if self.name else "yours"
             card, memory = self.card, sum(self.card.blocks)
             return learned_knowledge(card.view, card.base_agent, kind, memory=memory)
-        if self.is_model:
+        if self._is_model:
             return learned_knowledge("arm", kind="yours")
+        if self.is_reference:
+            return IDEAL
         return self.entry.knowledge if self.entry else UNKNOWN
 
     @property
     def acts_on_batches(self) -> bool:
-        """Tells whether it is known to act on batches: agents of this package and policies do."""
-        return bool(self.name) or self.policy is not None or self.is_model
+        """Whether it is known to act on batches: agents of this package, policies and models do."""
+        return bool(self.name) or self.policy is not None or self._is_model
+
+    @property
+    def _is_model(self) -> bool:
+        return self.model is not None or isinstance(self.given, ModelAgent)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -185,8 +204,8 @@ class ResolvedAgent:
 
         Of a policy these are its weights, together with the code if it corrects another agent; of
         a model its weights and statistics; of an agent without a policy the code of all agents and
-        of the network; of "module:function" the module's file, and of what was handed in its
-        pickle.  What that imports or reads may change unnoticed.  Empty where nothing is known.
+        of the network; of "module:function" the module's file, and of an object its pickle.  What
+        that imports or reads may change unnoticed.  Empty where nothing is known.
         """
         if self.card is not None:
             if not self.card.base_agent:
@@ -195,18 +214,10 @@ class ResolvedAgent:
         if self.model is not None:
             return self.model.digest
         if self.name:
-            return code_digest()
+            return "" if self.is_reference else code_digest()
         if isinstance(self.given, ModelAgent):
             return self.given.digest
-        if self.given is not None:
-            return _digest_of_pickle(self.given)
-        look_here()
-        try:
-            spec = find_spec(self.source.partition(":")[0]) if self.source else None
-        except (ImportError, ValueError):  # no such package, or __main__, which has no spec
-            spec = None
-        file = Path(spec.origin) if spec is not None and spec.origin else Path()
-        return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+        return _digest_of_module(self.source) if self.source else _digest_of_pickle(self.given)
 
     def check(self) -> None:
         """Import its module, or read its policy or model.
@@ -215,32 +226,24 @@ class ResolvedAgent:
             FileNotFoundError: if a file is missing.
             UserError: if it cannot be imported, is damaged, or is pickled and that is not allowed.
         """
-        if self.model is not None:
-            _ = self.model.facts  # a file that is missing, or no model, is told first
-        _ = self.factory, self.card
+        if not self.is_reference:
+            _ = self.factory, self.card
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The fingerprint travels along: pickles of one object may differ between processes.
+        kept = {"fingerprint", *(field.name for field in fields(self))}
+        return {name: value for name, value in vars(self).items() if name in kept}
 
 
 def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
-    """Find out which agent is meant.
+    """Identify an agent; of several trainings, the first.
 
     Args:
-        agent: one of
-
-            - a key of `AGENTS`, which for trained agents is the training of seed 0,
-            - "NAME-SEED", such as "ppo-3", for another of its trainings,
-            - the path of a policy, of either of its two files; it may have any character in it,
-            - the path of a zip file that a model of stable-baselines3 was saved to,
-            - the path of a folder with one of these, such as those that `mmc-gym train` and
-              rl_zoo3 write,
-            - "module:name": a function or class in a module; modules in the working directory are
-              found,
-            - such a function or class itself: it is called with the environment and returns an
-              object with `predict`; or, if it does not, it is called with observations and returns
-              actions,
-            - a model of stable-baselines3, or any other object with `predict`.
-
-            "@" and a control mode may follow a name or path, "model.zip@joint_velocity"; an object
-            may say it by an attribute `control`.
+        agent: a name or path as above.  "ppo" is its training of seed 0; folders are those that
+            `mmc-gym train` and rl_zoo3 write; modules in the working directory are found.  Or a
+            model of stable-baselines3, or another object with `predict`.  Or a function or class:
+            it is called with the environment and returns such an object; or, if it does not, it is
+            called with observations and returns actions.
         allow_pickle: whether files that hold pickles may be loaded, which runs whatever code they
             name: those of stable-baselines3 do.
 
@@ -249,14 +252,126 @@ def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
 
     >>> resolve("ppo-3").name, resolve("ppo-3").training_seed, resolve("mmc").training_seed
     ('ppo', 3, None)
-    >>> resolve("mmc@joint_velocity").control
-    'joint_velocity'
+    >>> resolve("mine=mmc").label
+    'mine'
     """
+    return _trainings([agent], "", allow_pickle, every_training=False)[0]
+
+
+def resolve_all(
+    agents: Agents, *, allow_pickle: bool = False, every_training: bool = True
+) -> list[ResolvedAgent]:
+    """Return each training of each agent, in the order given, and check all of them.
+
+    Args:
+        agents: one or several, see `resolve`; see `Agents` for a mapping.
+        allow_pickle: see `resolve`.
+        every_training: whether the name of an agent that ships trained, such as "ppo", stands for
+            all its trainings; or else for that of seed 0.
+
+    Raises:
+        UserError: if there is none, an unknown one, or two of one label and training seed; or a
+            file holds no policy, or pickles that may not be loaded.
+        FileNotFoundError: if a file is missing.
+
+    >>> [(one.label, one.training_seed) for one in resolve_all(["mmc", "mine=ppo-3"])]
+    [('mmc', None), ('mine', 3)]
+    """
+    fine = isinstance(agents, Iterable)
+    require(fine, "agents", agents, "a list of agents, such as ['mmc', 'ppo'], or a mapping")
+    found = []
+    if isinstance(agents, Mapping):
+        for label, given in agents.items():
+            require(isinstance(label, str), "the label of an agent", label, "a text")
+            sources = given if isinstance(given, (list, tuple)) else [given]
+            found += _trainings(sources, label, allow_pickle, every_training)
+    else:
+        for one in [agents] if isinstance(agents, str) else agents:
+            found += _trainings([one], "", allow_pickle, every_training)
+    if not found:
+        raise UserError("agents must be one or more, such as mmc and ppo, got none")
+    seen = set()
+    for one in found:
+        one.check()
+        key = one.label, one.training_seed
+        if key in seen:
+            raise UserError(
+                f"agents must have different names, got {one.label} repeatedly; LABEL=... gives "
+                "another name"
+            )
+        seen.add(key)
+    return found
+
+
+def _trainings(
+    sources: Sequence[AgentLike], label: str, allow_pickle: bool, every_training: bool
+) -> list[ResolvedAgent]:
+    """Return the trainings of one agent, by their own seeds if all differ, or else counted."""
+    if not sources:
+        raise UserError(f"agents must be given with at least one training, got none of {label!r}")
+    found = []
+    for source in sources:
+        named = ""
+        several: list[AgentLike] = [source]
+        if isinstance(source, (str, Path)):
+            named, name = _labelled(str(source))
+            common, several = _expanded(name, every_training)
+            named = named or common
+        label = label or named
+        found += [_resolved(one, allow_pickle) for one in several]
+    if len(found) > 1:
+        seeds = [one.training_seed for one in found]
+        if None in seeds or len(set(seeds)) < len(seeds):
+            found = [replace(one, number=number) for number, one in enumerate(found)]
+    return [replace(one, label=label) for one in found] if label else found
+
+
+def _labelled(text: str) -> tuple[str, str]:
+    """Take `LABEL=SOURCE` apart; the label is "" where there is none."""
+    label, sign, source = text.partition("=")
+    # Folders and files may have an = in them.
+    if not sign or "/" in label or "\\" in label or Path(text).exists() or glob(text):
+        return "", text
+    if not label:
+        raise UserError(f"agents must have names, got {text!r}")
+    return label, source
+
+
+def _expanded(source: str, every_training: bool) -> tuple[str, list[AgentLike]]:
+    """Return the trainings that a name or pattern stands for, and a label for several."""
+    name = source.removesuffix("-*")
+    trained = name in AGENTS and AGENTS[name].training_seeds > 0
+    if trained and (every_training or name != source):
+        return name, [f"{name}-{seed}" for seed in range(AGENTS[name].training_seeds)]
+    if "*" not in source or Path(source).exists():
+        return "", [source]
+    # Of a policy's two files one is enough.
+    suffixes = (".safetensors",) if source.endswith(".safetensors") else (".json", SUFFIX)
+    paths = sorted(glob(source), key=_numbers)
+    found = [path for path in paths if path.endswith(suffixes) or Path(path).is_dir()]
+    if not found:
+        raise UserError(f"agents must match a file or a folder, got {source!r}")
+    return _common_label(source), list(found)
+
+
+def _numbers(path: str) -> list[Any]:
+    """Return a key that sorts mine-2 before mine-10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path)]
+
+
+def _common_label(pattern: str) -> str:
+    """Return a label for the trainings of a pattern: "mine" of "runs/mine-*.zip"."""
+    parts = [part for part in Path(pattern).parts if part.strip("*")]
+    name = next((part for part in reversed(parts) if "*" in part), parts[-1] if parts else pattern)
+    return re.sub(r"\.(zip|json|safetensors)$|\*", "", name).strip("-_.") or pattern
+
+
+def _resolved(agent: AgentLike, allow_pickle: bool) -> ResolvedAgent:
+    """Return the agent of a name without label, or of a function or object."""
     if isinstance(agent, (str, Path)):
         return _resolve_name(str(agent), allow_pickle)
     if is_model(agent):
-        made = agent_of_model(agent)
-        return ResolvedAgent(made.label, "", given=made)
+        agent = agent_of_model(agent)
     if isinstance(agent, ModelAgent):
         return ResolvedAgent(agent.label, "", given=agent)
     if hasattr(agent, "predict") or callable(agent):
@@ -266,19 +381,14 @@ def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
 
 
 def _resolve_name(name: str, allow_pickle: bool) -> ResolvedAgent:
-    before, at, control = name.rpartition("@")
-    if at and control in CONTROLS:
-        found = _resolve_name(before, allow_pickle)
-        return replace(found, source=name, asked=control)
-    if name in AGENTS and not AGENTS[name].training_seeds:
+    if name == REFERENCE or (name in AGENTS and not AGENTS[name].training_seeds):
         return ResolvedAgent(name, name, name)
     from mmc_gym.agents.policy import is_policy_path, shipped_file
 
     if is_policy_path(name):
         return ResolvedAgent(Path(name).stem, name, policy=Path(name))
     if name.endswith(SUFFIX):
-        model = SavedModel(Path(name))
-        return ResolvedAgent(Path(name).stem, name, model=model, allow_pickle=allow_pickle)
+        return _of_model(Path(name).stem, name, Path(name), allow_pickle)
     kind, _, seed = (name, "", "0") if name in AGENTS else name.rpartition("-")
     if kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds)):
         path = shipped_file(kind, int(seed))
@@ -292,21 +402,24 @@ def _resolve_name(name: str, allow_pickle: bool) -> ResolvedAgent:
 
 def _resolve_folder(folder: Path, name: str, allow_pickle: bool) -> ResolvedAgent:
     label = folder.resolve().name
-    policies = [one for one in sorted(folder.glob("*.json")) if _has_weights(one)]
-    if len(policies) == 1:
-        return ResolvedAgent(label, name, policy=policies[0])
-    path = None if policies else find_model(folder)
+    cards = [
+        one for one in sorted(folder.glob("*.json")) if one.with_suffix(".safetensors").is_file()
+    ]
+    if len(cards) == 1:
+        return ResolvedAgent(label, name, policy=cards[0])
+    path = None if cards else find_model(folder)
     if path is None:
-        names = ", ".join(one.name for one in policies) or "none"
+        names = ", ".join(one.name for one in cards) or "none"
         raise UserError(
             f"agent {name!r} must be a folder with one policy, or with a zip file of "
             f"stable-baselines3, got {names}"
         )
-    return ResolvedAgent(label, name, model=SavedModel(path), allow_pickle=allow_pickle)
+    return _of_model(label, name, path, allow_pickle)
 
 
-def _has_weights(card: Path) -> bool:
-    return card.with_suffix(".safetensors").is_file()
+def _of_model(label: str, source: str, path: Path, allow_pickle: bool) -> ResolvedAgent:
+    model = SavedModel(path, allow_pickle)
+    return ResolvedAgent(label, source, model=model, allow_pickle=allow_pickle)
 
 
 def _unknown(agent: object) -> UserError:
@@ -321,6 +434,10 @@ def _unknown(agent: object) -> UserError:
         "the path of a policy's file or folder or of a model's .zip",
         guess=nearest(agent, [*AGENTS, *trained]),
     )
+
+
+def _refuse_reference(env: object) -> Predictor:
+    raise CannotActError(f"{REFERENCE!r} is a hand without an arm, which acts in no environment")
 
 
 def _imported(path: str) -> Any:
@@ -358,7 +475,7 @@ def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
 
 
 def _gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bool:
-    """Tell whether a function returns something of an action's shape for an observation."""
+    """Return whether a function returns something of an action's shape for an observation."""
     space = deepcopy(env.observation_space)
     space.seed(0)
     try:
@@ -369,10 +486,9 @@ def _gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bo
 
 
 class FunctionAgent:
-    """A function of observations that returns actions."""
+    """A function of observations that returns actions, or pairs of action and state."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
-        """Make the agent of a function; it may return a pair as `predict` does."""
         self._function = function
 
     def predict(
@@ -388,7 +504,7 @@ class FunctionAgent:
 
 
 def _with_whole_signature(agent: Any) -> Predictor:
-    """Return the agent itself, or one that spares it what its `predict` does not take."""
+    """Return the agent itself; or one that leaves out what its `predict` does not take."""
     try:
         inspect.signature(agent.predict).bind(None, None, None, deterministic=True)
     except TypeError:
@@ -396,6 +512,16 @@ def _with_whole_signature(agent: Any) -> Predictor:
     except ValueError:  # it has no signature that Python knows
         pass
     return cast(Predictor, agent)
+
+
+def _digest_of_module(source: str) -> str:
+    look_here()
+    try:
+        spec = find_spec(source.partition(":")[0])
+    except (ImportError, ValueError):  # no such package, or __main__, which has no spec
+        spec = None
+    file = Path(spec.origin) if spec is not None and spec.origin else Path()
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 def _digest_of_pickle(thing: Any) -> str:
@@ -427,9 +553,8 @@ def make_agent(
     Args:
         name: a key of `AGENTS`, "NAME-SEED" such as "ppo-3", the path of your own policy such as
             "runs/ppo-1/ppo-1.json", or "module:function"; see `resolve` for all.
-        env: a reaching environment; the agent is told its segment lengths and control mode.
-        allow_pickle: whether files that hold pickles may be loaded, which runs whatever code they
-            name: those of stable-baselines3 do.
+        env: a reaching environment; the agent is given its segment lengths and control mode.
+        allow_pickle: whether files that hold pickles may be loaded, see `resolve`.
 
     Raises:
         UserError: for an unknown name, a file that holds no policy, or what is no reaching
@@ -447,11 +572,3 @@ def make_agent(
     True
     """
     return cast("Agent[Any]", resolve(name, allow_pickle=allow_pickle).factory(env))
-
-
-def shipped_seeds(name: str) -> list[int]:
-    """Return the training seeds of an agent whose policies are there; none if it is not trained."""
-    from mmc_gym.agents.policy import shipped_file
-
-    seeds = range(AGENTS[name].training_seeds)
-    return [seed for seed in seeds if shipped_file(name, seed).is_file()]

@@ -4,19 +4,17 @@ A model acts as it was trained: on observations normalized by the statistics of 
 and in the control mode of its environment, as far as that is known.
 
 A zip file holds pickles, and so does a file of `VecNormalize`: loading one runs whatever code it
-names.  They are loaded only if the user allows it.  What can be read without, is: the seed, the
-number of steps, and the YAML files of rl_zoo3.
+names.  They are loaded only if the user allows it.  The seed, the number of steps and the YAML
+files of rl_zoo3 are read without running code.
 """
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import inspect
 import io
 import json
 import pickle
-import re
 import sys
 import warnings
 import zipfile
@@ -49,11 +47,10 @@ if TYPE_CHECKING:
 SUFFIX = ".zip"
 # What a policy is made of; nothing else in a zip file is unpickled.
 _NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde")
-_CHECKPOINT = re.compile(r"(?P<prefix>.+)_(?P<steps>\d+)_steps")  # of CheckpointCallback
 
 
 class World(NamedTuple):
-    """What is known of the environment that a model was trained in; None where it is not.
+    """The environment that a model was trained in; None where it is not known.
 
     Attributes:
         control: its control mode.
@@ -70,9 +67,11 @@ class World(NamedTuple):
 class ModelAgent(Agent[Any]):
     """The policy of a model, with the statistics that its observations are normalized by.
 
+    Of a model that is trained further, both are always the present ones.
+
     Attributes:
         label: of the model, for messages.
-        trained_in: what is known of the environment that it was trained in.
+        trained_in: the environment that it was trained in.
     """
 
     def __init__(
@@ -105,7 +104,8 @@ class ModelAgent(Agent[Any]):
     def acting_in(self, env: Any) -> ModelAgent:
         """Return the agent itself if it can act in an environment.
 
-        A `MismatchWarning` tells of another arm than in training, and of wrappers that `env` lacks.
+        Warn, by a `MismatchWarning`, of another arm than in training, and of wrappers that `env`
+        lacks.
 
         Raises:
             ControlError: if its actions are of another control mode.
@@ -158,7 +158,7 @@ def _warn(message: str) -> None:
 
 
 def is_model(thing: object) -> bool:
-    """Tell whether it is a model or a policy of stable-baselines3, which is not imported for it."""
+    """Return whether it is a model or a policy of stable-baselines3, without importing that."""
     if "stable_baselines3" not in sys.modules:
         return False
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -168,15 +168,12 @@ def is_model(thing: object) -> bool:
 
 
 def agent_of_model(model: Any) -> ModelAgent:
-    """Return the agent of a model or a policy, with all that its environment tells, if it has one.
-
-    The statistics of its `VecNormalize` are those of this moment, in which a training may go on.
-    """
+    """Return the agent of a model or a policy, and what its environment tells, if it has one."""
     env = getattr(model, "env", None)
-    normalizer = None if env is None else model.get_vec_normalize_env()
     return ModelAgent(
         getattr(model, "policy", model),
-        copy.deepcopy(normalizer),  # without its environment, as it is pickled
+        # It drops its environment when it is pickled.
+        None if env is None else model.get_vec_normalize_env(),
         label=type(model).__name__,
         training_steps=int(getattr(model, "num_timesteps", 0)),
         trained_in=World() if env is None else _world(env),
@@ -211,13 +208,18 @@ def _wrappers(env: Any) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class SavedModel:
-    """A zip file of stable-baselines3, with what lies beside it.
+    """A zip file of stable-baselines3, with the files beside it.
 
-    Beside it may lie the statistics of its `VecNormalize`, and what rl_zoo3 writes: a folder with
+    These may be the statistics of its `VecNormalize`, and what rl_zoo3 writes: a folder with
     args.yml, config.yml and vecnormalize.pkl.
+
+    Attributes:
+        path: of the file.
+        allow_pickle: whether its pickles may be loaded, and modules imported that files name.
     """
 
     path: Path
+    allow_pickle: bool = False
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:
@@ -256,19 +258,27 @@ class SavedModel:
 
     @cached_property
     def trained_in(self) -> World:
-        """What rl_zoo3's files tell of the environment; nothing without them."""
+        """The environment as rl_zoo3's files describe it; unknown without them.
+
+        To know its defaults and its arm, it is made.  That imports a module unless it is an
+        environment of this package; so without `allow_pickle` others tell a control mode only
+        where the files have it.
+        """
         env_id = self.arguments.get("env")
-        if not isinstance(env_id, str):
-            return World()
         given: dict[str, Any] = {}
         for entries in (self.config, self.arguments):
             found = entries.get("env_kwargs")
             given |= found if isinstance(found, dict) else {}
+        control = given.get("control")
+        known = World(control if control in CONTROLS else None)
+        spec = gym.registry.get(str(env_id))
+        is_ours = spec is not None and str(spec.entry_point).startswith("mmc_gym.")
+        if not isinstance(env_id, str) or not (is_ours or self.allow_pickle):
+            return known
         try:
             env: gym.Env[Any, Any] = gym.make(env_id, **given)
         except (gym.error.Error, ImportError, TypeError, ValueError):  # it is not there any more
-            control = given.get("control")
-            return World(control if control in CONTROLS else None)
+            return known
         found = World(read_attribute(env, "control"), read_attribute(env, "unperturbed"))
         env.close()
         return found
@@ -285,20 +295,17 @@ class SavedModel:
         unused = self.facts.get("_last_original_obs") is None and self.facts.get("num_timesteps")
         if asked is False or (asked is None and (self.config or unused)):
             return None
-        stem, folder = self.path.stem, self.path.parent
-        names = [f"{stem}.pkl", f"{stem}_vecnormalize.pkl"]
-        if match := _CHECKPOINT.fullmatch(stem):
-            names.insert(0, f"{match['prefix']}_vecnormalize_{match['steps']}_steps.pkl")
-        for name in names:
-            if (folder / name).is_file():
-                return folder / name
-        named = re.compile(r".*norm.*\.pkl", re.IGNORECASE)
-        found = sorted(file for file in self._near() if named.fullmatch(file.name))
+        pickles = [file for file in self._near() if file.suffix == ".pkl"]
+        # model.pkl or model_vecnormalize.pkl; and of CheckpointCallback
+        # model_vecnormalize_1000_steps.pkl of model_1000_steps.zip.
+        mine = [
+            file for file in pickles if file.stem.replace("_vecnormalize", "") == self.path.stem
+        ]
+        found = mine or [file for file in pickles if "norm" in file.name.lower()]
         if len(found) > 1:
-            listed = ", ".join(map(str, found))
             raise UserError(
                 f"{self.path} must have one file of VecNormalize beside it, or one called "
-                f"{names[0]}, got {listed}"
+                f"{self.path.stem}_vecnormalize.pkl, got {', '.join(map(str, sorted(found)))}"
             )
         if not found and asked:
             raise UserError(
@@ -318,12 +325,19 @@ class SavedModel:
 
         Raises:
             FileNotFoundError: if there is no such file.
-            UserError: if it cannot be loaded, or acts behind wrappers that rl_zoo3 has put.
+            UserError: if that is not allowed, it cannot be loaded, or it acts behind wrappers of
+                rl_zoo3.
         """
+        _ = self.facts  # a file that is missing, or no model, is said first
+        if not self.allow_pickle:
+            raise UserError(
+                f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
+                "name: if you trust the file, say --allow-pickle (in Python: allow_pickle=True)"
+            )
         for name in ("env_wrapper", "vec_env_wrapper", "frame_stack"):
             if self.config.get(name):
                 raise UserError(
-                    f"{self.path} was trained behind {name}: {self.config[name]}, which is not put "
+                    f"{self.path} was trained behind {name}: {self.config[name]}, which is missing "
                     "here: give a function of the environment that returns an object with predict"
                 )
         steps = self.facts.get("num_timesteps")

@@ -1,29 +1,49 @@
-"""`mmc-gym compare`: agents play the same episodes."""
+"""`mmc-gym compare`: agents play the same episodes; the result as table, figure and files."""
 
 from __future__ import annotations
 
+import io
+import json
+import platform
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from html import escape
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import pandas as pd
 from rich.console import Console
 
-from mmc_gym._console import print_written, progress_bar
-from mmc_gym._files import check_folder
+from mmc_gym._console import (
+    cell,
+    make_console,
+    print_columns,
+    print_written,
+    progress_bar,
+    text_for,
+)
+from mmc_gym._errors import require_choice
+from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Predictor
-from mmc_gym.benchmark.comparison import Comparison
-from mmc_gym.benchmark.entries import Agents, Entry, find_entries, make_together, training_steps
-from mmc_gym.benchmark.reference import REFERENCE, has_reference, minimum_jerk_episodes
-from mmc_gym.benchmark.statistics import summarize
+from mmc_gym.agents.registry import REFERENCE
+from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve, resolve_all
+from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
 from mmc_gym.benchmark.store import episode_columns
-from mmc_gym.envs.scenarios import EnvLike, name_of
+from mmc_gym.benchmark.suite import has_reference, make_player, minimum_jerk_episodes
+from mmc_gym.envs.scenarios import EnvLike, make_environment, name_of
 from mmc_gym.interface import read_attribute
 from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures, run_episodes
+from mmc_gym.measures.catalogue import shown_measures
 from mmc_gym.measures.rollout import check_environment
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
 _REFRESH = 0.1  # seconds between two drawings of the progress bar
 
 
@@ -41,7 +61,7 @@ def compare(
     """Let agents play the same episodes.
 
     An ideal hand that meets the same targets stands beside them, where there is one (`REFERENCE`).
-    All arguments are checked, and the agents made, before the first episode.
+    Check all arguments, and make the agents, before the first episode.
 
     Args:
         agents: names, paths of files, functions, classes, models of stable-baselines3, or other
@@ -71,33 +91,37 @@ def compare(
         {'random': 2, 'minimum jerk (ideal)': 2}
     """
     given = dict(env_kwargs or {})
-    entries = find_entries(agents, allow_pickle=allow_pickle, every_training=False)
+    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
     seeds = episode_seeds(seed, episodes)
     if out is not None:
         out = check_folder(out, "out")
+    with closing(make_environment(env, **given)) as made:
+        check_environment(made)
     envs: list[gym.Env[Any, Any]] = []
     players: list[Predictor] = []
     try:
         # All are made before the first one plays: a missing file should not cost the others' work.
-        for entry in entries:
-            made, player = make_together(entry, env, given, check_environment)
+        for agent in found:
+            made, player = make_player(agent, env, given)
             envs.append(made)
             players.append(player)
-        played = _play(entries, players, envs, seeds)
-        if has_reference(envs[0]):
-            entries.append(Entry(REFERENCE, None, REFERENCE))
-            played.append(minimum_jerk_episodes(played[0]))
+        played = _play(found, players, envs, seeds)
         reach = float(envs[0].get_wrapper_attr("reach"))
     finally:
         for made in envs:
             made.close()
-    table = _tidy(entries, played)
+    steps = {
+        agent.label: getattr(player, "training_steps", None)
+        for agent, player in zip(found, players)
+    }
+    if has_reference(envs[0]):
+        found.append(resolve(REFERENCE))
+        played.append(minimum_jerk_episodes(played[0]))
+        steps[REFERENCE] = 0
+    table = _tidy(found, played)
     recorded: dict[str, tuple[Episode, ...]] = {}
-    for entry, one in zip(entries, played):
-        recorded[entry.label] = recorded.get(entry.label, ()) + one
-    steps = {entry.label: training_steps(player) for entry, player in zip(entries, players)}
-    if REFERENCE in recorded:
-        steps.setdefault(REFERENCE, 0)
+    for agent, one in zip(found, played):
+        recorded[agent.label] = recorded.get(agent.label, ()) + one
     summary = summarize(leave_out_failures(table), tuple(MEASURES.values()), seed)
     comparison = Comparison(
         env=name_of(env),
@@ -109,7 +133,7 @@ def compare(
         summary=summary,
         env_kwargs=given,
         controls={
-            entry.label: str(read_attribute(made, "control")) for entry, made in zip(entries, envs)
+            agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
         },
     )
     written = comparison.write(out) if out is not None else []  # safe before anything is printed
@@ -119,18 +143,227 @@ def compare(
     return comparison
 
 
-def _tidy(entries: Sequence[Entry], played: Sequence[Sequence[Episode]]) -> pd.DataFrame:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """The result of a comparison.
+
+    `print` it for the table; the last line of a notebook's cell shows it as HTML.
+
+    Attributes:
+        env: id of the environment.
+        seed: of the starts, the targets and the resampling.
+        reach: of the arm, segment lengths.
+        recorded: the episodes of each agent, of one training after the other, and of `REFERENCE`
+            if there are any; the i-th of each training have the same start and target.
+        training_steps: environment steps spent in training each agent; None if unknown.
+        episodes: one row per agent, training and episode: agent, training_seed, episode, seed,
+            start, target, measures.
+        summary: one row per agent and measure, see `statistics.summarize`; of the episodes that
+            ended at the target, for measures of `successes_only`.
+        env_kwargs: arguments of the environment.
+        controls: the control mode in which each agent acted.
+    """
+
+    env: str
+    seed: int
+    reach: float
+    recorded: Mapping[str, tuple[Episode, ...]]
+    training_steps: Mapping[str, int | None]
+    episodes: pd.DataFrame
+    summary: pd.DataFrame
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    controls: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def agents(self) -> list[str]:
+        """The labels of the agents, without the ideal hand unless it is alone."""
+        return [label for label in self.recorded if label != REFERENCE] or [REFERENCE]
+
+    @property
+    def trainings(self) -> dict[str, int]:
+        """The number of trainings of each agent; 1 also for an agent without training."""
+        return {agent: len(of) // self._episodes for agent, of in self.recorded.items()}
+
+    @property
+    def _episodes(self) -> int:
+        """The number of episodes that each training of an agent played."""
+        return int(self.episodes["episode"].nunique())
+
+    @property
+    def headline(self) -> str:
+        """The success of each agent, in a line."""
+        means = self.episodes.groupby("agent")["success"].mean()[self.agents]
+        success = MEASURES["success"]
+        shares = ", ".join(f"{agent} {success.quantity(mean)}" for agent, mean in means.items())
+        return f"{success.label}: {shares}"
+
+    @property
+    def note(self) -> str:
+        """How to read the numbers: the lines below the table, and in summary.json."""
+        one, shown = next(iter(self.recorded.values())), shown_measures()
+        means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
+        of_all = ", ".join(measure.label for measure in shown if not measure.successes_only)
+        reference = (
+            f"{REFERENCE}: a hand without an arm, through the same measures. "
+            if REFERENCE in self.recorded
+            else ""
+        )
+        arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
+        where = f"{self.env} with {arguments}" if arguments else self.env
+        return (
+            f"{where}, {self._episodes} episodes, the same starts and targets for all agents. "
+            f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
+            f"segment lengths; at the target: within {one[0].tolerance:g}. "
+            f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
+            f"{self._episodes} have a value (none where the hand started there). {reference}"
+            f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
+            f"{self._replication}"
+        )
+
+    @property
+    def _replication(self) -> str:
+        several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
+        over_both = (
+            f"The intervals of {', '.join(several)} replicate over trainings (so many) and "
+            "episodes. "
+            if several
+            else ""
+        )
+        others = "The intervals of the others" if several else "The intervals"
+        return (
+            f"{over_both}{others} replicate over episodes (starts and targets), NOT over training "
+            "seeds: each agent is the result of one training, or of none."
+        )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything that the comparison was made with, ready for JSON."""
+        one = next(iter(self.recorded.values()))
+        agents = [agent for agent in self.recorded if agent != REFERENCE]
+        return {
+            "environment": self.env,
+            "env_kwargs": json.loads(json.dumps(dict(self.env_kwargs), default=repr)),
+            "controls": dict(self.controls),
+            "agents": agents,
+            "reference": REFERENCE if REFERENCE in self.recorded else None,
+            "training_steps": {agent: self.training_steps[agent] for agent in agents},
+            "trainings": {agent: self.trainings[agent] for agent in agents},
+            "episodes": self._episodes,
+            "seed": self.seed,
+            "control_step": one[0].control_step,
+            "tolerance": one[0].tolerance,
+            "confidence": CONFIDENCE,
+            "bootstrap_resamples": RESAMPLES,
+            "bootstrap_method": "percentile, over episodes, and trainings if an agent has several",
+            "python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            "versions": {package: version(package) for package in _PACKAGES},
+            "note": self.note,
+        }
+
+    def to_frame(self, value: str = "estimate") -> pd.DataFrame:
+        """Return a row for each agent and a column for each measure.
+
+        `episodes` and `summary` hold the same in long form.
+
+        Args:
+            value: "estimate", an end of its interval ("low", "high"), or how many episodes have a
+                value ("count") and how many have none ("missing").
+
+        Raises:
+            UserError: for another value.
+        """
+        require_choice("value", value, ("estimate", "low", "high", "count", "missing"))
+        frame = self.summary.pivot(index="agent", columns="measure", values=value)
+        return frame.loc[list(self.recorded), list(self.summary["measure"].unique())]
+
+    def plot(self, figure: Figure | None = None) -> Figure:
+        """Return a figure: hand paths above, speed profiles below, a column for each agent.
+
+        Args:
+            figure: to draw on, such as `plt.figure(layout="constrained")`, which `plt.show()` then
+                shows; a new one if None.
+        """
+        from mmc_gym._plotting import PlottedMovement, paths_and_profiles
+
+        movements = {
+            agent: [PlottedMovement(one.seen_hands, one.target, one.speeds) for one in episodes]
+            for agent, episodes in self.recorded.items()
+        }
+        one = next(iter(self.recorded.values()))[0]
+        return paths_and_profiles(movements, self.reach, one.tolerance, one.control_step, figure)
+
+    def print(self, console: Console | None = None) -> None:
+        """Print headline, table and note; to standard output by default."""
+        console = console or make_console()
+        table = self._table()
+        best = [MEASURES[one.name].best.replace("neither", "") for one in shown_measures()]
+        labels = {"": list(table.index), "best": [*best, ""]}
+        console.print(text_for(console, self.headline))
+        columns = {str(agent): list(cells) for agent, cells in table.items()}
+        print_columns(console, labels, columns, self.note)
+
+    def write(self, out: Path) -> list[Path]:
+        """Write episodes.csv, summary.csv, summary.json and the figure into the folder `out`."""
+        from mmc_gym._plotting import save_figure
+
+        summary = self.summary.assign(
+            training_steps=self.summary["agent"].map(self.training_steps).astype("Int64")
+        )
+        # Of an interrupted run, either the old file or the new one is left, never half of it.
+        written = [
+            write_atomically(out / "episodes.csv", _csv(self.episodes)),
+            write_atomically(out / "summary.csv", _csv(summary)),
+            write_atomically(out / "summary.json", json.dumps(self.settings, indent=2) + "\n"),
+        ]
+        return written + save_figure(self.plot(), out / "paths_and_profiles")
+
+    def __repr__(self) -> str:
+        count = f"{self._episodes} episodes each"
+        return f"<Comparison of {', '.join(self.agents)} in {self.env}, {count}>"
+
+    def __str__(self) -> str:
+        console = Console(file=io.StringIO(), width=make_console().width)
+        self.print(console)
+        text: str = console.file.getvalue()  # type: ignore[attr-defined]
+        return text.rstrip()
+
+    def _repr_html_(self) -> str:
+        table = self._table().to_html(border=0)
+        return f"<p><b>{escape(self.headline)}</b></p>{table}<p>{escape(self.note)}</p>"
+
+    def _table(self) -> pd.DataFrame:
+        """Return the table as it is printed, all text: a row a measure, a column an agent."""
+        rows: dict[Any, Any] = {
+            (row["agent"], row["measure"]): row for row in self.summary.to_dict("records")
+        }
+        shown = shown_measures()
+        columns = {
+            agent: [cell(rows[agent, one.name], one.decimals) for one in shown]
+            for agent in self.recorded
+        }
+        for agent, steps in self.training_steps.items():
+            columns[agent].append("unknown" if steps is None else f"{steps:,}")
+        headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
+        return pd.DataFrame(columns, index=[*headings, "training\n[env steps]"])
+
+
+def _csv(frame: pd.DataFrame) -> str:
+    return frame.to_csv(index=False, lineterminator="\n")
+
+
+def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) -> pd.DataFrame:
     """Return a row per agent, training and episode."""
     tables = []
-    for entry, episodes in zip(entries, played):
-        who = {"agent": entry.label, "training_seed": entry.training_seed}
+    for agent, episodes in zip(agents, played):
+        who = {"agent": agent.label, "training_seed": agent.training_seed}
         columns = {**who, "episode": range(len(episodes)), **episode_columns(episodes)}
         tables.append(pd.DataFrame(columns).drop(columns="duration"))
     return pd.concat(tables, ignore_index=True).astype({"training_seed": "Int64"})
 
 
 def _play(
-    entries: Sequence[Entry],
+    agents: Sequence[ResolvedAgent],
     players: Sequence[Predictor],
     envs: Sequence[gym.Env[Any, Any]],
     seeds: Sequence[int],
@@ -148,7 +381,7 @@ def _play(
                 drawn = time.monotonic()
 
         played = []
-        for entry, player, env in zip(entries, players, envs):
-            progress.update(task, description=entry.label)
+        for agent, player, env in zip(agents, players, envs):
+            progress.update(task, description=agent.label)
             played.append(run_episodes(player, env, seeds, advance))
         return played

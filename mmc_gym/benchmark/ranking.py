@@ -30,7 +30,7 @@ from rich.console import Console
 from mmc_gym._console import interval, number, print_rows, text_for
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
-from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate, draw
 from mmc_gym.benchmark.store import (
     CellKey,

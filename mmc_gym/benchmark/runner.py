@@ -2,8 +2,8 @@
 
     cells of the grid  ->  run_grid  ->  store  ->  ranking
 
-Cells that are in the store already, made with the same settings, are not played again, so that an
-interrupted run goes on, and agents and environments can be added.  An agent whose weights, or whose
+Cells that are in the store already, made with the same settings, are not played again: so an
+interrupted run resumes, and agents and environments can be added.  An agent whose weights, or whose
 module's file, have changed is another one.  Other versions of libraries are no reason to play
 again: the manifest names all of them.
 """
@@ -12,24 +12,22 @@ from __future__ import annotations
 
 import platform
 import time
+import warnings
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
 from mmc_gym.agents.base import RandomAgent
-from mmc_gym.benchmark.entries import Agents, Entry, find_entries, make_for
-from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
+from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,
@@ -46,7 +44,13 @@ from mmc_gym.benchmark.store import (
     update_manifest,
     write_cell,
 )
-from mmc_gym.benchmark.suite import Environments, find_scenarios
+from mmc_gym.benchmark.suite import (
+    Environments,
+    find_scenarios,
+    has_reference,
+    make_player,
+    minimum_jerk_episodes,
+)
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.scenarios import scenario as find_scenario
 from mmc_gym.interface import CannotActError
@@ -62,33 +66,33 @@ from mmc_gym.measures import (
 from mmc_gym.measures.catalogue import digest, own_measures, register
 
 TIMED = 1
-"""Episodes that are played one by one as well: what an action takes is known of them."""
+"""Episodes that are played one by one as well, to time single actions."""
 
 COMPARED = 3
-"""As many of an agent that may not act on batches: it is to do the same alone and together."""
+"""The same for agents that may not act on batches: they must do the same alone and together."""
 
 PATHS_KEPT = 12
 """Instances whose paths are kept, of the lowest training seed that takes part."""
 
 RECORDING = 3
-"""Raised whenever the same episodes would be recorded or measured otherwise: all is played anew."""
+"""Version of recordings and measures: another one plays all cells again."""
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
 _SAME = 1e-3  # segment lengths between two rollouts of one episode
 
 
 @dataclass(frozen=True)
-class Cell:
+class BenchmarkCell:
     """An agent in a scenario.
 
     Attributes:
         episodes: how many, where the scenario does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
-        control: that the user asks for, see `make_for`.
+        control: that the user asks for, see `make_player`.
         measures: the user's own, which a worker does not know.
     """
 
-    entry: Entry
+    agent: ResolvedAgent
     scenario: Scenario
     episodes: int
     seed: int
@@ -99,15 +103,15 @@ class Cell:
     @property
     def key(self) -> CellKey:
         """Name of the cell."""
-        return CellKey(self.entry.label, self.entry.training_seed, self.scenario.name)
+        return CellKey(self.agent.label, self.agent.training_seed, self.scenario.name)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All that its results depend on, as far as is known; ready for JSON."""
+        """Everything that its results depend on, as far as is known; ready for JSON."""
         return {
             "recording": RECORDING,
-            "source": self.entry.source_name,
-            "fingerprint": self.entry.fingerprint,
+            "source": self.agent.source_name,
+            "fingerprint": self.agent.fingerprint,
             "environment": self.scenario.settings,
             "episodes": self.episodes,
             "seed": self.seed,
@@ -124,22 +128,44 @@ class Outcome:
         status: "skipped" if the agent cannot act in the scenario, "failed" if it raised.
         reason: why it was skipped or failed.
         files: its files, see `write_cell`; none unless played.
+        warned: texts of its `MismatchWarning`s, which a worker's terminal would not show.
     """
 
     status: Literal["played", "skipped", "failed"]
     reason: str = ""
     files: Mapping[str, bytes] = field(default_factory=dict)
+    warned: tuple[str, ...] = ()
 
 
 class _Recorded(NamedTuple):
+    """The episodes of a cell.
+
+    Attributes:
+        control: the control mode, "" of the ideal hand.
+        together: whether all episodes were played at once.
+    """
+
     episodes: Sequence[Episode]
     control: str
     together: bool
     joint_count: int
 
 
-def run_cell(cell: Cell) -> Outcome:
+def run_cell(cell: BenchmarkCell) -> Outcome:
     """Play a cell.  An error of the agent is a result, and ends nothing."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", MismatchWarning)
+        outcome = _outcome(cell)
+    warned = []
+    for one in caught:
+        if issubclass(one.category, MismatchWarning):
+            warned.append(str(one.message))
+        else:
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+    return replace(outcome, warned=tuple(dict.fromkeys(warned)))
+
+
+def _outcome(cell: BenchmarkCell) -> Outcome:
     for measure in cell.measures:
         register(measure)
     begin, processor_begin = time.perf_counter(), time.process_time()
@@ -157,8 +183,8 @@ def run_cell(cell: Cell) -> Outcome:
     facts = {
         "wall_seconds": round(time.perf_counter() - begin, 3),
         "cpu_seconds": round(time.process_time() - processor_begin, 3),
-        "control": recorded.control,  # the meaning of actions
-        "together": recorded.together,  # whether all episodes were played at once
+        "control": recorded.control,
+        "together": recorded.together,
         "has_paths": PATHS in files,
         "has_sets": SETS in files,
         "software": software(),
@@ -177,22 +203,17 @@ def software() -> dict[str, str]:
     }
 
 
-def _play(cell: Cell) -> _Recorded:
+def _play(cell: BenchmarkCell) -> _Recorded:
     instances = cell.scenario.instances(cell.episodes)
     seeds = episode_seeds(cell.seed, len(instances))
-    if cell.entry.is_reference:
+    if cell.agent.is_reference:
         return _play_reference(cell, seeds, instances)
-    factory = cell.entry.agent.factory
-    is_own = cell.scenario.env is not None
-
-    def make_env(control: str | None) -> gym.Env[Any, Any]:
-        return cell.scenario.make(control or cell.control)
-
-    env, agent = make_for(cell.entry, make_env, cell.control, is_own_env=is_own)
+    factory = cell.agent.factory
+    env, agent = make_player(cell.agent, cell.scenario, {"control": cell.control})
     world: Any = env.unwrapped
     control, joints = world.control, len(world.parameters.segment_lengths)
     vector = cell.scenario.make_vec(len(seeds), control)
-    acts_on_batches = cell.entry.agent.acts_on_batches and vector is not None
+    acts_on_batches = cell.agent.acts_on_batches and vector is not None
     alone_first = TIMED if acts_on_batches else COMPARED
     timed = run_episodes(agent, env, seeds[:alone_first], options=instances[:alone_first])
     together: tuple[Episode, ...] = ()
@@ -215,9 +236,9 @@ def _play(cell: Cell) -> _Recorded:
 
 
 def _are_same(alone: Sequence[Episode], together: Sequence[Episode]) -> bool:
-    """Tell whether an agent plays together as it does alone.
+    """Return whether an agent plays together as it does alone.
 
-    One that takes no batches does not, and none that keeps in itself what belongs in its state.
+    An agent does not if it takes no batches, or keeps in itself what belongs in its state.
     """
     return len(together) >= len(alone) and all(
         np.allclose(one.hands, other.hands, rtol=0.0, atol=_SAME)
@@ -226,9 +247,9 @@ def _are_same(alone: Sequence[Episode], together: Sequence[Episode]) -> bool:
 
 
 def _play_reference(
-    cell: Cell, seeds: Sequence[int], instances: Sequence[Mapping[str, Any]]
+    cell: BenchmarkCell, seeds: Sequence[int], instances: Sequence[Mapping[str, Any]]
 ) -> _Recorded:
-    """Play the ideal hand, which no perturbation touches; starts and targets are anybody's."""
+    """Play the ideal hand, which no perturbation touches, with the starts and targets of all."""
     env = cell.scenario.make()
     if cell.scenario.family or not has_reference(env):
         raise CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
@@ -270,12 +291,12 @@ def benchmark(
     """Let agents play the benchmark's environments; keep all in a store, and return its manifest.
 
     Args:
-        agents: names, see `entries`; or functions, classes and objects, as in `compare`.
+        agents: names, functions, classes and objects, see `mmc_gym.agents.resolver`.
         out: folder of the store; one that is there is added to, also by several benchmarks at once.
-        environments: names of scenarios, or of your own environments, which a mapping gives
-            functions or classes, too; all of the benchmark's by default.
+        environments: names of scenarios or of your own environments; or a mapping of names to
+            environments, which may be functions or classes; all of the benchmark's by default.
         episodes: in each environment; where trials are numbered each is played once instead.
-        seed: decides on starts and targets, which are the same for all agents.
+        seed: of the starts and targets, which are the same for all agents.
         jobs: how many cells are played at once, see `run_grid`.
         cluster: where, see `run_grid`.
         env_kwargs: arguments of all environments.  A `control` among them is for agents that act
@@ -284,22 +305,19 @@ def benchmark(
         on_progress: called at the start, and whenever a cell is finished.
 
     Raises:
-        UserError: if an argument is none of those, or the store was made with other settings.
+        UserError: if an argument is not accepted, or the store was made with other settings.
     """
     given = dict(env_kwargs or {})
     asked = given.pop("control", None)
     scenarios = find_scenarios(environments, given)
-    entries = find_entries(agents, allow_pickle=allow_pickle)
-    for entry in entries:
-        if not entry.is_reference:
-            _check_control(entry, scenarios, asked)
+    found = resolve_all(agents, allow_pickle=allow_pickle)
     episode_seeds(seed, episodes)
     check_workers(jobs, cluster)
     store = check_folder(out, "out")
-    begun = update_manifest(store, partial(_joined, store, scenarios, entries, episodes, seed))
-    cells = [replace(one, control=asked) for one in _cells(scenarios, entries, episodes, seed)]
+    begun = update_manifest(store, partial(_joined, store, scenarios, found, episodes, seed))
+    cells = [replace(one, control=asked) for one in _cells(scenarios, found, episodes, seed)]
     begin = time.perf_counter()
-    missing: list[Cell] = []
+    missing: list[BenchmarkCell] = []
     finished: dict[CellKey, NotPlayed | None] = {}
     for cell in cells:
         if cell_facts(store, cell.key, cell.settings) is None:
@@ -315,6 +333,8 @@ def benchmark(
         finished[key] = None
         if outcome.status != "played":
             finished[key] = NotPlayed.of(key, outcome.status, outcome.reason)
+        for text in outcome.warned:
+            warnings.warn(text, MismatchWarning, stacklevel=1)
         on_progress(Progress(len(finished), len(cells), key))
 
     def bury(index: int, error: CellError) -> None:
@@ -335,31 +355,23 @@ def benchmark(
     return manifest
 
 
-def _check_control(entry: Entry, scenarios: Mapping[str, Scenario], control: str | None) -> None:
-    """Raise a `UserError`, before anything is played, if nobody knows a model's control mode."""
-    ours = [scenario for scenario in scenarios.values() if scenario.env is None]
-    if ours and entry.agent.is_model:
-        with suppress(CannotActError):  # that is the result of a cell
-            make_for(entry, lambda mode: ours[0].make(mode or control), control)[0].close()
-
-
 def _cells(
-    scenarios: Mapping[str, Scenario], entries: Sequence[Entry], episodes: int, seed: int
-) -> list[Cell]:
+    scenarios: Mapping[str, Scenario], agents: Sequence[ResolvedAgent], episodes: int, seed: int
+) -> list[BenchmarkCell]:
     """Return all cells; of each agent, the first of its trainings keeps paths."""
     first: dict[str, int | None] = {}
-    for one in sorted(entries, key=lambda one: one.training_seed or 0):
+    for one in sorted(agents, key=lambda one: one.training_seed or 0):
         first.setdefault(one.label, one.training_seed)
     return [
-        Cell(
-            entry=one,
+        BenchmarkCell(
+            agent=one,
             scenario=scenario,
             episodes=episodes,
             seed=seed,
             keeps_paths=one.training_seed == first[one.label],
             measures=own_measures(),
         )
-        for one in entries
+        for one in agents
         for scenario in scenarios.values()
         if not (one.is_reference and scenario.family)  # no perturbation touches it
     ]
@@ -368,7 +380,7 @@ def _cells(
 def _joined(
     out: Path,
     scenarios: Mapping[str, Scenario],
-    entries: Sequence[Entry],
+    found: Sequence[ResolvedAgent],
     episodes: int,
     seed: int,
     manifest: Manifest | None,
@@ -391,14 +403,14 @@ def _joined(
         settings = environments.setdefault(name, scenario.settings)
         _require_same(out, f"environment {name}", settings, scenario.settings)
     agents = {name: list(policies) for name, policies in manifest.agents.items()}
-    for one in entries:
+    for one in found:
         policies = agents.setdefault(one.label, [])
         asked = Policy(training_seed=one.training_seed, source=one.source_name)
         same = [policy for policy in policies if policy.training_seed == asked.training_seed]
         policies += [] if same else [asked]
         for kept in same:
             _require_same(out, f"agent {one.label}", kept.source, asked.source)
-    # A measure that another run alone has known keeps its columns, and so its facts.
+    # A measure that only another run knew keeps its columns, and so its facts.
     measures = {name: one.facts for name, one in MEASURES.items()}
     set_measures = {name: one.facts for name, one in SET_MEASURES.items()}
     return manifest.model_copy(
@@ -420,7 +432,7 @@ def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
 
 
 def _found(out: Path) -> dict[str, Any]:
-    """Return the fields of `Manifest` that all cells of a store tell, of this run and of others."""
+    """Return the fields of `Manifest` that follow from all cells of a store, of other runs, too."""
     versions, fingerprints = defaultdict(set), defaultdict(set)
     seconds: dict[str, dict[str, float]] = {"wall_seconds": {}, "cpu_seconds": {}}
     for stem, (settings, facts) in kept_cells(out).items():

@@ -7,8 +7,8 @@
 
 A cell is an agent, one of its training seeds (none if it is not trained: AGENT--ENVIRONMENT), and
 an environment.  Every file is written atomically and carries, in its schema's metadata, the
-settings that it was made with.  So an interrupted run goes on, and what is damaged or outdated is
-made anew.  Any reader of Parquet can query the folders as they are.
+settings that it was made with.  So an interrupted run resumes, and damaged or outdated cells are
+played again.  Any reader of Parquet can query the folders as they are.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from filelock import FileLock
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode, measure_all
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION: Literal[2] = 2
 MANIFEST = "manifest.json"
 EPISODES, PATHS, SETS = "episodes", "paths", "sets"
 SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
-_CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
+_CONTENT = b"mmc_gym"  # in the metadata
 _EPISODE = ("agent", "training_seed", "environment", "instance")  # columns that name one
 _CURSOR = ("cursor_x", "cursor_y")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
@@ -184,42 +184,29 @@ _NOTHING = Kept({}, {})
 
 def _parquet(columns: Mapping[str, Any], kept: Kept = _NOTHING) -> bytes:
     table = pa.table(dict(columns))
-    content = json.dumps(kept._asdict())
-    metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
+    table = table.replace_schema_metadata({_CONTENT: json.dumps(kept._asdict())})
     buffer = io.BytesIO()
-    pq.write_table(
-        table.replace_schema_metadata(metadata),
-        buffer,
-        compression="zstd",
-        write_page_checksum=True,
-    )
+    pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
     return buffer.getvalue()
 
 
-def _checksum(schema: pa.Schema, content: str) -> str:
-    """Return the SHA-256 of columns and metadata, which Parquet's checksums of pages leave out."""
-    columns = [(field.name, str(field.type)) for field in schema]
-    return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
-
-
 def _read(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a table; raise a `UserError` that names the file if it is damaged, or not of ours."""
+    """Read a table; raise a `UserError` that names the file if it is damaged, or not ours."""
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
         _kept(file.schema_arrow)
-        return file.read(columns, use_threads=False)  # so small a file is read sooner by one
+        return file.read(columns, use_threads=False)  # one thread is faster for small files
     except (FileNotFoundError, PermissionError):
         raise
     except (OSError, pa.ArrowException, ValueError) as error:
-        raise UserError(f"{path} is damaged, and is made anew by the benchmark: {error}") from error
+        raise UserError(f"{path} is damaged, the benchmark makes it anew: {error}") from error
 
 
 def _kept(schema: pa.Schema) -> Kept:
-    metadata = schema.metadata or {}
-    content = metadata.get(_CONTENT, b"").decode()
-    if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
-        raise ValueError("columns and metadata are not those that the benchmark has written")
-    return Kept(**json.loads(content))
+    try:
+        return Kept(**json.loads(schema.metadata[_CONTENT]))
+    except (KeyError, TypeError) as error:  # without metadata, or without ours
+        raise ValueError("it is no file of a benchmark") from error
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
@@ -230,7 +217,7 @@ def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
         key: name of the cell.
         files: contents by kind, `EPISODES`, `PATHS` and `SETS`; none removes the cell.
     """
-    for kind in (PATHS, SETS, EPISODES):  # the last says that the cell is there
+    for kind in (PATHS, SETS, EPISODES):  # episodes last: they say that the cell is complete
         path = folder / kind / key.file_name
         if kind in files:
             write_atomically(path, files[kind])
@@ -319,7 +306,7 @@ def _read_all(files: Iterable[Path], columns: Sequence[str] | None = None) -> pd
     tables = [_read(file, columns).replace_schema_metadata(None) for file in files]
     if not tables:
         return pd.DataFrame()
-    # A store may have been begun before a measure was there, or hold arms of different joints.
+    # A store may be older than a measure, or hold arms of different numbers of joints.
     frame: pd.DataFrame = pa.concat_tables(tables, promote_options="permissive").to_pandas()
     return frame.astype({"training_seed": "Int64"})
 
@@ -329,7 +316,7 @@ class _Strict(BaseModel):
 
 
 class Policy(_Strict):
-    """A training of an agent, or the agent if it was not trained, and its source, see `Entry`."""
+    """A training of an agent, or the agent if it was not trained, and its source."""
 
     training_seed: int | None
     source: str
@@ -346,7 +333,7 @@ class NotPlayed(_Strict):
 
     @classmethod
     def of(cls, key: CellKey, status: Literal["skipped", "failed"], reason: str) -> NotPlayed:
-        """Return what is to be said of a cell."""
+        """Return the entry of a cell."""
         return cls(**key._asdict(), status=status, reason=reason)
 
     @property
@@ -356,28 +343,28 @@ class NotPlayed(_Strict):
 
 
 class Manifest(_Strict):
-    """All that a store was made with.
+    """Everything that a store was made with.
 
     Attributes:
         episodes: in each environment whose trials are not numbered.
         seed: of the starts and targets.
         control_step: seconds.
-        segment_lengths: of the arm that agents are told of.
+        segment_lengths: of the arm that agents are given.
         tolerance: distance that counts as reached, segment lengths.
-        control: what actions mean, unless a policy has its own.
+        control: the control mode of environments, unless an agent has its own.
         measures: facts of the measures of episodes by name, see `Quantity.facts`.
         set_measures: facts of those of sets of episodes.
         environments: settings by name.
         agents: policies by name.
         wall_seconds: time that each cell took, by the stem of its files.
-        cpu_seconds: the processor's time for it.
+        cpu_seconds: processor time of each.
         elapsed_seconds: sum over all runs.
-        reused: cells that the last run found already there.
+        reused: number of cells that the last run did not have to play.
         versions: of libraries, several of one separated by commas.
-        changed: sources of agents whose cells are not all of the same weights or code.
+        changed: sources of agents whose cells are of different weights or code.
     """
 
-    schema_version: int = SCHEMA_VERSION
+    schema_version: Literal[2] = SCHEMA_VERSION
     episodes: int
     seed: int
     control_step: float
@@ -416,26 +403,17 @@ def read_manifest(folder: Path | str) -> Manifest:
     """
     path = Path(folder) / MANIFEST
     try:
-        content = json.loads(path.read_bytes())
-        version = content["schema_version"]
+        return Manifest.model_validate_json(path.read_bytes())
     except FileNotFoundError as error:
         raise UserError(f"folder must hold a benchmark's store, got {str(folder)!r}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged: {error}") from error
-    if version != SCHEMA_VERSION:
-        raise UserError(f"{path} must be of version {SCHEMA_VERSION}, got {version}")
-    try:
-        return Manifest(**content)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise UserError(f"{path} is damaged: {where}: {first['msg']}") from error
+        raise UserError(f"{path} cannot be read: {explain(error)}") from error
 
 
 def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest]) -> Manifest:
-    """Let `update` change the manifest as it is now (None if there is none), and write it.
+    """Let `update` change the present manifest (None if there is none), and write it.
 
-    Other benchmarks that go on in the same store wait meanwhile.
+    Other benchmarks that use the same store wait meanwhile.
     """
     path = folder / MANIFEST
     folder.mkdir(parents=True, exist_ok=True)

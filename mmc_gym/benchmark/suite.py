@@ -1,20 +1,34 @@
-"""The benchmark's scenarios: every task, and every family of perturbations in a few strengths."""
+"""Who plays what: the benchmark's scenarios, agents in their control mode, and the ideal hand."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeAlias
 
+import gymnasium as gym
+import numpy as np
+
+from mmc_gym._errors import MismatchWarning
+from mmc_gym.agents.base import Predictor
+from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
+from mmc_gym.agents.registry import AGENTS, REFERENCE
+from mmc_gym.agents.resolver import ResolvedAgent
+from mmc_gym.agents.sb3 import ModelAgent
 from mmc_gym.envs.perturbations import FAMILIES, Family
 from mmc_gym.envs.scenarios import (
     TASK_SCENARIOS,
     EnvLike,
     Scenario,
+    make_environment,
     own_scenario,
     perturbed,
     scenario,
 )
+from mmc_gym.interface import ControlError, read_attribute
+from mmc_gym.measures.episode import Episode, Floats
 
 
 def _in_strengths(family: Family) -> list[Scenario]:
@@ -26,8 +40,7 @@ SCENARIOS: dict[str, Scenario] = {
     **TASK_SCENARIOS,
     **{one.name: one for family in FAMILIES.values() for one in _in_strengths(family)},
 }
-"""The scenarios of the benchmark by name."""
-
+"""The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
 
 Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
 """Names of scenarios and of your own environments; or these by names of yours."""
@@ -36,11 +49,11 @@ Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
 def find_scenarios(
     environments: Environments, env_kwargs: Mapping[str, Any] | None = None
 ) -> dict[str, Scenario]:
-    """Return scenarios by name: the benchmark's if none are given, else any.
+    """Return scenarios by name: the benchmark's if none are given.
 
     Args:
-        environments: names, see `mmc_gym.envs.scenarios.scenario`; a mapping has environments of
-            yours by names of yours, see `mmc_gym.envs.scenarios.make_environment`.
+        environments: names, see `mmc_gym.envs.scenarios.scenario`; a mapping gives names to
+            environments of yours, see `mmc_gym.envs.scenarios.make_environment`.
         env_kwargs: arguments of all of them.
 
     Raises:
@@ -55,3 +68,130 @@ def find_scenarios(
     if not env_kwargs:
         return chosen
     return {name: replace(one, env_kwargs=env_kwargs) for name, one in chosen.items()}
+
+
+def default_agents() -> tuple[str, ...]:
+    """Return the names of the agents that take part by default."""
+    return (*(name for name, entry in AGENTS.items() if entry.by_default), REFERENCE)
+
+
+def make_player(
+    agent: ResolvedAgent, env: EnvLike | Scenario, env_kwargs: Mapping[str, Any] | None = None
+) -> tuple[gym.Env[Any, Any], Predictor]:
+    """Make an environment in an agent's control mode, and the agent for it.
+
+    Warn, by a `MismatchWarning`, of a model of stable-baselines3 whose control mode is not known:
+    it acts by the environment's default.
+
+    Args:
+        agent: the agent.
+        env: a scenario, or an environment as `make_environment` takes it.
+        env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
+            several control modes, or do not tell theirs.
+
+    Raises:
+        UserError: if either cannot be made; as `CannotActError`, if the agent cannot act in the
+            environment.
+    """
+    given = dict(env_kwargs or {})
+    asked = agent.own_control or given.pop("control", None)
+    given.pop("control", None)
+    if isinstance(env, Scenario):
+        make = replace(env, env_kwargs={**env.env_kwargs, **given}).make
+    else:
+        make = partial(make_environment, env, **given)
+    made = make(asked or agent.control)
+    try:
+        try:
+            player = agent.factory(made)
+        except ControlError as refusal:
+            made.close()
+            made = make(refusal.control)
+            player = agent.factory(made)
+    except BaseException:
+        made.close()
+        raise
+    if not asked and isinstance(player, ModelAgent) and player.trained_in.control is None:
+        warnings.warn(
+            f"{agent.label} does not tell the control mode that it was trained in, and acts by "
+            f"{read_attribute(made, 'control')}, the environment's default; --env-kwargs "
+            "control=... gives another (in Python: env_kwargs)",
+            MismatchWarning,
+            stacklevel=2,
+        )
+    return made, player
+
+
+# The ideal hand: a reference for all movements that follows minimum jerk, without an arm.
+#
+#     x(t) = x₀ + (g − x₀) (10 τ³ − 15 τ⁴ + 6 τ⁵),     τ = t/T,     T = T₀ + d/v̄
+#
+# from the start x₀ to the target g at the distance d, and then rest.  T is that of the agents that
+# plan (`mmc_gym.agents.planners`: 0.2 s and a second for each 4 segment lengths), so that they
+# differ from it in shape alone.  Where the target moves, the hand follows by the rest of a
+# minimum-jerk movement from its present state, as they do.  Measures that need an arm are NaN.
+
+
+def has_reference(env: gym.Env[Any, Any]) -> bool:
+    """Return whether all hands in `env` meet the same targets at the same times.
+
+    They do not where a target moves on when it is reached, as in via points.
+    """
+    setup = getattr(env.unwrapped, "setup", None)
+    return getattr(getattr(setup, "task", None), "advance", "time") == "time"
+
+
+def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
+    """Return the ideal movements from the starts to the targets of recorded episodes.
+
+    Args:
+        episodes: of any agent; only the start, the targets and the number of steps matter.
+
+    Returns:
+        As many episodes, of the same lengths: N = 0 joints, rewards and action times NaN.
+    """
+    if not episodes:
+        return ()
+    longest = max(len(episode.targets) for episode in episodes)
+    targets = np.stack(
+        [
+            np.pad(episode.targets, ((0, longest - len(episode.targets)), (0, 0)), mode="edge")
+            for episode in episodes
+        ],
+        axis=1,
+    )
+    starts = np.stack([episode.seen_hands[0] for episode in episodes])
+    hands = np.stack(_follow(starts, targets, episodes[0].control_step), axis=1)
+    return tuple(
+        _episode(episode, hand[: len(episode.hands)])
+        for episode, hand in zip(episodes, hands, strict=True)
+    )
+
+
+def _follow(starts: Floats, targets: Floats, control_step: float) -> list[Floats]:
+    """Return hand positions (episodes, 2) at all times, for targets (times, episodes, 2)."""
+    plan = HandPlan(starts, np.zeros_like(starts), np.zeros_like(starts))
+    movement = begin(starts, targets[0], control_step)
+    hands: list[Floats] = [starts]
+    for target in targets[:-1]:
+        movement = follow(movement, plan.position, target, control_step)
+        plan = minimum_jerk_step(plan, movement.target, movement.remaining)
+        movement = step(movement)
+        hands.append(np.asarray(plan.position, dtype=np.float64))
+    return hands
+
+
+def _episode(like: Episode, hands: Floats) -> Episode:
+    steps = len(like.rewards)
+    unknown, no_joints = np.full(steps, np.nan), np.zeros((steps + 1, 0))
+    return replace(
+        like,
+        hands=hands,
+        cursors=None,
+        distances=np.linalg.norm(hands - like.targets, axis=-1),
+        joint_angles=no_joints,
+        servo_impulses=no_joints[1:],
+        servo_work=no_joints[1:],
+        rewards=unknown,
+        action_times=unknown,
+    )

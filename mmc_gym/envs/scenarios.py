@@ -28,7 +28,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, nearest, require, unknown
-from mmc_gym._modules import import_object, look_here
+from mmc_gym._files import import_object, look_here
 from mmc_gym.envs.perturbations import FAMILIES, Family, Perturbation
 from mmc_gym.envs.tasks import TASKS, Task, outward_task
 

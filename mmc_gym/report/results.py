@@ -14,9 +14,8 @@ import pandas as pd
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
-from mmc_gym.agents.registry import UNKNOWN, Kind
+from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
 from mmc_gym.benchmark.ranking import rank_agents
-from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import (
     CellKey,
@@ -33,7 +32,6 @@ from mmc_gym.measures.catalogue import measures_of, set_measures_of
 _KINDS: tuple[Kind, ...] = get_args(Kind)
 """In the order of the report, the reader's own agents first."""
 
-_IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
 
 _SHOWN_AT_MOST = 7
 
@@ -74,8 +72,6 @@ def identify(sources: Iterable[str]) -> AgentIdentity:
 
 
 def _identify(source: str) -> AgentIdentity:
-    if source == REFERENCE:
-        return AgentIdentity(REFERENCE, _IDEAL)
     try:
         agent = resolve(source)
     except UserError:

@@ -1,6 +1,6 @@
 """Policies of stable-baselines3 and sb3-contrib; their networks and checkpoints as plain arrays.
 
-Most policies are "MlpPolicy", as everyone else's.  Those with one of our `views` have full names in
+Most policies are "MlpPolicy", as everyone else's.  Those with one of our views have full names in
 YAML files, so that rl_zoo3 finds them too.
 
 A checkpoint is the state of a model as safetensors, all that a training needs to continue: weights
@@ -31,8 +31,16 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.policy_network import Activation, Distribution, Float32, PolicyNetwork
-from mmc_gym.agents.views import View, feature_count, features, turned_actions
+from mmc_gym.agents.policy_network import (
+    Activation,
+    Distribution,
+    Float32,
+    PolicyNetwork,
+    View,
+    feature_count,
+    features,
+    turned_actions,
+)
 from mmc_gym.interface import ObservationLayout
 
 ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {

@@ -29,7 +29,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, is_whole, require
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
-from mmc_gym.agents.views import Float32
+from mmc_gym.agents.policy_network import Float32
 from mmc_gym.envs.perturbations import FAMILIES, Obstacles
 from mmc_gym.envs.scenarios import Scenario, perturbed, scenario
 from mmc_gym.interface import ReachInterface

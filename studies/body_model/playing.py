@@ -12,8 +12,9 @@ import numpy as np
 from mmc_gym import MismatchWarning
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.body_model.agent import Parts, mmc_body
-from mmc_gym.benchmark.entries import find_entries, make_for
+from mmc_gym.agents.resolver import resolve_all
 from mmc_gym.benchmark.statistics import bootstrap_interval
+from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.interface import CannotActError, ReachInterface
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
@@ -41,11 +42,11 @@ def play(agent: str | Make, scenario: Scenario, episodes: int, seed: int) -> Pla
     instances = scenario.instances(episodes)
     seeds = episode_seeds(seed, len(instances))
     played = []
-    for entry in find_entries([agent] if isinstance(agent, str) else {"agent": agent}):
+    for one in resolve_all(agent if isinstance(agent, str) else {"agent": agent}):
         try:
             with warnings.catch_warnings():  # another arm is meant
                 warnings.simplefilter("ignore", MismatchWarning)
-                env, player = make_for(entry, scenario.make, "joint_position")
+                env, player = make_player(one, scenario, {"control": "joint_position"})
         except CannotActError:
             continue
         with closing(env), closing(scenario.make_vec(len(seeds), env.unwrapped.control)) as arms:

@@ -28,7 +28,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap, Estimate
 from mmc_gym.benchmark.store import read_episodes, read_manifest
 from mmc_gym.measures import MEASURES, Measure, leave_out_failures

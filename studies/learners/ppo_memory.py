@@ -43,8 +43,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, unwrap_vec_w
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from typing_extensions import override
 
-from mmc_gym.agents.policy_network import PolicyNetwork
-from mmc_gym.agents.views import History
+from mmc_gym.agents.policy_network import History, PolicyNetwork
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.interface import ObservationLayout, ReachInterface, relative_speeds, turned_back
 from mmc_gym.training.hyperparameters import Recipe, read_recipe

@@ -6,7 +6,7 @@ import pytest
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
-from mmc_gym.agents.views import History
+from mmc_gym.agents.policy_network import History
 from mmc_gym.interface import ObservationLayout
 from mmc_gym.measures.rollout import run_episodes
 

@@ -14,10 +14,11 @@ from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 import mmc_gym
 from mmc_gym._errors import MismatchWarning, UserError
-from mmc_gym.agents import resolve
+from mmc_gym.agents import resolve, resolve_all
 from mmc_gym.benchmark.compare import compare
-from mmc_gym.benchmark.entries import find_entries, make_for
-from mmc_gym.envs.scenarios import make_environment
+from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.benchmark.store import kept_cells
+from mmc_gym.benchmark.suite import make_player
 from mmc_gym.interface import CannotActError, ControlError
 
 CONTROL = "joint_velocity"
@@ -61,6 +62,15 @@ def env():
     return gym.make("MMCReach-v0", control=CONTROL)
 
 
+def test_a_model_that_is_trained_further_acts_with_its_present_statistics(env):
+    """Old statistics beside new weights are no policy that ever was."""
+    model = trained(wrap=VecNormalize)
+    agent = mmc_gym.make_agent(model, env)
+    model.learn(40, reset_num_timesteps=False)
+    assert acts_as(model, agent, env)
+    assert resolve(model).fingerprint == resolve(agent).fingerprint
+
+
 def acts_as(model, agent, env):
     observation, _ = env.reset(seed=3)
     for batch in (observation, np.stack([observation, observation])):
@@ -93,26 +103,28 @@ def test_a_model_is_compared_in_the_control_mode_of_its_training(model, run):
     assert found.controls == {"object": CONTROL, "mmc": "joint_position", "run": CONTROL}
 
 
-def test_who_does_not_know_the_control_mode_is_asked(folder):
+def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(folder, tmp_path):
+    bare = f"{folder}/model.zip"
+    default = "does not tell the control mode .* acts by joint_delta, the environment's default"
+
     def control_of(source, **arguments):
         found = compare({"mine": source}, episodes=1, allow_pickle=True, **arguments)
         return found.controls["mine"]
 
-    bare = f"{folder}/model.zip"
-    with pytest.raises(UserError, match=rf"'mine' must be given with the control .* {bare}@joint"):
-        control_of(bare)
-    with pytest.raises(UserError, match=r"'mine' must be given with .* by an attribute `control`"):
-        control_of(lambda env: PPO.load(bare, device="cpu"))
-    assert control_of(f"{bare}@{CONTROL}") == CONTROL
-    assert control_of(bare, env_kwargs={"control": "joint_torque"}) == "joint_torque"
-    assert control_of(bare, env=lambda **given: gym.make("MMCReach-v0", **given)) == "joint_delta"
+    for source in (bare, lambda env: PPO.load(bare, device="cpu")):
+        with pytest.warns(MismatchWarning, match=f"mine {default}"):
+            assert control_of(source) == "joint_delta"
+        assert control_of(source, env_kwargs={"control": CONTROL}) == CONTROL
+    with pytest.warns(MismatchWarning, match=default):
+        benchmark([bare], tmp_path / "store", ["random"], 1, jobs=1, allow_pickle=True)
+    (cell,) = kept_cells(tmp_path / "store").values()
+    assert cell.facts["control"] == "joint_delta"
 
 
-def test_a_model_in_another_control_mode_refuses(model, folder):
+def test_a_model_in_another_control_mode_refuses(model):
     other = gym.make("MMCReach-v0", control="joint_torque")
-    for given in (model, f"{folder}/model.zip@{CONTROL}"):
-        with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
-            mmc_gym.make_agent(given, other, allow_pickle=True)
+    with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
+        mmc_gym.make_agent(model, other)
 
 
 def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
@@ -135,6 +147,40 @@ def test_objects_in_files_of_rl_zoo3_are_never_made(run):
     path.write_text(f"!!python/object/apply:os.mkdir [{run}/made]")
     assert resolve(str(run)).control is None
     assert not (run / "made").exists()
+
+
+def test_no_module_that_files_of_rl_zoo3_name_is_imported_unless_it_is_allowed(
+    run, tmp_path, monkeypatch
+):
+    (tmp_path / "evilmod.py").write_text("import pathlib; pathlib.Path('made').touch()")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (run / "MMCReach-v0" / "args.yml").write_text(
+        "{env: 'evilmod:Env-v0', env_kwargs: {control: joint_torque}}"
+    )
+    found = resolve(str(run))
+    assert (found.control, found.training_seed) == ("joint_torque", 5)
+    assert not (tmp_path / "made").exists()
+    assert resolve(str(run), allow_pickle=True).control == "joint_torque"
+    assert (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "statistics"),
+    [
+        ("mine.zip", "mine.pkl"),
+        ("mine.zip", "mine_vecnormalize.pkl"),
+        ("mine_1000_steps.zip", "mine_vecnormalize_1000_steps.pkl"),
+    ],
+)
+def test_of_several_files_of_statistics_a_model_takes_its_own(folder, name, statistics):
+    (folder / "model.zip").rename(folder / name)
+    for copy in (statistics, "other_vecnormalize_2000_steps.pkl"):
+        shutil.copy(folder / "vec_normalize.pkl", folder / copy)
+    assert resolve(folder / name).model.statistics == folder / statistics
+    (folder / statistics).unlink()
+    with pytest.raises(UserError, match="must have one file of VecNormalize beside it"):
+        _ = resolve(folder / name).model.statistics
 
 
 def test_missing_statistics_and_wrappers_are_told(folder, env):
@@ -192,11 +238,12 @@ def test_several_trainings_are_one_agent_with_intervals_over_both(tmp_path):
     models = [trained(seed) for seed in (4, 2)]
     for seed, one in enumerate(models):
         one.save(tmp_path / f"mine-{seed}")
-    pattern = f"{tmp_path}/mine-*@{CONTROL}"
-    entries = find_entries([pattern], allow_pickle=True)
-    assert [(one.label, one.training_seed) for one in entries] == [("mine", 4), ("mine", 2)]
-    listed = compare({"mine": models, "mmc": "mmc"}, episodes=3)
-    found = compare([pattern, "mmc"], episodes=3, allow_pickle=True)
+    pattern = f"{tmp_path}/mine-*"
+    both = resolve_all([pattern], allow_pickle=True)
+    assert [(one.label, one.training_seed) for one in both] == [("mine", 4), ("mine", 2)]
+    given = {"episodes": 3, "env_kwargs": {"control": CONTROL}}
+    listed = compare({"mine": models, "mmc": "mmc"}, **given)
+    found = compare([pattern, "mmc"], allow_pickle=True, **given)
     assert found.trainings["mine"] == 2 and "mine (2)" in found.note
     mine = found.summary.query("agent == 'mine' and measure == 'final_distance'").iloc[0]
     assert mine["count"] == 6 and mine["low"] < mine["estimate"] < mine["high"]
@@ -204,14 +251,14 @@ def test_several_trainings_are_one_agent_with_intervals_over_both(tmp_path):
     np.testing.assert_array_equal(
         distances.get_group("mine"), listed.episodes.query("agent == 'mine'")["final_distance"]
     )
-    assert find_entries(["ppo-*"]) == find_entries(["ppo"])
 
 
 def test_a_control_mode_that_is_asked_for_is_that_of_agents_that_act_by_several():
-    entry = find_entries(["mmc@joint_delta"])[0]
-    for asked, one in (("joint_velocity", find_entries(["mmc"])[0]), ("joint_delta", entry)):
-        env, _ = make_for(one, lambda control: make_environment("MMCReach-v0", control), asked)
-        assert env.unwrapped.control == asked
-    (torque,) = find_entries(["ppo-0@joint_torque"])
-    with pytest.raises(ControlError, match="control must be 'joint_delta' for this policy"):
-        make_for(torque, lambda control: make_environment("MMCReach-v0", control))
+    asked = {"control": "joint_torque"}
+    for name, control in (("mmc", "joint_velocity"), ("ppo", "joint_delta")):
+        env, _ = make_player(resolve(name), "MMCReach-v0", {"control": control})
+        assert env.unwrapped.control == control
+    env, _ = make_player(resolve("ppo"), "MMCReach-v0", asked)
+    assert env.unwrapped.control == "joint_delta"  # it acts by one only
+    with pytest.raises(CannotActError, match="control must be 'joint_position'"):
+        make_player(resolve("mmc"), "MMCReach-v0", asked)

@@ -143,7 +143,6 @@ def test_damaged_weights_are_an_error(copy):
             {"learning_curve": [ROW, {**ROW, "success": None}]},
             "learning_curve must have .* in e",
         ),
-        ({"learning_curve": [ROW, {**ROW, "steps": 50}]}, "learning_curve must not fall in steps"),
         ({"base_agent": ["mmc"]}, "base_agent must be a valid string"),
         ({"base_agent": "pmp"}, "base_agent must be one of \\['mmc'\\] or empty"),
         ({"control": "thought"}, "control must be 'joint_position', 'joint_delta', "),

@@ -1,5 +1,6 @@
-"""Finding out which agent is meant, and what is known of it."""
+"""The one grammar for agents, and what is known of each."""
 
+import pickle
 import shutil
 import sys
 from types import ModuleType, SimpleNamespace
@@ -9,9 +10,11 @@ import pytest
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
-from mmc_gym.agents import AGENTS, resolve, resolver, shipped_seeds
+from mmc_gym.agents import AGENTS, REFERENCE, resolve, resolve_all, resolver
 from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.agents.registry import UNKNOWN
+from mmc_gym.benchmark.suite import default_agents
+from mmc_gym.interface import CannotActError
 
 OWN = """
 class Still:
@@ -27,15 +30,28 @@ NOTHING = 3
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A working directory with a module and a policy of the user's."""
+    """A working directory with a module, a policy and two trainings of another."""
     (tmp_path / "my_agents.py").write_text(OWN)
-    (tmp_path / "lr=0.001").mkdir()
-    for suffix in (".json", ".safetensors"):
-        shutil.copy(PRETRAINED / f"ppo-3{suffix}", tmp_path / "lr=0.001" / f"mine{suffix}")
+    for name, copy in (
+        ("ppo-3", "lr=0.001/mine"),
+        ("ppo-2", "runs/mine-10"),
+        ("ppo-1", "runs/mine-9"),
+        ("sac-1", "runs/twice-2"),
+        ("ppo-1", "runs/twice-1"),
+    ):
+        for suffix in (".json", ".safetensors"):
+            path = tmp_path / f"{copy}{suffix}"
+            path.parent.mkdir(exist_ok=True)
+            shutil.copy(PRETRAINED / f"{name}{suffix}", path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.delitem(sys.modules, "my_agents", raising=False)
     return tmp_path
+
+
+def read(*names, **options):
+    found = resolve_all(names, **options)
+    return [(one.label, one.training_seed, one.source) for one in found]
 
 
 @pytest.mark.parametrize("name", AGENTS)
@@ -47,17 +63,8 @@ def test_every_name_is_resolved_with_all_that_is_known_of_it(name):
     assert found.knowledge == entry.knowledge  # of policies, as the card has it
     assert entry.knowledge.kind != "yours"
     assert entry.control == found.control == (found.card or entry).control
-    assert shipped_seeds(name) == list(range(entry.training_seeds))
     assert len(found.fingerprint) == 64
     assert found.acts_on_batches
-
-
-def test_a_training_is_resolved_by_name_and_seed():
-    found = resolve("ppo-3")
-    assert (found.label, found.source, found.name, found.training_seed) == (
-        *("ppo-3", "ppo-3", "ppo", 3),
-    )
-    assert found.fingerprint == load_policy(PRETRAINED / "ppo-3.json")[1].sha256
 
 
 @pytest.mark.parametrize("suffix", ["json", "safetensors"])
@@ -68,17 +75,64 @@ def test_a_policy_is_resolved_by_its_path_whatever_that_is(folder, suffix):
     assert (found.name, found.training_seed, found.entry) == ("", 3, None)
     assert found.knowledge.kind == "yours"
     assert found.knowledge.senses == AGENTS["ppo"].knowledge.senses
-    assert found.fingerprint == resolve("ppo-3").fingerprint
+    shipped = resolve("ppo-3")
+    assert found.fingerprint == shipped.fingerprint == load_policy(shipped.policy)[1].sha256
     assert found.acts_on_batches
     assert make_agent(found.source, gym.make("MMCReach-v0")).card == found.card
+
+
+def test_one_grammar_holds_for_several_trainings_and_labels(folder):
+    assert read("ppo-3", "x=ppo-3", "y=mmc", REFERENCE, "z=lr=0.001/mine.json") == [
+        ("ppo-3", 3, "ppo-3"),
+        ("x", 3, "ppo-3"),
+        ("y", None, "mmc"),
+        (REFERENCE, None, REFERENCE),
+        ("z", 3, "lr=0.001/mine.json"),
+    ]
+    assert read("other=sac", "sac-*") == [
+        *(("other", seed, f"sac-{seed}") for seed in range(5)),
+        *(("sac", seed, f"sac-{seed}") for seed in range(5)),
+    ]
+    assert read("sac", every_training=False) == [("sac", 0, "sac-0")]
+    mine = [("mine", 1, "runs/mine-9.json"), ("mine", 2, "runs/mine-10.json")]
+    assert read("runs/mine-*") == mine
+    assert read("x=runs/mine-*.safetensors")[0] == ("x", 1, "runs/mine-9.safetensors")
+    assert resolve("runs/mine-*").source == "runs/mine-9.json"
+    # Their files tell the same seed, so they are counted.
+    assert [seed for _, seed, _ in read("runs/twice-*")] == [0, 1]
+    assert [seed for _, seed, _ in read("lr=0.001/*")] == [3]
+
+
+def test_a_mapping_gives_labels_and_several_trainings(folder, oracle, frozen):
+    def thaw(env):
+        return frozen
+
+    env = gym.make("MMCReach-v0")
+    made = {one.label: one for one in resolve_all([oracle, thaw, "random", "x=mmc"])}
+    assert list(made) == ["Oracle", "thaw", "random", "x"]
+    assert (made["Oracle"].factory(env), made["thaw"].factory(env)) == (oracle, frozen)
+    found = resolve_all({"a": [oracle, frozen], "b": "runs/mine-*", "c": "mmc"})
+    assert [(one.label, one.training_seed) for one in found] == [
+        *(("a", 0), ("a", 1), ("b", 1), ("b", 2), ("c", None)),
+    ]
+
+
+def test_a_resolved_agent_travels_with_its_fingerprint_and_is_read_anew(folder):
+    found = resolve("x=my_agents:Still")
+    before = found.fingerprint
+    found.check()
+    (folder / "my_agents.py").write_text(f"{OWN}# changed")
+    travelled = pickle.loads(pickle.dumps(found))
+    assert (travelled.label, travelled.fingerprint) == ("x", before)
+    assert "factory" not in vars(travelled)
+    assert travelled.factory(gym.make("MMCReach-v0")).size == 3
 
 
 def test_an_own_class_is_resolved_by_module_and_name(folder):
     found = resolve("my_agents:Still")
     assert (found.label, found.source, found.training_seed) == (*["my_agents:Still"] * 2, None)
     assert (found.knowledge, found.card) == (UNKNOWN, None)
-    env = gym.make("MMCReach-v0")
-    assert found.factory(env).size == make_agent("my_agents:Still", env).size == 3
+    assert make_agent("my_agents:Still", gym.make("MMCReach-v0")).size == 3
     assert not found.acts_on_batches
     before = found.fingerprint
     (folder / "my_agents.py").write_text(f"{OWN}# changed")
@@ -93,8 +147,16 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class():
 
     assert (resolve(make).label, resolve(make).factory(None)) == ("make", thing)
     assert (resolve(thing).label, resolve(thing).factory(None)) == ("SimpleNamespace", thing)
-    assert resolve(make).source == resolve(thing).source == ""
+    assert resolve(make).source_name == "given:make"
     assert resolve(make).fingerprint != resolve(thing).fingerprint
+
+
+def test_the_ideal_hand_takes_part_and_acts_in_no_environment():
+    assert REFERENCE in default_agents() and "ik-nullspace" not in default_agents()
+    ideal = resolve(REFERENCE)
+    assert (ideal.is_reference, ideal.knowledge.kind, ideal.fingerprint) == (True, "ideal", "")
+    with pytest.raises(CannotActError, match="a hand without an arm"):
+        ideal.factory(gym.make("MMCReach-v0"))
 
 
 @pytest.mark.parametrize(
@@ -105,12 +167,14 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class():
             for name in ("xyzzy", "")
         ),
         ("mcm", "agent 'mcm' is not accepted; did you mean 'mmc'"),
-        ("MMC", "agent 'MMC' is not accepted; did you mean 'mmc'"),
         ("ppo-10", "did you mean 'ppo-1'"),
         ("mmc-0", "did you mean 'mmc'"),
         *((name, "did you mean 'ppo") for name in ("ppo--1", "ppo-01", "ppo-")),
         *((thing, f"agent {thing} is not accepted. It may be mmc") for thing in (None, 3)),
         ("runs/nowhere", "agent 'runs/nowhere' must be .* there is no such file"),
+        ("runs", "must be a folder with one policy, .* got mine-10.json"),
+        ("nothing-*.json", r"must match a file or a folder, got 'nothing-\*.json'"),
+        ("=mmc", "agents must have names, got '=mmc'"),
         ("no_such_module:make", "'no_such_module:make' cannot be imported"),
         (".my_agents:Still", "agent '.my_agents:Still' is not accepted"),
         ("my_agents:nothing", "'my_agents:nothing' cannot be imported"),
@@ -122,20 +186,37 @@ def test_what_is_no_agent_is_an_error_of_the_user(folder, agent, message):
     for suffix in ("json", "safetensors"):
         (folder / f"my_agents.py.{suffix}").write_text("{}")
     with pytest.raises(UserError, match=message):
-        resolve(agent).check()
+        resolve_all([agent])
+
+
+@pytest.mark.parametrize(
+    ("agents", "message"),
+    [
+        ([], "agents must be one or more"),
+        (3, "agents must be a list of agents"),
+        ({"x": []}, "at least one training, got none of 'x'"),
+        ({3: "mmc"}, "the label of an agent must be a text"),
+        (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
+        (["x=ppo", "x=ppo-3"], "got x repeatedly"),
+    ],
+)
+def test_agents_that_cannot_stand_beside_each_other_are_refused(agents, message):
+    with pytest.raises(UserError, match=message):
+        resolve_all(agents)
+
+
+def test_a_missing_policy_is_known_to_be_one_and_missing():
+    found = resolve("gone/ppo-7.json")
+    assert found.label == "ppo-7"
+    for name in ("gone/ppo-7.json", "x=gone/ppo-7.json"):
+        with pytest.raises(FileNotFoundError, match="ppo-7"):
+            resolve_all([name])
 
 
 def test_where_no_file_is_known_there_is_no_fingerprint(monkeypatch):
     monkeypatch.setitem(sys.modules, "of_a_prompt", ModuleType("of_a_prompt"))
     for source in ("of_a_prompt:make", "no_such_package.module:make"):
         assert resolve(source).fingerprint == ""
-
-
-def test_a_missing_policy_is_known_to_be_one_and_missing():
-    found = resolve("gone/ppo-7.json")
-    assert found.label == "ppo-7"
-    with pytest.raises(FileNotFoundError):
-        found.check()
 
 
 def test_changed_code_is_another_fingerprint(tmp_path, monkeypatch):

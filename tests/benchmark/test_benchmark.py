@@ -23,11 +23,11 @@ from rich.console import Console
 import mmc_gym
 from mmc_gym import cli
 from mmc_gym._errors import UserError
+from mmc_gym.agents import resolve_all
 from mmc_gym.agents.policy import PRETRAINED
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark import runner
-from mmc_gym.benchmark.entries import Entry
 from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents
-from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import (
     SET_COLUMNS,
@@ -170,9 +170,10 @@ def test_paths_tell_the_distance_that_success_is_about(tmp_path):
 
 
 def test_the_lowest_training_seed_that_takes_part_keeps_paths(tmp_path, outside):
-    play([f"x@{seed}={outside}:constant" for seed in (5, 3)], tmp_path, ["random"])
-    assert set(read_episodes(tmp_path)["training_seed"]) == {3, 5}
-    assert set(read_paths(tmp_path)["training_seed"]) == {3}
+    play(["x=ppo-3", "y=sac-2", "y=sac-1"], tmp_path, ["random"])
+    keepers = read_paths(tmp_path).groupby("agent")["training_seed"].first()
+    assert keepers.to_dict() == {"x": 3, "y": 1}
+    assert len(read_episodes(tmp_path).groupby(["agent", "training_seed"])) == 3
 
 
 def test_cells_that_are_there_are_not_played_again(tmp_path):
@@ -374,9 +375,10 @@ def test_a_policy_for_other_actions_has_its_own(tmp_path, frozen):
             raise ControlError("control must be 'joint_torque'", "joint_torque")
         return frozen
 
-    cell = runner.Cell(Entry("limp", 0, limp), SCENARIOS["random"], 2, 0)
+    (agent,) = resolve_all({"limp": limp})
+    cell = runner.BenchmarkCell(agent, SCENARIOS["random"], 2, 0)
     write_cell(tmp_path, cell.key, runner.run_cell(cell).files)
-    assert kept_cells(tmp_path)["limp--0--random"].facts["control"] == "joint_torque"
+    assert kept_cells(tmp_path)["limp--random"].facts["control"] == "joint_torque"
 
 
 def test_a_copy_of_a_policy_plays_as_the_one_that_ships(tmp_path):

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from mmc_gym._console import cell
 from mmc_gym._errors import UserError
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.compare import compare
-from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.measures.catalogue import MEASURES, shown_measures
 
 FIGURES = {"paths_and_profiles.png", "paths_and_profiles.svg"}

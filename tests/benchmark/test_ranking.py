@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.ranking import (
     print_ranking,
     rank_agents,
     ranked_scores,
     success_by_environment,
 )
-from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey
 

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from mmc_gym.benchmark.reference import has_reference, minimum_jerk_episodes
+from mmc_gym.benchmark.suite import has_reference, minimum_jerk_episodes
 from mmc_gym.measures import measure_all
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
 from mmc_gym.network.time_base import minimum_jerk

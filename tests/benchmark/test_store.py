@@ -172,11 +172,11 @@ def test_stores_that_are_none_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('"schema_version":1', "must be of version 2, got 1"),
-        ("{", "is damaged"),
-        ('"episodes":"many"', "is damaged: episodes: Input should be a valid integer"),
-        ('"agents":{"mmc":{}}', "is damaged: agents.mmc: Input should be a valid list"),
-        ('"agent":{}', "is damaged: agent: Extra inputs are not permitted"),
+        ('"schema_version":1', "schema_version must be 2, got 1"),
+        ("{", "cannot be read: Invalid JSON"),
+        ('"episodes":"many"', "cannot be read: episodes must be a valid integer"),
+        ('"agents":{"mmc":{}}', "agents.mmc must be a valid array"),
+        ('"agent":{}', "agent is not known"),
     ],
 )
 def test_a_damaged_manifest_is_told(tmp_path, change, message):
@@ -210,28 +210,3 @@ def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch
     assert cell_facts(store, old, SETTINGS) is None
     read = read_episodes(store).groupby("agent")["success"].count()
     assert read.to_dict() == {"old": 0, "ppo": 2}
-
-
-@pytest.mark.parametrize("kind", READ)
-def test_no_flipped_bit_is_taken_for_data(store, kind):
-    """Only bits that nobody reads may be flipped unnoticed."""
-    path, read = store / kind / KEY.file_name, READ[kind]
-    whole, before = path.read_bytes(), read(store)
-    noticed, places = 0, np.random.default_rng(0).integers(len(whole), size=200)
-    for place in places.tolist():
-        content = bytearray(whole)
-        content[place] ^= 1 << place % 8
-        path.write_bytes(content)
-        try:
-            pd.testing.assert_frame_equal(read(store), before)
-        except UserError as error:
-            assert str(path) in str(error)
-            noticed += 1
-    assert noticed > 100
-
-
-def test_a_changed_column_name_is_noticed(store):
-    path = store / "episodes" / KEY.file_name
-    path.write_bytes(path.read_bytes().replace(b"final_distance", b"finel_distance"))
-    with pytest.raises(UserError, match=rf"{KEY.file_name} is damaged"):
-        read_episodes(store)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmc_gym._modules import import_modules
+from mmc_gym._files import import_modules
 from mmc_gym.measures import (
     MEASURES,
     SET_MEASURES,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.agents.policy import PRETRAINED
-from mmc_gym.benchmark.reference import REFERENCE, minimum_jerk_episodes
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,
@@ -27,7 +27,7 @@ from mmc_gym.benchmark.store import (
     update_manifest,
     write_cell,
 )
-from mmc_gym.benchmark.suite import SCENARIOS
+from mmc_gym.benchmark.suite import SCENARIOS, minimum_jerk_episodes
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
 from mmc_gym.report import write_report
 

@@ -11,7 +11,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.benchmark.reference import REFERENCE
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.store import CellKey, NotPlayed
 from mmc_gym.measures import catalogue
 from mmc_gym.report import write_report
@@ -38,9 +38,9 @@ def test_every_agent_of_the_package_is_known():
 @pytest.mark.parametrize(
     ("sources", "name", "kind", "lengths"),
     [
-        (["ppo-1"], "ppo", "learned", "not told: had to learn"),
-        (["ppo-0", "ppo-1"], "ppo", "learned", "not told: had to learn"),
-        (["mmc"], "mmc", "network", "told"),
+        (["ppo-1"], "ppo", "learned", "not given: had to learn"),
+        (["ppo-0", "ppo-1"], "ppo", "learned", "not given: had to learn"),
+        (["mmc"], "mmc", "network", "given"),
         ([REFERENCE], REFERENCE, "ideal", "has no arm"),
         (["mmc:make"], "", "yours", "unknown"),
         (["mine:ppo"], "", "yours", "unknown"),
@@ -56,9 +56,11 @@ def test_who_an_agent_is_follows_from_what_it_was_made_of(sources, name, kind, l
 
 
 def test_a_policy_given_by_its_file_is_known_by_its_card(make_policy, tmp_path):
-    one = identify([make_policy(tmp_path, view="target", training_steps=480_000)])
+    one = identify(
+        [make_policy(tmp_path, view="target", control="joint_position", training_steps=480_000)]
+    )
     assert (one.name, one.knowledge.kind) == ("", "yours")
-    assert one.knowledge.lengths.startswith("not told")
+    assert one.knowledge.lengths.startswith("not given")
     assert one.knowledge.senses.startswith("all joint angles")
     assert [card.training_steps for card in one.cards] == [480_000]
     gone = identify([str(tmp_path / "gone.json")])

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.ranking import rank_agents
-from mmc_gym.benchmark.reference import REFERENCE
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.measures import SET_MEASURES
