@@ -34,18 +34,16 @@ _ASCII = str.maketrans(
 def make_console() -> Console:
     """Return standard output, as wide as the terminal or COLUMNS says, 120 columns otherwise."""
     console = Console()
-    is_told = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
-    return console if is_told else Console(width=WIDTH)
+    has_width = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+    return console if has_width else Console(width=WIDTH)
 
 
 def progress_bar(*, auto_refresh: bool = True) -> Progress:
-    """Return a bar on stderr: what, how far, since when, until when.
-
-    Without a terminal it draws nothing.
+    """Return a bar on stderr: task, progress, elapsed and remaining time; none without a terminal.
 
     Args:
         auto_refresh: draw from a thread, ten times a second.  Without it the caller refreshes, so
-            that no thread disturbs what is timed.
+            that no thread disturbs timings.
     """
     console = Console(stderr=True)
     return Progress(
@@ -93,11 +91,11 @@ def _digits(value: float, decimals: int) -> str:
 
 
 def cell(row: Mapping[Any, Any], decimals: int) -> str:
-    """Return a statistic, its interval below, and how many episodes it is about if not all.
+    """Return a statistic, its interval below, and how many episodes have one, if not all.
 
     Args:
         row: estimate, low, high, count, missing.
-        decimals: at most so many; fewer if the estimate has three digits without them.
+        decimals: the most; fewer if the estimate has three digits without them.
 
     >>> print(cell(dict(estimate=0.5, low=0.4, high=0.61, count=9, missing=1), 2))
     0.50
@@ -121,8 +119,8 @@ def _three_digits(estimate: float, at_most: int) -> int:
 def print_rows(console: Console, rows: Sequence[Mapping[str, str]], left: str) -> None:
     """Print a table with a row for each mapping, headed by its keys.
 
-    The column `left` is text, and its lines are not broken; the others are numbers, and end at the
-    right.  Where there is little room, they stand closer together.
+    The column `left` is text, and its lines are not broken; the others are numbers, aligned at the
+    right.  Columns move closer together if the console is narrow.
     """
     unbounded = console.options.update_width(10 * console.width)
     for gap in (_GAP, 1):
@@ -145,17 +143,21 @@ def print_rows(console: Console, rows: Sequence[Mapping[str, str]], left: str) -
 def print_list(
     console: Console, rows: Iterable[Sequence[str]], headings: Sequence[str] = ()
 ) -> None:
-    """Print rows of text, as wide as the console; what comes first in each is not broken.
+    """Print rows of text, as wide as the console, without breaking the first text of a row.
 
-    Its signs are kept wherever they can be encoded, a pipe included.
+    Keep signs such as µ wherever they can be encoded, also in a pipe.
     """
     table = _table()
     table.show_header = bool(headings)
     for number, row in enumerate(rows):
         for column, heading in enumerate(headings or row) if number == 0 else ():
-            table.add_column(encodable(console, heading), no_wrap=column == 0, overflow="fold")
-        table.add_row(*(encodable(console, content) for content in row))
+            table.add_column(_encodable(console, heading), no_wrap=column == 0, overflow="fold")
+        table.add_row(*(_encodable(console, content) for content in row))
     console.print(table)
+
+
+def _encodable(console: Console, content: str) -> Text:
+    return Text(content if _knows_signs(console) else _to_ascii(content))
 
 
 def print_columns(
@@ -172,7 +174,7 @@ def print_columns(
         console: where to.
         labels: of the rows, by the heading of their column; repeated in each further table.
         columns: cells of each agent, as many as there are labels.
-        note: what must be known to read the numbers.
+        note: how to read the numbers.
     """
     widths = {
         name: max(_width(cells), min(len(name), _NAME_WIDTH)) for name, cells in columns.items()
@@ -197,35 +199,6 @@ def print_columns(
     console.print(text_for(console, note))
 
 
-def print_shares(
-    console: Console, title: str, shares: Mapping[str, int], rows: Iterable[Sequence[str]]
-) -> None:
-    """Print a table of sentences as wide as the console.
-
-    Its signs are kept wherever they can be encoded, a pipe included.
-
-    Args:
-        console: where to.
-        title: line above the table.
-        shares: shares of the width, by heading: by content alone, a long note would leave the
-            other columns a word a line.
-        rows: cells, as many as there are headings.
-    """
-    table = _table()
-    table.expand = True
-    table.title, table.title_justify = encodable(console, title), "left"
-    for heading, share in shares.items():
-        table.add_column(heading, overflow="fold", vertical="top", ratio=share)
-    for row in rows:
-        table.add_row(*(encodable(console, content) for content in row))
-    console.print(Padding(table, (1, 0)))
-
-
-def encodable(console: Console, content: str) -> Text:
-    """Return a text, in plain ASCII if the console's encoding lacks its signs."""
-    return Text(content if _knows_signs(console) else _to_ascii(content))
-
-
 def print_written(console: Console, paths: Iterable[Path]) -> None:
     """Print the files that were written, a line each, unbroken so that they can be copied."""
     for path in paths:
@@ -234,9 +207,9 @@ def print_written(console: Console, paths: Iterable[Path]) -> None:
 
 
 def text_for(console: Console, content: str) -> Text:
-    """Return what a console can show: its first line as it is, the others dimmed.
+    """Return a text with all lines but the first dimmed.
 
-    Plain ASCII where the console is no terminal, or its encoding lacks the signs.
+    It is plain ASCII if the console is no terminal, or its encoding lacks the signs.
     """
     if not console.is_terminal or not _knows_signs(console):
         content = _to_ascii(content)

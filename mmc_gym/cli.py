@@ -402,19 +402,16 @@ def list_(
 
 
 @_app.command
-def show(scenario: Positional[str], out: Path | None = None, given: Imports = NO_IMPORTS) -> None:
+def show(scenario: Positional[str], given: Imports = NO_IMPORTS) -> None:
     """Describe a scenario: how to make it, what happens in it, and what agents are given.
 
     Args:
         scenario: Name of a task, of a perturbation with any strength (delay-150), or an id.
-        out: File to write a picture of it to, .png.
     """
     from mmc_gym import listing
 
     given.load()
     print_list(make_console(), listing.describe(scenario))
-    if out is not None:
-        print(f"wrote {listing.write_picture(scenario, out)}")
 
 
 @_app.command

@@ -6,16 +6,12 @@ import inspect
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError
-from mmc_gym._files import write_atomically
-from mmc_gym._notebook import png
 from mmc_gym.agents import AGENTS, AgentEntry, make_agent
 from mmc_gym.envs.perturbations import FAMILIES, Family
 from mmc_gym.envs.scenarios import (
@@ -248,15 +244,3 @@ def picture(
     frame: Any = env.render()
     env.close()
     return np.asarray(frame)
-
-
-def write_picture(name: str, out: Path | str) -> Path:
-    """Write the `picture` of a scenario as PNG, and return the file's path.
-
-    Raises:
-        UserError: for an unknown name, or if the file's name does not end in .png.
-    """
-    out = Path(out)
-    if out.suffix != ".png":
-        raise UserError(f"out must be a file that ends in .png, got {str(out)!r}")
-    return write_atomically(out, png(picture(name)))

@@ -25,6 +25,7 @@ from glob import glob
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import cloudpickle
@@ -67,8 +68,8 @@ Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequen
 class ResolvedAgent:
     """An agent, or one of its trainings.
 
-    Files are read and modules imported when something asks for them; `check` asks for all.  A
-    process that this is sent to reads them again.
+    Its files are read and its module is imported on demand; `check` does both.  A process that it
+    is sent to does so again.
 
     Attributes:
         label: the agent's name in tables and data.
@@ -220,12 +221,7 @@ class ResolvedAgent:
         return _digest_of_module(self.source) if self.source else _digest_of_pickle(self.given)
 
     def check(self) -> None:
-        """Import its module, or read its policy or model.
-
-        Raises:
-            FileNotFoundError: if a file is missing.
-            UserError: if it cannot be imported, is damaged, or is pickled and that is not allowed.
-        """
+        """Import its module, or read its policy or model, which raises what `factory` does."""
         if not self.is_reference:
             _ = self.factory, self.card
 
@@ -283,11 +279,11 @@ def resolve_all(
     if isinstance(agents, Mapping):
         for label, given in agents.items():
             require(isinstance(label, str), "the label of an agent", label, "a text")
-            sources = given if isinstance(given, (list, tuple)) else [given]
-            found += _trainings(sources, label, allow_pickle, every_training)
+            several: Any = given if isinstance(given, (list, tuple)) else [given]
+            found += _trainings(several, label, allow_pickle, every_training)
     else:
-        for one in [agents] if isinstance(agents, str) else agents:
-            found += _trainings([one], "", allow_pickle, every_training)
+        for agent in [agents] if isinstance(agents, str) else agents:
+            found += _trainings([agent], "", allow_pickle, every_training)
     if not found:
         raise UserError("agents must be one or more, such as mmc and ppo, got none")
     seen = set()
@@ -465,7 +461,7 @@ def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
     if hasattr(made, "predict"):
         return _with_whole_signature(made)
     if not isinstance(given, type) and _gives_actions(given, env):
-        return FunctionAgent(given)
+        return _function_agent(given)
     if failure is not None:
         raise failure
     raise UserError(
@@ -485,22 +481,16 @@ def _gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bo
     return action.shape == env.action_space.shape and action.dtype.kind in "fiub"
 
 
-class FunctionAgent:
-    """A function of observations that returns actions, or pairs of action and state."""
-
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self._function = function
+def _function_agent(function: Callable[[Any], Any]) -> Predictor:
+    """Return the agent of a function of observations that returns actions, or action and state."""
 
     def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
+        observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """Return the function's action."""
-        given = self._function(observation)
+        given = function(observation)
         return given if isinstance(given, tuple) and len(given) == 2 else (given, None)
+
+    return SimpleNamespace(predict=predict)
 
 
 def _with_whole_signature(agent: Any) -> Predictor:
@@ -508,7 +498,7 @@ def _with_whole_signature(agent: Any) -> Predictor:
     try:
         inspect.signature(agent.predict).bind(None, None, None, deterministic=True)
     except TypeError:
-        return FunctionAgent(agent.predict)
+        return _function_agent(agent.predict)
     except ValueError:  # it has no signature that Python knows
         pass
     return cast(Predictor, agent)

@@ -199,7 +199,7 @@ def test_a_function_that_fails_in_both_ways_fails_as_it_does_with_the_environmen
 
     with pytest.raises(ZeroDivisionError):
         compare([broken], episodes=1)
-    with pytest.raises(UserError, match="'nothing' must return an object with predict"):
+    with pytest.raises(UserError, match="'x' must return an object with predict"):
         compare({"x": type("nothing", (), {"__init__": lambda self, env: None})}, episodes=1)
 
 
