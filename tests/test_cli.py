@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import sys
 from importlib.metadata import version
-from pathlib import Path
 
 import pytest
 
@@ -19,32 +18,23 @@ def test_compare_writes_data_and_figure(tmp_path, capsys):
     assert {"episodes.csv", "summary.csv", "paths_and_profiles.png"} <= written
 
 
-def test_train_and_resume(tmp_path, capsys):
-    folder = str(tmp_path / "run")
-    main(["train", "ppo", "--steps", "1", "--out", folder])
-    first = (Path(folder) / "ppo-0.safetensors").read_bytes()
-    assert "success" in capsys.readouterr().out
-    with pytest.raises(SystemExit) as stop:
-        main(["train", "ppo", "--steps", "1", "--out", folder])
-    assert stop.value.code == 2
-    assert "resume" in capsys.readouterr().err
-    main(["train", "ppo", "--steps", "1", "--out", folder, "--resume"])
-    assert (Path(folder) / "ppo-0.safetensors").read_bytes() == first
-
-
-def test_train_takes_a_file_of_ones_own(tmp_path, capsys):
-    path = tmp_path / "ppo-mine.yml"
+def test_train_takes_your_own_file_and_resumes(tmp_path, capsys):
+    path, folder = tmp_path / "ppo-mine.yml", tmp_path / "run"
     path.write_text(
         "CartPole-v1: {n_timesteps: 1, policy: MlpPolicy}\n"
-        "MMCReach-v0:\n"
-        "  n_timesteps: 1\n"
-        "  policy: MlpPolicy\n"
-        "  policy_kwargs: dict(net_arch=[8])\n"
-        "  n_steps: 64\n"
+        "MMCReach-v0: {n_timesteps: 1, policy: MlpPolicy, policy_kwargs: {net_arch: [8]}, "
+        "n_steps: 64}\n"
     )
-    main(["train", str(path), "--env", "MMCReach-v0", "--out", str(tmp_path / "run")])
+    command = ["train", str(path), "--env", "MMCReach-v0", "--out", str(folder)]
+    main(command)
     assert "ppo-mine-0.safetensors: success" in capsys.readouterr().out
-    assert (tmp_path / "run" / "ppo-mine-0.json").exists()
+    first = (folder / "ppo-mine-0.safetensors").read_bytes()
+    with pytest.raises(SystemExit) as stop:
+        main(command)
+    assert stop.value.code == 2
+    assert "resume" in capsys.readouterr().err
+    main([*command, "--resume"])
+    assert (folder / "ppo-mine-0.safetensors").read_bytes() == first
 
 
 def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, capsys):

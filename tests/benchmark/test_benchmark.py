@@ -24,7 +24,6 @@ import mmc_gym
 from mmc_gym import cli
 from mmc_gym._errors import UserError
 from mmc_gym.agents import resolve_all
-from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark import runner
 from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents
@@ -379,14 +378,6 @@ def test_a_policy_for_other_actions_has_its_own(tmp_path, frozen):
     cell = runner.BenchmarkCell(agent, SCENARIOS["random"], 2, 0)
     write_cell(tmp_path, cell.key, runner.run_cell(cell).files)
     assert kept_cells(tmp_path)["limp--random"].facts["control"] == "joint_torque"
-
-
-def test_a_copy_of_a_policy_plays_as_the_one_that_ships(tmp_path):
-    for suffix in ("json", "safetensors"):
-        shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path / f"mine.{suffix}")
-    play([f"{tmp_path}/mine.json", "ppo-0"], tmp_path / "out", ["random"])
-    frame = read_episodes(tmp_path / "out")
-    assert frame.groupby("agent")["final_distance"].sum().nunique() == 1
 
 
 def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):

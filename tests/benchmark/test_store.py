@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -186,19 +185,6 @@ def test_a_damaged_manifest_is_told(tmp_path, change, message):
     (tmp_path / "manifest.json").write_text(json.dumps(content) if ":" in change else change)
     with pytest.raises(UserError, match=message):
         read_manifest(tmp_path)
-
-
-def test_updates_of_a_manifest_at_the_same_time_are_all_kept(tmp_path):
-    def update(number):
-        def more(kept):
-            kept = kept or MANIFEST
-            return kept.model_copy(update={"versions": {**kept.versions, str(number): ""}})
-
-        update_manifest(tmp_path, more)
-
-    with ThreadPoolExecutor(8) as threads:
-        list(threads.map(update, range(40)))
-    assert len(read_manifest(tmp_path).versions) == 40
 
 
 def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch):
