@@ -1,10 +1,10 @@
 """Speed of this package beside its peers: environments, the network, and agents.
 
 Run it with `make speed`, or `python benchmarks/speed.py`; peers that are not installed (they are in
-the `benchmark` extra) are named and left out.  What is timed takes turns, and a ratio is the median
-over the rounds of each round's own ratio.  Kept under `runs/speed` are the numbers of each run, and
-figures of steps per second and of the cost of an arm by the number of arms; `--check` fails on a
-loss of speed since the runs before, see `history`.
+the `benchmark` extra) are named and left out.  Timed calls take turns; a ratio is the median over
+the rounds of each round's ratio.  `runs/speed` keeps the numbers of each run, and figures of steps
+per second and of the time per arm by the number of arms; `--check` fails on a loss of speed since
+the earlier runs, see `history`.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Arguments:
 
 
 def make_all(entries: Iterable[Entry], console: Console) -> dict[Entry, Player]:
-    """Make those whose packages are installed, and name the others."""
+    """Make the environments whose packages are installed, and name the others."""
     made = {}
     # Processes fork off while this one still has no threads.
     for entry in sorted(entries, key=lambda entry: entry.variant != "async"):
@@ -158,7 +158,7 @@ def growth_table(times: Times) -> Table:
 
 
 def bytes_per_arm(engine: str, counts: Sequence[int]) -> list[float]:
-    """Return by how much a fresh process grows per arm of vector environments of these sizes."""
+    """Return the bytes per arm of vector environments of these sizes, in a fresh process."""
     with get_context("spawn").Pool(1) as pool:
         return pool.apply(_grow, (engine, counts))
 
@@ -216,7 +216,7 @@ def agent_times(arguments: Arguments) -> dict[str, NDArray[np.float64]]:
 def rows_of(
     times: Mapping[Any, NDArray[np.float64]], names: Mapping[Any, str], peer: Any
 ) -> list[SpeedRow]:
-    """Return what is kept of some that took turns; without their peer nothing is."""
+    """Return the rows of calls that took turns; none without their peer."""
     if peer not in times:
         return []
     rows = []
@@ -245,7 +245,7 @@ def rows_table(title: str, unit: str, scale: float, rows: Iterable[SpeedRow]) ->
 
 
 def is_peer(entry: Entry) -> bool:
-    """Tell whether an environment is not of this package."""
+    """Return whether an environment belongs to another package."""
     return not entry.environment.startswith("MMC")
 
 
@@ -336,7 +336,7 @@ def machine() -> str:
 
 
 def main(arguments: Arguments) -> None:
-    """Print the tables, keep the numbers, draw the figures; fail on a loss if that is asked."""
+    """Print the tables, keep the numbers, draw the figures; with `--check`, fail on a loss."""
     console = Console(width=120, highlight=False)
     console.print(machine())
     made = make_all((*SINGLE, *VECTOR), console)

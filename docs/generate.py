@@ -83,7 +83,7 @@ def package_digest() -> str:
 
 
 def agents_table() -> list[str]:
-    """Return what each agent is, is told and senses, as Markdown."""
+    """Return a Markdown table of what each agent is, is given and senses."""
     rows = ["| agent | what it is | kind | lengths | actions | senses |"]
     rows += ["| --- " * 6 + "|"]
     for name, entry in AGENTS_THAT_SHIP.items():

@@ -171,6 +171,6 @@ def test_readme_is_short_and_its_links_lead_somewhere():
     assert links and not [link for link in links if not (ROOT / link).exists()]
 
 
-def test_what_assistants_are_told_is_true():
+def test_agents_md_is_up_to_date():
     written = runpy.run_path(str(DOCS / "write_agents_md.py"))["agents_text"]()
     assert (ROOT / "AGENTS.md").read_text() == written, "run python docs/write_agents_md.py"

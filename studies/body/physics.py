@@ -1,4 +1,4 @@
-"""Is success a property of the arm, or of the solver?  And does a force field do no work?
+"""Measure whether success depends on the solver, and whether a curl force field does work.
 
     python -m studies.body.physics                       # all agents, 1,000 episodes a cell
     python -m studies.body.physics --agents mmc ppo sac
@@ -48,7 +48,7 @@ class Arguments:
     """Print the tables.
 
     Attributes:
-        agents: names of agents; all but those that do not reach by default.
+        agents: names of agents; by default all but `random`.
         episodes: of each agent in each setting.
         steps: of one arm, timed five times; of 256 arms a hundredth of them.
     """
@@ -60,7 +60,7 @@ class Arguments:
 
 @contextmanager
 def sweeps(count: Callable[[int], int]) -> Any:
-    """Let arms that are made meanwhile be solved with `count` of their number of sweeps."""
+    """Make new arms use `count(sweeps)` in place of their number of solver sweeps."""
     asked = linkage.solver_iterations
     with mock.patch.object(linkage, "solver_iterations", lambda p: count(asked(p))):
         yield

@@ -1,13 +1,13 @@
-"""In which episodes of the battery does an agent fail, and why, as far as they tell?
+"""List the episodes of the benchmark in which an agent fails, with the likely cause.
 
-The causes, the first that holds:
+The cause is the first of these that holds:
 
-- out of reach: the joints that locked on the way leave no posture with the hand at the target;
-- left: the hand was at the target, which stood, and is not at the end;
-- stuck: it never was, and is at rest;
-- late: it never was, and is still under way.
+- out of reach: with the joints that locked, no posture brings the hand to the target;
+- left: the hand was at a resting target, and left it before the end;
+- stuck: the hand never was at the target, and is at rest;
+- late: the hand never was at the target, and is still moving.
 
-Beside it stands how many of these episodes an agent loses, too, that is told the truth about its
+The table also counts in how many of these episodes an agent fails that is given the truth about its
 body (`known_body.py`; not about obstacles, masses or noise).  Episodes have the numbers that they
 have in the battery and in its report.
 """
@@ -37,7 +37,7 @@ from studies.body_model.playing import play, successes
 
 CAUSES = ("out of reach", "left", "stuck", "late")
 REST, AT_REST = 15, 0.02
-"""A hand that has come by less than this in so many steps is at rest, segment lengths."""
+"""Steps, and segment lengths: a hand that moves less in so many steps is at rest."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Arguments:
     """What to look at.
 
     Attributes:
-        agent: whose failures.
+        agent: the agent whose failures are listed.
         scenarios: names, see `mmc-gym list scenarios`; all of the battery by default.
         episodes: in each scenario.
         seed: of the episodes; 0 is that of the battery.
@@ -100,7 +100,7 @@ def draw(episode: Episode, setup: ReachSetup, file: Path) -> None:
 def main(arguments: Arguments) -> None:
     """Print the table."""
     table = Table("scenario", title=f"failures of {arguments.agent}")
-    for heading in ("failures", *CAUSES, "told the truth,\nfails too"):
+    for heading in ("failures", *CAUSES, "given the truth,\nfails too"):
         table.add_column(heading, justify="right")
     table.add_column("episodes")
     total: Counter[str] = Counter()
@@ -110,14 +110,14 @@ def main(arguments: Arguments) -> None:
         with closing(scenario.make()) as env:
             setup = env.unwrapped.setup
         seen = play(arguments.agent, scenario, arguments.episodes, arguments.seed)
-        told = play(KnownBody, scenario, arguments.episodes, arguments.seed)
+        given = play(KnownBody, scenario, arguments.episodes, arguments.seed)
         failed = np.flatnonzero(successes(seen)[0] == 0)
         total["episodes"] += len(seen[0])
         if not len(failed):
             continue
         causes = {number: cause(seen[0][number], setup) for number in failed}
         counts = Counter(causes.values())
-        too = int((successes(told)[0][failed] == 0).sum())
+        too = int((successes(given)[0][failed] == 0).sum())
         total.update({"failures": len(failed), "too": too, **counts})
         table.add_row(
             scenario.name,

@@ -1,10 +1,10 @@
-"""How do agents do in scenarios that nobody tuned on?
+"""Measure agents in scenarios that nobody tuned them on.
 
-None of them is in the battery: other strengths and signs, two perturbations at once, other arms.
-`ppo-memory` has met the like of some in training: rotations to both sides, delays of any length,
-now and then two perturbations at once.  The other policies have met none.  Two rows have shown
-defects of `mmc-body`, which were mended since, and are none that nobody looked at any more: seven
-segments and more (96 and 54 % before), and a delay behind joint noise (60 %).
+None of them is in the benchmark: other strengths and signs, two perturbations at once, other arms.
+`ppo-memory` has met similar ones in training: rotations to both sides, delays of any length, and at
+times two perturbations at once.  The other policies have met none.  Two kinds of rows are no longer
+unseen, because they showed defects of `mmc-body` that were then mended: seven segments and more (96
+and 54 % before), and a delay with joint noise (60 %).
 
 All agents meet the same postures, targets and noise.  Success in percent, with the 95 % interval
 over trainings and episodes, where not all end alike; – where an agent cannot act.
@@ -107,7 +107,7 @@ class Arguments:
 
 def main(arguments: Arguments) -> None:
     """Print the table."""
-    names = [one if isinstance(one, str) else "told the truth" for one in AGENTS]
+    names = [one if isinstance(one, str) else "given the truth" for one in AGENTS]
     table = Table(title=f"success %, {arguments.episodes} episodes")
     table.add_column("scenario", no_wrap=True)
     for name in names:

@@ -1,8 +1,8 @@
-"""An agent that is told the truth: the yardstick of `mmc-body`, no rival.
+"""An agent that is given the truth about its body: the yardstick of `mmc-body`, not a rival.
 
-It has the drive, the imagination, the filters and the contacts of `mmc-body`, but nothing to find
-out: it knows the true lengths, how the cursor is turned, the delay, which joints are locked, and of
-joints that lock on the way that they do, in the control step in which it happens.
+It has the drive, the imagination, the filters and the contacts of `mmc-body`, but identifies
+nothing: it is given the true lengths, the rotation of the cursor, the delay, the locked joints, and
+the control step in which further joints lock.
 
     mmc-gym benchmark --agents known-body=studies.body_model.known_body:KnownBody
 """
@@ -25,12 +25,12 @@ ALL = Parts()
 
 
 class KnownBody(BodyAgent):
-    """`mmc-body` with the truth in place of what three of its parts find out."""
+    """`mmc-body` with the truth in place of the estimates of three of its parts."""
 
-    control = "joint_position"  # by which it is compared, as `mmc-body` is
+    control = "joint_position"  # the control mode in which `mmc-body` is compared
 
     def __init__(self, env: Any, parts: Parts = ALL) -> None:
-        """Make the agent of an environment, whose setup it is told."""
+        """Make the agent for an environment, and give it the environment's setup."""
         interface = ReachInterface.of(env)
         finds_nothing = replace(
             parts, identifies_body=False, bridges_delay=False, finds_locks=False

@@ -1,13 +1,13 @@
-"""What is each part of `mmc-body` worth, each switch of its network, and its vigour?
+"""Measure what each part of `mmc-body`, each switch of its network, and its vigour are worth.
 
 Three tables.  Episodes are paired: all agents meet the same postures, targets and noise.
 
-- Parts: success with all of them, without one, with none; and of an agent that is told the truth in
-  place of what the parts find out (`known_body.py`).
+- Parts: success with all parts, without one, and with none; and of an agent that is given what the
+  parts would identify (`known_body.py`).
 - Switches of the network: the paper's own, learned normalizer and velocities, against the Euclidean
   normalizer and kinematics.
-- Vigour: from as fast as the servos allow (1) to as people move (0).  A movement to two targets has
-  two peaks, however human it is, and one that follows a target has many.
+- Vigour: from the fastest that the servos allow (1) to human-like movement (0).  A movement to two
+  targets has two velocity peaks, and one that follows a moving target has many.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Arguments:
 
     Attributes:
         tables: which of parts, switches and vigour.
-        scenarios: names, see `mmc-gym list scenarios`; without any those that tell most.
+        scenarios: names, see `mmc-gym list scenarios`; by default the most informative ones.
         episodes: of each agent in each scenario.
         seed: of the episodes.
         model: internal model of the agents whose parts are left out, mmc or ik.
@@ -93,7 +93,7 @@ class Arguments:
         return play(agent, scenario, self.episodes, self.seed)
 
     def each(self, scenarios: Sequence[str]) -> list[Scenario]:
-        """Return the scenarios asked for, or else these."""
+        """Return the scenarios of `--scenarios`, or these without any."""
         return list(find_scenarios(self.scenarios or scenarios).values())
 
 
@@ -104,7 +104,7 @@ def of_parts(arguments: Arguments) -> Table:
     chosen = {"all": Parts(), **without, "none": Parts(**dict.fromkeys(PARTS, False))}
     agents = {heading: body_model(parts, build) for heading, parts in chosen.items()}
     if arguments.model == "mmc":
-        agents = {"told the truth": KnownBody, **agents}
+        agents = {"given the truth": KnownBody, **agents}
     title = f"{arguments.model}-body: success %, {arguments.episodes} episodes"
     table = _table(title, "scenario", *agents)
     for scenario in track(arguments.each(SCENARIOS), transient=True):
@@ -148,7 +148,7 @@ def of_vigour(arguments: Arguments) -> Table:
         "scenario",
         "vigour",
         "success %",
-        "told the truth",
+        "given the truth",
         "time to target, s",
         "correlation with\nminimum jerk, median",
         f"above {BELL}, %",
@@ -158,7 +158,7 @@ def of_vigour(arguments: Arguments) -> Table:
         for vigour in VIGOURS:
             parts = Parts(vigour=vigour)
             played = arguments.played(body_model(parts), scenario)
-            told = arguments.played(partial(KnownBody, parts=parts), scenario)
+            given = arguments.played(partial(KnownBody, parts=parts), scenario)
             arrived = [one for one in played[0] if success(one)]
             likeness = np.array([minimum_jerk_correlation(one) for one in arrived])
             likeness = likeness[~np.isnan(likeness)]  # hands that began at the target
@@ -167,7 +167,7 @@ def of_vigour(arguments: Arguments) -> Table:
                 scenario.name if vigour == VIGOURS[0] else "",
                 f"{vigour:g}",
                 percent(played),
-                percent(told),
+                percent(given),
                 f"{_time(arrived):.2f}",
                 f"{np.median(likeness):.3f}",
                 f"{100 * np.mean(likeness >= BELL):.1f}",

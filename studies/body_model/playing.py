@@ -1,4 +1,4 @@
-"""Agents that play scenarios, all the same episodes, and the cells of tables about them."""
+"""Let agents play the same episodes of scenarios, and format their success for tables."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ ALL = Parts()
 
 
 def body_model(parts: Parts = ALL, build: Callable[..., Agent[Any]] = mmc_body, **how: Any) -> Make:
-    """Return what makes a body model of these parts."""
+    """Return a function that makes a body model of these parts."""
     return lambda env: build(ReachInterface.of(env), parts, **how)
 
 
 def play(agent: str | Make, scenario: Scenario, episodes: int, seed: int) -> Played:
     """Return the episodes of an agent: those of the battery, if the seed is 0.
 
-    Every agent meets the same postures, targets and noise.  There are none of one that cannot act
-    in the scenario.
+    Every agent meets the same postures, targets and noise.  The list is empty if the agent cannot
+    act in the scenario.
     """
     instances = scenario.instances(episodes)
     seeds = episode_seeds(seed, len(instances))

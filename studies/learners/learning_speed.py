@@ -1,4 +1,4 @@
-"""Seconds from nothing to a policy that reaches its targets: PPO on many analytic arms.
+"""Time the training of a policy from nothing until it reaches: PPO on many analytic arms.
 
 Run it with `python -m studies.learners.learning_speed`.  stable-baselines3's PPO learns on the
 analytic engine (extra `fast`), and its policies are scored on pymunk, on targets that they never
@@ -75,7 +75,7 @@ class Snapshot(NamedTuple):
 
 
 class Clock(BaseCallback):
-    """Copies the policy before every update, and stops the time for that."""
+    """Copies the policy before every update; the copying is not timed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -101,7 +101,7 @@ class Clock(BaseCallback):
 
 
 def make_model(arguments: Arguments, seed: int) -> PPO:
-    """Return a model that has learned nothing."""
+    """Return an untrained model."""
     arms = gym.make_vec(
         "MMCReach-v0",
         arguments.arms,

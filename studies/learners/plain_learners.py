@@ -1,7 +1,7 @@
-"""What learners that nobody tuned reach in a reaching environment, each with its own defaults.
+"""Measure what untuned learners reach in a reaching environment, each with its own defaults.
 
 stable-baselines3's PPO (eight environments), SAC and TD3 (one), and PPO as CleanRL sets it up (one,
-see `cleanrl_ppo.py`).  Each training is what a stranger types,
+see `cleanrl_ppo.py`).  Each training is what a new user would type,
 
     PPO("MlpPolicy", make_vec_env("MMCReach-v0", 8, seed=seed), seed=seed, device="cpu")
 
@@ -15,8 +15,8 @@ as many trainings at once as `--jobs` says; the files have processor time, too.
     python -m studies.learners.plain_learners --learners sac td3 --steps 200000
     python -m studies.learners.plain_learners --learners --plot plain.png   # trains nothing
 
-A training that is interrupted begins anew, but what was evaluated is kept.  One that is finished is
-not run again: after a change of the environment's code choose another folder.
+An interrupted training starts again, but keeps its evaluations.  A finished one is not run again:
+after a change of the environment's code choose another folder.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ EVALUATION_SEED = 2_000_000  # far from those of trainings
 
 @dataclass(frozen=True)
 class Arguments:
-    """Train and evaluate, then print all that the folder holds.
+    """Train and evaluate, then print all results in the folder.
 
     Attributes:
-        learners: to train; none of them to show only what is there.
+        learners: to train; none of them only shows the results in the folder.
         seeds: of the trainings, for each learner.
         steps: environment steps of a training, at most: it ends where it is last evaluated.
         at: environment steps after which the policy is evaluated.
@@ -87,7 +87,7 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Training:
-    """One training: who learns, from which seed, evaluated after which steps, and where."""
+    """One training: learner, seed, steps of the evaluations, environment and file."""
 
     learner: Learner
     seed: int
@@ -143,7 +143,7 @@ class Training:
         learner.learn(self.marks[-1], callback=evaluate)
 
     def make_learner(self) -> PPO | SAC | TD3 | CleanRLPPO:
-        """Return the learner as it comes."""
+        """Return the learner with its defaults."""
         if self.learner == "cleanrl":
             return CleanRLPPO(gym.make(self.env, **self.settings), self.seed)
         algorithm = {"ppo": PPO, "sac": SAC, "td3": TD3}[self.learner]
@@ -234,7 +234,7 @@ def draw(results: pd.DataFrame) -> Figure:
 
 
 def main(arguments: Arguments) -> None:
-    """Train what is not finished; print the table of all that is there."""
+    """Run unfinished trainings; print the table of all results."""
     executor = loky.get_reusable_executor(arguments.jobs, env={"OMP_NUM_THREADS": "1"})
     list(executor.map(Training.run, trainings(arguments)))
     results = read_results(arguments.out)

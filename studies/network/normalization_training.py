@@ -1,7 +1,7 @@
-"""Seconds to train the paper's normalization networks, five runs together and one at a time.
+"""Time the training of the paper's normalization networks, five runs together and one by one.
 
 Run it with `python -m studies.network.normalization_training`.  Only a few epochs are trained, and
-extrapolated: what an epoch costs does not change in the course of a training.  Seconds are the
+extrapolated: all epochs of a training cost the same.  Seconds are the
 process' own time on one thread, so that other work on the machine hardly disturbs them.
 """
 
