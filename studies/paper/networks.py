@@ -16,7 +16,6 @@ from typing import NamedTuple, TypeAlias
 
 import loky
 import numpy as np
-import torch
 
 from mmc_gym import __version__
 from mmc_gym.network.chain import Floats
@@ -113,7 +112,6 @@ class _Training:
 
 def _train(training: _Training) -> TrainedArchitecture:
     """Train one architecture and measure its errors."""
-    torch.set_num_threads(1)  # small networks train faster so, and alike on any number of cores
     trained = train_normalizers(
         training.hidden_units, training.recipe, training.runs, training.seed
     )
