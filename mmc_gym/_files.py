@@ -5,32 +5,24 @@ from __future__ import annotations
 import importlib
 import os
 import pkgutil
-import re
 import secrets
-import socket
 import sys
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from mmc_gym._errors import UserError, require
 
-_MACHINE = re.sub(r"\W", "_", socket.gethostname())
-_TEMPORARY = re.compile(rf"\..+\.{_MACHINE}-(\d+)\.[0-9a-f]+")
-
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
     """Write `content` to a temporary file beside `path`, flush it to disk, and rename it.
 
-    Make missing parent folders.  Write text as UTF-8.  The first write of this process into a
-    folder also removes the temporary files that killed processes of this machine left there.
+    Make missing parent folders.  Write text as UTF-8.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    _remove_orphans(path.parent.absolute())
     data = content.encode() if isinstance(content, str) else content
-    temporary = path.parent / f".{path.name}.{_MACHINE}-{os.getpid()}.{secrets.token_hex(4)}"
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
     try:
         with open(temporary, "xb") as file:  # its mode follows the umask, as of any new file
             file.write(data)
@@ -44,7 +36,7 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
 
 
 def check_folder(path: Path | str, name: str) -> Path:
-    """Return the path; raise a `UserError` that names the argument if it is none of a folder.
+    """Return the path; raise a `UserError` that names the argument if it cannot be a folder.
 
     A folder need not exist, but must not be a file, nor lie in one.
     """
@@ -56,27 +48,6 @@ def check_folder(path: Path | str, name: str) -> Path:
                 raise UserError(f"{name} must be a folder, got the file {str(part)!r}")
             break
     return path
-
-
-@cache
-def _remove_orphans(folder: Path) -> None:
-    """Remove temporary files whose process on this machine is no more."""
-    if os.name != "posix":  # elsewhere, asking for a process can end it
-        return
-    for name in os.listdir(folder):
-        found = _TEMPORARY.fullmatch(name)
-        if found and not _lives(int(found[1])):
-            (folder / name).unlink(missing_ok=True)
-
-
-def _lives(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:  # another user's
-        return True
-    return True
 
 
 # Modules of users

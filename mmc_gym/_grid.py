@@ -127,7 +127,7 @@ def run_grid(
     workers = _Processes(at_once) if cluster is None else _Ray(cluster, jobs)
     try:
         while waiting or suspects or running:
-            while (suspects or waiting) and len(running) < (1 if suspects else workers.room()):
+            while (suspects or waiting) and len(running) < (1 if suspects else workers.room):
                 index = suspects[0] if suspects else waiting.popleft()
                 running[workers.submit(calls[index])] = index
             for call in workers.finished(running):
@@ -192,17 +192,13 @@ class _Processes:
     """Processes of this machine, which end when this one does, even if it is killed."""
 
     def __init__(self, count: int) -> None:
-        self._count = count
+        self.room = count  # calls that may be under way
         self._executor = self._start()
 
     def _start(self) -> Any:
         return loky.ProcessPoolExecutor(
-            self._count, env=_ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
+            self.room, env=_ONE_THREAD, initializer=_end_with, initargs=(os.getpid(),)
         )
-
-    def room(self) -> int:
-        """Return how many calls may be under way."""
-        return self._count
 
     def submit(self, packed: bytes) -> Any:
         """Begin a call, and return a handle of it."""
@@ -256,12 +252,13 @@ class _Ray:
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
         self._work = self._ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_work)
 
+    @property
     def room(self) -> int:
         # One cell more than there are processors, so that a cluster that can grow has reason to.
         return self._jobs or int(self._ray.cluster_resources().get("CPU", 0)) + 1
 
     def submit(self, packed: bytes) -> Any:
-        return self._work.remote(packed, _sources())
+        return self._work.remote(packed, _machine_and_sources())
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         ready: Collection[Any] = self._ray.wait(list(calls), timeout=_GROWTH_SECONDS)[0]
@@ -290,11 +287,13 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
         raise _failure(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
 
 
-def _work(packed: bytes, sources: str | None = None) -> bytes:
+def _work(packed: bytes, origin: tuple[str, str] | None = None) -> bytes:
     """In a worker: return the value of a packed call and None, or None and its error, packed."""
     try:
-        if sources not in (None, _sources()):
-            raise RuntimeError(f"node {platform.node()} has other sources of mmc_gym")
+        here = _machine_and_sources() if origin else None
+        # One machine's sources differ from its own only where they are edited meanwhile.
+        if origin and here and here[0] != origin[0] and here[1] != origin[1]:
+            raise RuntimeError(f"node {here[0]} has other sources of mmc_gym than {origin[0]}")
         function, cell = pickle.loads(packed)
         with one_torch_thread():
             return bytes(cloudpickle.dumps((function(cell), None)))
@@ -322,11 +321,11 @@ def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException 
 
 
 @cache
-def _sources() -> str:
-    """Return a digest of all in this package that results depend on."""
+def _machine_and_sources() -> tuple[str, str]:
+    """Return this machine's name, and a digest of all in this package that results depend on."""
     folder = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         if path.suffix in (".py", ".json", ".safetensors", ".yml"):
             digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()
+    return platform.node(), digest.hexdigest()

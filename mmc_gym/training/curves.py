@@ -8,8 +8,8 @@ episodes.  At a point x the curve of a name, such as "ppo", is the mean over its
 where e is the last evaluation up to x.  It begins where all seeds have been evaluated, and ends
 where the shortest training does.
 
-Time is the CPU time of the training process: its wall time depends on what else the machine does.
-A training runs on one thread, so that it is the wall time of a training with a core to itself.
+Time is the CPU time of the training process, since its wall time depends on what else the machine
+does.  A training runs on one thread, so that this is its wall time with a core to itself.
 """
 
 from __future__ import annotations
@@ -28,7 +28,13 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import (
+    EngFormatter,
+    FuncFormatter,
+    LogLocator,
+    NullFormatter,
+    PercentFormatter,
+)
 from numpy.typing import NDArray
 
 from mmc_gym._console import cell, make_console, print_columns, print_written
@@ -54,14 +60,13 @@ LEVELS = (0.95, 0.98)
 
 NOTE = (
     "Means (success, final distance) and medians (the others) over training seeds, with "
-    f"{CONFIDENCE:.0%} bootstrap intervals over the seeds, for so few rather too narrow than too "
-    "wide; none for a single seed. That of success also covers that other episodes could have been "
-    f"played. Success, final distance, time to target: {FINAL_EPISODES} fixed episodes of the "
-    "trained policy, the same for all. Steps and time to 95 % (98 %): of the first evaluation in "
-    f"the training, {EVALUATION_EPISODES} fixed episodes each, with at least so much success; k of "
-    "n: so many of the seeds got there, the others count as later (–: half of them or more did "
-    "not). Time: CPU time of a training, evaluations included; as each runs on one thread, it is "
-    "the wall time of one that has a core to itself."
+    f"{CONFIDENCE:.0%} bootstrap intervals over the seeds, which are rather too narrow for so few; "
+    "none for a single seed. The interval of success also covers other episodes. Success, final "
+    f"distance, time to target: {FINAL_EPISODES} fixed episodes of the trained policy, the same "
+    "for all. Steps and time to 95 % (98 %): of the first evaluation in the training, "
+    f"{EVALUATION_EPISODES} fixed episodes each, with at least that success; k of n: only k seeds "
+    "got there, the others count as later (–: half of them or more did not). Time: CPU time of a "
+    "training on one thread, evaluations included."
 )
 
 
@@ -102,15 +107,11 @@ QUANTITIES = (
     ),
     TrainingQuantity("training_steps", "whole training", _STEPS, 1, varies=False),
     TrainingQuantity("training_minutes", "whole training", _MINUTES, 2),
-    TrainingQuantity("weights_size", "file of the policy", "KiB", 1, varies=False),
 )
 
 
-def _numbers(card: PolicyCard, size: int) -> dict[str, float]:
-    """Return the `QUANTITIES` of a training whose weights have `size` bytes, by name.
-
-    A score that is missing is NaN, a level that was never reached infinite.
-    """
+def _numbers(card: PolicyCard) -> dict[str, float]:
+    """Return the `QUANTITIES` of a training by name; infinite for a level never reached."""
     scores = ("success", "final_distance", "time_to_target")
     numbers = {name: card.scores.get(name, math.nan) for name in scores}
     for percent, level in _PERCENTS.items():
@@ -118,7 +119,6 @@ def _numbers(card: PolicyCard, size: int) -> dict[str, float]:
         numbers[f"minutes_to_{percent}"] = first_reached(card, level, "cpu_seconds") / 60
     numbers["training_steps"] = card.training_steps / 1_000
     numbers["training_minutes"] = card.training_cpu_seconds / 60
-    numbers["weights_size"] = size / 1_024
     return numbers
 
 
@@ -142,10 +142,8 @@ def learning_curves(folder: Path | None, out: Path) -> None:
         UserError: if the folder holds no policies, or damaged ones, or `out` is a file.
     """
     check_folder(out, "out")
-    folder = PRETRAINED if folder is None else folder
-    cards = read_cards(folder)
-    curves = curve_rows(cards)
-    rows = trainings(cards, weights_sizes(folder))
+    cards = read_cards(PRETRAINED if folder is None else folder)
+    curves, rows = curve_rows(cards), trainings(cards)
     summary = summarize_trainings(rows)
     tables = {"curves": curves, "trainings": rows, "table": summary}
     written = [
@@ -165,20 +163,16 @@ def read_cards(folder: Path | str = PRETRAINED) -> dict[str, list[PolicyCard]]:
 
     By default those that ship with the package.  Policies are the files NAME-SEED.json in the
     folder, each with its NAME-SEED.safetensors, or, if there are none, those in the folders right
-    below it, as single trainings leave them.
+    below it, where single trainings put them.
 
     Raises:
+        FileNotFoundError: if one lacks its weights.
         UserError: if there are none, one is damaged, or policies of the same name are of the
             same seed, or of different environments or hyperparameters.
     """
     folder, cards = Path(folder), dict[str, list[PolicyCard]]()
     for path in _card_files(folder):
-        try:
-            _, card = load_policy(path)
-        except FileNotFoundError as error:
-            raise UserError(f"{path} must lie beside its weights: {error}") from error
-        if path.stem != card.file_stem:
-            raise UserError(f"{path} must be called {card.file_stem}.json, as its card says")
+        _, card = load_policy(path)
         cards.setdefault(card.name, []).append(card)
     for group in cards.values():
         group.sort(key=lambda card: card.seed)
@@ -199,7 +193,7 @@ def _card_files(folder: Path) -> list[Path]:
 
 
 def _check_alike(folder: Path, card: PolicyCard, other: PolicyCard) -> None:
-    """Raise a `UserError` unless two cards are of the same training, but for the seed."""
+    """Raise a `UserError` unless two cards differ in the seed, and in no hyperparameter."""
     if card.seed == other.seed:
         raise UserError(f"{folder} must hold one policy {card.file_stem}, got two")
     one, another = ({"environment": each.env_id, **each.hyperparameters} for each in (card, other))
@@ -209,12 +203,6 @@ def _check_alike(folder: Path, card: PolicyCard, other: PolicyCard) -> None:
             f"policies of the same name must have the same hyperparameters, but {card.file_stem} "
             f"and {other.file_stem} in {folder} differ in {', '.join(different)}"
         )
-
-
-def weights_sizes(folder: Path) -> dict[str, int]:
-    """Return the size in bytes of each policy's weights, by NAME-SEED."""
-    files = _card_files(folder)
-    return {path.stem: path.with_suffix(".safetensors").stat().st_size for path in files}
 
 
 def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
@@ -269,20 +257,19 @@ def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["agent", against, "success", "low", "high", "seeds"])
 
 
-def trainings(cards: Mapping[str, Sequence[PolicyCard]], sizes: Mapping[str, int]) -> pd.DataFrame:
-    """Return a row for each training: agent, seed, environment, control, and all `QUANTITIES`.
-
-    Args:
-        cards: by name, see `read_cards`.
-        sizes: of their weights, see `weights_sizes`.
-    """
-    rows = []
-    for name, group in cards.items():
-        for card in group:
-            row = {"agent": name, "seed": card.seed}
-            row |= {"environment": card.env_id, "control": card.control}
-            rows.append({**row, **_numbers(card, sizes[card.file_stem])})
-    return pd.DataFrame(rows)
+def trainings(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
+    """Return a row for each training: agent, seed, environment, control, and all `QUANTITIES`."""
+    return pd.DataFrame(
+        {
+            "agent": name,
+            "seed": card.seed,
+            "environment": card.env_id,
+            "control": card.control,
+            **_numbers(card),
+        }
+        for name, group in cards.items()
+        for card in group
+    )
 
 
 def summarize_trainings(rows: pd.DataFrame) -> pd.DataFrame:
@@ -350,7 +337,6 @@ def _columns(
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKERS = "osD^vPX<*"
 _BETWEEN_MARKERS = 0.09  # of the panel's diagonal
-_WIDE = 1.7  # decades
 _CAPTION = (
     f"Success: part of {EVALUATION_EPISODES} fixed episodes that end at the target, of the policy "
     "as it was then, without exploration. Lines: mean over training seeds; bands: 95 % bootstrap "
@@ -377,19 +363,12 @@ def draw_learning_curves(against_steps: pd.DataFrame, against_time: pd.DataFrame
             for number, (agent, curve) in enumerate(curves.groupby("agent", sort=False)):
                 _draw_curve(axes, str(agent), curve, column, number)
             axes.set(xlabel=label, xscale="log")
-            low, high = axes.get_xlim()
-            axes.xaxis.set_major_locator(
-                LogLocator(subs=(1, 3) if high > 10**_WIDE * low else (1, 2, 5))
-            )
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
             axes.xaxis.set_minor_formatter(NullFormatter())
         row[0].set(ylabel="success", ylim=(0, 1.02))
-        row[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.0f} %"))
+        row[0].yaxis.set_major_formatter(PercentFormatter(1, decimals=0, symbol=" %"))
         row[0].xaxis.set_major_formatter(EngFormatter(sep=""))
         row[1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        for level in LEVELS:
-            row[1].text(
-                1.01, level, f"{level:.0%}", transform=row[1].get_yaxis_transform(), va="center"
-            )
         handles, labels = row[0].get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="outside upper center", ncols=4, frameon=False, handlelength=4

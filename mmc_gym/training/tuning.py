@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -46,8 +45,7 @@ NETWORK_IN_USE = {
 Constants = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """Constants to tune, and how they are judged.
 
     Attributes:
@@ -55,45 +53,37 @@ class Target:
         space: lets a trial suggest constants.
         judge: returns the part of the time at the target with constants, after so many
             environment steps.
-        episodes: returns how many it judges by, of so many environment steps.
     """
 
     in_use: Constants
     space: Callable[[BaseTrial], Constants]
     judge: Callable[[Constants, int], float]
-    episodes: Callable[[int], int]
 
 
 def find_target(name: str) -> Target:
     """Return the target "mmc", or that of hyperparameters (see `read_recipe`).
 
     Raises:
-        UserError: for any other name, and for hyperparameters that cannot be trained with.
+        UserError: for any other name, and for hyperparameters that are not accepted.
     """
     if name == "mmc":
-        return Target(NETWORK_IN_USE, _suggest_network, _judge_network, _episodes)
+        return Target(NETWORK_IN_USE, _suggest_network, judge_network)
     if name not in names() and Path(name).suffix not in SUFFIXES:
         raise unknown("name", name, ("mmc", *names()), "the path of a YAML file")
     recipe = read_recipe(name)
     settings = recipe.settings
     rate = str(recipe.hyperparameters.get("learning_rate", settings["learning_rate"]))
     in_use = {**settings, "learning_rate": float(rate.removeprefix("lin_"))}
-    return Target(
-        in_use,
-        space=partial(_suggest_learning, in_use, rate.startswith("lin_")),
-        judge=partial(judge_training, recipe),
-        episodes=lambda steps: TRAINED_EPISODES,
-    )
+    space = partial(_suggest_learning, in_use, rate.startswith("lin_"))
+    return Target(in_use, space, partial(judge_training, recipe))
 
 
-def _judge_network(constants: Constants, steps: int) -> float:
+def judge_network(constants: Constants, steps: int) -> float:
+    """Return the part of the time at the target of the agent "mmc" with other constants."""
     make = partial(make_network_agent, constants)
     arguments = {"control": "joint_position"}
-    return _time_at_target(make, "MMCReach-v0", arguments, _episodes(steps))
-
-
-def _episodes(steps: int) -> int:
-    return max(1, steps // EPISODE_STEPS)
+    episodes = max(1, steps // EPISODE_STEPS)
+    return evaluate(make, "MMCReach-v0", arguments, episodes, TUNING_SEED)["time_at_target"]
 
 
 def make_network_agent(constants: Constants, interface: ReachInterface) -> Agent[Any]:
@@ -115,18 +105,9 @@ def judge_training(recipe: Recipe, constants: Constants, steps: int) -> float:
         training = Training(recipe, TUNING_SEED, Path(folder), evaluations=1)
         card = training.run()
         network, _ = load_policy(training.policy_files[0])
-    make = partial(PolicyAgent, network, card)
-    arguments = recipe.settings["env_kwargs"]
-    return _time_at_target(make, recipe.env_id, arguments, TRAINED_EPISODES)
-
-
-def _time_at_target(
-    make: Callable[[ReachInterface], Agent[Any]],
-    env_id: str,
-    arguments: Mapping[str, Any],
-    episodes: int,
-) -> float:
-    return evaluate(make, env_id, arguments, episodes, TUNING_SEED)["time_at_target"]
+    make, arguments = partial(PolicyAgent, network, card), recipe.settings["env_kwargs"]
+    scores = evaluate(make, recipe.env_id, arguments, TRAINED_EPISODES, TUNING_SEED)
+    return scores["time_at_target"]
 
 
 def _suggest_network(trial: BaseTrial) -> Constants:
@@ -235,7 +216,6 @@ def tune(
         "trials": len(complete),
         "steps_per_trial": steps,
         "objective": OBJECTIVE,
-        "episodes": target.episodes(steps),
         "value_of_those_in_use": first.value,
         "in_use": first.user_attrs[_CONSTANTS],
         "best_value": best.value,

@@ -18,7 +18,6 @@ from gymnasium import spaces
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvIndices,
@@ -43,7 +42,7 @@ _OF_ALL = ("close", "render", "reset", "step")  # one call for all environments
 
 
 class GymnasiumVecEnv(VecEnv):
-    """A `gymnasium.vector.VectorEnv` as a stable-baselines3 `VecEnv`.
+    """A native vector environment, of `gym.make_vec`, as a stable-baselines3 `VecEnv`.
 
     It does what `DummyVecEnv` does with the same environments, seeds and actions, except that infos
     are empty where no episode has ended: to make them would take longer than the step itself.
@@ -148,26 +147,15 @@ class GymnasiumVecEnv(VecEnv):
         return [values[index] for index in self._chosen(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set the attribute of the chosen environments.
+        """Set an attribute of all environments, which are one object.
 
         Raises:
-            UserError: if only some are chosen of a native vector environment.
+            UserError: if only some are chosen.
         """
         chosen = self._chosen(indices)
-        everywhere = set(chosen) == set(range(self.num_envs))
-        env: Any = self.vector_env.unwrapped
-        if hasattr(env, "set_attr"):
-            values = [value] * self.num_envs if everywhere else self._values(attr_name)
-            for index in chosen:
-                values[index] = value
-            env.set_attr(attr_name, values)
-        elif everywhere:
-            setattr(env, attr_name, value)
-        else:
-            raise UserError(
-                f"indices must be those of all {self.num_envs} environments, which are one "
-                f"object, to set {attr_name!r}, got {chosen}"
-            )
+        accepted = f"those of all {self.num_envs} environments, to set {attr_name!r}"
+        require(set(chosen) == set(range(self.num_envs)), "indices", chosen, accepted)
+        setattr(self.vector_env.unwrapped, attr_name, value)
 
     def env_method(
         self,
@@ -179,38 +167,23 @@ class GymnasiumVecEnv(VecEnv):
         """Call a method once for each chosen environment; return the results.
 
         Raises:
-            UserError: if a native vector environment has it only for all at once.
+            UserError: if it is one call for all environments.
         """
-        chosen = self._chosen(indices)
-        env: Any = self.vector_env.unwrapped
-        if hasattr(env, "call"):
-            returned = env.call(method_name, *method_args, **method_kwargs)
-            return [returned[index] for index in chosen]
-        if method_name in _OF_ALL:
-            raise UserError(
-                f"method_name must not be {method_name!r}, which is one call for all environments: "
-                "call the method of that name of the VecEnv itself"
-            )
+        accepted = f"none of {', '.join(_OF_ALL)}, each one call for all environments"
+        require(method_name not in _OF_ALL, "method_name", method_name, accepted)
         method = getattr(self.vector_env, method_name)
-        return [method(*method_args, **method_kwargs) for _ in chosen]
+        return [method(*method_args, **method_kwargs) for _ in self._chosen(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Tell for each chosen environment whether it has such a wrapper: no native arm has."""
-        envs = getattr(self.vector_env.unwrapped, "envs", None)
-        return [
-            envs is not None and is_wrapped(envs[index], wrapper_class)
-            for index in self._chosen(indices)
-        ]
+        """Return False for each chosen environment: an arm in a vector has no wrapper."""
+        return [False for _ in self._chosen(indices)]
 
     def _chosen(self, indices: VecEnvIndices) -> list[int]:
         return [int(index) for index in self._get_indices(indices)]
 
     def _values(self, name: str) -> list[Any]:
-        env: Any = self.vector_env.unwrapped
-        if hasattr(env, "get_attr"):
-            return list(env.get_attr(name))
         value = getattr(self.vector_env, _SINGLE.get(name, name))
         return list(value) if name in _OF_EACH else [value] * self.num_envs
 

@@ -29,7 +29,6 @@ from mmc_gym.training.curves import (
     read_cards,
     summarize_trainings,
     trainings,
-    weights_sizes,
 )
 
 RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
@@ -67,7 +66,7 @@ def write(folder, *cards):
 
 def summary_of(*cards):
     """Rows of the summary by measure."""
-    rows = trainings({"ppo": cards}, {card.file_stem: 2_048 for card in cards})
+    rows = trainings({"ppo": cards})
     summary = summarize_trainings(rows)
     return {row["measure"]: row for row in summary.to_dict("records")}
 
@@ -81,7 +80,6 @@ def test_policies_are_grouped_by_name_in_the_order_of_their_seeds(tmp_path):
     cards = read_cards(tmp_path)
     seeds = {name: [card.seed for card in group] for name, group in cards.items()}
     assert seeds == {"ppo": [0, 2, 10], "sac": [3]}
-    assert weights_sizes(tmp_path)["sac-3"] == (tmp_path / "sac-3.safetensors").stat().st_size
 
 
 def test_the_policies_that_ship_are_read_unless_there_is_a_folder(tmp_path):
@@ -120,20 +118,14 @@ def test_different_trainings_under_one_name_are_an_error(tmp_path, change, diffe
         read_cards(tmp_path)
 
 
-def test_damaged_or_misplaced_policies_are_an_error(tmp_path):
+def test_damaged_policies_are_an_error(tmp_path):
     write(tmp_path, training(seed=0), training(seed=1))
     weights = tmp_path / "ppo-0.safetensors"
-    kept = weights.read_bytes()
-    weights.write_bytes(kept[:-4])
+    weights.write_bytes(weights.read_bytes()[:-4])
     with pytest.raises(UserError, match="ppo-0 does not hold a policy"):
         read_cards(tmp_path)
     weights.unlink()
-    with pytest.raises(UserError, match=r"ppo-0\.json must lie beside its weights"):
-        read_cards(tmp_path)
-    weights.write_bytes(kept)
-    for suffix in (".json", ".safetensors"):
-        (tmp_path / "ppo-1").with_suffix(suffix).rename(tmp_path / f"ppo-7{suffix}")
-    with pytest.raises(UserError, match=r"ppo-7.json must be called ppo-1\.json"):
+    with pytest.raises(FileNotFoundError, match=r"which .*ppo-0\.json belongs to"):
         read_cards(tmp_path)
 
 
@@ -210,7 +202,6 @@ def test_steps_and_minutes_to_a_level_are_the_median_over_seeds():
     assert interval(found["minutes_to_98"]) == (1.0, 0.5, 1.5)
     assert found["training_minutes"]["estimate"] == 1.5
     assert found["training_steps"]["estimate"] == 3.0
-    assert found["weights_size"]["estimate"] == 2.0
 
 
 def test_seeds_that_never_reach_a_level_are_later_than_the_others():

@@ -1,12 +1,14 @@
-"""Training: deterministic, resumable to the bit after a kill, and really learning."""
+"""Training: deterministic, resumable to the bit after a kill, and really learning; many at once."""
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from pathlib import Path
@@ -25,7 +27,15 @@ from mmc_gym.body import ArmParameters
 from mmc_gym.interface import ReachInterface
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
-from mmc_gym.training.training import CHECKPOINT, Training, library_versions, train
+from mmc_gym.training.training import (
+    CHECKPOINT,
+    PolicyName,
+    Training,
+    library_versions,
+    shipped_policies,
+    train,
+    train_all,
+)
 
 LEGS = 4
 RANDOM_SCENARIOS = "mmc_gym.training.vec_env.RandomScenarios"
@@ -50,9 +60,7 @@ TINY: dict[str, dict[str, Any]] = {
     },
 }
 
-SLOW = [
-    pytest.param(name, marks=pytest.mark.slow) for name in TINY if name not in ("ppo", "tqc-her")
-]
+OTHERS = [pytest.param(name, marks=pytest.mark.slow) for name in TINY if name != "ppo"]
 
 # What the killed process runs; it says after every checkpoint that it stands.
 SCRIPT = """
@@ -122,7 +130,7 @@ def trained(trained_by_name: Callable[[str], Path]) -> Path:
     return trained_by_name("ppo")
 
 
-@pytest.mark.parametrize("name", ["ppo", "tqc-her", *SLOW])
+@pytest.mark.parametrize("name", ["ppo", *OTHERS])
 def test_the_same_seed_gives_the_same_policy_and_another_seed_another(
     name, trained_by_name, tmp_path
 ):
@@ -130,6 +138,27 @@ def test_the_same_seed_gives_the_same_policy_and_another_seed_another(
         training(name, tmp_path / folder, seed).run()
     assert weights(trained_by_name(name), name) == weights(tmp_path / "again", name)
     assert weights(trained_by_name(name), name) != weights(tmp_path / "other", name, 4)
+
+
+class Interrupted(Exception):
+    pass
+
+
+@pytest.mark.parametrize("name", ["ppo", "tqc-her"])
+def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(
+    name, trained_by_name, tmp_path
+):
+    def interrupt(progress: Any) -> None:
+        if progress.evaluation and progress.steps >= 800:
+            raise Interrupted
+
+    interrupted = training(name, tmp_path)
+    interrupted.report = interrupt
+    with pytest.raises(Interrupted):
+        interrupted.run()
+    assert not any(file.exists() for file in interrupted.policy_files)
+    training(name, tmp_path).run(resume=True)
+    assert weights(tmp_path, name) == weights(trained_by_name(name), name)
 
 
 @pytest.mark.slow
@@ -154,14 +183,6 @@ def test_a_killed_training_resumes_to_the_policy_of_an_undisturbed_one(
     assert reports[0] > steps[-1]
     assert card.training_steps == SMALL["n_timesteps"]
     assert weights(tmp_path, name) == weights(trained_by_name(name), name)
-
-
-@pytest.mark.slow
-def test_a_training_killed_at_any_moment_and_again_gives_the_same_policy(trained, tmp_path):
-    for delay in np.random.default_rng(0).uniform(0.0, 0.4, 5):
-        train_and_kill(tiny("ppo"), tmp_path, lambda _, delay=delay: time.sleep(delay))
-    training("ppo", tmp_path).run(resume=True)
-    assert weights(tmp_path) == weights(trained)
 
 
 def test_a_training_killed_while_it_writes_has_its_last_checkpoint(trained, tmp_path, monkeypatch):
@@ -352,3 +373,84 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
     kept = train("ppo", seed=3, steps=1, out="kept")
     np.testing.assert_array_equal(action, kept.predict(observation, deterministic=True)[0])
     assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}
+
+
+POLICIES = [PolicyName("ppo", 0), PolicyName("ppo", 1)]
+STEPS = 4_096  # one rollout
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.glob("*.safetensors")}
+
+
+@pytest.fixture(scope="module")
+def trained_grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    train_all(POLICIES, folder, steps=STEPS, jobs=1)
+    return folder
+
+
+@pytest.mark.slow
+def test_two_processes_train_what_one_does(trained_grid, tmp_path):
+    seen: list[Any] = []
+    cards = train_all(POLICIES, tmp_path, steps=STEPS, jobs=2, on_policy=seen.append)
+    assert contents(tmp_path) == contents(trained_grid)
+    assert [(card.name, card.seed) for card in cards] == POLICIES
+    assert sorted(card.seed for card in seen) == [0, 1]
+    assert not list(tmp_path.glob("checkpoints/*"))  # of no more use
+
+
+@pytest.mark.slow
+def test_ray_trains_what_one_process_does(trained_grid, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "local")  # else it joins another test's cluster, which ends
+    train_all(POLICIES, tmp_path, steps=STEPS, cluster="ray")
+    assert contents(tmp_path) == contents(trained_grid)
+
+
+def test_what_is_there_is_not_trained_again(trained_grid, monkeypatch):
+    def fail(cell: Any) -> None:
+        raise AssertionError(f"{cell} is trained again")
+
+    monkeypatch.setattr("mmc_gym.training.training.train_cell", fail)
+    cards = train_all(POLICIES, trained_grid, steps=STEPS, jobs=1)
+    assert cards == [load_policy(trained_grid / f"ppo-{seed}.json")[1] for seed in (0, 1)]
+
+
+def test_a_damaged_policy_is_trained_again(trained_grid, tmp_path):
+    for file in trained_grid.glob("ppo-0.*"):
+        shutil.copy(file, tmp_path)
+    (tmp_path / "ppo-0.safetensors").write_bytes(b"damaged")
+    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1)
+    assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained_grid)["ppo-0.safetensors"]
+
+
+def test_a_checkpoint_of_another_training_is_discarded(trained_grid, tmp_path):
+    checkpoints = tmp_path / "checkpoints" / "ppo-0"
+    Training(read_recipe("ppo", steps=1), 0, checkpoints).run()
+    notes: list[str] = []
+    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1, on_note=notes.append)
+    (note,) = notes
+    assert re.match(r"ppo-0 begins anew: .* with n_timesteps 1 \(here 4096", note)
+    assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained_grid)["ppo-0.safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 0}, "n_timesteps must be at least 1, got 0"),
+        ({"device": "foo"}, "device must be one that PyTorch can use"),
+        ({"jobs": 0}, "jobs must be a whole number of at least 1"),
+    ],
+)
+def test_mistakes_are_named_before_anything_is_trained(tmp_path, options, message):
+    with pytest.raises(ValueError, match=message):
+        train_all(POLICIES, tmp_path, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_seeds_that_ship_are_those_asked_for():
+    policies = shipped_policies()
+    assert len(set(policies)) == len(policies)
+    counts = Counter(policy.name for policy in policies)
+    assert (counts["ppo"], counts["sac"], counts["tqc-her"]) == (10, 5, 5)
+    assert "ppo-memory" not in counts  # a study trains it

@@ -110,19 +110,6 @@ def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
     assert ((tmp_path / "mmc.json").read_bytes(), complete(tmp_path)) == before
 
 
-def test_the_number_of_episodes_is_that_of_those_played(tmp_path, monkeypatch):
-    played: list[int] = []
-    evaluate = tuning.evaluate
-
-    def count(make, env_id, arguments, episodes, seed):
-        played.append(episodes)
-        return evaluate(make, env_id, arguments, episodes, seed)
-
-    monkeypatch.setattr(tuning, "evaluate", count)
-    result = tune("mmc", 1, 50, tmp_path)
-    assert result["episodes"] == sum(played) == 1
-
-
 @pytest.fixture
 def tried(monkeypatch):
     """Constants of the trials of trainings, each judged better than the one before, untrained."""
