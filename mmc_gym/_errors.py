@@ -154,7 +154,7 @@ def require_array(
 
 
 def _array(value: Any) -> NDArray[Any]:
-    """Return a value as an array of numbers; as a single None if it is none."""
+    """Return a value as an array of numbers; as a single None if it is not numeric."""
     try:
         array = np.asarray(value)
     except ValueError:  # of uneven lengths

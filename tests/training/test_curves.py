@@ -241,7 +241,7 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
     assert drawn[0].get_xdata() == pytest.approx([1, 2, 3, 4, 5])
     assert drawn[0].get_ydata() == pytest.approx(RISE)
     looks = {(line.get_linestyle(), line.get_marker()) for line in drawn}
-    assert len(looks) == 2  # told apart without colour
+    assert len(looks) == 2  # distinct without colour
 
 
 def test_the_command_writes_all_files_and_prints_the_table(tmp_path, capsys):

@@ -2,9 +2,6 @@
 
 import itertools
 import json
-import signal
-import subprocess
-import sys
 from functools import partial
 
 import gymnasium as gym
@@ -52,28 +49,20 @@ def test_tuning_in_parts_gives_the_same_as_at_once(whole, tmp_path):
     assert not any(one == other for one, other in itertools.combinations(parameters, 2))
 
 
-KILLED = """
-import itertools, os, signal, sys
-from pathlib import Path
-from mmc_gym.training import tuning
+@pytest.mark.parametrize("trial", [0, 11])
+def test_tuning_interrupted_in_a_trial_gives_the_same_as_at_once(
+    trial, whole, tmp_path, monkeypatch
+):
+    calls = itertools.count()
 
-calls, evaluate = itertools.count(), tuning.evaluate
+    def interrupt(*arguments):
+        if next(calls) == trial:
+            raise KeyboardInterrupt
+        return evaluate(*arguments)
 
-def evaluate_or_die(*arguments):
-    if next(calls) == int(sys.argv[2]):
-        os.kill(os.getpid(), signal.SIGKILL)
-    return evaluate(*arguments)
-
-tuning.evaluate = evaluate_or_die
-tuning.tune("mmc", 13, 200, Path(sys.argv[1]))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("trial", [0, 1, 11])
-def test_tuning_killed_in_a_trial_gives_the_same_as_at_once(trial, whole, tmp_path):
-    process = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), str(trial)])
-    assert process.returncode == -signal.SIGKILL
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(tuning, "evaluate", interrupt)
+        tune("mmc", 13, STEPS, tmp_path)
     assert len(complete(tmp_path)) == trial
     tune("mmc", 13, STEPS, tmp_path)
     assert (tmp_path / "mmc.json").read_bytes() == (whole / "mmc.json").read_bytes()

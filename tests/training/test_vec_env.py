@@ -221,7 +221,7 @@ def test_without_a_correction_it_is_the_base_agent():
             for index, info in enumerate(infos):
                 final = vector_infos["final_obs"][index]
                 np.testing.assert_array_equal(info["terminal_observation"][:15], final)
-            # The proposal at the end is that of the agent that goes on, not of one that starts.
+            # The proposal at the end is that of the agent that continues, not of one that starts.
             stacked = np.stack(vector_infos["final_obs"])
             proposal, _ = agent.predict(stacked, state)
             ends = np.stack([info["terminal_observation"][15:] for info in infos])
