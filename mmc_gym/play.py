@@ -1,11 +1,12 @@
-"""Play: a window in which the mouse is the target, and an agent drives the arm to it."""
+"""Play: a window in which the mouse is the target and an agent drives the arm to it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +15,7 @@ import pygame
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
-from mmc_gym.agents.resolver import AgentLike, ResolvedAgent, resolve
+from mmc_gym.agents.resolver import AgentLike, resolve
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs import shapes as drawing
 from mmc_gym.envs.reach import MMCReachEnv
@@ -25,7 +26,6 @@ HELP = "mouse: target    1-9, Tab: agent    Space: pause    R: new posture    Q:
 _LINE = 26  # height of a line of text, pixels
 _INDENT = 14
 _FONT_SIZE = 20
-_GAP = 18  # between the names of agents
 
 
 def play(
@@ -36,13 +36,13 @@ def play(
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
 ) -> None:
-    """Let the mouse move the target, and an agent the arm, until the window is closed.
+    """Open a window in which the mouse moves the target and an agent the arm.
 
     Args:
         agent: the first agent, see `mmc_gym.agents.resolve`; keys choose among
             `mmc_gym.agents.AGENTS`.
         env: id of a reaching environment, "module:Id", "module:function", or a function that
-            returns one; its time limit is lifted.
+            returns one; it gets no time limit.
         seed: of the postures, or None for others each time.
         env_kwargs: arguments of the environment, see `compare`.
         allow_pickle: whether files that hold pickles may be loaded, see `compare`.
@@ -54,38 +54,24 @@ def play(
     try:
         first = resolve(agent, allow_pickle=allow_pickle)
         given = {**(env_kwargs or {}), "render_mode": "rgb_array", "max_episode_steps": -1}
-        _play(first, env, given, seed)
+        world, _ = make_player(first, env, given)
+        with closing(world):
+            makers: dict[str, Callable[[], Predictor]]
+            makers = {name: partial(one.make, world) for name, one in AGENTS.items()}
+            makers[first.label] = partial(first.factory, world)
+            Game(world, makers, first.label, seed).run()
     finally:
         pygame.display.quit()
 
 
-def _play(first: ResolvedAgent, env: EnvLike, env_kwargs: dict[str, Any], seed: int | None) -> None:
-    world, _ = make_player(first, env, env_kwargs)
-    try:
-        makers: dict[str, Callable[[], Predictor]]
-        makers = {name: partial(entry.make, world) for name, entry in AGENTS.items()}
-        makers[first.label] = partial(first.factory, world)
-        Game(world, makers, first.label, seed).run()
-    finally:
-        world.close()
-
-
-class Label(NamedTuple):
-    """The name of an agent with its key, its left edge in pixels, and its line."""
-
-    text: str
-    left: int
-    line: int
-
-
 class Game:
-    """The window: it heeds keys and mouse, and simulates one control step per frame.
+    """The window: it reads keys and mouse, and simulates one control step per frame.
 
     Attributes:
-        agent: name of the agent at work.
+        agent: name of the present agent.
         paused: whether time stands still.
         running: False once the user has asked to quit.
-        target: where the mouse or, before, the task has put the target, (x, y) in segment lengths.
+        target: (x, y) in segment lengths, from the mouse, or from the task before it moved.
         message: why an agent could not be made, or "".
     """
 
@@ -100,7 +86,7 @@ class Game:
 
         Args:
             env: an `MMCReachEnv`, wrapped or not, that renders "rgb_array" and has no time limit.
-            makers: of the agents to choose from, by name; called when one is chosen.
+            makers: functions that make the agents, by name; called when one is chosen.
             agent: name of the first.
             seed: of the postures.
 
@@ -124,7 +110,7 @@ class Game:
             self._clock.tick(self._env.metadata["render_fps"])
 
     def frame(self) -> None:
-        """Heed keys and mouse, simulate one control step unless paused, and draw the state."""
+        """Read keys and mouse, simulate one control step unless paused, and draw the state."""
         changed = [self._heed(event) for event in pygame.event.get()]
         if not self.paused:
             self._step()
@@ -132,7 +118,7 @@ class Game:
             self._show()
 
     def choose(self, agent: str) -> None:
-        """Hand the arm to another agent as it is; `message` says why, if that fails."""
+        """Hand the arm to another agent; if that fails, `message` says why."""
         try:
             if agent not in self._agents:
                 self._agents[agent] = self._makers[agent]()
@@ -162,7 +148,7 @@ class Game:
         self._hand_speed = math.dist(hand, self._hand) / self._reach.parameters.control_step
 
     def _heed(self, event: pygame.event.Event) -> bool:
-        """Do what an event asks for, and tell whether it changes the picture."""
+        """Carry out an event; return whether it may change the picture."""
         if event.type == pygame.QUIT:
             self.running = False
         elif event.type == pygame.KEYDOWN:
@@ -174,7 +160,7 @@ class Game:
         return True
 
     def _move_target(self, point: tuple[float, float]) -> None:
-        """Put the target as near to a point as the hand gets, but not into an obstacle."""
+        """Move the target to the nearest point in reach, unless an obstacle is there."""
         workspace = self._reach.setup.workspace
         nearest = workspace.nearest(point)
         if workspace.contains(nearest):
@@ -200,9 +186,8 @@ class Game:
         pygame.display.set_caption("mmc-gym play")
         size = self._view.size
         self._font = pygame.font.Font(None, _FONT_SIZE)
-        self._labels = self._lay_out_agents()
-        self._text_top = self._labels[-1].line + 1  # first line below the agents
-        self._window = pygame.display.set_mode((size, size + (self._text_top + 2) * _LINE))
+        self._text_top = size + self._agents_line().get_height() + _LINE // 2
+        self._window = pygame.display.set_mode((size, self._text_top + 2 * _LINE))
         self._picture = self._window.subsurface((0, 0, size, size))
         self._clock = pygame.time.Clock()
 
@@ -210,9 +195,11 @@ class Game:
         picture: Any = self._env.render()
         self._window.fill(drawing.BACKGROUND)
         pygame.surfarray.blit_array(self._picture, picture.swapaxes(0, 1))
-        self._write_agents()
-        self._write(self._text_top, self.message or self._measures(), drawing.OUTLINE)
-        self._write(self._text_top + 1, HELP, drawing.TRACE)
+        self._window.blit(self._agents_line(), (_INDENT, self._view.size))
+        lines = (self.message or self._measures(), drawing.OUTLINE), (HELP, drawing.TRACE)
+        for number, (words, color) in enumerate(lines):
+            text = self._font.render(words, True, color)
+            self._window.blit(text, (_INDENT, self._text_top + number * _LINE))
         pygame.display.flip()
 
     def _measures(self) -> str:
@@ -221,29 +208,11 @@ class Game:
         numbers = f"distance {distance:.2f}    hand speed {self._hand_speed:.1f}/s"
         return f"{self.agent}    {numbers}    {'paused' if self.paused else reached}"
 
-    def _lay_out_agents(self) -> list[Label]:
-        """Return the labels of all agents, in as many lines as they need."""
-        labels, x, line = [], _INDENT, 0
+    def _agents_line(self) -> pygame.Surface:
+        """Paint the names of all agents with their keys, the present one in brackets."""
+        labels = []
         for number, name in enumerate(self._makers, start=1):
-            label = f"{number} {name}" if number <= 9 else name
-            width = self._font.size(label)[0]
-            if x > _INDENT and x + width > self._view.size - _INDENT:
-                x, line = _INDENT, line + 1
-            labels.append(Label(label, x, line))
-            x += width + _GAP
-        return labels
-
-    def _write_agents(self) -> None:
-        """Write all agents with their keys, the one at work in a box."""
-        for name, label in zip(self._makers, self._labels, strict=True):
-            at_work = name == self.agent
-            color = drawing.REACHABLE if at_work else drawing.TRACE
-            text = self._font.render(label.text, True, color)
-            box = text.get_rect(left=label.left, top=self._view.size + label.line * _LINE)
-            if at_work:
-                pygame.draw.rect(self._window, drawing.OUTLINE, box.inflate(12, 6), border_radius=4)
-            self._window.blit(text, box)
-
-    def _write(self, line: int, words: str, color: drawing.Color) -> None:
-        text = self._font.render(words, True, color)
-        self._window.blit(text, (_INDENT, self._view.size + line * _LINE))
+            label = f"{number}:{name}" if number <= 9 else name
+            labels.append(f"[{label}]" if name == self.agent else f" {label} ")
+        width = self._view.size - 2 * _INDENT
+        return self._font.render("  ".join(labels), True, drawing.TRACE, None, width)

@@ -1,4 +1,4 @@
-"""Record: a film of an agent at work, as GIF or MP4, without a display."""
+"""Record: a film of an agent, as GIF or MP4, without a display."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ def record(
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
 ) -> Path:
-    """Let an agent play the first episodes that `compare` plays, and write them as one film.
+    """Write one film of an agent in the first episodes that `compare` plays.
 
     Args:
         out: file to write: .gif, or .mp4, which takes the extra `video`.
         agent: as in `mmc_gym.compare`.
         env: a reaching environment, as in `mmc_gym.compare`.
-        episodes: how many follow each other in the film.
+        episodes: number of episodes in the film.
         seed: of the starts and targets.
-        on_episode: is handed each episode when it is over.
+        on_episode: called with each episode when it is over.
         env_kwargs: arguments of the environment, as in `mmc_gym.compare`.
         allow_pickle: whether files that hold pickles may be loaded, as in `mmc_gym.compare`.
 
@@ -78,7 +78,7 @@ def _pictures(
     seeds: Sequence[int],
     on_episode: Callable[[Episode], None] | None,
 ) -> Iterator[Picture]:
-    """Play one episode after the other, and hand on its pictures: the start, and one each step."""
+    """Play the episodes; yield pictures of the start and of each step."""
     for seed in seeds:
         run_episodes(player, world, [seed], on_episode, records_effort=False)
         frames: Any = world.render()
@@ -86,7 +86,7 @@ def _pictures(
 
 
 def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
-    """Return pictures (height, width, 3) as a GIF that repeats; it leaves some out above 50 Hz."""
+    """Return pictures (height, width, 3) as a GIF that repeats, at most 50 of them a second."""
     from PIL import Image
 
     every = math.ceil(_SHORTEST * frame_rate)
@@ -128,11 +128,7 @@ def mp4(pictures: Iterable[Picture], frame_rate: int) -> bytes:
 
 
 def _require_ffmpeg() -> Any:
-    """Return what writes films; a GIF needs nothing more.
-
-    Raises:
-        MissingExtraError: if it is not installed.
-    """
+    """Return the function that writes MP4, or raise a `MissingExtraError`."""
     try:
         from imageio_ffmpeg import write_frames
     except ImportError as error:

@@ -140,7 +140,8 @@ class CompiledStep:
         if self._constants.smoothness_weight:
             info["reward_smoothness"] = smoothness
         info |= {"end_effector": end_effector, "target": target}
-        return arms.is_success - 1.0 if self._is_sparse else reward, info
+        rewards: Floats = arms.is_success - 1.0 if self._is_sparse else reward
+        return rewards, info
 
 
 @compiled

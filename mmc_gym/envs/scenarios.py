@@ -78,7 +78,7 @@ def make_environment(
 
 
 def _made(env: EnvLike, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
-    make: Callable[..., Any] = env  # type: ignore[assignment]
+    make: Any = env
     if isinstance(env, str):
         look_here()
         try:

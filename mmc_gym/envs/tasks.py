@@ -1,7 +1,7 @@
 """Reaching tasks: where a trial starts, and where its target is.
 
-The target of a trial moves along a path, by one place every control step, or, for via points,
-whenever it has been reached.  It stays at the last place, or starts over if the task is periodic.
+The target of a trial moves along a path, by one place each control step, or, for via points, each
+time it is reached.  It stays at the last place, or starts again if the task is periodic.
 """
 
 from __future__ import annotations
@@ -40,10 +40,12 @@ class Trial(NamedTuple):
 
 
 class Request(NamedTuple):
-    """Everything that a trial is drawn from.
+    """The request for a trial.
 
     Attributes:
-        trial: number of the trial, where they are numbered; None draws one.
+        workspace: of the arm.
+        random: the generator to draw from.
+        trial: number of the trial, if the task numbers them; None draws one.
         joint_angles: posture to start from; None draws one.
     """
 
@@ -53,7 +55,7 @@ class Request(NamedTuple):
     joint_angles: list[float] | None = None
 
     def draw_posture(self) -> list[float]:
-        """Return the posture to start from; draw in any case, so that the rest stays the same."""
+        """Return the posture to start from; one is always drawn, so that later draws are equal."""
         drawn = self.workspace.draw_posture(self.random)
         return self.joint_angles or drawn
 
@@ -66,9 +68,9 @@ class Task(ABC):
     """A reaching task.
 
     Attributes:
-        advance: what moves the target to the next place of its path: "time", every control step,
-            or "reach", when the hand has come within the success distance.
-        periodic: whether the path starts over at its end.
+        advance: when the target moves to the next place of its path: "time", each control step, or
+            "reach", when the hand is within the success distance.
+        periodic: whether the path starts again at its end.
         episode_steps: control steps of an episode in the environments that Gymnasium makes.
     """
 
@@ -78,7 +80,7 @@ class Task(ABC):
 
     @property
     def start(self) -> Point | None:
-        """Where all movements begin, (x, y) / reach; None if they begin in several places."""
+        """Start of all movements, (x, y) / reach; None if they start in several places."""
         return None
 
     @property
@@ -91,7 +93,7 @@ class Task(ABC):
 
     @abstractmethod
     def path_length(self, control_step: float) -> int:
-        """Return the number of places on the path of the target, the same for all trials."""
+        """Return the number of places on the target's path, equal for all trials."""
 
     @abstractmethod
     def draw(self, request: Request) -> Trial:

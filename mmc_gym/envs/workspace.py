@@ -27,20 +27,20 @@ Point = tuple[float, float]
 
 
 class NoTarget(UserError):
-    """From a posture no target was found; there may be one from another."""
+    """No target was found for a posture; there may be one for another posture."""
 
 
 class Workspace:
     """The points that the hand of one arm can reach.
 
-    The joints in `locked` cannot move: the segments on both sides of them are one rigid piece, and
-    what can be reached depends on the posture.
+    The joints in `locked` cannot move.  The segments on both sides of them are one rigid piece, and
+    the reachable points depend on the posture.
 
     Attributes:
-        inner: smallest distance from the base of a reachable point, with all joints free.
+        inner: smallest distance of a reachable point from the base, with all joints free.
         outer: largest distance, likewise.
-        rotation: of the cursor that stands for the hand; None, until it is set.  With a rotation,
-            the workspace is what the cursor can reach.
+        rotation: of the cursor that stands for the hand, or None; the workspace is then what the
+            cursor can reach.
     """
 
     rotation: VisuomotorRotation | None = None
@@ -55,9 +55,9 @@ class Workspace:
 
         Args:
             body: the arm that moves.
-            given_body: the arm as agents are given it, if that is another one: the workspace is
-                then what both can reach.
-            locked: indices of joints that are locked all the time.
+            given_body: the arm that agents are given, if it differs: the workspace is then what
+                both can reach.
+            locked: indices of joints that are always locked.
 
         Raises:
             UserError: if there is nothing that both can reach.
@@ -74,13 +74,12 @@ class Workspace:
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
 
     def contains(self, point: Sequence[float], posture: Sequence[float] | None = None) -> bool:
-        """Tell whether the hand can be at `point` (x, y), leaving joint limits aside.
+        """Tell whether the hand can be at `point` (x, y), if joints had no limits.
 
         Args:
-            point: (x, y).  With a rotation, the cursor must be able to be there, and the point
-                must be one where the hand could be, too.
-            posture: N joint angles to start from, at which the locked joints stay; None leaves
-                the locks aside.
+            point: (x, y).  With a rotation, both the cursor and the hand must be able to be there.
+            posture: N joint angles to start from, which the locked joints keep; None ignores
+                locks.
         """
         x, y = point
         hand = (x, y) if self.rotation is None else self.rotation.hand(x, y)
@@ -118,8 +117,8 @@ class Workspace:
         """Draw a target that the hand can reach from `posture`, clear of obstacles.
 
         It is area-uniform over the reachable set; with joint limits, up to the size of a grid
-        cell.  Where some joints are locked and others limited, it is the hand of a posture drawn
-        uniformly, and not area-uniform.
+        cell.  If some joints are locked and others limited, it is the hand of a uniform posture,
+        which is not area-uniform.
 
         Raises:
             NoTarget: if none is found.
@@ -142,7 +141,7 @@ class Workspace:
 
     @property
     def is_ring(self) -> bool:
-        """Whether any posture is possible, and any target between two radii is in reach of it."""
+        """Whether all postures are possible and reach all targets between two radii."""
         body, rotation = self.body, self.rotation
         is_free = not self.locked and not body.joint_limits and not body.obstacles
         return is_free and (rotation is None or rotation.centre == (0.0, 0.0))
@@ -152,7 +151,7 @@ class Workspace:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Draw a posture and a target from each of k generators, where `is_ring`.
 
-        They are what `draw_posture` and `draw_target` draw, in a tenth of the time.
+        They equal those of `draw_posture` and `draw_target`, in a tenth of the time.
 
         Returns:
             Joint angles, radians, (k, N), and targets, (k, 2).
@@ -192,7 +191,7 @@ class Workspace:
         return base[0] + x, base[1] + y
 
     def is_clear(self, posture: Sequence[float]) -> bool:
-        """Tell whether an arm in this posture (N joint angles) touches no obstacle."""
+        """Tell whether the arm in this posture (N joint angles) touches no obstacle."""
         if not self.body.obstacles:
             return True
         rods = list(pairwise(self._nodes(posture)))
@@ -204,9 +203,9 @@ class Workspace:
         )
 
     def posture_at(self, point: Sequence[float]) -> list[float]:
-        """Return the evenly bent posture (N joint angles) that has the hand at `point` (x, y).
+        """Return the evenly bent posture (N joint angles) with the hand at `point` (x, y).
 
-        All joints but the first have the same angle, from 0 (stretched) on, counter-clockwise.
+        All joints but the first have the same angle, 0 (stretched) or more, counter-clockwise.
 
         Raises:
             UserError: if there is none, or none within the joint limits.
@@ -253,8 +252,8 @@ def reachable_hands(
 ) -> list[NDArray[np.float64]]:
     """Return hand positions of an arm with joint limits, an array (n, 2) per cell of a square grid.
 
-    Draw a cell, then a position in it: such targets are all reachable, and area-uniform up to the
-    size of a cell (a thirtieth of the reach).
+    A position drawn from a cell that is drawn first is reachable, and area-uniform up to the size
+    of a cell (a thirtieth of the reach).
     """
     random = np.random.default_rng(0)
     low, high = np.array(joint_limits).T
@@ -270,7 +269,7 @@ def reachable_hands(
 
 @lru_cache(maxsize=64)  # tasks start from a few points, time and again
 def _even_bend(segment_lengths: tuple[float, ...], distance: float) -> float | None:
-    """Return the least bend of all joints but the first for a hand so far from the base."""
+    """Return the smallest common angle of all joints but the first at this distance of the hand."""
     from scipy.optimize import brentq  # not with the registration of the environments
 
     if math.isclose(distance, sum(segment_lengths), rel_tol=REACH_TOLERANCE):
@@ -286,7 +285,7 @@ def _even_bend(segment_lengths: tuple[float, ...], distance: float) -> float | N
 
 
 def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
-    """Return the hand of an arm whose joint angles are all `bend`, but the first, which is 0."""
+    """Return the hand of an arm whose first joint angle is 0 and whose others are `bend`."""
     x = sum(length * math.cos(joint * bend) for joint, length in enumerate(segment_lengths))
     y = sum(length * math.sin(joint * bend) for joint, length in enumerate(segment_lengths))
     return x, y

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, get_args
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -27,9 +27,8 @@ from mmc_gym.envs.perturbations import (
 )
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import find_perturbation
-from mmc_gym.envs.spec import Options
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
-from mmc_gym.interface import Control, ReachInterface
+from mmc_gym.interface import CONTROLS, Control, ReachInterface
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 
 DISC = Obstacles().discs[0]
@@ -134,20 +133,6 @@ def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(
     assert all(infos[-1]["is_success"] for infos in bent)
 
 
-def test_a_stronger_field_bends_more(straight: list[list[dict[str, Any]]]) -> None:
-    unbent, bends = np.array([hands(infos) for infos in straight]), []
-    for curl in (5.0, 20.0, 40.0, 60.0, 80.0, 100.0):
-        bent = np.array([hands(infos) for infos in centre_out([ForceField(curl)])])
-        bends.append(np.abs(bent - unbent).max(axis=(1, 2)).mean())
-    assert (np.diff(bends) > 0).all()
-
-
-def test_a_curl_field_does_no_work() -> None:
-    field = np.array(ForceField(7.0).change_body(ArmParameters()).force_field)
-    for velocity in np.array([(1.0, 0.0), (0.3, -2.0)]):
-        assert velocity @ field @ velocity == pytest.approx(0.0)
-
-
 # --- The hand mass
 
 
@@ -197,11 +182,6 @@ def test_targets_of_a_locked_arm_can_be_reached_by_its_other_joints(joint: int) 
         distance = np.linalg.norm(target - start)
         assert abs(one - other) - 1e-8 <= distance <= one + other + 1e-8
         assert np.linalg.norm(target) <= 3 + 1e-8
-
-
-def test_with_all_joints_locked_the_hand_is_at_its_target() -> None:
-    env = MMCReachEnv(perturbations=[LockedJoint(joint) for joint in range(3)])
-    assert env.reset(seed=0)[1]["is_success"]
 
 
 @pytest.mark.parametrize("engine", ["pymunk", "analytic"])
@@ -348,19 +328,6 @@ def test_who_knows_nothing_of_a_rotation_misses_by_it() -> None:
         assert infos[-1]["distance"] == pytest.approx(miss, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    "task", ["random", "centre-out", "double-step-100", "pursuit", "via-points"]
-)
-@pytest.mark.parametrize("degrees", [30.0, 45.0])
-def test_a_hand_in_reach_brings_the_cursor_to_every_target(task: str, degrees: float) -> None:
-    rotation = VisuomotorRotation(degrees, centre=(0.0, 1.5))
-    env = MMCReachEnv(perturbations=rotation, task=task)
-    random = np.random.default_rng(0)
-    for _ in range(50):
-        for target in env.setup.draw_trial(random, Options()).targets:
-            assert math.hypot(*rotation.hand(*target)) <= 3 + 1e-8
-
-
 # --- Obstacles
 
 
@@ -393,7 +360,13 @@ def test_obstacles_stop_the_arm() -> None:
     assert max(apart) > 0.5
 
 
-@pytest.mark.parametrize("control", get_args(Control))
+@pytest.mark.parametrize(
+    "control",
+    [
+        pytest.param(control, marks=() if control == "joint_delta" else pytest.mark.slow)
+        for control in CONTROLS
+    ],
+)
 @pytest.mark.parametrize("discs", [find_perturbation("obstacles-4"), Obstacles(((0, 2.2, 1.0),))])
 def test_segments_sink_no_deeper_into_obstacles_than_stated(
     control: Control, discs: Obstacles
@@ -424,27 +397,6 @@ def test_starts_and_targets_are_clear_of_obstacles() -> None:
 
 
 # --- In combination, and by name
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ["force-field", "hand-mass", "longer-20", "delay-100", "vision-noise"],
-        ["locked", "shorter-20-told", "rotation-30", "joint-noise-speed"],
-        ["obstacles", "rotation-45", "locks", "joint-noise", "vision-noise-distance", "delay-40"],
-    ],
-)
-def test_perturbations_can_be_combined(names: list[str]) -> None:
-    env = MMCReachEnv(perturbations=names, task="double-step-100")
-    assert env.setup.perturbations == tuple(map(find_perturbation, names))
-    for seed in range(3):
-        observation, info = env.reset(seed=seed)
-        for action in rough_actions(60, seed):
-            assert env.observation_space.contains(observation)
-            observation, reward, _, _, info = env.step(action)
-            assert math.isfinite(float(reward))
-        hand = info.get("cursor", info["end_effector"])
-        assert info["distance"] == pytest.approx(math.dist(hand, info["target"]))
 
 
 @pytest.mark.parametrize(
@@ -486,7 +438,7 @@ ENTANGLED: list[dict[str, Any]] = [
 @pytest.mark.parametrize("task", ["random", "double-step-100", "via-points", "pursuit"])
 def test_what_can_be_made_can_be_reset_with_any_seed(arguments: dict[str, Any], task: str) -> None:
     env, vector = (make(task=task, **arguments) for make in (MMCReachEnv, MMCReachVectorEnv))
-    for seed in range(150):
+    for seed in range(30):
         observation, info = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
         if task != "pursuit":  # which asks for places that locked joints may not reach

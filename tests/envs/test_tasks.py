@@ -14,7 +14,6 @@ from mmc_gym.agents import make_agent
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.tasks import TASKS, DoubleStep, PointToPoint, Pursuit, ViaPoints
-from mmc_gym.interface import ReachInterface
 from studies.paper.protocol import PAIRS, TARGETS
 
 STILL = np.zeros(3, np.float32)
@@ -116,18 +115,6 @@ def test_the_target_jumps_once_and_at_its_time(arguments: dict[str, Any], step: 
         assert jumps.tolist() == [step]
 
 
-def test_the_jump_is_seen_and_rewarded_at_once() -> None:
-    env = MMCReachEnv(task="double-step-100")
-    env.reset(seed=0)
-    for _ in range(10):
-        observation, _, _, _, info = env.step(STILL)
-        seen = ReachInterface.of(env).sense(observation).target
-        np.testing.assert_allclose(seen, info["target"], atol=1e-6)
-        distance = math.dist(info["target"], info["end_effector"])
-        assert info["distance"] == pytest.approx(distance)
-        assert info["reward_distance"] == -info["distance"]
-
-
 # --- Targets that move
 
 
@@ -195,12 +182,6 @@ def test_only_the_last_via_point_is_a_success(reward_type: str) -> None:
             assert info["reward"] == (0.0 if info["is_success"] else -1.0)
 
 
-def test_a_single_via_point_is_a_target_like_any_other() -> None:
-    via, plain = MMCReachEnv(task=ViaPoints(count=1)), MMCReachEnv()
-    assert data_equivalence(via.reset(seed=0), plain.reset(seed=0), exact=True)
-    assert visit(via, 0, steps=100)[-1]["is_success"]
-
-
 # --- Options and names
 
 
@@ -232,14 +213,6 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, tri
 def test_a_path_has_one_place_at_least() -> None:
     targets = targets_of(MMCReachEnv(task=Pursuit(period=0.001)), 2, seed=0)
     assert np.ptp(targets, axis=0).tolist() == [0.0, 0.0]
-
-
-def test_a_task_of_ones_own_is_a_few_lines() -> None:
-    there_and_back = PointToPoint(points=((0.5, 0.0), (0.0, 0.5)), pairs=((0, 1), (1, 0)))
-    env = MMCReachEnv(task=there_and_back)
-    _, info = env.reset(options={"trial": 1})
-    np.testing.assert_allclose(info["end_effector"], (0.0, 1.5), atol=1e-9)
-    np.testing.assert_allclose(info["target"], (1.5, 0.0), atol=1e-9)
 
 
 @pytest.mark.parametrize(

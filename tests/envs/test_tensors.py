@@ -9,8 +9,6 @@ every_engine = pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 
 
 def made(engine, **arguments):
-    if engine == "analytic":
-        pytest.importorskip("numba", reason='it takes the extra "fast"')
     return gym.make_vec("MMCReach-v0", 5, engine=engine, **arguments)
 
 

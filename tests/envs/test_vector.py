@@ -2,9 +2,9 @@
 
 import copy
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
-from itertools import product
+from itertools import cycle, product
 from typing import Any
 
 import gymnasium as gym
@@ -13,9 +13,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-import mmc_gym
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.tasks import TASKS
 from mmc_gym.envs.vector import MMCReachVectorEnv
@@ -71,18 +69,28 @@ def random_actions(vector: VectorEnv, steps: int, seed: int = 0) -> np.ndarray:
     return random.uniform(-1, 1, (steps, *vector.action_space.shape)).astype(np.float32)
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize(
-    ("env_id", "variant"),
-    [*product(["MMCReach-v0"], VARIANTS), *product(["MMCReachGoal-v0"], GOAL_VARIANTS)],
-)
+def cases(variants: Iterable[str]) -> list[Any]:
+    """Each variant in every mode of autoreset; one of them every day."""
+    named = [*product(["MMCReach-v0"], variants), *product(["MMCReachGoal-v0"], GOAL_VARIANTS)]
+    return [
+        pytest.param(*one, mode, marks=() if mode == daily else pytest.mark.slow)
+        for one, daily in zip(named, cycle(AutoresetMode))
+        for mode in AutoresetMode
+    ]
+
+
+def native_and_sync(env_id: str, mode: AutoresetMode, **arguments: Any) -> list[VectorEnv]:
+    arguments = {"max_episode_steps": 13, **arguments}
+    sync = gym.make_vec(env_id, COUNT, "sync", vector_kwargs={"autoreset_mode": mode}, **arguments)
+    return [make_native(env_id, autoreset_mode=mode, **arguments), sync]
+
+
+@pytest.mark.parametrize(("env_id", "variant", "mode"), cases(VARIANTS))
 def test_it_returns_bit_for_bit_what_single_environments_return(
     env_id: str, variant: str, mode: AutoresetMode
 ) -> None:
     """Over some episodes, with partial resets on the way."""
-    arguments = {"max_episode_steps": 13, **VARIANTS[variant]}
-    native = make_native(env_id, autoreset_mode=mode, **arguments)
-    sync = gym.make_vec(env_id, COUNT, "sync", vector_kwargs={"autoreset_mode": mode}, **arguments)
+    native, sync = native_and_sync(env_id, mode, **VARIANTS[variant])
 
     def reset_both(mask: np.ndarray, seed: Any = None) -> None:
         first, second = (
@@ -106,35 +114,21 @@ def test_it_returns_bit_for_bit_what_single_environments_return(
 ANALYTIC = [name for name in VARIANTS if name not in ("analytic", "obstacles")]
 
 
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-@pytest.mark.parametrize(
-    ("env_id", "variant"),
-    [
-        *product(["MMCReach-v0"], ANALYTIC),
-        *product(["MMCReachGoal-v0"], GOAL_VARIANTS),
-    ],
-)
+@pytest.mark.parametrize(("env_id", "variant", "mode"), cases(ANALYTIC))
 def test_the_analytic_engine_observes_to_a_rounding_what_single_environments_do(
     env_id: str, variant: str, mode: AutoresetMode
 ) -> None:
     """Infos, rewards and movements are the same to the bit."""
-    arguments = {"max_episode_steps": 13, **VARIANTS[variant], "engine": "analytic"}
-    native = make_native(env_id, autoreset_mode=mode, **arguments)
-    sync = gym.make_vec(env_id, COUNT, "sync", vector_kwargs={"autoreset_mode": mode}, **arguments)
+    native, sync = native_and_sync(env_id, mode, **VARIANTS[variant], engine="analytic")
     assert same(native.reset(seed=3), sync.reset(seed=3))
-    for action in random_actions(native, 30):
+    for action in random_actions(native, 13 if mode == AutoresetMode.DISABLED else 30):
         (seen, *step), (expected, *other) = native.step(action), sync.step(action)
-        for part, expected_part in zip(parts(seen), parts(expected), strict=True):
-            np.testing.assert_allclose(part, expected_part, rtol=2e-7, atol=1e-9)
+        for name in seen if isinstance(seen, dict) else [...]:
+            np.testing.assert_allclose(seen[name], expected[name], rtol=2e-7, atol=1e-9)
         for each in (step, other):
             for final in each[-1].pop("final_obs", ()):
                 assert final is None or native.single_observation_space.contains(final)
         assert same(step, other)
-
-
-def parts(observation: Any) -> list[Any]:
-    """The arrays of an observation."""
-    return list(observation.values()) if isinstance(observation, dict) else [observation]
 
 
 @pytest.mark.parametrize("arguments", [{}, {"engine": "analytic"}, {"perturbations": "delay-40"}])
@@ -187,26 +181,6 @@ def test_it_has_the_time_limit_of_the_registration_or_none(limit: dict[str, Any]
     vector.reset(seed=0)
     ends = [vector.step(action)[3].all() for action in random_actions(vector, 150)]
     assert np.flatnonzero(ends).tolist() == ([] if limit else [99])
-
-
-def test_agents_play_in_it() -> None:
-    vector = make_native("MMCReach-v0", 40)
-    agent = mmc_gym.make_agent("mmc", vector)  # type: ignore[arg-type]
-    observation, info = vector.reset(seed=0)
-    state, start = None, np.ones(40, dtype=bool)
-    for _ in range(99):
-        action, state = agent.predict(observation, state, start)
-        observation, _, _, _, info = vector.step(action)
-        start = np.zeros(40, dtype=bool)
-    assert info["is_success"].mean() > 0.95
-
-
-def test_gymnasium_wraps_it() -> None:
-    vector = RecordEpisodeStatistics(make_native("MMCReach-v0"))
-    vector.reset(seed=0)
-    for action in random_actions(vector, 100):
-        *_, info = vector.step(action)
-    assert (info["episode"]["l"] == 100).all()
 
 
 def test_a_goal_reward_is_that_of_the_goals() -> None:
@@ -306,6 +280,7 @@ def test_copies_are_refused() -> None:
             make_copy(make_native("MMCReach-v0"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("context", ["fork", "spawn"])
 def test_workers_play_the_same(context: str) -> None:
     """Single environments in forked and spawned processes, and native ones in this process."""

@@ -12,7 +12,7 @@ from scipy import stats
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.workspace import Workspace, reachable_hands
+from mmc_gym.envs.workspace import Workspace
 from mmc_gym.network.chain import reachable_radii, segments_from_joint_angles
 
 
@@ -124,13 +124,6 @@ def test_joint_limits_leave_targets_uniform_over_what_remains(limited_targets: n
     assert np.abs(share - area).sum() / 2 < 0.05
 
 
-def test_cells_of_reachable_hands_hold_all_hands() -> None:
-    cells = reachable_hands(TWO_LENGTHS, TWO_LIMITS)
-    assert sum(map(len, cells)) == 100_000
-    widths = [np.ptp(cell, axis=0).max() for cell in cells]
-    assert max(widths) <= sum(TWO_LENGTHS) / 30 + 1e-12
-
-
 # --- Evenly bent postures
 
 
@@ -183,10 +176,3 @@ def test_what_the_hand_reaches_its_cursor_may_not() -> None:
     assert space.contains((0.0, 0.0))  # the hand is then at (2, 0)
     assert not space.contains((-2.0, 0.0))  # it would be at (4, 0)
     assert not space.contains((4.0, 0.0))  # the target itself is out of reach
-
-
-def test_with_joint_limits_too_targets_are_what_told_and_true_arm_both_reach() -> None:
-    limits = ((-3.0, 3.0), (-1.0, 1.0), (-1.0, 1.0))
-    env = MMCReachEnv(joint_limits=limits, perturbations="longer-50")
-    targets = np.array([env.reset(seed=seed)[1]["target"] for seed in range(200)])
-    assert np.linalg.norm(targets, axis=-1).max() <= env.reach
