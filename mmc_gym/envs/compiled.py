@@ -140,8 +140,7 @@ class CompiledStep:
         if self._constants.smoothness_weight:
             info["reward_smoothness"] = smoothness
         info |= {"end_effector": end_effector, "target": target}
-        rewards: Floats = arms.is_success - 1.0 if self._is_sparse else reward
-        return rewards, info
+        return arms.is_success.astype(np.float64) - 1.0 if self._is_sparse else reward, info
 
 
 @compiled
