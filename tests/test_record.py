@@ -18,22 +18,25 @@ class Turner:
         return np.array([0.3, 0, 0], np.float32), None
 
 
+STEPS = {"max_episode_steps": 20}
+
+
 @pytest.fixture(scope="module")
 def pictures():
-    """What is to be seen of the first two episodes that `compare` plays."""
-    env = gym.make("MMCReach-v0", render_mode="rgb_array")
+    """Pictures of the first two episodes that `compare` plays."""
+    env = gym.make("MMCReach-v0", render_mode="rgb_array", **STEPS)
     shown = []
     for seed in episode_seeds(3, 2):
         observation, _ = env.reset(seed=seed)
         shown.append(env.render())
-        for _ in range(100):
+        for _ in range(20):
             env.step(Turner().predict(observation)[0])
             shown.append(env.render())
     return shown
 
 
 def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
-    path = record(tmp_path / "film.gif", Turner(), episodes=2, seed=3)
+    path = record(tmp_path / "film.gif", Turner(), episodes=2, seed=3, env_kwargs=STEPS)
     frames, ends = [], []
     with Image.open(path) as film:
         assert film.info["loop"] == 0  # for ever
@@ -41,7 +44,7 @@ def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
             frames.append(np.asarray(frame.convert("RGB"), int))
             ends.append((ends or [0])[-1] + frame.info["duration"])
     assert ends[-1] == 20 * len(pictures)
-    for number in (0, 60, 101, 201):
+    for number in (0, 12, 21, 41):
         shown = frames[np.searchsorted(ends, 20 * number, side="right")]
         assert np.abs(shown - pictures[number]).mean() < 1.0  # of 256; it has but 256 colours
 
@@ -49,12 +52,13 @@ def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # of ffmpeg's pipes, by imageio
 def test_an_mp4_has_the_rate_of_the_environment(tmp_path, pictures):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    frames = ffmpeg.read_frames(str(record(tmp_path / "film.mp4", Turner(), seed=3)))
-    told = next(frames)
-    assert (told["fps"], told["size"], told["codec"]) == (50, (640, 640), "h264")
+    path = record(tmp_path / "film.mp4", Turner(), seed=3, env_kwargs=STEPS)
+    frames = ffmpeg.read_frames(str(path))
+    facts = next(frames)
+    assert (facts["fps"], facts["size"], facts["codec"]) == (50, (640, 640), "h264")
     film = [np.frombuffer(one, np.uint8).reshape(640, 640, 3) for one in frames]
-    assert len(film) == 101
-    for number in (0, 60):
+    assert len(film) == 21
+    for number in (0, 12):
         assert np.abs(film[number].astype(int) - pictures[number]).mean() < 4.0
 
 
@@ -64,7 +68,7 @@ def test_a_film_that_fails_leaves_the_old_one(tmp_path):
 
         def predict(self, *arguments, **options):
             self.calls += 1
-            if self.calls == 30:
+            if self.calls == 3:
                 raise RuntimeError("lost")
             return super().predict(*arguments, **options)
 
@@ -76,7 +80,8 @@ def test_a_film_that_fails_leaves_the_old_one(tmp_path):
 
 
 def test_the_command_names_the_file_the_agent_and_the_missing_extra(tmp_path, monkeypatch, capsys):
-    main(["record", "--agent", "ik-dls", str(tmp_path / "film.gif")])
+    steps = ["--env-kwargs", "max_episode_steps=5"]
+    main(["record", "--agent", "ik-dls", *steps, str(tmp_path / "film.gif")])
     assert capsys.readouterr() == (f"wrote {tmp_path / 'film.gif'}\n", "")
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     for arguments, message in (

@@ -23,14 +23,12 @@ def workspace(lengths: Sequence[float]) -> Workspace:
 LENGTHS = st.lists(st.floats(0.1, 3.0), min_size=1, max_size=8)
 
 
-@pytest.mark.parametrize(
-    "lengths", [(1.0, 1.0, 1.0), (2.0, 0.5), (3.0, 1.0, 0.5), (0.3, 0.2, 0.2, 0.1)]
-)
+@pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (3.0, 1.0, 0.5)])
 def test_targets_are_uniform_over_the_area_that_the_hand_reaches(
     lengths: tuple[float, ...],
 ) -> None:
     random = np.random.default_rng(0)
-    x, y = np.array([workspace(lengths).draw_target(random, []) for _ in range(20_000)]).T
+    x, y = np.array([workspace(lengths).draw_target(random, []) for _ in range(5_000)]).T
     inner, outer = reachable_radii(lengths)
     area = (x**2 + y**2 - inner**2) / (outer**2 - inner**2)
     assert stats.kstest(area, "uniform").pvalue > 0.01
@@ -38,7 +36,7 @@ def test_targets_are_uniform_over_the_area_that_the_hand_reaches(
     assert stats.kstest(angle, "uniform").pvalue > 0.01
     # … and jointly: 10 rings of equal area by 12 sectors.
     counts, _, _ = np.histogram2d(area, angle, bins=(10, 12), range=((0, 1), (0, 1)))
-    assert counts.sum() == 20_000
+    assert counts.sum() == 5_000
     assert stats.chisquare(counts.ravel()).pvalue > 0.01
 
 
