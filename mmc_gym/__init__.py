@@ -1,6 +1,6 @@
 """mmc-gym: the Mean-of-Multiple-Computations body model and its reaching environment.
 
-Importing it registers the environments with Gymnasium.  All else is loaded when it is asked for.
+Importing it registers the environments with Gymnasium.  Everything else is loaded on first use.
 """
 
 from importlib import import_module

@@ -34,16 +34,16 @@ CONTROLS: tuple[Control, ...] = get_args(Control)
 class CannotActError(UserError):
     """An agent cannot act in an environment.
 
-    Factories raise it, yours too, to refuse an environment: the benchmark leaves out that pair
-    and gives the message as the reason.  Any other exception of a factory is a failure.
+    Factories of agents, yours too, raise it to refuse an environment.  The benchmark then leaves
+    out that pair and reports the message.  Any other exception of a factory is a failure.
     """
 
 
 class ControlError(CannotActError):
-    """An agent cannot act by the actions of an environment, but by those of another control mode.
+    """An agent cannot act in the control mode of an environment, but in another one.
 
     Attributes:
-        control: the control mode that it acts by.
+        control: the control mode of the agent.
     """
 
     def __init__(self, message: str, control: str) -> None:
@@ -59,8 +59,8 @@ class ActionMeaning(NamedTuple):
 
     Attributes:
         servo: the kind of servo that follows it.
-        scale: what an action of 1 stands for: radians, rad/s, or mass · length² / s².
-        is_relative: whether the present joint angle is added.
+        scale: command for an action of 1, in radians, rad/s, or mass · length² / s².
+        is_relative: whether the present joint angle is added to the command.
     """
 
     servo: Servo
@@ -247,9 +247,9 @@ class ObservationLayout:
         }
 
     def split(self, observation: Any, arrays: Any = np) -> ObservationParts:
-        """Take observations of either kind apart; arrays of the module numpy or torch.
+        """Split observations of either kind, arrays of the module numpy or torch.
 
-        They may be longer; what follows is `rest`.
+        They may be longer; the values that follow are `rest`.
         """
         count, end = self.joint_count, self.posture_size
         if isinstance(observation, Mapping):
@@ -380,12 +380,12 @@ class ReachInterface:
 
     @classmethod
     def of(cls, env: Any) -> ReachInterface:
-        """Read it off an environment, wrapped or not, or a vector of equal ones.
+        """Return the interface of an environment, wrapped or not, or of a vector of equal ones.
 
         Vectors may be Gymnasium's, native or not, or stable-baselines3's.
 
         Raises:
-            UserError: if it is none of this package's reaching environments, or they differ.
+            UserError: if it is no reaching environment of this package, or they differ.
         """
         body, control = read_attribute(env, "parameters"), read_attribute(env, "control")
         if body is None or control is None:
@@ -407,10 +407,10 @@ class ReachInterface:
 
     @property
     def max_joint_delta(self) -> float:
-        """Angle by which an action of 1 puts a joint target ahead under `joint_delta`, radians.
+        """Angle from the joint to its target for an action of 1 under `joint_delta`, radians.
 
-        A target so far ahead asks the servo for its full speed.  The joint's mean speed is less,
-        for it has come nearer to the target when the control step ends.
+        It asks the servo for its full speed.  The joint's mean speed is less, because the joint
+        approaches the target during the control step.
         """
         return self.speed_limit / self.servo_gain
 
@@ -470,7 +470,7 @@ class ReachInterface:
         return near
 
     def within_limits_from(self, before: Floats, joint_angles: Floats) -> Floats:
-        """Return where joints come to on the short way from `before`, up to the limits, (..., N).
+        """Return the angles reached on the short way from `before` up to the limits, (..., N).
 
         An internal posture that is advanced by this never jumps from one limit to the other.
         """
@@ -481,9 +481,9 @@ class ReachInterface:
         return stopped
 
     def turn(self, joint_angles: Floats, joint_targets: Floats) -> Floats:
-        """Return by how much joints turn to their targets, radians, (..., N).
+        """Return the turns from joint angles to their targets, radians, (..., N).
 
-        They take the short way, or with joint limits the way that is allowed.
+        Joints take the short way, or with limits the way within them.
         """
         if self.joint_limits is None:
             return wrap_angle(joint_targets - joint_angles)
@@ -497,15 +497,15 @@ class ReachInterface:
     def act(self, joint_targets: Floats, sensed: Sensed) -> NDArray[np.float32]:
         """Return the action that sends the joints to their targets (..., N).
 
-        Position control is handed the targets.  Delta and velocity control are asked for the
-        speed that a position servo would ask for.  Targets beyond a joint limit are at the limit,
-        and no joint is sent through the range that it must not enter.
+        Position control receives the targets; delta and velocity control the speed that a position
+        servo would ask for.  A target beyond a joint limit is replaced by the limit, and no joint
+        is sent through its forbidden range.
 
         Returns:
             float32 within −1 and 1, (..., N).
 
         Raises:
-            CannotActError: under torque control, which has no servo to hand targets to.
+            CannotActError: under torque control, whose servos take no targets.
         """
         if self.control == "joint_position":
             action = wrap_angle(self.within_limits(joint_targets)) / math.pi
@@ -521,7 +521,7 @@ class ReachInterface:
         return clipped
 
     def check_takes_joint_targets(self) -> None:
-        """Raise a `CannotActError` under torque control, which has no servo to hand targets to."""
+        """Raise a `CannotActError` under torque control, whose servos take no targets."""
         rest = np.zeros(len(self.segment_lengths))
         self.act(rest, Sensed(rest, np.zeros(2)))
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, require_choice
-from mmc_gym._notebook import png
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.perturbations import Readings
@@ -239,10 +238,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     def _repr_png_(self) -> bytes:
         """Return the picture that a notebook shows, whatever the render mode."""
-        from mmc_gym.envs.render import Renderer
+        from mmc_gym.envs.render import notebook_picture
 
-        frame: Any = Renderer(self.setup, "rgb_array").draw(self._scene())
-        return png(frame, shrink=2)
+        return notebook_picture(self.setup, [self._scene()])
 
     def _scene(self) -> Scene:
         from mmc_gym.envs.render import Scene

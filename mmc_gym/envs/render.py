@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
+from mmc_gym._notebook import png
 from mmc_gym.envs import shapes
 from mmc_gym.envs.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
@@ -46,6 +47,13 @@ class Scene:
     ghost: Sequence[float] | None = None
     steps: int = 0
     observation: Any = None
+
+
+def notebook_picture(setup: ReachSetup, scenes: Iterable[Scene]) -> bytes:
+    """Return the picture that a notebook shows, a PNG with the scenes side by side."""
+    renderer = Renderer(setup, "rgb_array")
+    pictures: list[Any] = [renderer.draw(scene) for scene in scenes]
+    return png(np.concatenate(pictures, axis=1), shrink=2)
 
 
 class Renderer:

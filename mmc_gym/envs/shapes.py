@@ -1,7 +1,7 @@
-"""Shapes of the pictures: a `View` maps the world to pixels, a `Canvas` paints one thing a method.
+"""Shapes of the pictures: a `View` maps the world to pixels, and a `Canvas` paints on them.
 
-Nothing depends on colour alone: the arm is the filled shape, the target the ring with a cross,
-reaching it adds a second ring, an internal model's arm is a thin line with hollow joints, and dots,
+Colour alone carries no meaning: the arm is the filled shape, the target the ring with a cross, with
+a second ring when it is reached.  An internal model's arm is a thin line with hollow joints.  Dots,
 or rings without a cross, show where the target will be.
 """
 
@@ -58,17 +58,17 @@ class View:
         return self.size / (2 * _MARGIN * self.reach)
 
     def pixel(self, point: Sequence[float]) -> Point:
-        """Return where in the picture a point (x, y) of the world is."""
+        """Return the pixel of a point (x, y) of the world."""
         middle = self.size / 2
         return middle + point[0] * self.scale, middle - point[1] * self.scale
 
     def point(self, pixel: Sequence[float]) -> Point:
-        """Return which point (x, y) of the world a pixel shows."""
+        """Return the point (x, y) of the world at a pixel."""
         middle = self.size / 2
         return (pixel[0] - middle) / self.scale, (middle - pixel[1]) / self.scale
 
     def stroke(self, width: float) -> float:
-        """Return the pixels here of a width in pixels of a picture of `SIZE`."""
+        """Scale a width in pixels from a picture of `SIZE` to this one."""
         return width * self.size / SIZE
 
 
@@ -103,7 +103,7 @@ def rod_outline(start: Point, end: Point, half_width: float) -> list[Point]:
 
 @dataclass(frozen=True)
 class Canvas:
-    """A surface of pygame's to paint the world on, as its view maps it."""
+    """A surface of pygame on which the world is painted through a view."""
 
     surface: pygame.Surface
     view: View
@@ -128,11 +128,11 @@ class Canvas:
         pygame.draw.circle(self.surface, color, middle, radius)
 
     def ring(self, color: Color, middle: Point, radius: float, width: float) -> None:
-        """Paint a circle's line, half of it to either side of the radius, in pixels."""
+        """Paint a circle; radius, and width of the line centred on it, in pixels."""
         pygame.draw.circle(self.surface, color, middle, radius + width / 2, max(1, round(width)))
 
     def dashes(self, color: Color, corners: Sequence[Point], width: float, dash: float) -> None:
-        """Paint a line through corners; dashes and gaps have one length, and go round corners."""
+        """Paint a line through corners, in dashes and gaps of one length along the line."""
         width, dash = self.view.stroke(width), self.view.stroke(dash)
         ways = [0.0, *accumulate(math.dist(start, end) for start, end in pairwise(corners))]
         xs, ys = zip(*corners, strict=True)
@@ -147,7 +147,7 @@ class Canvas:
                 self.rod(color, at(one), at(other), width)
 
     def diamond(self, color: Color, middle: Point, half: float) -> None:
-        """Paint a square that stands on a corner, `half` from its middle to each."""
+        """Paint a square on its corner, `half` from the middle to each corner."""
         (x, y), half = middle, self.view.stroke(half)
         corners = [(x - half, y), (x, y - half), (x + half, y), (x, y + half)]
         pygame.draw.polygon(self.surface, color, corners)
@@ -170,7 +170,7 @@ class Canvas:
                 self.disc(color, middle, pixels - line / 2)
 
     def draw_base(self) -> None:
-        """Paint the plate that the arm stands on, with its four bolts."""
+        """Paint the plate under the arm with its four bolts."""
         stroke = self.view.stroke
         half, corner, bolt = stroke(22), stroke(15), stroke(2.5)
         x, y = self.view.pixel((0, 0))
@@ -204,16 +204,16 @@ class Canvas:
         self.disc(OUTLINE, pixels[-1], widths[-1] / 2 + edge)
 
     def arm_widths(self, segment_lengths: Sequence[float]) -> list[float]:
-        """Return the thickness of the arm at its base, joints and hand (N + 1 pixels).
+        """Return the thickness of the arm at its base, joints and hand (N + 1), in pixels.
 
-        It tapers with its length, so that both rods at a joint are equally thick there.
+        It decreases along the arm, so that both rods at a joint are equally thick there.
         """
         along = [0.0, *accumulate(segment_lengths)]
         taper = (HAND_WIDTH - BASE_WIDTH) / along[-1]
         return [self.view.stroke(BASE_WIDTH + taper * way) for way in along]
 
     def draw_ghost(self, joint_angles: Sequence[float], segment_lengths: Sequence[float]) -> None:
-        """Paint an internal model's arm (N joint angles): a thin line with hollow joints."""
+        """Paint an internal model's arm (N joint angles) as a thin line with hollow joints."""
         nodes = node_positions(list(accumulate(joint_angles)), segment_lengths)
         pixels = [self.view.pixel(node) for node in nodes]
         for color, line in ((REACHABLE, self.view.stroke(5)), (GHOST, self.view.stroke(2.5))):
@@ -224,7 +224,7 @@ class Canvas:
             self.disc(REACHABLE, pixel, self.view.stroke(3))
 
     def draw_trace(self, points: Iterable[Sequence[float]]) -> None:
-        """Paint where the hand has been, oldest first and faintest, a dot at every point."""
+        """Paint the past points of the hand, oldest first, as dots that fade with age."""
         pixels = [self.view.pixel(point) for point in points]
         for age, (start, end) in enumerate(pairwise(pixels), start=1):
             freshness = age / len(pixels)
@@ -233,7 +233,7 @@ class Canvas:
             self.disc(color, end, self.view.stroke(1.5 + 1.8 * freshness))
 
     def draw_target(self, target: Sequence[float], success_distance: float, reached: bool) -> None:
-        """Paint the target: a ring of the success radius on a cross; reached, a second ring."""
+        """Paint the target: a ring of the success radius on a cross, and a second when reached."""
         stroke = self.view.stroke
         x, y = self.view.pixel(target)
         radius = self._target_radius(success_distance)
@@ -258,7 +258,7 @@ class Canvas:
     def draw_next_targets(
         self, target: Sequence[float], points: Sequence[Sequence[float]], success_distance: float
     ) -> None:
-        """Paint the targets to come: faint rings, joined to the present one by dashes in order."""
+        """Paint the next targets as faint rings, joined in order by dashes."""
         color, line = blend(BACKGROUND, TARGET, 0.55), self.view.stroke(2)
         pixels = [self.view.pixel(point) for point in (target, *points)]
         self.dashes(color, pixels, 1.5, 5)
@@ -268,7 +268,7 @@ class Canvas:
             self.ring(color, pixel, radius, line)
 
     def draw_curl_field(self, curl: float) -> None:
-        """Paint arrows that turn as movements are bent: clockwise if `curl` is positive."""
+        """Paint arrows that turn as the field bends movements, clockwise if `curl` is positive."""
         spacing = self.view.reach / 3
         for row, column in product(range(-3, 4), repeat=2):
             middle = (column * spacing, row * spacing)
@@ -335,7 +335,7 @@ class Canvas:
         segment_lengths: Sequence[float],
         old_lengths: Sequence[float],
     ) -> None:
-        """Paint in dashes, around each segment of another length than it was, the one it was."""
+        """Paint the former outline of each segment whose length has changed, in dashes."""
         nodes = node_positions(segment_angles, segment_lengths)
         widths = self.arm_widths(segment_lengths)
         segments = zip(nodes, widths, segment_angles, segment_lengths, old_lengths, strict=False)
@@ -348,13 +348,13 @@ class Canvas:
                 self.dashes(OUTLINE, pixels, 1.8, 6)
 
     def draw_cursor(self, hand: Point, cursor: Point) -> None:
-        """Paint the cursor that stands for the hand: a diamond, on a dashed line to the hand."""
+        """Paint the cursor as a diamond, with a dashed line to the hand."""
         self.dashes(CURSOR, [self.view.pixel(hand), self.view.pixel(cursor)], 1.8, 6)
         for size, color in ((12, REACHABLE), (9.5, CURSOR), (4, REACHABLE)):
             self.diamond(color, self.view.pixel(cursor), size)
 
     def draw_sensed(self, nodes: Sequence[Point], hand: Point, target: Point) -> None:
-        """Paint the felt arm (N + 1 nodes) in dashes, seen hand and target as hollow diamonds."""
+        """Paint the sensed arm (N + 1 nodes) in dashes, hand and target as hollow diamonds."""
         pixels = [self.view.pixel(node) for node in nodes]
         color = blend(BACKGROUND, OUTLINE, 0.75)
         for start, end in pairwise(pixels):

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, is_whole, require, require_choice, require_whole
-from mmc_gym._notebook import png
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.perturbations import Readings
@@ -169,7 +168,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             gymnasium.error.ResetNeeded: before the first reset; or, without autoreset, if an
                 episode is over.
         """
-        self._require_running()
+        if not self._is_started.all():
+            raise ResetNeeded("call reset() before step()")
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._is_over.any():
+            arms = np.flatnonzero(self._is_over).tolist()
+            raise ResetNeeded(f"reset the arms whose episodes are over before step(): {arms}")
         waiting = np.flatnonzero(self._is_over)  # they are reset instead of stepped
         values = self._checked(actions, waiting)
         self._steps += 1
@@ -215,11 +218,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
 
     def _repr_png_(self) -> bytes:
         """Return the picture that a notebook shows, of the first arms, whatever the render mode."""
-        from mmc_gym.envs.render import Renderer
+        from mmc_gym.envs.render import notebook_picture
 
-        renderer = Renderer(self.setup, "rgb_array")
-        pictures: list[Any] = [renderer.draw(self._scene(arm)) for arm in self._all[:_SHOWN]]
-        return png(np.concatenate(pictures, axis=1), shrink=2)
+        return notebook_picture(self.setup, map(self._scene, self._all[:_SHOWN]))
 
     def _scene(self, arm: np.intp) -> Scene:
         from mmc_gym.envs.render import Scene
@@ -406,13 +407,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """Show this observation of these arms until the delay of the senses is over."""
         for late in self._late:
             put(late, arms, observation)
-
-    def _require_running(self) -> None:
-        if not self._is_started.all():
-            raise ResetNeeded("call reset() before step()")
-        if self.autoreset_mode == AutoresetMode.DISABLED and self._is_over.any():
-            arms = np.flatnonzero(self._is_over).tolist()
-            raise ResetNeeded(f"reset the arms whose episodes are over before step(): {arms}")
 
     def _checked(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.floating]:
         """Return the actions, (n, N), float32 or float64, with 0 for the waiting arms."""
