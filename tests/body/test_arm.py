@@ -199,34 +199,6 @@ def test_arms_of_any_number_of_segments_move_and_stay_finite(engine, count, serv
     assert states[0] != states[-1]
 
 
-# Textbook physics
-
-
-@pytest.mark.parametrize(
-    ("length", "mass", "torque", "hand_mass"),
-    [(1.0, 1.0, 0.5, 0.0), (1.3, 0.7, -0.5, 0.0), (1.3, 0.7, 0.5, 3.0)],
-)
-def test_torque_turns_a_rod_with_the_textbook_acceleration(engine, length, mass, torque, hand_mass):
-    rod = {"segment_lengths": (length,), "segment_masses": (mass,), "hand_mass": hand_mass}
-    arm = arm_of(engine, "torque", **rod)
-    rotor = arm.parameters.drive_inertia * mass / 3
-    acceleration = torque / ((mass / 3 + rotor + hand_mass) * length**2)
-    for step in range(1, 26):
-        drive(arm, [torque], 1)
-        speed, allowed = acceleration * 0.02 * step, 2e-3 if hand_mass else 1e-3
-        assert arm.joint_velocities[0] == pytest.approx(speed, rel=allowed)
-
-
-def test_a_viscous_field_brakes_a_rod_as_in_the_textbook(engine):
-    rod = {"segment_lengths": (1.3,), "substep": 0.0005, "substeps": 40, "drive_inertia": 0.0}
-    arm = arm_of(engine, "torque", force_field=((-0.8, 0.0), (0.0, -0.8)), **rod)
-    arm.reset([0.4], [3.0])
-    for step in range(1, 51):
-        arm.step()
-        expected = 3.0 * math.exp(-0.8 / (1 / 3) * 0.02 * step)
-        assert arm.joint_velocities[0] == pytest.approx(expected, rel=0.01)
-
-
 # What is refused
 
 

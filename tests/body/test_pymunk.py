@@ -134,31 +134,6 @@ def test_other_joints_throw_a_joint_no_further_beyond_its_speed_limit_than_state
     assert max(speeds) < 1.01 * 2 * math.pi
 
 
-def momentum_and_energy(arm):
-    """Angular momentum about the base and kinetic energy of the whole arm."""
-    momentum = energy = 0.0
-    for body in arm._linkage.segments:
-        momentum += body.mass * body.position.cross(body.velocity)
-        momentum += body.moment * body.angular_velocity
-        energy += body.mass * body.velocity.dot(body.velocity) / 2
-        energy += body.moment * body.angular_velocity**2 / 2
-    return momentum, energy
-
-
-@pytest.mark.parametrize(("substeps", "drift", "loss"), [(4, 1e-4, 1e-3), (80, 1e-6, 1e-5)])
-def test_a_slack_arm_conserves_momentum_and_gains_no_energy(substeps, drift, loss):
-    arm = Arm(ArmParameters(substep=0.02 / substeps, substeps=substeps), "torque")
-    for seed in range(4):
-        random = np.random.default_rng(seed)
-        arm.reset(random.uniform(-3, 3, 3).tolist(), random.uniform(-3, 3, 3).tolist())
-        momentum, energy = momentum_and_energy(arm)
-        for _ in range(100):
-            arm.step()
-            now = momentum_and_energy(arm)
-            assert abs(now[0] - momentum) / max(abs(momentum), 1.0) < drift
-            assert -loss < now[1] / energy - 1 < 1e-9
-
-
 # Obstacles
 
 
@@ -205,24 +180,6 @@ def test_arms_come_to_rest_at_their_joint_targets(lengths, masses):
     errors = [math.remainder(a - b, math.tau) for a, b in zip(arm.joint_angles, target)]
     assert max(map(abs, errors)) < 1e-3
     assert max(map(abs, arm.joint_velocities)) < 0.01
-
-
-def integration_errors(substeps, movements):
-    """Largest angle errors of movements of 2 s against a substep of 0.25 ms."""
-    coarse = Arm(ArmParameters(substep=0.02 / substeps, substeps=substeps))
-    fine = Arm(ArmParameters(substep=0.00025, substeps=80))
-    both = zip(*(random_movements(arm, movements, seed=1) for arm in (coarse, fine)), strict=True)
-    errors = [np.abs(np.subtract(a.joint_angles, b.joint_angles)) for a, b in both]
-    turns = np.abs(np.remainder(np.array(errors) + np.pi, 2 * np.pi) - np.pi)
-    return turns.reshape(movements, -1).max(axis=1)
-
-
-@pytest.mark.slow
-def test_the_default_substep_is_fine_enough():
-    default = integration_errors(substeps=4, movements=30)
-    assert np.median(default) < 0.02
-    assert max(default) < 0.035
-    assert np.median(integration_errors(substeps=20, movements=15)) < 0.003
 
 
 def test_pivots_gape_little():

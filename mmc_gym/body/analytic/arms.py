@@ -54,7 +54,7 @@ class AnalyticArmBatch(ArmBatch):
         self._lanes = kernel.lanes_of(segments)
         self._chain = kernel.make_chain(self.parameters, self._servo)
         self._state = kernel.make_state(segments, self._count)
-        self._work_type = kernel.work_type(segments)
+        self._no_work = kernel.no_work(segments)
         self._show(kernel.make_shown(segments, self._count))
 
     def _show(self, shown: NDArray[np.void]) -> None:
@@ -73,8 +73,7 @@ class AnalyticArmBatch(ArmBatch):
 
     @override
     def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
-        work = np.empty(1, self._work_type)
-        kernel.place(self._state, self.shown, self._chain, work, arms, postures, speeds)
+        kernel.place(self._state, self.shown, self._chain, self._no_work, arms, postures, speeds)
 
     @override
     def _command(self, values: Floats) -> None:
@@ -110,8 +109,8 @@ class AnalyticArmBatch(ArmBatch):
 
     def step_arms(self, first: int, last: int) -> None:
         """Simulate one control step of a share of the arms."""
-        state, work = self._state[self._blocks(first, last)], np.empty(1, self._work_type)
-        kernel.step(state, self.shown[first:last], self._chain, work, self.parameters.substeps)
+        state, shown = self._state[self._blocks(first, last)], self.shown[first:last]
+        kernel.step(state, shown, self._chain, self._no_work, self.parameters.substeps)
 
     def _blocks(self, first: int, last: int) -> slice:
         """Return the blocks of arms from `first`, which begins a block, to before `last`."""

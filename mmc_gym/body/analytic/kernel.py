@@ -85,8 +85,11 @@ def make_shown(segments: int, count: int) -> Records:
     return np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
 
 
-def work_type(segments: int) -> np.dtype[np.void]:
-    """Return the type of the record that the physics steps of a block work with."""
+def no_work(segments: int) -> Records:
+    """Return an empty array of the record that the physics steps of a block work with.
+
+    Compiled functions make their own, many times faster than numpy does.
+    """
     lanes = lanes_of(segments)
     names = (
         "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
@@ -94,7 +97,7 @@ def work_type(segments: int) -> np.dtype[np.void]:
     )
     sums = "push_x push_y push_turn velocity_x velocity_y changed is_done"
     fields = [*_fields(names, segments, lanes), *_fields(sums, lanes)]
-    return np.dtype([*fields, *_fields("matrix factor", segments, segments, lanes)])
+    return np.empty(0, [*fields, *_fields("matrix factor", segments, segments, lanes)])
 
 
 def make_chain(parameters: ArmParameters, servo: Servo) -> Records:
@@ -150,9 +153,9 @@ def _sine_cosine(angle):
 
 
 @compiled
-def place(state, shown, chain, works, chosen, postures, speeds):
+def place(state, shown, chain, no_work, chosen, postures, speeds):
     """Place the chosen arms; their servos hold the posture, stop the joints or are slack."""
-    c = chain[0]
+    c, works = chain[0], np.zeros(1, no_work.dtype)
     segments, lanes = c.length.shape[0], state[0].angle.shape[1]
     is_position, is_torque = c.is_position > 0.0, c.is_torque > 0.0
     is_touched = np.zeros(state.shape[0], np.bool_)
@@ -181,8 +184,9 @@ def place(state, shown, chain, works, chosen, postures, speeds):
             parent = angle
     for block in range(state.shape[0]):
         if is_touched[block]:
-            _look(state[block], works[0], lanes)
-            _show(state[block], works[0], c, shown[block * lanes : (block + 1) * lanes])
+            work = works[0]  # here, because a record does not keep its array alive
+            _look(state[block], work, lanes)
+            _show(state[block], work, c, shown[block * lanes : (block + 1) * lanes])
 
 
 @compiled
@@ -218,11 +222,12 @@ def command(state, chain, values, scale, is_relative):
 
 
 @compiled
-def step(state, shown, chain, works, substeps):
+def step(state, shown, chain, no_work, substeps):
     """Simulate one control step of the arms in `state`, and write what they show."""
-    c, work = chain[0], works[0]
+    c, works = chain[0], np.zeros(1, no_work.dtype)
     has_field = np.abs(c.field).max() > 0.0
     for block in range(state.shape[0]):
+        work = works[0]  # here, because a record does not keep its array alive
         arms = state[block]
         first = block * arms.angle.shape[1]
         lanes = min(arms.angle.shape[1], shown.shape[0] - first)
