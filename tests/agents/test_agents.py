@@ -16,6 +16,7 @@ from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_lea
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, network_of_arm, out_of_line
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
+from mmc_gym.measures import run_episodes
 from mmc_gym.network import MMCNetwork
 from mmc_gym.training.vec_env import GymnasiumVecEnv
 
@@ -25,7 +26,14 @@ JOINT_TARGET_AGENTS = [
     for name, entry in AGENTS.items()
     if entry.knowledge.kind in ("network", "inverse kinematics", "planner", "optimal control")
 ]
-OPEN_LOOPS = ["mmc-bell", *(name for name in JOINT_TARGET_AGENTS if name not in NETWORKS)]
+DAILY = ("mmc", "mmc-body", "ik-dls", "minimum-jerk", "optimal-control", "ppo", "random")
+"""One agent of each family; the others are `slow`."""
+
+
+def by_night(names, daily=DAILY):
+    return [name if name in daily else pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
 TROUBLES = {"perturbations": ("longer-20", "locked", "delay-40")}
 
 
@@ -38,16 +46,16 @@ def success_rate(name: str, episodes: int, env_id: str = "MMCReach-v0", **option
     return infos["is_success"].mean()
 
 
-@pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
 @pytest.mark.parametrize("name", AGENTS)
-def test_actions_lie_in_the_action_space_single_and_batched(name, env_id):
-    env = gym.make(env_id, control=AGENTS[name].control or "joint_position")
-    envs = gym.make_vec(env_id, 5, control=env.unwrapped.control)
-    agent = make_agent(name, env)
-    action, _ = agent.predict(env.reset(seed=0)[0])
-    assert env.action_space.contains(action)  # float32 as well
-    actions, _ = agent.predict(envs.reset(seed=0)[0])
-    assert envs.action_space.contains(actions)
+def test_actions_lie_in_the_action_space_single_and_batched(name):
+    for env_id in ("MMCReach-v0", "MMCReachGoal-v0"):
+        env = gym.make(env_id, control=AGENTS[name].control or "joint_position")
+        envs = gym.make_vec(env_id, 2, control=env.unwrapped.control)
+        agent = make_agent(name, env)
+        action, _ = agent.predict(env.reset(seed=0)[0])
+        assert env.action_space.contains(action)  # float32 as well
+        actions, _ = agent.predict(envs.reset(seed=0)[0])
+        assert envs.action_space.contains(actions)
 
 
 def played(name: str, count: int, steps: int) -> tuple:
@@ -60,7 +68,7 @@ def played(name: str, count: int, steps: int) -> tuple:
     return agent, observations, state
 
 
-@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
 def test_a_batch_acts_as_its_members_do_alone(name):
     envs = gym.make_vec("MMCReach-v0", num_envs=4, **TROUBLES)
     agent = make_agent(name, envs)
@@ -73,7 +81,7 @@ def test_a_batch_acts_as_its_members_do_alone(name):
         observations, *_ = envs.step(actions)
 
 
-@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
 def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name):
     agent, observations, state = played(name, 3, 9)
     fresh, fresh_state = agent.predict(observations)
@@ -88,7 +96,7 @@ def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name):
     np.testing.assert_array_equal(*after)
 
 
-@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
 def test_an_agent_remembers_nothing_but_its_state(name):
     agent, observations, state = played(name, 2, 10)
     actions, _ = agent.predict(observations, state)
@@ -96,33 +104,23 @@ def test_an_agent_remembers_nothing_but_its_state(name):
     np.testing.assert_array_equal(agent.predict(observations, state)[0], actions)
 
 
-def reached_in_line(name: str, count: int, bearing: float) -> list[tuple[float, float]]:
-    """Distances from the target at the start and the end, of arms in one line with it."""
-    env = gym.make("MMCReach-v0", segment_lengths=(1.0,) * count)
-    agent, direction = make_agent(name, env), np.array([np.cos(bearing), np.sin(bearing)])
-    straight, folded = [0.0] * (count - 1), [np.pi] * (count - 1)
-    distances = []
-    for joints, part in (
-        *((straight, part) for part in (2 / 3, -1 / 2, 0.0)),
-        *((folded, part) for part in (0.6, -0.6)),
-    ):
-        options = {"joint_angles": [bearing, *joints], "target": count * part * direction}
-        observation, info = env.reset(options=options)
-        start, state = info["distance"], None
-        for _ in range(100):
-            action, state = agent.predict(observation, state, deterministic=True)
-            observation, _, _, _, info = env.step(action)
-        distances.append((start, info["distance"]))
-    return distances
-
-
-@pytest.mark.parametrize("bearing", [0.0, 0.7])
-@pytest.mark.parametrize("count", [2, 3, 4, 6])
-@pytest.mark.parametrize("name", [*NETWORKS, "ik-dls"])
+@pytest.mark.parametrize("bearing", [0.7, pytest.param(0.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", by_night([2, 3, 4, 6], daily=[3]))
+@pytest.mark.parametrize("name", by_night([*NETWORKS, "ik-dls"]))
 def test_an_arm_in_one_line_with_its_target_gets_there(name, count, bearing):
     """No method of iteration does, unless it is bent a little; all get the same help."""
+    direction = np.array([np.cos(bearing), np.sin(bearing)])
+    options = [
+        {
+            "joint_angles": [bearing, *[bend] * (count - 1)],
+            "target": count * part * direction,
+        }
+        for bend, part in ((0, 2 / 3), (0, -1 / 2), (0, 0.0), (np.pi, 0.6), (np.pi, -0.6))
+    ]
+    envs = gym.make_vec("MMCReach-v0", len(options), segment_lengths=(1.0,) * count)
     is_slow = name == "mmc-classical" or (name == "mmc-bell" and count == 6)
-    for start, end in reached_in_line(name, count, bearing):
+    for episode in run_episodes(make_agent(name, envs), envs, range(len(options)), options=options):
+        start, end = episode.distances[[0, -1]]
         assert end <= (0.9 * start if is_slow else 0.02)
 
 
@@ -152,30 +150,21 @@ def test_of_a_batch_of_networks_only_those_that_are_stuck_are_bent():
 LIMITS = ((-3.0, 3.0), (-2.0, 2.0), (-2.0, 2.0))
 
 
-@pytest.mark.parametrize(
-    ("name", "at_least"),
-    [
-        *(("mmc", 0.75), ("mmc-neural", 0.75), ("mmc-body", 0.7), ("mmc-bell", 0.45)),
-        *(("ik-dls", 0.7), ("ik-nullspace", 0.9)),
-        *(("ik-closed-form", 0.99), ("minimum-jerk", 0.7), ("ik-body", 0.7)),
-    ],
-)
-def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_control(name, at_least):
+@pytest.mark.parametrize("name", by_night([*JOINT_TARGET_AGENTS], ("mmc", "ik-dls")))
+def test_joint_limits_are_known_and_delta_control_does_as_well_as_position_control(name):
     """Nobody searches for ways round: what is not reached is behind one."""
-    episodes = 100 if name == "ik-closed-form" else 200  # it takes long
-    rates = [
-        success_rate(name, episodes, control=control, joint_limits=LIMITS)
-        for control in ("joint_delta", "joint_position")
-    ]
-    assert min(rates) >= at_least
-    assert abs(rates[0] - rates[1]) <= 0.05
+    least = {"mmc-bell": 0.45, "mmc-classical": 0.2, "optimal-control": 0.6}.get(name, 0.7)
+    controls = ("joint_delta", "joint_position")
+    rates = [success_rate(name, 50, control=one, joint_limits=LIMITS) for one in controls]
+    assert min(rates) >= least
+    assert abs(rates[0] - rates[1]) <= 0.06
 
 
-@pytest.mark.parametrize("name", JOINT_TARGET_AGENTS)
+@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
 def test_no_joint_is_sent_beyond_its_limits(name):
     limits = ((-1.5, 1.5), (0.0, 2.5), (-1.0, 2.0))
     options = {"control": "joint_position", "joint_limits": limits}
-    envs = gym.make_vec("MMCReach-v0", num_envs=30, **options)
+    envs = gym.make_vec("MMCReach-v0", num_envs=10, **options)
     agent = make_agent(name, envs)
     (observations, _), state = envs.reset(seed=0), None
     low, high = np.transpose(limits) / np.pi
@@ -239,19 +228,21 @@ def test_a_state_of_another_agent_is_an_error(name):
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])
-@pytest.mark.parametrize("name", ["mmc", *OPEN_LOOPS])
+@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS, ("mmc", "ik-dls")))
 def test_nearly_all_targets_are_reached_by_joint_targets_of_every_kind(name, control):
-    assert success_rate(name, 40, control=control) >= (1.0 if name in ("mmc", "ik-dls") else 0.97)
+    least = {"mmc": 1.0, "ik-dls": 1.0, "mmc-classical": 0.7}.get(name, 0.97)
+    assert success_rate(name, 40, control=control) >= least
 
 
 @pytest.mark.parametrize(
     "lengths", [(1.0, 1.0), (2.0, 1.0, 0.5), (2.0, 1.0, 0.5, 0.25), (0.5,) * 7]
 )
-@pytest.mark.parametrize("name", ["mmc", "mmc-neural", *OPEN_LOOPS])
+@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS, ("mmc", "ik-dls")))
 def test_nearly_all_targets_are_reached_with_other_arms(name, lengths):
     if name != "ik-closed-form" or len(lengths) <= 3:
         options = {"segment_lengths": lengths, "success_distance": 0.1}
-        assert success_rate(name, 40, **options) >= 0.9
+        least = 0.4 if name == "mmc-classical" else 0.9
+        assert success_rate(name, 40, **options) >= least
 
 
 @pytest.mark.parametrize(
@@ -259,11 +250,11 @@ def test_nearly_all_targets_are_reached_with_other_arms(name, lengths):
     [
         *(
             (name, {"control": "joint_torque"}, r"control must be .* got 'joint_torque'")
-            for name in [*JOINT_TARGET_AGENTS, "ppo"]
+            for name in ("mmc", "mmc-body", "ik-dls", "minimum-jerk", "optimal-control", "ppo")
         ),
         *(
             (name, {"segment_lengths": (1.0,)}, "env must have two segments or more for MMC, got 1")
-            for name in NETWORKS
+            for name in ("mmc", "mmc-body")
         ),
         ("ik-closed-form", {"segment_lengths": (1.0,) * 4}, "must be 1, 2 or 3 .* got 4"),
         ("ppo", {"segment_lengths": (1.0,) * 2}, "env must have 3 segments for this policy, got 2"),
@@ -276,17 +267,9 @@ def test_an_environment_that_an_agent_cannot_act_in_is_told_apart_from_other_err
         make_agent(name, gym.make("MMCReach-v0", **options))
 
 
-@pytest.mark.parametrize(
-    ("name", "env_id", "at_least"),
-    [
-        ("mmc", "MMCReach-v0", 0.99),
-        ("mmc", "MMCReachGoal-v0", 0.99),
-        ("ik-dls", "MMCReach-v0", 0.99),
-        ("ppo", "MMCReach-v0", 0.9),
-    ],
-)
-def test_nearly_all_random_targets_are_reached(name, env_id, at_least):
-    assert success_rate(name, 500, env_id) >= at_least
+@pytest.mark.parametrize(("name", "least"), [("mmc", 0.99), ("ik-dls", 0.99), ("ppo", 0.98)])
+def test_nearly_all_random_targets_are_reached(name, least):
+    assert success_rate(name, 100, "MMCReachGoal-v0" if name == "mmc" else "MMCReach-v0") >= least
 
 
 def test_stable_baselines3_evaluates_them():
@@ -315,7 +298,7 @@ def test_what_is_no_reaching_environment_is_an_error(env):
 
 
 def test_vectors_of_any_kind_tell_what_their_environments_do():
-    told = ReachInterface.of(gym.make("MMCReach-v0"))
+    interface = ReachInterface.of(gym.make("MMCReach-v0"))
     native = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
     for envs in (
         native,
@@ -323,8 +306,8 @@ def test_vectors_of_any_kind_tell_what_their_environments_do():
         make_vec_env("MMCReach-v0", n_envs=2),
         GymnasiumVecEnv(native),
     ):
-        assert ReachInterface.of(envs) == told
-        assert make_agent("mmc-body", envs).interface == told
+        assert ReachInterface.of(envs) == interface
+        assert make_agent("mmc-body", envs).interface == interface
     with pytest.raises(ValueError, match="env must be a reaching environment of mmc_gym"):
         ReachInterface.of(make_vec_env("Pendulum-v1"))
 
@@ -348,32 +331,32 @@ def test_a_wrong_observation_is_an_error(name):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda told: MMCAgent("env", MMCNetwork()), "interface must be a ReachInterface, .*'env'"),
-        (lambda told: MMCAgent(told, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
-        (lambda told: MMCAgent(told, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
-        (lambda told: MMCAgent(told, MMCNetwork(), 1.5), "iterations_per_step must be .*, got 1.5"),
-        (lambda told: InverseKinematicsAgent(told, "dls"), "solver must be a function, .*'dls'"),
-        (lambda told: network_of_arm(told, dampening=4), "'dampening'; did you mean 'damping'"),
-        (lambda told: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
+        (
+            lambda given: MMCAgent("env", MMCNetwork()),
+            "interface must be a ReachInterface, .*'env'",
+        ),
+        (lambda given: MMCAgent(given, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
+        (lambda given: MMCAgent(given, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
+        (
+            lambda given: MMCAgent(given, MMCNetwork(), 1.5),
+            "iterations_per_step must be .*, got 1.5",
+        ),
+        (
+            lambda given: TimedMMCAgent(given, MMCNetwork(), 0),
+            "iterations_per_step must be a whole",
+        ),
+        (
+            lambda given: InverseKinematicsAgent(given, damped_least_squares, 0),
+            "iterations_per_step must be a whole",
+        ),
+        (lambda given: InverseKinematicsAgent(given, "dls"), "solver must be a function, .*'dls'"),
+        (lambda given: network_of_arm(given, dampening=4), "'dampening'; did you mean 'damping'"),
+        (lambda given: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
     ],
 )
 def test_wrong_arguments_of_agents_are_refused(make, message):
     with pytest.raises(UserError, match=message):
         make(ReachInterface.of(gym.make("MMCReach-v0")))
-
-
-@pytest.mark.parametrize(
-    ("agent_class", "arguments"),
-    [
-        (MMCAgent, (MMCNetwork(),)),
-        (TimedMMCAgent, (MMCNetwork(),)),
-        (InverseKinematicsAgent, (damped_least_squares,)),
-    ],
-)
-def test_an_internal_model_iterates_at_least_once_in_a_control_step(agent_class, arguments):
-    interface = ReachInterface.of(gym.make("MMCReach-v0"))
-    with pytest.raises(UserError, match="iterations_per_step must be a whole number of at least 1"):
-        agent_class(interface, *arguments, iterations_per_step=0)
 
 
 def servo_demand(network: MMCNetwork) -> tuple[float, float]:

@@ -26,11 +26,10 @@ from typing_extensions import override
 
 from mmc_gym._errors import require_number, spelt
 from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
-from mmc_gym.agents.body_model.arm import Bools, Points, command_of, commanded_turn, hand
+from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
 from mmc_gym.agents.body_model.body import PUSH, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive, in_proportion
 from mmc_gym.agents.body_model.imagination import (
-    FOLLOW,
     Imagination,
     LeastSquaresSolver,
     NetworkSolver,
@@ -45,16 +44,9 @@ from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import Floats
 
-LAG = 1.5
-"""Control steps until the joints are where a command takes them."""
-NEAR = 0.002
-"""An imagined hand that is nearer to the target has settled, segment lengths."""
-FARTHER = 0.3
-"""A target that moved by more since it was imagined is imagined anew, segment lengths."""
-BETTER = 0.1
-"""A new posture replaces the present goal if it is cheaper by more, radians."""
-CLEAR = 0.01
-"""Noise of the joint angles below which forces on the joints can be seen, radians."""
+LAG = 1.5  # control steps until the joints are where a command takes them
+FARTHER = 0.3  # a target that moved by more since it was imagined is imagined anew, segment lengths
+CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 
 
 @spelt
@@ -91,18 +83,9 @@ class Parts:
 
 
 class BodyState(NamedTuple):
-    """State of the agent: the memory of each of its parts.
+    """State of the agent: the number of observations so far, and the memory of each part."""
 
-    Attributes:
-        looks: number of observations so far, (n, 1).
-        posture, target, delay: of the senses.
-        evidence, locks: of the body.
-        contacts: of obstacles.
-        plan: where the arms should go.
-        drive: of the drive.
-    """
-
-    looks: Floats
+    looks: Floats  # (n, 1)
     posture: PostureTrack
     target: TargetTrack
     delay: Delay
@@ -229,46 +212,23 @@ class BodyAgent(InternalModelAgent[BodyState]):
         begins = state.target.has_jumped | (state.looks[:, 0] == 1) | state.contacts.is_new
         begins |= np.abs(problem.aim - state.plan.aim) > FARTHER
         is_new = begins | state.locks.has_changed.any(axis=-1)
-        goal = self._follow(state.plan.goal, problem)
+        goal = self.imagination.followed(state.plan.goal, problem)
         plan = state.plan.arrived(self.interface, problem.joint_angles)._replace(goal=goal)
         if some(is_new):
-            plan = plan._replace(goal=self._choose(goal, problem, is_new))
+            plan = plan._replace(goal=goal.copy())
+            plan.goal[is_new] = self.imagination.improved(goal[is_new], problem.of(is_new))
             plan = self.ways.planned(plan, state.contacts, problem, is_new)
         is_next_leg = plan.ahead < state.plan.ahead
         is_new = is_new | is_next_leg
         aim = np.where(is_new, problem.aim, plan.aim)
         return plan._replace(aim=aim, begins=begins | is_next_leg, is_new=is_new)
 
-    def _follow(self, goal: Floats, problem: ReachProblem) -> Floats:
-        """Return the goal postures, moved on where the hand is no longer at the target."""
-        if problem.held is not None:
-            goal = np.where(problem.held, problem.joint_angles, goal)
-        misses = np.abs(hand(goal, problem.lengths) - problem.aim) > NEAR
-        if some(misses):
-            moved = problem._replace(joint_angles=goal).of(misses)
-            goal = goal.copy()
-            goal[misses] = self.imagination.settle(moved, FOLLOW)
-        return goal
-
-    def _choose(self, goal: Floats, problem: ReachProblem, is_new: Bools) -> Floats:
-        """Return the goal postures, replaced where a plan is new and a better one is imagined."""
-        chosen = problem.of(is_new)
-        imagined, cost = self.imagination.best(chosen)
-        is_better = cost < self.imagination.cost(chosen, goal[is_new]) - BETTER
-        goal = goal.copy()
-        goal[is_new] = np.where(is_better[:, None], imagined, goal[is_new])
-        return goal
-
     def _drive(
         self, state: BodyState, problem: ReachProblem, plan: Plan
     ) -> tuple[Floats, BodyState]:
         """Return joint targets, and the state after they were sent."""
-        interface, drive, locks, now = (
-            self.interface,
-            state.drive,
-            state.locks,
-            problem.joint_angles,
-        )
+        interface, now = self.interface, problem.joint_angles
+        drive, locks = state.drive, state.locks
         left = interface.turn(now, plan.next)
         joint_targets: Floats = now + left
         if self.parts.drives:
@@ -290,7 +250,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         now, is_moving = problem.joint_angles, state.target.is_moving
         moves: Floats | float = 0.0
         if some(is_moving):
-            follows = is_moving & ~plan.is_new & ~plan.is_indirect
+            follows = is_moving & ~plan.is_new & (plan.ahead == 0)
             moves = np.where(follows[:, None], interface.turn(state.plan.goal, plan.goal), 0.0)
         turn = drive.turn(left, moves, interface)
         if vigour < 1:

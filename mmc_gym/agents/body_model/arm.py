@@ -33,26 +33,6 @@ def hand(joint_angles: Floats, lengths: Floats) -> Points:
     return position
 
 
-def expected_turn(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
-    """Return how far servos turn joints towards targets in a control step, radians, (..., N).
-
-    A position servo asks for a speed proportional to the angle that is left, up to its limit.  In a
-    control step Δt it turns a joint at q with the target c by about
-
-        Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt).
-
-    Joints turn the short way round, or the way that joint limits leave.  The model leaves out
-    inertia and torque limits, so a heavy or loaded arm lags behind it.  Under `joint_delta` a
-    target is never far ahead, so joints stay below full speed.  Under `joint_velocity` a joint
-    keeps one speed during the step.
-
-    >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
-    >>> expected_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
-    [0.021, 0.12]
-    """
-    return _turn_towards(interface, interface.turn(joint_angles, joint_targets))
-
-
 def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
     """Return the command that the servos get.
 
@@ -65,18 +45,27 @@ def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: F
 
 
 def commanded_turn(interface: ReachInterface, joint_angles: Floats, commands: Floats) -> Floats:
-    """Return how far commands of `command_of` turn joints in a control step."""
-    if interface.control == "joint_position":
-        return expected_turn(interface, joint_angles, commands)
-    return _turn_towards(interface, commands)
+    """Return how far commands turn joints in a control step, radians, (..., N).
 
+    A position servo asks for a speed proportional to the angle that is left, up to its limit.  In a
+    control step Δt it turns a joint at q with the target c by about
 
-def _turn_towards(interface: ReachInterface, left: Floats) -> Floats:
-    """Return how far joints turn in a control step that have these angles left to go."""
-    most = interface.max_joint_delta
+        Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt).
+
+    Joints turn the short way round, or the way that joint limits leave.  The model leaves out
+    inertia and torque limits, so a heavy or loaded arm lags behind it.  Under `joint_delta` a
+    target is never far ahead, so joints stay below full speed.  Under `joint_velocity` a joint
+    keeps one speed during the step.
+
+    >>> interface = ReachInterface((1.0, 1.0), "joint_position", 6.0, 12.0, 0.02)
+    >>> commanded_turn(interface, np.zeros(2), np.array([0.1, 2.0])).round(3).tolist()
+    [0.021, 0.12]
+    """
+    part, left, most = turn_share(interface), commands, interface.max_joint_delta
     if interface.control == "joint_position":
-        most = interface.speed_limit * interface.control_step / turn_share(interface)
-    return turn_share(interface) * bounded(left, most)
+        left = interface.turn(joint_angles, commands)
+        most = interface.speed_limit * interface.control_step / part
+    return part * bounded(left, most)
 
 
 def turn_share(interface: ReachInterface) -> float:

@@ -50,41 +50,27 @@ from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
 from mmc_gym.agents.body_model.senses import PostureTrack
 from mmc_gym.network.chain import Floats
 
-FORGET = 0.005
-"""Share of the sums that is forgotten in a control step."""
-EXACT = 2 * 0.006**2
-"""ε: negligible square error, segment lengths²."""
-PENALTY = 4.0
-"""Penalty of a parameter, besides 2 log(n + 1)."""
-RIDGE = 1e-3
-"""Weight of the given lengths where lengths are free."""
-SHORTEST, LONGEST = 0.3, 2.0
-"""Hypotheses with a length beyond these factors of the given one are dropped."""
-FREQUENT = 12
-"""Observations after which hypotheses are compared in every fourth control step only."""
-OFFSET_RATE = 0.1
-"""Rate at which the offset follows the errors."""
+FORGET = 0.005  # share of the sums that is forgotten in a control step
+EXACT = 2 * 0.006**2  # ε: negligible square error, segment lengths²
+PENALTY = 4.0  # penalty of a parameter, besides 2 log(n + 1)
+RIDGE = 1e-3  # weight of the given lengths where lengths are free
+SHORTEST, LONGEST = 0.3, 2.0  # shares of a given length between which hypotheses are kept
+FREQUENT = 12  # observations after which hypotheses are compared in every fourth control step only
+OFFSET_RATE = 0.1  # rate at which the offset follows the errors
 
-ASKED, ASKED_IF_GIVEN = 0.4, 0.15
-"""Turn asked of a joint until it is taken as locked, radians; less if it is given as lockable."""
-SLOWLY = 0.25
-"""Share of that turn which is enough at a vigour of 0."""
-ASKED_PER_NOISE = 10.0
-"""What noise of the joint angles adds to that turn."""
-WRONGLY = 4.0
-"""Factor of that turn for a joint that was taken as locked, and then turned."""
-STILL, STILL_PER_ASKED = 0.004, 0.12
-"""A joint rests that has turned by less, radians, or by less than a share of what was asked."""
-SLOW, SLOW_PER_NOISE = 0.25, 15.0
-"""And it is slower than this, rad/s; and what noise adds to that, 1/s."""
-FREED = 0.06
-"""A locked joint that is farther from its place is free, radians."""
-PLACED = 0.1
-"""Rate at which the place of a locked joint follows what is seen."""
-PUSH = 0.6
-"""How far ahead the target of a locked joint is, radians."""
-LATEST = 25
-"""Observations after which joints count as locked though no movement was felt."""
+ASKED = 0.4  # turn that is asked of a joint until it is taken as locked, radians
+ASKED_IF_GIVEN = 0.15  # the same of a joint that is given as lockable
+SLOWLY = 0.25  # share of that turn which is enough at a vigour of 0
+ASKED_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
+WRONGLY = 4.0  # factor of that turn for a joint that was taken as locked, and then turned
+STILL = 0.004  # a joint that turns by less rests, radians
+STILL_PER_ASKED = 0.12  # and so does one that turns by a smaller share of what was asked
+SLOW = 0.25  # a faster joint does not rest, rad/s
+SLOW_PER_NOISE = 15.0  # what noise of the joint angles adds to that, 1/s
+FREED = 0.06  # a locked joint that is farther from its place is free, radians
+PLACED = 0.1  # rate at which the place of a locked joint follows what is seen
+PUSH = 0.6  # how far ahead the target of a locked joint is, radians
+LATEST = 25  # observations after which joints count as locked though no movement was felt
 
 
 class Body(NamedTuple):

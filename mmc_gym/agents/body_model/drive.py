@@ -1,6 +1,6 @@
 """Drive: joint targets that make the servos turn the joints as wanted.
 
-**Inverse.**  By the model of `arm.expected_turn`, the target q + Δq / (1 − exp(−gain Δt)) turns a
+**Inverse.**  By the model of `arm.commanded_turn`, the target q + Δq / (1 − exp(−gain Δt)) turns a
 joint at q by Δq.  A joint that has the angle d left, and can brake with the acceleration a, should
 move with the speed
 
@@ -29,31 +29,20 @@ from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share
 
-BRAKE = 0.6
-"""η: share of a joint's acceleration that the drive counts on."""
-GAIN = 30.0
-"""k: speed per angle left, 1/s."""
-STRONGEST, WEAKEST = 60.0, 2.0
-"""First and least estimate of the acceleration of joints, rad/s²."""
-SHORT = 0.3
-"""A joint that lacks more of the speed asked of it does what it can, rad/s."""
-LEARNED, RISEN, RECOVERED = 0.4, 0.1, 0.03
-"""Rates at which the estimate falls; rises (other joints may have helped); and recovers."""
-FULL = 0.8
-"""A target that is so far ahead keeps a joint at full speed for a control step, radians."""
-LONGEST = 3.0
-"""No target is farther ahead, radians: half a turn ahead is half a turn back."""
-RETURN = 0.3
-"""Share of its distance from the straight way by which a posture returns in a control step."""
+BRAKE = 0.6  # η: share of a joint's acceleration that the drive counts on
+GAIN = 30.0  # k: speed per angle left, 1/s
+STRONGEST, WEAKEST = 60.0, 2.0  # first and least estimate of the acceleration of joints, rad/s²
+SHORT = 0.3  # a joint that lacks more of the speed asked of it does what it can, rad/s
+LEARNED, RISEN = 0.4, 0.1  # rates of the estimate: falling, and rising (others may have helped)
+RECOVERED = 0.03  # rate at which it recovers
+FULL = 0.8  # a target that is so far ahead keeps a joint at full speed for a control step, radians
+LONGEST = 3.0  # no target is farther ahead, radians: half a turn ahead is half a turn back
+RETURN = 0.3  # rate at which a posture returns to the straight way that it left
 
-SHORTEST = 0.2
-"""Duration of a human movement of no length, s."""
-AVERAGE_SPEED = 4.0
-"""Way per additional duration of a human movement, segment lengths/s."""
-PEAK = 15 / 8
-"""Ratio of highest and mean speed in minimum jerk."""
-SAMPLES = np.linspace(0.0, 1.0, 9)
-"""Shares of a movement at which the hand is imagined, to measure its way."""
+SHORTEST = 0.2  # duration of a human movement of no length, s
+AVERAGE_SPEED = 4.0  # way per additional duration of a human movement, segment lengths/s
+PEAK = 15 / 8  # ratio of highest and mean speed in minimum jerk
+SAMPLES = np.linspace(0.0, 1.0, 9)  # shares of a movement at which its way is measured
 
 
 class Drive(NamedTuple):

@@ -20,9 +20,10 @@ recruitment of reactive systems, Front. Neurorobot. 11:3.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,20 +35,16 @@ from mmc_gym.network import MMCNetwork
 from mmc_gym.network.chain import Floats, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
-SPREAD = 1.0
-"""Distance of the starts from the present posture, radians."""
-SETTLE = 30
-"""Iterations in which the copies settle."""
-FOLLOW = 6
-"""Iterations per control step in which the chosen posture follows the target."""
-MARGIN = 1e-3
-"""Distance of targets from the borders of the reach, segment lengths."""
-TOTAL = 0.05
-"""Weight of the sum of all turns, beside that of the joint that turns farthest."""
-MISSED, ALLOWED = 20.0, 0.01
-"""Cost of a posture that misses the target by more than `ALLOWED`, radians per segment length."""
-BEYOND = 1e-6
-"""A joint that is farther beyond a limit is held there, radians."""
+SPREAD = 1.0  # distance of the starts from the present posture, radians
+SETTLE = 30  # iterations in which the copies settle
+FOLLOW = 6  # iterations per control step in which the chosen posture follows the target
+NEAR = 0.002  # an imagined hand that is nearer to the target has settled, segment lengths
+BETTER = 0.1  # an imagined posture replaces the present goal if it is cheaper by more, radians
+MARGIN = 1e-3  # distance of targets from the borders of the reach, segment lengths
+TOTAL = 0.05  # weight of the sum of all turns, beside that of the joint that turns farthest
+ALLOWED = 0.01  # a posture may miss the target by so much without a cost, segment lengths
+MISSED = 20.0  # cost of what it misses beyond that, radians per segment length
+BEYOND = 1e-6  # a joint that is farther beyond a limit is held there, radians
 
 
 class ReachProblem(NamedTuple):
@@ -71,11 +68,8 @@ class ReachProblem(NamedTuple):
         return ReachProblem(self.joint_angles[chosen], self.aim[chosen], self.lengths[chosen], held)
 
 
-class Solver(Protocol):
-    """An internal model that finds postures with the hand at a target."""
-
-    def __call__(self, problem: ReachProblem, iterations: int) -> Floats:
-        """Return the postures in which arms settle, radians, (..., N)."""
+Solver: TypeAlias = Callable[[ReachProblem, int], Floats]
+"""An internal model: it returns the postures (..., N) in which arms settle in some iterations."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +79,7 @@ class NetworkSolver:
     network: MMCNetwork
 
     def __call__(self, problem: ReachProblem, iterations: int) -> Floats:
-        """Run a network from rest in each posture; see `Solver`.
+        """Run a network from rest in each posture.
 
         Beyond three segments the number of iterations grows with the square of the number of
         segments, because it takes longer until all segments are affected by the target.
@@ -162,11 +156,23 @@ class Imagination:
             within = self.solver(problem._replace(joint_angles=within, held=held), iterations)
         return self.interface.within_limits(within)
 
-    def best(self, problem: ReachProblem) -> tuple[Floats, Floats]:
-        """Return the cheapest of the imagined postures (n, N), and its cost, (n,)."""
+    def followed(self, goal: Floats, problem: ReachProblem) -> Floats:
+        """Return the goal postures, moved on where their hand is not at the target, (n, N)."""
+        if problem.held is not None:
+            goal = np.where(problem.held, problem.joint_angles, goal)
+        misses = np.abs(hand(goal, problem.lengths) - problem.aim) > NEAR
+        if some(misses):
+            moved = problem._replace(joint_angles=goal).of(misses)
+            goal = goal.copy()
+            goal[misses] = self.settle(moved, FOLLOW)
+        return goal
+
+    def improved(self, goal: Floats, problem: ReachProblem) -> Floats:
+        """Return the goal postures, or the best imagined ones where these are better, (n, N)."""
         postures, costs = self.all(problem)
-        chosen, arms = costs.argmin(axis=0), np.arange(len(problem.aim))
-        return postures[chosen, arms], costs[chosen, arms]
+        chosen, arms = costs.argmin(axis=0), np.arange(len(goal))
+        is_better = costs[chosen, arms] < self.cost(problem, goal) - BETTER
+        return np.where(is_better[:, None], postures[chosen, arms], goal)
 
     def all(self, problem: ReachProblem) -> tuple[Floats, Floats]:
         """Return all imagined postures (starts, n, N), and their costs, (starts, n)."""

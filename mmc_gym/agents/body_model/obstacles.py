@@ -40,56 +40,36 @@ from mmc_gym.agents.body_model.senses import PostureTrack
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats
 
-POINTS = np.arange(1, 13) / 12
-"""Positions along a segment at which contacts are looked for."""
-LACKED, OWED = 0.02, 0.015
-"""Turn that a joint lacks in a control step if the arm is held back, and if it rests, radians."""
-STILL = 0.002
-"""Joints that turn by less in a control step rest, radians."""
-RECENT = 0.6
-"""Share of the sums of speeds that remains after a control step."""
-WANTED, STOPPED = 0.12, 0.06
-"""Σ |w·n| of a point in contact, at least, segment lengths; and its r, at most."""
-BLOW, FADES = 0.02, 0.9
-"""Loss of speed in a blow, segment lengths per control step; share that remains after one more."""
-SHORT, LONG = 3, 16
-"""Control steps of small r until a point is in contact, after a blow and without one."""
-LASTING = 10
-"""Control steps at rest until an arm is in contact."""
-RADIUS = 0.28
-"""Radius of an obstacle, with half the thickness of a segment, segment lengths."""
-MOST = 6
-"""Number of discs that are remembered."""
-NOWHERE = 1e6 + 0j
-"""Place of a disc that is free to be used."""
+POINTS = np.arange(1, 13) / 12  # positions along a segment at which contacts are looked for
+LACKED = 0.02  # turn that a joint lacks in a control step if the arm is held back, radians
+OWED = 0.015  # the same if all joints rest
+STILL = 0.002  # joints that turn by less in a control step rest, radians
+RECENT = 0.6  # share of the sums of speeds that remains after a control step
+WANTED, STOPPED = 0.12, 0.06  # least Σ |w·n|, segment lengths, and largest r in contact
+BLOW = 0.02  # loss of speed in a blow, segment lengths per control step
+FADES = 0.9  # share of that loss which remains after a control step
+SHORT, LONG = 3, 16  # control steps of small r in contact, after a blow and without one
+LASTING = 10  # control steps at rest until an arm is in contact
+RADIUS = 0.28  # radius of an obstacle, with half the thickness of a segment, segment lengths
+MOST = 6  # number of discs that are remembered
+NOWHERE = 1e6 + 0j  # place of a disc that is free to be used
 
-MARGIN = 0.02
-"""Distance kept from a disc, segment lengths."""
-COMFORT, DISCOMFORT = 0.15, 6.0
-"""Distance from a disc below which a leg costs more, segment lengths; and how much, radians per
-length."""
-STAGES = np.arange(1, 17) / 16
-"""Shares of a leg at which it is checked."""
-EVERYWHERE, NEARBY = 64, 96
-"""Number of postures in the map: anywhere, and beside the straight ways to the target."""
-BESIDE = 1.5
-"""How far beside, radians."""
-NEIGHBOURS = 8
-"""Number of legs from each posture of the map."""
-GOALS = 24
-"""Number of postures with the hand at the target."""
-LEG = 0.3
-"""Cost of a leg beside its length, radians."""
-HAZARD = 0.1
-"""Cost of moving the ends of segments, radians per length."""
-LEGS = 5
-"""Largest number of legs of a way."""
-ARRIVED = 0.3
-"""A leg is over when no joint is farther from its end, radians."""
+MARGIN = 0.02  # distance kept from a disc, segment lengths
+COMFORT = 0.15  # a leg costs more if it is nearer to a disc, segment lengths
+DISCOMFORT = 6.0  # by so much, radians per segment length
+STAGES = np.arange(1, 17) / 16  # shares of a leg at which it is checked
+EVERYWHERE = 64  # number of postures in the map that are anywhere
+NEARBY = 96  # number of those beside the straight ways to the target
+BESIDE = 1.5  # how far beside, radians
+NEIGHBOURS = 8  # number of legs from each posture of the map
+GOALS = 24  # number of postures with the hand at the target
+LEG = 0.3  # cost of a leg beside its length, radians
+HAZARD = 0.1  # cost of moving the ends of segments, radians per length
+LEGS = 5  # largest number of legs of a way
+ARRIVED = 0.3  # a leg is over when no joint is farther from its end, radians
+# Shares by which a posture on the way is moved towards the straight line past it.
 SHORTCUTS = np.array([1.0, 0.75, 0.5, 0.25, 0.0])
-"""Shares by which a posture on the way is moved towards the straight line past it."""
-TIGHTENED = 2
-"""How often all postures are moved."""
+TIGHTENED = 2  # how often all postures are moved
 
 
 class Contacts(NamedTuple):
@@ -229,17 +209,10 @@ class Plan(NamedTuple):
         return cls(joint_angles, vias, ahead, begin=joint_angles, aim=aim, begins=no, is_new=no)
 
     @property
-    def is_indirect(self) -> Bools:
-        """Whether the arm should go through another posture first, (n,)."""
-        return self.ahead > 0
-
-    @property
     def next(self) -> Floats:
         """The posture to go to now, radians, (n, N)."""
-        if not some(self.ahead):
-            return self.goal
         via = self.vias[np.arange(len(self.ahead)), np.maximum(self.ahead - 1, 0)]
-        following: Floats = np.where(self.is_indirect[:, None], via, self.goal)
+        following: Floats = np.where((self.ahead > 0)[:, None], via, self.goal)
         return following
 
     def arrived(self, interface: ReachInterface, joint_angles: Floats) -> Plan:
@@ -248,7 +221,7 @@ class Plan(NamedTuple):
             return self
         end = self.next
         left = np.abs(interface.turn(joint_angles, end)).max(axis=-1)
-        is_there = self.is_indirect & (left < ARRIVED)
+        is_there = (self.ahead > 0) & (left < ARRIVED)
         begin = self.begin + interface.turn(self.begin, end)
         return self._replace(
             ahead=self.ahead - is_there,

@@ -44,34 +44,22 @@ from mmc_gym.agents.body_model.arm import Bools, Points, commanded_turn
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats, wrap_angle
 
-MIDDLE = 0.455
-"""Mean square of the median size of several normal errors, as a share of their variance."""
-MODEL_ERROR = 1e-3
-"""Bound on the error of a turn integrated from steady speeds, radians."""
-NOISE_RATE = 0.1
-"""Rate at which the estimates of noise follow the observations."""
-LARGEST = 0.3
-"""Largest innovation that counts as noise, radians."""
+MIDDLE = 0.455  # mean square of the median size of normal errors, per variance
+MODEL_ERROR = 1e-3  # bound on the error of a turn integrated from steady speeds, radians
+NOISE_RATE = 0.1  # rate at which the estimates of noise follow the observations
+LARGEST = 0.3  # largest innovation that counts as noise, radians
 
-JERK = 40.0
-"""J: jerk of a moving target, segment lengths/s³."""
-TARGET_JUMP = 0.15
-"""A target that is farther from where it was expected has jumped, segment lengths."""
-SETTLED = 4
-"""Observations after a jump until the third difference is noise alone."""
-SAME = 1e-5
-"""Positions that differ by less are the same, segment lengths: observations are in float32."""
+JERK = 40.0  # J: jerk of a moving target, segment lengths/s³
+TARGET_JUMP = 0.15  # distance from where it was expected of a target that jumps, in lengths
+SETTLED = 4  # observations after a jump until the third difference is noise alone
+SAME = 1e-5  # resolution of observed positions (float32), segment lengths
 
-LONGEST_DELAY = 25
-"""The longest delay that is bridged, control steps."""
-ONSET, ONSET_PER_NOISE = 0.02, 60.0
-"""A joint that is faster moves, rad/s; and what noise of the joint angles adds to that, 1/s."""
-FAST = 2.5
-"""A joint that is faster moves, whatever the noise, rad/s."""
-CLEARLY = 5.0
-"""Commands should be felt if they ask for a speed of so many times the onset."""
-EARLY = 6
-"""Observations in which noise may still be taken for a movement."""
+LONGEST_DELAY = 25  # the longest delay that is bridged, control steps
+ONSET = 0.02  # a joint that is faster moves, rad/s
+ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
+FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
+CLEARLY = 5.0  # commands should be felt if they ask for a speed of so many times the onset
+EARLY = 6  # observations in which noise may still be taken for a movement
 
 
 class PostureTrack(NamedTuple):
@@ -89,15 +77,7 @@ class PostureTrack(NamedTuple):
     def start(cls, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after the first observation."""
         still, none = np.zeros_like(speeds), np.zeros((len(joint_angles), 1))
-        return cls(
-            joint_angles,
-            still,
-            seen=joint_angles,
-            speeds=speeds,
-            noise=none,
-            doubt=none,
-            age=none + 1,
-        )
+        return cls(joint_angles, still, joint_angles, speeds, noise=none, doubt=none, age=none + 1)
 
     def observed(self, joint_angles: Floats, speeds: Floats, control_step: float) -> PostureTrack:
         """Return the estimate after one more observation, a control step later."""
@@ -115,25 +95,18 @@ class PostureTrack(NamedTuple):
         doubt = doubt + (unclear * unclear).mean(axis=-1, keepdims=True)
         gain = doubt / (doubt + noise)
         turn = turn + gain * wrap_angle(joint_angles - self.joint_angles - turn)
-        return PostureTrack(
-            joint_angles=self.joint_angles + turn,
-            turn=turn,
-            seen=joint_angles,
-            speeds=speeds,
-            noise=noise,
-            doubt=(1 - gain) * doubt,
-            age=self.age + 1,
-        )
+        after = self._turned(turn, joint_angles, speeds)
+        return after._replace(noise=noise, doubt=(1 - gain) * doubt)
 
     def unfiltered(self, joint_angles: Floats, speeds: Floats) -> PostureTrack:
         """Return the estimate after one more observation that is taken to be exact."""
-        turn = wrap_angle(joint_angles - self.joint_angles)
+        return self._turned(wrap_angle(joint_angles - self.joint_angles), joint_angles, speeds)
+
+    def _turned(self, turn: Floats, seen: Floats, speeds: Floats) -> PostureTrack:
+        """Return the estimate after the joints turned so."""
+        joint_angles, age = self.joint_angles + turn, self.age + 1
         return self._replace(
-            joint_angles=self.joint_angles + turn,
-            turn=turn,
-            seen=joint_angles,
-            speeds=speeds,
-            age=self.age + 1,
+            joint_angles=joint_angles, turn=turn, seen=seen, speeds=speeds, age=age
         )
 
     @property
