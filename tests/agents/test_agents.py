@@ -312,22 +312,6 @@ def test_vectors_of_any_kind_tell_what_their_environments_do():
         ReachInterface.of(make_vec_env("Pendulum-v1"))
 
 
-@pytest.mark.parametrize("name", ["mmc", "ppo"])
-def test_a_wrong_observation_is_an_error(name):
-    agent = make_agent(name, gym.make("MMCReach-v0"))
-    for size in (12, 14):
-        with pytest.raises(ValueError, match=rf"must have shape \(\.\.\., 15\), got \({size},\)"):
-            agent.predict(np.zeros(size, dtype=np.float32))
-    for wrong, message in (
-        ("abc", "observation must be an array of numbers, got 'abc'"),
-        (({"a": 1}, {}), "observation must be an array of numbers"),  # what reset returns
-        ({"observation": np.zeros(9)}, r"observation must have .*'achieved_goal', 'desired_goal'"),
-    ):
-        with pytest.raises(UserError, match=message):
-            agent.predict(wrong)
-    assert agent.predict([0.0] * 15)[0].shape == (3,)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -134,10 +134,9 @@ class BodyAgent(InternalModelAgent[BodyState]):
         episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], BodyState]:
-        layout = self.interface.layout
-        values = layout.flatten(layout.check(observation))
-        batch = values.shape[:-1]
-        seen = self.interface.see(values.reshape(-1, values.shape[-1]))
+        seen = self.interface.see(observation)
+        batch = seen.joint_angles.shape[:-1]
+        seen = Seen(**{key: each.reshape(-1, each.shape[-1]) for key, each in vars(seen).items()})
         state = self._sense(self.resumed(state, seen, episode_start), seen)
         problem = self._forecast(state)
         plan = self._plan(state, problem)

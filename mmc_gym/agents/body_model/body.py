@@ -120,7 +120,8 @@ class BodyEvidence(NamedTuple):
         z = np.concatenate([units, error[:, None], np.ones((len(hand), 1))], axis=1)
         sums = (1 - FORGET) * self.sums + z.conj()[:, :, None] * z[:, None, :]
         body = self._judged(sums, age)
-        error = hand - body.seen(units)
+        if body is not self.given:
+            error = hand - body.seen(units)
         rate = np.maximum(OFFSET_RATE, 1 / age)
         offset = self.offset + rate * (error - self.offset)
         scatter = self.scatter + rate * (np.abs(error - offset) ** 2 - self.scatter)

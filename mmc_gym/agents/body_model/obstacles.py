@@ -211,6 +211,8 @@ class Plan(NamedTuple):
     @property
     def next(self) -> Floats:
         """The posture to go to now, radians, (n, N)."""
+        if not some(self.ahead):
+            return self.goal
         via = self.vias[np.arange(len(self.ahead)), np.maximum(self.ahead - 1, 0)]
         following: Floats = np.where((self.ahead > 0)[:, None], via, self.goal)
         return following

@@ -220,6 +220,8 @@ class TargetTrack(NamedTuple):
 
     def ahead(self, steps: Floats) -> Points:
         """Return where the target will be some control steps (n,) after the observation."""
+        if not some(self.is_moving):
+            return self.mean
         ahead = self.place + self.velocity * steps + self.curve * steps * steps
         place: Points = np.where(self.is_moving, ahead, self.mean)
         return place
@@ -274,6 +276,8 @@ class Delay(NamedTuple):
 
     def command_then(self) -> Floats:
         """Return the commands that led to the last observation."""
+        if not some(self.late):
+            return self.commands[:, -1]
         steps = self.late.astype(np.intp)
         command: Floats = self.commands[np.arange(len(steps)), LONGEST_DELAY - steps]
         return command
