@@ -99,7 +99,7 @@ def test_the_network_of_numpy_comes_back_as_it_was(dynamics, schedule, learned):
     np.testing.assert_array_equal(back.normalizer(vectors), network.normalizer(vectors))
 
 
-def test_a_learned_normalizer_learns_and_the_rest_when_it_is_told_to():
+def test_a_learned_normalizer_learns_and_the_rest_when_asked_to():
     _, network = twin(learned=True)
     learning = [name for name, one in network.named_parameters() if one.requires_grad]
     assert len(learning) == 6 and all(name.startswith("normalizer.") for name in learning)
@@ -186,8 +186,6 @@ def at_rest(network):
             r"joint_angles must be of shape \(\.+, 3",
         ),
         (lambda n: n.state_from_joint_angles("ab"), "joint_angles must be .*, got 'ab'"),
-        (lambda n: n.state_from_segments([0.0] * 3), r"segments must be of shape \(\.+, 3, 2\)"),
-        (lambda n: n([0.1, 0.2, 0.3]), "state must be a TorchState"),
         (lambda n: n(at_rest(twin(dynamics="paper")[1])), "state must be a TorchState"),
         (lambda n: n(at_rest(n), {(3, 0): [1.0, 1.0]}), r"clamp \(3, 0\) is not accepted"),
         (lambda n: n(at_rest(n), {(0, 3): [1.0]}), r"clamp \(0, 3\) must be of shape \(\.+, 2\)"),
