@@ -143,8 +143,8 @@ class TorchNetwork(torch.nn.Module):
             UserError: if a parameter has left its range, such as a damping that is too small; or
                 if the normalizer was replaced.
         """
-        fine = isinstance(self.normalizer, _Euclidean | _Learned)
-        require(fine, "normalizer", self.normalizer, "the original one")
+        if not isinstance(self.normalizer, _Euclidean | _Learned):
+            raise UserError(f"normalizer must be the original one, got {self.normalizer}")
         return MMCNetwork(
             segment_lengths=tuple(self.segment_lengths.tolist()),
             damping=self.damping.item(),
