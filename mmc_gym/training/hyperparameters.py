@@ -207,7 +207,9 @@ class Recipe:
         """Read the name of a wrapper, or a mapping of it to its arguments."""
         has_arguments = isinstance(part, dict) and len(part) == 1
         name, arguments = next(iter(part.items())) if has_arguments else (part, None)
-        return partial(self._class("vec_env_wrapper", name, VecEnvWrapper), **(arguments or {}))
+        kind, arguments = self._class("vec_env_wrapper", name, VecEnvWrapper), arguments or {}
+        require(isinstance(arguments, dict), f"{self.name}: {name}", arguments, "a mapping")
+        return partial(kind, **arguments)
 
     def _policy_options(self, value: Any) -> Any:
         if isinstance(value, str):  # a mapping of YAML, but for the brackets

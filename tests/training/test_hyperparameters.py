@@ -159,6 +159,7 @@ def test_all_that_an_entry_names_is_made():
         ({"rollout_buffer_class": "os.system"}, "rollout_buffer_class must be .*, got 'os.system'"),
         ({"vec_env_wrapper": "os.system"}, "vec_env_wrapper 'os.system' is not accepted"),
         ({"vec_env_wrapper": [RESIDUAL, "os.system"]}, "'os.system' is not accepted"),
+        ({"vec_env_wrapper": {RESIDUAL: 3}}, "Residual must be a mapping, got 3"),
         ({"policy_kwargs": "dict(net_arch=os.system('ls'))"}, "must be a valid dictionary"),
         ({"policy_kwargs": "__import__('os')"}, "policy_kwargs must be a valid dictionary"),
         ({"policy_kwargs": "!!python/name:os.system"}, "must be a valid dictionary"),

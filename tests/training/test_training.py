@@ -145,20 +145,21 @@ class Interrupted(Exception):
 
 
 @pytest.mark.parametrize("name", ["ppo", "tqc-her"])
-def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(
-    name, trained_by_name, tmp_path
-):
+def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(name, tmp_path):
     def interrupt(progress: Any) -> None:
-        if progress.evaluation and progress.steps >= 800:
+        if progress.evaluation:
             raise Interrupted
 
-    interrupted = training(name, tmp_path)
+    undisturbed, interrupted, resumed = (
+        training(name, tmp_path / folder, n_timesteps=800) for folder in ("whole", "cut", "cut")
+    )
+    undisturbed.run()
     interrupted.report = interrupt
     with pytest.raises(Interrupted):
         interrupted.run()
     assert not any(file.exists() for file in interrupted.policy_files)
-    training(name, tmp_path).run(resume=True)
-    assert weights(tmp_path, name) == weights(trained_by_name(name), name)
+    resumed.run(resume=True)
+    assert weights(tmp_path / "cut", name) == weights(tmp_path / "whole", name)
 
 
 @pytest.mark.slow
