@@ -196,7 +196,7 @@ def with_body(copy):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (
             {"segment_lengths": (1, 1, 2)},
@@ -207,9 +207,9 @@ def with_body(copy):
         ({"substeps": 8}, "control_step 0.02 in training, 0.04 here"),
     ],
 )
-def test_a_policy_on_another_arm_than_in_training_is_told(with_body, arguments, told):
+def test_a_policy_warns_of_another_arm_than_in_training(with_body, arguments, message):
     for env in (gym.make("MMCReach-v0", **arguments), gym.make_vec("MMCReach-v0", 2, **arguments)):
-        with pytest.warns(MismatchWarning, match=f"ppo-0 was trained with another arm.*{told}"):
+        with pytest.warns(MismatchWarning, match=f"ppo-0 was trained with another arm.*{message}"):
             make_agent(with_body, env)
 
 
