@@ -408,7 +408,7 @@ def _load_statistics(path: Path) -> Any:
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Reads rl_zoo3's files: ordered mappings as plain ones, other objects as None, never made."""
+    """Read rl_zoo3's files: ordered mappings as plain ones, and other objects as None, unmade."""
 
 
 def _ordered(loader: yaml.SafeLoader, suffix: str, node: yaml.Node) -> Any:
