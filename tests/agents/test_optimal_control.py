@@ -201,3 +201,12 @@ def test_a_longest_movement_below_a_control_step_is_refused():
         UserError, match=r"longest must be at least a control step, 0\.02 s, got 0.0"
     ):
         OptimalControlAgent(interface, Assumptions(longest=0.001))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"observation": np.zeros(9)}, {}, np.zeros(14), "abc", ({"posture": 1}, {})], ids=repr
+)
+def test_a_wrong_observation_is_refused(wrong):
+    agent = OptimalControlAgent(ReachInterface.of(gym.make("MMCReach-v0")))
+    with pytest.raises(UserError, match=r"^observation must"):
+        agent.predict(wrong)
