@@ -1,4 +1,4 @@
-"""Physical parameters of an arm: what every engine simulates, and nothing of how."""
+"""Physical parameters of an arm, the same for every engine."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DEFAULT_INERTIA = 9.0  # of the default arm, stretched, about its base
 
 
 class Rod(NamedTuple):
-    """Inertia of a segment with what it carries.
+    """Inertia of a segment, with its drive and its load.
 
     Attributes:
         mass: mass.
@@ -44,39 +44,39 @@ class Rod(NamedTuple):
 class ArmParameters:
     """Physical parameters of an arm, in segment lengths, segment masses, radians and seconds.
 
-    With the default limits the arm turns by 90° in 0.40 s, to within 0.05 rad, and does not
-    overshoot, stretched or folded.
+    With the default limits the arm, stretched or folded, turns by 90° in 0.40 s to within 0.05 rad,
+    and does not overshoot.
 
-    Each segment turns the rotor of a geared drive with it, as where motors at the base drive the
-    segments by belts.  Drives are chosen to fit what they move; here the inertia of the stretched
-    arm from the joint on, without a hand's load, is four times the drive's.  Bare rods are an
-    ill-conditioned chain: with as many sweeps, pymunk leaves them forty times farther from the
-    exact movement, or more.
+    Each segment also turns the rotor of a geared drive, as if motors at the base drove the segments
+    by belts.  Drives are sized for what they move: the inertia of the stretched arm from the joint
+    on, without a load at the hand, is four times the drive's.  Bare rods are an ill-conditioned
+    chain: after the same number of sweeps, pymunk leaves them at least forty times farther from the
+    exact movement.
 
     Attributes:
         segment_lengths: N positive lengths.
         segment_masses: N positive masses of the uniform rods, or None for 1 each.
         speed_limit: largest joint speed that a servo asks for, rad/s.
-        torque_limit: largest torque of a servo, mass · length² / s².  None: 500, and for an arm
-            of default masses that is heavier to turn than the default one as much more as its
-            inertia about the base is larger, stretched; 18,519 for ten segments.  A changed arm
-            (`dataclasses.replace`, perturbations) keeps the limit that it had.
+        torque_limit: largest torque of a servo, mass · length² / s².  By default 500.  For an arm
+            of default masses that is harder to turn than the default arm, 500 times the ratio of
+            their inertias about the base, stretched; 18,519 for ten segments.  A changed arm
+            (`dataclasses.replace`, perturbations) keeps the limit it had.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         joint_limits: lowest and highest angle of each joint, or None for continuous joints.
         gravity: acceleration (x, y), length / s².
         drive_inertia: inertia of each drive, as a fraction of that of the stretched arm from its
             joint on; 0 for bare rods.
         hand_mass: point mass carried at the hand, mass.
-        force_field: 2 × 2 matrix, mass / s, or None for no field: the hand feels the force
-            `force_field` · (velocity of the hand), a viscous force field.
+        force_field: 2 × 2 matrix of a viscous force field, mass / s, or None.  The force on the
+            hand is `force_field` · (velocity of the hand).
         obstacles: fixed discs (x, y, radius) that the segments collide with, without friction.
-        segment_radius: half the thickness of the segments, where there are obstacles, length.
+        segment_radius: half the thickness of the segments, length; only obstacles meet it.
         lockable_joints: indices of the joints that `lock` makes rigid where they are.
         substep: duration of a physics step, s.
         substeps: physics steps in a control step.
 
     Raises:
-        UserError: if a value is outside what is stated here.
+        UserError: if a value is not as described here.
     """
 
     segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)
