@@ -48,11 +48,6 @@ def test_the_profile_is_the_median_speed_in_the_middle_of_the_steps(movements):
     assert line.get_ydata() == pytest.approx(movements["oracle"][1].speeds)
 
 
-def test_movements_may_differ_in_length():
-    (line,) = draw({"oracle": [movement(0), movement(0, steps=40)]}).axes[1].lines
-    assert np.isfinite(line.get_ydata()).all() and len(line.get_ydata()) == 100
-
-
 def test_both_files_are_complete_and_the_same_figure_gives_the_same_file(movements, tmp_path):
     before = dict(matplotlib.rcParams)
     png, svg = save_figure(draw(movements), tmp_path / "a")

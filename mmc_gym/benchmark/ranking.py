@@ -84,7 +84,7 @@ def rank_agents(
         improvement = Estimate(math.nan, math.nan, math.nan, (), 0, 0)
         if baseline in success.scores.values:
             two = [name for name in settled.scores.values if name in (agent, baseline)]
-            pair = replace(settled.scores, values={one: settled.scores.of(one) for one in two})
+            pair = replace(settled.scores, values={one: settled.scores.values[one] for one in two})
             bootstrap = Bootstrap(pair, draw(pair, resamples, seed))
             improvement = bootstrap.improvement(agent, baseline)
         row = {

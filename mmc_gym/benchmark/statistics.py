@@ -127,12 +127,6 @@ class Scores:
     values: Mapping[str, tuple[Floats, ...]]
     seeds: Mapping[str, int]
 
-    def of(self, agent: str) -> tuple[Floats, ...]:
-        """Return the scores of an agent; raise a `ValueError` if there is no such agent."""
-        if agent not in self.values:
-            raise ValueError(f"agent must be one of {list(self.values)}, got {agent!r}")
-        return self.values[agent]
-
 
 class Draws(NamedTuple):
     """Counts of draws in R resamples; row 0 counts each once, and so gives the data themselves."""
@@ -258,20 +252,13 @@ class Bootstrap:
         return cls(scores, draw(scores, resamples, seed))
 
     def estimate(self, agent: str, statistic: PooledStatistic = "iqm") -> Estimate:
-        """Estimate a statistic of an agent over its training seeds and all instances.
-
-        Raises:
-            ValueError: if there is no such agent.
-        """
+        """Estimate a statistic of an agent over its training seeds and all instances."""
         return self.summarize(self.distribution(agent, statistic), agent)
 
     def difference(self, agent: str, other: str, statistic: PooledStatistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances.
 
         Both are resampled with the same instances, and each with its own training seeds.
-
-        Raises:
-            ValueError: if there is no such agent.
         """
         one, less = (self.distribution(name, statistic) for name in (agent, other))
         return self.summarize(one - less, agent, other)
@@ -282,11 +269,8 @@ class Bootstrap:
         Mean over environments of P(X > Y) + ½ P(X = Y), over all pairs of a training seed of each,
         at the same instance.  Pairs in which a score is NaN are left out.  ½ for an agent and its
         copy.
-
-        Raises:
-            ValueError: if there is no such agent.
         """
-        pairs = zip(self.scores.of(agent), self.scores.of(other), self.draws.instances)
+        pairs = zip(self.scores.values[agent], self.scores.values[other], self.draws.instances)
         policies = self.draws.policies
         chances = []
         for one, two, instances in pairs:
@@ -304,7 +288,7 @@ class Bootstrap:
 
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
-        tables, policies = self.scores.of(agent), self.draws.policies[agent]
+        tables, policies = self.scores.values[agent], self.draws.policies[agent]
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)

@@ -8,7 +8,6 @@ both, and the distance is the cursor's, as it is in success and in all measures.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from itertools import chain
 from typing import Any
@@ -22,7 +21,6 @@ from mmc_gym.report.results import Results
 
 INSTANCES = 6
 ENVIRONMENTS = 5
-BUDGET = 1_500_000  # bytes
 
 _SIDE_BY_SIDE = 4  # agents, to begin with
 _COLOURS = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "TRACE", "TARGET")
@@ -34,29 +32,24 @@ _COARSE, _FINE = 1_000, 10_000  # parts of one
 def replay(results: Results) -> dict[str, Any]:
     """Return movements of the main agents by environment, instance and agent.
 
-    Of trained agents the first training seed is shown.  Instances are left out, the last first,
-    until everything is within `BUDGET`.
+    Of trained agents the first training seed is shown.
     """
     agents = results.main_agents
-    for instances in range(INSTANCES, 0, -1):
-        scenes = {
-            key: found
-            for key in _shown_environments(results)
-            if (found := _scenes(results, key, agents, instances))
-        }
-        there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
-        data = {
-            "step": results.manifest.control_step,
-            "lengths": list(results.manifest.segment_lengths),
-            "tolerance": results.manifest.tolerance,
-            "agents": [agent for agent in agents if agent in there],
-            "scenes": scenes,
-            "chosen": agents[:_SIDE_BY_SIDE],
-            "colours": {name.lower(): _hex(getattr(shapes, name)) for name in _COLOURS},
-        }
-        if len(json.dumps(data, separators=(",", ":"))) <= BUDGET:
-            break
-    return data
+    scenes = {
+        key: found
+        for key in _shown_environments(results)
+        if (found := _scenes(results, key, agents))
+    }
+    there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
+    return {
+        "step": results.manifest.control_step,
+        "lengths": list(results.manifest.segment_lengths),
+        "tolerance": results.manifest.tolerance,
+        "agents": [agent for agent in agents if agent in there],
+        "scenes": scenes,
+        "chosen": agents[:_SIDE_BY_SIDE],
+        "colours": {name.lower(): _hex(getattr(shapes, name)) for name in _COLOURS},
+    }
 
 
 def _shown_environments(results: Results) -> list[str]:
@@ -76,13 +69,11 @@ def _hex(colour: Sequence[int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
-def _scenes(
-    results: Results, environment: str, agents: Sequence[str], instances: int
-) -> list[dict[str, Any]]:
+def _scenes(results: Results, environment: str, agents: Sequence[str]) -> list[dict[str, Any]]:
     paths = results.paths
     here = paths[(paths["environment"] == environment) & paths["agent"].isin(list(agents))]
     scenes = []
-    for instance in sorted(here["instance"].unique())[:instances]:
+    for instance in sorted(here["instance"].unique())[:INSTANCES]:
         rows = here[here["instance"] == instance]
         movements = {}
         target: NDArray[np.float64] = np.zeros((0, 2))

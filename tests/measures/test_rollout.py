@@ -119,6 +119,7 @@ def test_the_state_goes_round_within_an_episode_and_starts_anew_with_the_next(en
     assert tuple(shown) == episodes
 
 
+@pytest.mark.slow
 def test_torch_computes_on_one_thread_during_the_rollout_and_as_before_after_it(env, frozen):
     import torch
 
@@ -130,15 +131,6 @@ def test_torch_computes_on_one_thread_during_the_rollout_and_as_before_after_it(
         assert (seen, torch.get_num_threads()) == ([1], 2)
     finally:
         torch.set_num_threads(threads)
-
-
-@pytest.mark.slow
-def test_a_stable_baselines3_model_plays(env):
-    from stable_baselines3 import PPO
-
-    model = PPO("MlpPolicy", env, n_steps=64, device="cpu", policy_kwargs={"net_arch": [4]})
-    (episode,) = run_episodes(model, TimeLimit(env.unwrapped, 5), [1])
-    assert episode.hands.shape == (6, 2)
 
 
 def test_another_environment_is_refused_by_what_it_lacks():
@@ -268,8 +260,6 @@ def test_an_episode_that_starts_at_its_target_takes_no_time(frozen):
     arguments = {"success_distance": 6.0}  # of a reach of 3: everywhere is at the target
     scores = evaluate(lambda _: frozen, "MMCReach-v0", arguments, 4)
     assert (scores["success"], scores["time_at_target"], scores["time_to_target"]) == (1, 1, 0)
-    (episode,) = run_episodes(frozen, gym.make("MMCReach-v0", **arguments), [1])
-    assert time_to_target(episode) == 0
 
 
 def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
