@@ -37,7 +37,7 @@ SCHEMA_VERSION: Literal[2] = 2
 MANIFEST = "manifest.json"
 EPISODES, PATHS, SETS = "episodes", "paths", "sets"
 SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
-_CONTENT = b"mmc_gym"  # in the metadata
+_CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
 _EPISODE = ("agent", "training_seed", "environment", "instance")  # columns that name one
 _CURSOR = ("cursor_x", "cursor_y")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
@@ -184,10 +184,18 @@ _NOTHING = Kept({}, {})
 
 def _parquet(columns: Mapping[str, Any], kept: Kept = _NOTHING) -> bytes:
     table = pa.table(dict(columns))
-    table = table.replace_schema_metadata({_CONTENT: json.dumps(kept._asdict())})
+    content = json.dumps(kept._asdict())
+    metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
+    table = table.replace_schema_metadata(metadata)
     buffer = io.BytesIO()
     pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
     return buffer.getvalue()
+
+
+def _checksum(schema: pa.Schema, content: str) -> str:
+    """Return the SHA-256 of columns and metadata, which Parquet's checksums of pages leave out."""
+    columns = [(field.name, str(field.type)) for field in schema]
+    return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
 
 
 def _read(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -203,10 +211,11 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def _kept(schema: pa.Schema) -> Kept:
-    try:
-        return Kept(**json.loads(schema.metadata[_CONTENT]))
-    except (KeyError, TypeError) as error:  # without metadata, or without ours
-        raise ValueError("it is no file of a benchmark") from error
+    metadata = schema.metadata or {}
+    content = metadata.get(_CONTENT, b"").decode()
+    if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
+        raise ValueError("columns and metadata are not those that the benchmark has written")
+    return Kept(**json.loads(content))
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:

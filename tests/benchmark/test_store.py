@@ -196,3 +196,21 @@ def test_a_store_may_lack_a_measure_that_came_later(store, episodes, monkeypatch
     assert cell_facts(store, old, SETTINGS) is None
     read = read_episodes(store).groupby("agent")["success"].count()
     assert read.to_dict() == {"old": 0, "ppo": 2}
+
+
+@pytest.mark.parametrize("kind", READ)
+def test_no_flipped_bit_is_taken_for_data(store, kind):
+    """Only bits that nobody reads may be flipped unnoticed."""
+    path, read = store / kind / KEY.file_name, READ[kind]
+    whole, before = path.read_bytes(), read(store)
+    noticed, places = 0, np.random.default_rng(0).integers(len(whole), size=200)
+    for place in [*places.tolist(), whole.rindex(b"training_seed")]:
+        content = bytearray(whole)
+        content[place] ^= 1 << place % 8
+        path.write_bytes(content)
+        try:
+            pd.testing.assert_frame_equal(read(store), before)
+        except UserError as error:
+            assert str(path) in str(error)
+            noticed += 1
+    assert noticed > 100
