@@ -174,12 +174,13 @@ def starting(episode_start: Started, batch: tuple[int, ...]) -> NDArray[np.bool_
 
 def layout_of(state: Any) -> Any:
     """Return the types and array shapes of a state; states of one agent and batch share them."""
+    if isinstance(state, np.ndarray):  # first, because a state has dozens of them
+        return state.shape
     if isinstance(state, MMCState):
         return MMCState, state.segment_count, state.values.shape
     if isinstance(state, tuple):
         return type(state), *map(layout_of, state)
-    is_plain = isinstance(state, np.ndarray | np.generic | int | float)
-    return getattr(state, "shape", ()) if is_plain else type(state)
+    return () if isinstance(state, np.generic | int | float) else type(state)
 
 
 def wrong_state(state: Any, accepted: Any) -> UserError:
