@@ -390,9 +390,7 @@ def bootstrap_interval(
     return Interval(estimate, low, high, present.size, missing)
 
 
-def success_interval(
-    successes: ArrayLike, episodes: int, seed: int = 0, resamples: int = RESAMPLES
-) -> Interval:
+def success_interval(successes: ArrayLike, episodes: int) -> Interval:
     """Return the mean success of several trainings, with its 95 % interval over seeds and episodes.
 
     A resample draws training seeds, and for each of them a binomial number of successes in as many
@@ -404,8 +402,6 @@ def success_interval(
         successes: fraction of the episodes of each training that succeeded, (seeds,); NaNs are
             left out and counted.
         episodes: number of episodes of each training.
-        seed: of the resampling.
-        resamples: number of resamples.
 
     Example:
         >>> found = success_interval([0.998, 0.998, 0.998], episodes=500)
@@ -417,8 +413,8 @@ def success_interval(
     if count < 2:
         estimate = present.item() if count else math.nan
         return Interval(estimate, math.nan, math.nan, count, missing)
-    seeds = _counts((seed, _POLICIES, 0), count, resamples)[1:].astype(np.int64)
-    succeeded = np.random.default_rng((seed, _EPISODES)).binomial(seeds * episodes, present)
+    seeds = _counts((0, _POLICIES, 0), count, RESAMPLES)[1:].astype(np.int64)
+    succeeded = np.random.default_rng((0, _EPISODES)).binomial(seeds * episodes, present)
     low, high = percentile_interval(succeeded.sum(axis=-1) / (count * episodes))
     return Interval(float(np.mean(present)), low, high, count, missing)
 
@@ -461,9 +457,8 @@ def _interval(group: pd.DataFrame, measure: Measure, seed: int) -> Interval:
     """Return the interval of a measure over the episodes of one agent, and over its trainings."""
     values = group[measure.name].to_numpy(np.float64)
     trainings = group["training_seed"].nunique() if "training_seed" in group else 1
-    if trainings > 1:
-        values = values.reshape(trainings, -1)
-    return bootstrap_interval(values, measure.statistic, seed)
+    table = values.reshape(trainings, -1) if trainings > 1 else values
+    return bootstrap_interval(table, measure.statistic, seed)
 
 
 def percentile_interval(resampled: Floats) -> tuple[float, float]:
