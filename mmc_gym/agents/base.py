@@ -172,15 +172,20 @@ def starting(episode_start: Started, batch: tuple[int, ...]) -> NDArray[np.bool_
 # A state is an array with the batch in front, a network's state, or a named tuple of such.
 
 
-def layout_of(state: Any) -> Any:
-    """Return the types and array shapes of a state; states of one agent and batch share them."""
-    if isinstance(state, np.ndarray):  # first, because a state has dozens of them
-        return state.shape
-    if isinstance(state, MMCState):
-        return MMCState, state.segment_count, state.values.shape
-    if isinstance(state, tuple):
-        return type(state), *map(layout_of, state)
-    return () if isinstance(state, np.generic | int | float) else type(state)
+def layout_of(state: Any) -> list[Any]:
+    """Return the type of a state, and the shape of the first array in each of its fields.
+
+    They are the same for all states of one agent and the same number of arms.
+    """
+    return [type(state), *map(_first_shape, state if isinstance(state, tuple) else (state,))]
+
+
+def _first_shape(state: Any) -> tuple[int, ...] | None:
+    """Return the shape of the first array in a state; None if there is none."""
+    while isinstance(state, tuple) and state:
+        state = state[0]
+    array = state.values if isinstance(state, MMCState) else state
+    return getattr(array, "shape", None)
 
 
 def wrong_state(state: Any, accepted: Any) -> UserError:
@@ -194,12 +199,8 @@ def wrong_state(state: Any, accepted: Any) -> UserError:
 
 def _described(state: Any) -> str:
     """Return the type of a state, and the shape of its first array."""
-    first = state
-    while isinstance(first, tuple) and first:
-        first = first[0]
-    first = first.values if isinstance(first, MMCState) else first
-    name, shape = type(state).__name__, getattr(first, "shape", None)
-    return repr(state) if shape is None else f"{name} of shape {shape}"
+    shape = _first_shape(state)
+    return repr(state) if shape is None else f"{type(state).__name__} of shape {shape}"
 
 
 def where(condition: NDArray[np.bool_], yes: State, no: State) -> State:
