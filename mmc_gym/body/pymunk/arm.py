@@ -26,11 +26,12 @@ from typing import Any
 
 import numpy as np
 from pymunk._chipmunk_cffi import lib as chipmunk
+from pymunk.batch import Buffer, get_space_bodies
 from typing_extensions import override
 
 from mmc_gym.body.base import SingleArm
 from mmc_gym.body.force_field import HandField
-from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
+from mmc_gym.body.pymunk.linkage import MOTION, Linkage, forget_impulses, make_space
 
 _LONGEST_HISTORY = 20_000  # calls: 10,000 commands, each with a step
 
@@ -60,6 +61,7 @@ class Arm(SingleArm):
     def _build(self) -> None:
         p = self.parameters
         self._field = None if p.force_field is None else HandField(p)
+        self._buffer = Buffer()
         self._space = make_space(p)
         self._linkage = Linkage(self._space, p, self._servo)
 
@@ -144,15 +146,14 @@ class Arm(SingleArm):
 
     def _push_hand(self, field: HandField) -> None:
         """Let the force field act on the hand in the next physics step."""
-        substep, rows = self.parameters.substep, []
-        for body, _, _ in self._linkage.rods:
-            centre, velocity = chipmunk.cpBodyGetPosition(body), chipmunk.cpBodyGetVelocity(body)
-            angle, speed = chipmunk.cpBodyGetAngle(body), chipmunk.cpBodyGetAngularVelocity(body)
-            rows.append((centre.x, centre.y, angle, velocity.x, velocity.y, speed))
-        motion, yields = np.array([rows]), np.array([self._yields])
-        x, y, moment = (field.impulses(motion, yields)[0] / substep).tolist()
-        chipmunk.cpBodySetForce(body, (x, y))
-        chipmunk.cpBodySetTorque(body, moment)
+        self._buffer.clear()
+        get_space_bodies(self._space, MOTION, self._buffer)
+        motion = np.frombuffer(self._buffer.float_buf()).reshape(-1, 6)[: self._count]
+        impulses = field.impulses(motion, np.array(self._yields))
+        x, y, torque = (impulses / self.parameters.substep).tolist()
+        hand = self._linkage.rods[-1][0]
+        chipmunk.cpBodySetForce(hand, (x, y))
+        chipmunk.cpBodySetTorque(hand, torque)
 
     def _read(self) -> None:
         get_angle, get_velocity = chipmunk.cpBodyGetAngle, chipmunk.cpBodyGetAngularVelocity

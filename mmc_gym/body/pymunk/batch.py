@@ -25,11 +25,10 @@ from typing_extensions import override
 from mmc_gym.body.base import ArmBatch, Floats, Indices
 from mmc_gym.body.force_field import HandField
 from mmc_gym.body.parameters import ArmParameters, Servo
-from mmc_gym.body.pymunk.linkage import Linkage, forget_impulses, make_space
+from mmc_gym.body.pymunk.linkage import MOTION, Linkage, forget_impulses, make_space
 
 ARMS_PER_GROUP = 128  # with more, there are fewer calls, but less fits the cache
 _WORTH_A_THREAD = 16  # arms
-_MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
 
 class ArmGroup:
@@ -114,7 +113,7 @@ class ArmGroup:
     def _push_hands(self, field: HandField) -> None:
         """Let the force field act on the hands in the next physics step."""
         joints = self._shape[1]
-        pushes = field.impulses(self._get(_MOTION), self._yields) / self._parameters.substep
+        pushes = field.impulses(self._get(MOTION), self._yields) / self._parameters.substep
         last = self._pushes[:, joints - 1 : self._arms_per_space * joints : joints]
         last[:] = pushes.reshape(last.shape)
         for space, buffer in zip(self._spaces, self._push_buffers):

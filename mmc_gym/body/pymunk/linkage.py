@@ -20,9 +20,13 @@ from typing import Any
 
 import pymunk
 from pymunk._chipmunk_cffi import lib as chipmunk
+from pymunk.batch import BodyFields
 
 from mmc_gym._errors import UserError
 from mmc_gym.body.parameters import ArmParameters, Servo
+
+# What a force field depends on, of each body: x, y, angle, their velocities.
+MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
 _FEWEST_SWEEPS, _MOST_SWEEPS = 20, 500  # with the most, a step of three segments takes 0.1 ms
 _SWEEPS_PER_MASS = 20 / 3  # of the rods beyond a joint, in masses of the first of them
