@@ -130,8 +130,10 @@ class Renderer:
     def _paint_arm(self, scene: Scene, nodes: Sequence[Point]) -> None:
         canvas, body = self._canvas, self._setup.body
         canvas.draw_arm(scene.segment_angles, self._lengths)
-        if self._old_lengths != self._lengths:
-            canvas.draw_old_lengths(scene.segment_angles, self._lengths, self._old_lengths)
+        changes = zip(nodes, scene.segment_angles, self._lengths, self._old_lengths, strict=False)
+        for start, angle, length, old in changes:
+            if length != old:
+                canvas.draw_old_length(start, angle, old)
         if body.hand_mass:
             canvas.draw_hand_mass(nodes[-1], body.hand_mass)
         if scene.ghost is not None:
