@@ -122,7 +122,7 @@ class ObservationLayout:
     Attributes:
         joint_count: N.
         reach: sum of the segment lengths that agents are given.
-        is_clipped: whether `encode` clips to `limits`: hand or target may be seen beyond the reach.
+        is_clipped: whether `encode` clips to `limits`; noise or a cursor may exceed the reach.
         has_goals: whether `encode` makes observations of `MMCReachGoal-v0`.
     """
 
@@ -184,13 +184,13 @@ class ObservationLayout:
     ) -> Any:
         """Return the observation of one arm, given as lists, or of many, given as arrays.
 
-        Lists of floats take a fraction of the time.  The operations are the same, and so are the
-        bits, where numpy's cosine and sine are those of the C library.
+        For one arm, lists of floats take a fraction of the time.  Both give the same bits if
+        numpy's cosine and sine are those of the C library.
 
         Args:
             joint_angles: radians, a list of N or (..., N).
             joint_speeds: as fractions of their limit, likewise, see `relative_speeds`.
-            hand: where it, or its cursor, is seen, segment lengths, (x, y) or (..., 2).
+            hand: seen position of the hand or its cursor, segment lengths, (x, y) or (..., 2).
             target: segment lengths, (x, y) or (..., 2).
 
         Returns:
@@ -304,8 +304,7 @@ def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[A
 
 def _finite_rows(name: str, value: Any, size: int) -> NDArray[np.floating]:
     """Return arrays (..., size) of finite numbers; raise a `UserError` for anything else."""
-    if type(value) is not np.ndarray or value.dtype.char not in "fd":
-        value = require_array(name, value)
+    value = require_array(name, value)
     if value.shape[-1:] != (size,):
         raise UserError(f"{name} must have shape (..., {size}), got {value.shape}")
     if not np.isfinite(value).all():
@@ -349,7 +348,7 @@ class Seen(Sensed):
 
     Attributes:
         joint_speeds: rad/s, (..., N).
-        hand: where it, or its cursor, is seen, segment lengths, (..., 2).
+        hand: seen position of the hand or its cursor, segment lengths, (..., 2).
     """
 
     joint_speeds: Floats
@@ -367,7 +366,7 @@ class ReachInterface:
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         control_step: duration of a control step, s.
         joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
-        lockable_joints: joints that lock, or may lock, as far as agents are given them.
+        lockable_joints: joints that lock during an episode; empty if agents are not given them.
     """
 
     segment_lengths: tuple[float, ...]
@@ -409,8 +408,8 @@ class ReachInterface:
     def max_joint_delta(self) -> float:
         """Angle from the joint to its target for an action of 1 under `joint_delta`, radians.
 
-        It asks the servo for its full speed.  The joint's mean speed is less, because the joint
-        approaches the target during the control step.
+        It asks the servo for full speed.  The joint's mean speed is lower, because the joint
+        approaches its target during the control step.
         """
         return self.speed_limit / self.servo_gain
 
@@ -472,7 +471,7 @@ class ReachInterface:
     def within_limits_from(self, before: Floats, joint_angles: Floats) -> Floats:
         """Return the angles reached on the short way from `before` up to the limits, (..., N).
 
-        An internal posture that is advanced by this never jumps from one limit to the other.
+        So an internal posture never jumps from one limit to the other.
         """
         if self.joint_limits is None:
             return joint_angles
@@ -497,9 +496,9 @@ class ReachInterface:
     def act(self, joint_targets: Floats, sensed: Sensed) -> NDArray[np.float32]:
         """Return the action that sends the joints to their targets (..., N).
 
-        Position control receives the targets; delta and velocity control the speed that a position
-        servo would ask for.  A target beyond a joint limit is replaced by the limit, and no joint
-        is sent through its forbidden range.
+        Under position control the action is the targets; under delta and velocity control it is the
+        speed that a position servo would ask for.  A target beyond a joint limit becomes the limit,
+        and no joint is sent through its forbidden range.
 
         Returns:
             float32 within −1 and 1, (..., N).

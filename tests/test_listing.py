@@ -79,4 +79,4 @@ def test_a_scenario_is_drawn():
 def test_a_scenario_that_is_none_is_an_error_of_the_user(capsys):
     with pytest.raises(SystemExit):
         main(["show", "rotatoin-30"])
-    assert "did you mean 'rotation-30'?" in capsys.readouterr().err
+    assert "did you mean 'rotation'?" in capsys.readouterr().err

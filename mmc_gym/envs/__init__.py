@@ -24,13 +24,9 @@ def _show_wrapped_environments() -> None:
 
 
 def _picture(env: gym.Wrapper[Any, Any, Any, Any]) -> bytes | None:
-    """Return the picture of a wrapper, or of the environment in it; None if there is none."""
-    for one in (env, env.unwrapped):
-        draw = getattr(one, "_repr_png_", None)
-        if draw is not None:
-            found: bytes | None = draw()
-            return found
-    return None
+    """Return the picture of the environment in a wrapper; None if it has none."""
+    draw = getattr(env.unwrapped, "_repr_png_", None)
+    return draw() if draw else None
 
 
 register_all()

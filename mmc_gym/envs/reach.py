@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import UserError, require_choice
+from mmc_gym._errors import UserError, require_array, require_choice
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
 from mmc_gym.envs.perturbations import Readings
@@ -21,7 +21,6 @@ from mmc_gym.envs.spec import (
     GoalSetup,
     ReachEnvironment,
     ReachSetup,
-    as_numbers,
     check_names,
     require_finite_numbers,
 )
@@ -238,9 +237,11 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     def _repr_png_(self) -> bytes:
         """Return the picture that a notebook shows, whatever the render mode."""
-        from mmc_gym.envs.render import notebook_picture
+        from mmc_gym._notebook import png
+        from mmc_gym.envs.render import Renderer
 
-        return notebook_picture(self.setup, [self._scene()])
+        picture: Any = Renderer(self.setup, "rgb_array").draw(self._scene())
+        return png(picture, shrink=2)
 
     def _scene(self) -> Scene:
         from mmc_gym.envs.render import Scene
@@ -277,8 +278,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     def _command(self, action: ArrayLike) -> list[float]:
         """Return the command to the servos; raise a `UserError` if the action is not accepted."""
-        if type(action) is not np.ndarray or action.dtype.kind not in "fiub":
-            action = as_numbers("action", action)
+        if type(action) is not np.ndarray or action.dtype.kind != "f":
+            action = require_array("action", action, "numbers within -1 and 1")
         if action.shape != self._action_shape:
             raise UserError(f"action must have shape {self._action_shape}, got {action.shape}")
         values, scale = action.tolist(), self.setup.action.scale
@@ -302,7 +303,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._target = self._targets[place]
 
     def _look_and_reward(self) -> tuple[Any, float, Info]:
-        """Return observation, reward and info of the present state, and remember its speeds."""
+        """Return observation, reward and info of the present state; store its joint speeds."""
         arm, setup, target = self._arm, self.setup, self._target
         hand = arm.end_effector if setup.rotation is None else self._seen_hand()
         speeds = relative_speeds(arm.joint_velocities, setup.given_body.speed_limit)
@@ -322,7 +323,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         return seen, reward, info
 
     def _seen_hand(self) -> Point:
-        """Return where the hand is, or the cursor that stands for it."""
+        """Return the position of the hand, or of the cursor that stands for it."""
         rotation, hand = self.setup.rotation, self._arm.end_effector
         return hand if rotation is None else rotation.cursor(*hand)
 
@@ -412,19 +413,6 @@ class GoalEnvironment(ReachEnvironment):
         if setup.reward_type == "sparse":
             return (distance <= setup.success_distance) - 1.0
         return -distance + precision(setup, distance)
-
-    def compute_terminated(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """Return False for every transition, shape (...): the hand must stay at the target."""
-        del desired_goal, info
-        return np.zeros(np.shape(achieved_goal)[:-1], dtype=bool)[()]
-
-    def compute_truncated(
-        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
-    ) -> Any:
-        """Return False for every transition, shape (...): only the time limit truncates."""
-        return self.compute_terminated(achieved_goal, desired_goal, info)
 
 
 class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,6 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
-from mmc_gym._notebook import png
 from mmc_gym.envs import shapes
 from mmc_gym.envs.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
@@ -33,11 +32,11 @@ class Scene:
     Attributes:
         segment_angles: N absolute angles, radians.
         target: (x, y), segment lengths.
-        trace: where the hand has been at each control step, now last.
-        path: all places of the target in this trial, in order, or nothing if it stands still.
+        trace: position of the hand at each past control step, oldest first.
+        path: all places of the target in this trial, in order; empty if it stands still.
         ghost: N joint angles of an internal model, radians, or None.
         steps: control steps since the reset.
-        observation: the last; it is drawn if the senses are disturbed.
+        observation: the last one; it is drawn if the senses are disturbed.
     """
 
     segment_angles: Sequence[float]
@@ -49,13 +48,6 @@ class Scene:
     observation: Any = None
 
 
-def notebook_picture(setup: ReachSetup, scenes: Iterable[Scene]) -> bytes:
-    """Return the picture that a notebook shows, a PNG with the scenes side by side."""
-    renderer = Renderer(setup, "rgb_array")
-    pictures: list[Any] = [renderer.draw(scene) for scene in scenes]
-    return png(np.concatenate(pictures, axis=1), shrink=2)
-
-
 class Renderer:
     """Paints an arm and its target, frame by frame, into an array or a window."""
 
@@ -64,8 +56,8 @@ class Renderer:
 
         Args:
             setup: of its environment.
-            mode: "rgb_array", for which no display is touched, or "human", which opens a window:
-                `draw` then waits for its turn.
+            mode: "rgb_array" needs no display; "human" opens a window, and `draw` then waits until
+                the picture is due.
         """
         self._setup = setup
         self._lengths = setup.body.segment_lengths
@@ -168,8 +160,7 @@ def open_display(*, must_be_seen: bool = False) -> None:
     """Open the display for a window.
 
     Args:
-        must_be_seen: whether to refuse SDL's drivers without a screen, unless SDL_VIDEODRIVER asks
-            for one.
+        must_be_seen: whether to refuse a driver without a screen, unless SDL_VIDEODRIVER names it.
 
     Raises:
         UserError: if SDL cannot open one.
@@ -208,7 +199,7 @@ class Window:
         self._is_open = True
 
     def show(self, picture: pygame.Surface) -> None:
-        """Show a picture and wait for its turn; nothing happens once the window is closed."""
+        """Show a picture when it is due; do nothing once the window is closed."""
         if not self._is_open:
             return
         if not pygame.display.get_init() or pygame.event.get(pygame.QUIT):

@@ -18,16 +18,16 @@ import hashlib
 import inspect
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from mmc_gym._errors import UserError, nearest, require, unknown
+from mmc_gym._errors import UserError, require, unknown
 from mmc_gym._files import import_object, look_here
 from mmc_gym.envs.perturbations import FAMILIES, Family, Perturbation
 from mmc_gym.envs.tasks import TASKS, Task, outward_task
@@ -209,7 +209,7 @@ class Scenario:
         """The definition of the scenario for JSON; equal for equal scenarios."""
         return {
             "id": self.env_id,
-            "kwargs": json.loads(json.dumps(self.arguments, default=_with_name)),
+            "kwargs": _as_json(self.arguments),
             **({} if self.env is None else self._own_settings),
             "description": self.description,
             "family": self.family + "-told" * self.told,
@@ -222,8 +222,7 @@ class Scenario:
     def _own_settings(self) -> dict[str, Any]:
         with closing(self.make()) as env:
             kwargs = env.spec.kwargs if env.spec else {}
-            registered = json.loads(json.dumps(kwargs, default=_with_name))
-            return {"code": code_of(env), "registered": registered}
+            return {"code": code_of(env), "registered": _as_json(kwargs)}
 
 
 def scenario(name: str) -> Scenario:
@@ -307,7 +306,7 @@ def find_task(value: object) -> Task:
     if isinstance(value, Task):
         return value
     if not isinstance(value, str) or value not in TASKS:
-        raise unknown("task", value, TASKS, "a Task", guess=_object_of(value, Task))
+        raise unknown("task", value, TASKS, "a Task")
     return TASKS[value]
 
 
@@ -344,60 +343,47 @@ def _named(argument: str, name: object) -> Scenario:
     """Return the scenario of a perturbation's name; an error names the argument."""
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     if match is None or match["family"] not in FAMILIES:
-        tasks = tuple(TASK_SCENARIOS) if argument == "scenario" else ()
-        also = ["one with a strength (delay-150)", *([] if tasks else ["a Perturbation"])]
-        guess = _guess(name, tasks) if isinstance(name, str) else _object_of(name, Perturbation)
-        raise unknown(argument, name, (*tasks, *FAMILIES), *also, guess=guess)
+        also = ["one with a strength (delay-150)"]
+        if argument == "scenario":
+            raise unknown(argument, name, (*TASK_SCENARIOS, *FAMILIES), *also)
+        raise unknown(argument, name, FAMILIES, *also, "a Perturbation")
     family = FAMILIES[match["family"]]
     strength = family.default if match["strength"] is None else float(match["strength"])
     return perturbed(family, strength, told=match["told"] is not None)
 
 
-def _guess(name: str, tasks: Iterable[str]) -> str:
-    """Return the task or perturbation that a wrong name resembles, or whose id it is."""
-    for known in (*tasks, *PERTURBATION_NAMES):
-        if name == environment_id(known):
-            return known
-    words = [word for word in re.findall("[a-z]+", name.lower()) if word != "told"]
-    if not (family := nearest("-".join(words), FAMILIES)):
-        return nearest(name, tasks)
-    strength = re.findall(r"\d+(?:\.\d+)?", name)[:1]
-    return "-".join([family, *strength, *["told"] * ("told" in name)])
+def _as_json(arguments: dict[str, Any]) -> Any:
+    """Return arguments as JSON has them.
 
-
-def _object_of(value: object, base: type) -> str:
-    """Return the call that makes an object if a class was given instead, else ""."""
-    return f"{value.__name__}()" if isinstance(value, type) and issubclass(value, base) else ""
-
-
-def _with_name(value: Any) -> dict[str, Any]:
-    """Return the fields of a task or a perturbation, the name of its class, and a digest of it.
-
-    The digest is of your own code only: changed code is another scenario.
+    A task or a perturbation becomes its fields, the name of its class and, if it is your own, a
+    digest of its code: changed code is another scenario.
     """
-    plain = vars(value) if hasattr(value, "__dict__") else {"value": repr(value)}
-    values = asdict(value) if is_dataclass(value) and not isinstance(value, type) else plain
-    code = code_of(value)
-    return {"name": type(value).__name__, **values, **({"code": code} if code else {})}
+
+    def fields(value: Any) -> dict[str, Any]:
+        plain = vars(value) if hasattr(value, "__dict__") else {"value": repr(value)}
+        code = code_of(value)
+        return {"name": type(value).__name__, **plain, **({"code": code} if code else {})}
+
+    return json.loads(json.dumps(arguments, default=fields))
 
 
 _WORDS = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_SHIPPED = frozenset((*TASKS, *FAMILIES))  # yours may be registered again, as in a notebook
 
 
 def register_task(name: str, task: Task, description: str = "") -> None:
     """Name your own task, for ids, arguments, the benchmark, the report and file names.
 
     Args:
-        name: such as "near-targets", whose id is `MMCReachNearTargets-v0`.
+        name: words with hyphens, such as "near-targets", whose id is `MMCReachNearTargets-v0`.
         task: an object of your class.
         description: a line for the report.
 
     Raises:
-        UserError: if the name is not such words, or that of another task or perturbation.
+        UserError: if the name has another form, or belongs to this package or a perturbation.
     """
-    known = TASKS.get(name)
-    free = name not in FAMILIES and (known is None or _is_same(known, task))
-    fine = isinstance(name, str) and _WORDS.fullmatch(name) is not None and free
+    fine = isinstance(name, str) and _WORDS.fullmatch(name) is not None
+    fine = fine and name not in FAMILIES and name not in _SHIPPED
     require(fine, "name", name, "words of a-z and 0-9 with hyphens, that no other task has")
     require(isinstance(task, Task), "task", task, "an object of a class derived from Task")
     TASKS[name] = task
@@ -410,26 +396,15 @@ def register_perturbation(family: Family) -> None:
     """Name your own perturbations, for ids, arguments, the benchmark, the report and file names.
 
     Raises:
-        UserError: if the name is not such words, or that of others.
+        UserError: if the name is not words with hyphens, or belongs to this package or a task.
     """
-    known = FAMILIES.get(family.name)
-    free = family.name not in TASKS and (known is None or _is_same(known.make, family.make))
-    fine = re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None and free
+    fine = re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None
+    fine = fine and family.name not in TASKS and family.name not in _SHIPPED
     require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
     perturbed(family, family.default)  # raises an error if the family is not consistent
     FAMILIES[family.name] = family
     for name in family.names_with_id:
         _register(environment_id(name), TASKS["random"], {"perturbations": [name]})
-
-
-def _is_same(known: Any, made: Any) -> bool:
-    """Tell whether your own thing is registered again, as by a notebook's cell that runs twice."""
-
-    def origin(thing: Any) -> tuple[str, str]:
-        kind = thing if hasattr(thing, "__qualname__") else type(thing)
-        return kind.__module__, kind.__qualname__
-
-    return origin(known) == origin(made) and not origin(made)[0].startswith("mmc_gym.")
 
 
 PERTURBATION_NAMES: tuple[str, ...] = tuple(

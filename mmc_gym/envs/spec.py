@@ -168,11 +168,10 @@ class ReachSetup:
         """Return the rotation, if there is one, with its centre filled in."""
         rotations = [one for one in self.perturbations if isinstance(one, VisuomotorRotation)]
         require(len(rotations) <= 1, "perturbations", rotations, "a list with at most one rotation")
-        if not rotations or rotations[0].centre is not None:
-            return rotations[0] if rotations else None
-        x, y = self.task.start or (0.0, 0.0)
-        reach = self.workspace.outer
-        return replace(rotations[0], centre=(x * reach, y * reach))
+        if not rotations:
+            return None
+        (x, y), reach = self.task.start or (0.0, 0.0), self.workspace.outer
+        return replace(rotations[0], centre=rotations[0].centre or (x * reach, y * reach))
 
     def observe_with_noise(
         self, readings: Readings, randoms: Sequence[np.random.Generator]
@@ -346,17 +345,6 @@ def check_names(arguments: Iterable[str], *own: str) -> None:
     setup = [name for name in signature(ReachSetup).parameters if name != "arm_parameters"]
     known = (*own, *setup, *signature(ArmParameters).parameters)
     require_known("the environment", arguments, known)
-
-
-def as_numbers(name: str, value: ArrayLike) -> NDArray[Any]:
-    """Return the value as an array of real numbers or bools, or raise a `UserError`."""
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind in "fiub":
-            return array
-    except ValueError:  # of uneven lengths
-        pass
-    raise UserError(f"{name} must be numbers within -1 and 1, got {value!r}")
 
 
 def require_finite_numbers(name: str, value: ArrayLike, count: int) -> list[float]:

@@ -7,6 +7,7 @@ time it is reached.  It stays at the last place, or starts again if the task is 
 from __future__ import annotations
 
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -55,7 +56,10 @@ class Request(NamedTuple):
     joint_angles: list[float] | None = None
 
     def draw_posture(self) -> list[float]:
-        """Return the posture to start from; one is always drawn, so that later draws are equal."""
+        """Return the posture to start from.
+
+        One is drawn even if one is given, so that later draws do not depend on that.
+        """
         drawn = self.workspace.draw_posture(self.random)
         return self.joint_angles or drawn
 
@@ -190,8 +194,8 @@ class PointToPoint(Task):
     def __post_init__(self) -> None:
         require_rows("points", self.points, "points (x, y), finite", is_point)
         accepted = f"at least one pair of indices from 0 to {len(self.points) - 1}"
-        require_rows("pairs", self.pairs, accepted, self._are_indices)
-        require(len(self.pairs) > 0, "pairs", self.pairs, accepted)
+        counts = range(1, sys.maxsize)
+        require_rows("pairs", self.pairs, accepted, self._are_indices, counts)
 
     def _are_indices(self, pair: tuple[float, ...]) -> bool:
         return len(pair) == 2 and set(pair) <= set(range(len(self.points)))
@@ -220,18 +224,14 @@ class PointToPoint(Task):
 
     @override
     def check(self, workspace: Workspace) -> None:
-        out_of_reach = []
         for trial in range(len(self.pairs)):
             start, target = self._ends(workspace, trial)
             posture = workspace.posture_at(start)
-            if not workspace.is_clear(posture) or not workspace.contains(target, posture):
-                out_of_reach.append(trial)
-        if out_of_reach:
-            raise UserError(
-                f"task must be one that the perturbed arm can do: of its {len(self.pairs)} trials "
-                f"{len(out_of_reach)} start or end where it cannot be, the first is number "
-                f"{out_of_reach[0]}"
-            )
+            if not (workspace.is_clear(posture) and workspace.contains(target, posture)):
+                raise UserError(
+                    "task must be one that the perturbed arm can do: it cannot be where trial "
+                    f"{trial} starts or ends"
+                )
 
     def _ends(self, workspace: Workspace, trial: int) -> tuple[Point, Point]:
         """Return where the hand starts in a trial, and the target."""

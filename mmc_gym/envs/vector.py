@@ -18,12 +18,19 @@ from gymnasium.vector.utils import batch_space, create_empty_array
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, is_whole, require, require_choice, require_whole
+from mmc_gym._errors import (
+    UserError,
+    is_whole,
+    require,
+    require_array,
+    require_choice,
+    require_whole,
+)
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.reach import GoalEnvironment, Info, distances, reward_and_info
-from mmc_gym.envs.spec import Options, ReachEnvironment, as_numbers, check_names
+from mmc_gym.envs.spec import Options, ReachEnvironment, check_names
 from mmc_gym.envs.workspace import Point
 from mmc_gym.interface import relative_speeds
 
@@ -35,7 +42,6 @@ if TYPE_CHECKING:
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _EVERY = slice(None)
-_SHOWN = 3  # arms in a notebook's picture
 
 
 class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -78,16 +84,16 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         Raises:
             UserError: a `ValueError`, if an argument is unknown, or not accepted.
         """
-        own = ("max_episode_steps", "autoreset_mode", "threads", "copy", "render_mode")
-        check_names(arguments, "num_envs", *own)
+        own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "copy", "render_mode")
+        check_names(arguments, *own)
         require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = self.make_setup(**arguments)
         if max_episode_steps == "task":
             max_episode_steps = setup.task.episode_steps
         if max_episode_steps is not None:
             max_episode_steps = require_whole("max_episode_steps", max_episode_steps)
-        self.num_envs = num_envs = require_whole("num_envs", num_envs)
         self.max_episode_steps = max_episode_steps
+        self.num_envs = num_envs = require_whole("num_envs", num_envs)
         if not isinstance(autoreset_mode, AutoresetMode):
             require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -215,12 +221,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if not self._renderers:
             self._renderers = [Renderer(self.setup, "rgb_array") for _ in self._all]
         return tuple(map(Renderer.draw, self._renderers, map(self._scene, self._all)))
-
-    def _repr_png_(self) -> bytes:
-        """Return the picture that a notebook shows, of the first arms, whatever the render mode."""
-        from mmc_gym.envs.render import notebook_picture
-
-        return notebook_picture(self.setup, map(self._scene, self._all[:_SHOWN]))
 
     def _scene(self, arm: np.intp) -> Scene:
         from mmc_gym.envs.render import Scene
@@ -356,7 +356,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _move_look_and_reward(
         self, actions: NDArray[np.floating] | None
     ) -> tuple[Any, NDArray[np.float64], Info]:
-        """Do in one compiled pass what `_move` and `_look_and_reward` do, for all arms.
+        """Do the work of `_move` and `_look_and_reward` for all arms in one compiled pass.
 
         Without actions the arms do not move.
         """
@@ -387,7 +387,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return self.setup.observe_with_noise(readings, randoms)
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
-        """Tell which arms have their last target, the only one that counts as success."""
+        """Tell which arms have their last target: only reaching that one is a success."""
         if self.setup.task.advance == "time":
             return np.ones(len(self._all[arms]), dtype=bool)
         return np.asarray(self._places[arms] == self._last_places[arms])
@@ -404,15 +404,14 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         return np.stack(self.setup.rotation.cursor(*hands.T), axis=-1)
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
-        """Show this observation of these arms until the delay of the senses is over."""
+        """Let these arms see this observation until the delay of the senses is over."""
         for late in self._late:
             put(late, arms, observation)
 
     def _checked(self, actions: ArrayLike, waiting: Indices) -> NDArray[np.floating]:
         """Return the actions, (n, N), float32 or float64, with 0 for the waiting arms."""
-        values = np.ascontiguousarray(as_numbers("actions", actions))
-        if values.dtype not in (np.float32, np.float64):
-            values = values.astype(np.float64)
+        accepted = "numbers within -1 and 1"
+        values = np.ascontiguousarray(require_array("actions", actions, accepted))
         if values.shape != self.action_space.shape:
             raise UserError(
                 f"actions must have shape {self.action_space.shape}, got {values.shape}"
@@ -433,14 +432,14 @@ class MMCReachGoalVectorEnv(GoalEnvironment, MMCReachVectorEnv):
 
 
 def pick(observation: Any, arms: Any) -> Any:
-    """Return the rows of an observation, an array or a dict of them, that belong to `arms`."""
+    """Return the rows of `arms` from an observation, an array or a dict of arrays."""
     if isinstance(observation, dict):
         return {key: values[arms] for key, values in observation.items()}
     return observation[arms]
 
 
 def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
-    """Write rows into an observation, an array or a dict of them."""
+    """Write the rows of `arms` into an observation, an array or a dict of arrays."""
     if isinstance(observation, dict):
         for key, values in observation.items():
             values[arms] = rows[key]
@@ -449,7 +448,7 @@ def put(observation: Any, arms: NDArray[np.intp], rows: Any) -> None:
 
 
 def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
-    """Return Gymnasium's vector infos: arrays for all arms with the rows of those in the mask."""
+    """Return Gymnasium's vector infos: the values of the arms in the mask, zeros elsewhere."""
     infos: dict[str, Any] = {}
     everywhere = mask.all()
     masks = np.repeat(mask[None], len(info), axis=0)  # no two infos are one array
@@ -464,7 +463,7 @@ def spread(info: dict[str, Any], mask: Bools) -> dict[str, Any]:
 
 
 def check_mask(mask: Any, count: int) -> Bools:
-    """Return the mask of the arms to reset, None stands for all; or raise a `UserError`."""
+    """Return the mask of the arms to reset; None selects all.  Raise a `UserError` otherwise."""
     if mask is None:
         return np.ones(count, dtype=bool)
     fine = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (count,)

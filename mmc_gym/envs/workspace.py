@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +108,7 @@ class Workspace:
             UserError: if the obstacles leave no room for the arm.
         """
         for _ in range(_MOST_POSTURES):
-            posture = [_uniform(low, high, random) for low, high in self._limits]
+            posture = [_between(low, high, random.random()) for low, high in self._limits]
             if self.is_clear(posture):
                 return posture
         raise UserError(f"obstacles must leave room for the arm, got {self.body.obstacles}")
@@ -179,7 +179,7 @@ class Workspace:
             return _draw_from_ring(self.inner, self.outer, random)
         if self.body.joint_limits:
             angles = [
-                posture[joint] if joint in self.locked else _uniform(low, high, random)
+                posture[joint] if joint in self.locked else _between(low, high, random.random())
                 for joint, (low, high) in enumerate(self._limits)
             ]
             x, y = self._nodes(angles)[-1]
@@ -291,19 +291,18 @@ def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
     return x, y
 
 
-def _uniform(low: float, high: float, random: np.random.Generator) -> float:
-    """Return what `random.uniform(low, high)` does, in a third of its time."""
-    return low + (high - low) * random.random()
+def _between(low: float, high: float, share: Any) -> Any:
+    """Return the numbers at shares, drawn from 0 to 1, of the way from `low` to `high`.
 
-
-def _between(low: float, high: float, draws: NDArray[np.float64]) -> NDArray[np.float64]:
-    return low + (high - low) * draws
+    They are those of `Generator.uniform`, in a third of its time.
+    """
+    return low + (high - low) * share
 
 
 def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:
     """Draw a point area-uniformly between two distances from the base."""
-    radius = math.sqrt(_uniform(inner**2, outer**2, random))
-    angle = _uniform(-math.pi, math.pi, random)
+    radius = math.sqrt(_between(inner**2, outer**2, random.random()))
+    angle = _between(-math.pi, math.pi, random.random())
     return radius * math.cos(angle), radius * math.sin(angle)
 
 

@@ -150,7 +150,7 @@ def test_a_heavy_hand_is_late(straight: list[list[dict[str, Any]]]) -> None:
 
 
 @pytest.mark.parametrize("told", [False, True])
-@pytest.mark.parametrize("factor", [0.5, 0.8, 0.9, 1.1, 1.2, 1.5])
+@pytest.mark.parametrize("factor", [0.5, 1.2])
 def test_who_is_not_told_a_length_misses_by_its_change(factor: float, told: bool) -> None:
     change = SegmentLength(factor, told=told)
     env = MMCReachEnv(perturbations=change)
@@ -269,9 +269,11 @@ def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name: str) -> No
 # --- Delay
 
 
-@pytest.mark.parametrize(("name", "steps"), [("delay-40", 2), ("delay-100", 5), ("delay-200", 10)])
+@pytest.mark.parametrize(
+    ("name", "steps"), [("delay-40", 2), ("delay-200", 10), (["delay-40", "delay-200"], 12)]
+)
 def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
-    name: str, steps: int
+    name: Any, steps: int
 ) -> None:
     late = MMCReachEnv(perturbations=name)
     wrapped = gym.wrappers.DelayObservation(MMCReachEnv(), delay=steps)
@@ -282,11 +284,6 @@ def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
         for step, action in enumerate(rough_actions(40, seed), start=1):
             seen, shown = late.step(action)[0], wrapped.step(action)[0]
             assert np.array_equal(seen, shown if step > steps else start)
-
-
-def test_delays_add_and_no_delay_is_none() -> None:
-    assert MMCReachEnv(perturbations=["delay-40", "delay-200"]).setup.delay == 12
-    assert MMCReachEnv(perturbations=SensoryDelay(0.0)).setup.delay == 0
 
 
 # --- Rotation
@@ -344,22 +341,6 @@ def clearance(env: MMCReachEnv | MMCReachVectorEnv) -> float:
     )
 
 
-def test_obstacles_stop_the_arm() -> None:
-    env, free = MMCReachEnv(perturbations="obstacles"), MMCReachEnv()
-    least, apart = [], []
-    for seed in range(8):
-        env.reset(seed=seed)
-        options = {"joint_angles": joint_angles(env)}
-        free.reset(seed=seed, options=options)
-        for action in rough_actions(100, seed):
-            env.step(action)
-            free.step(action)
-            least.append(clearance(env))
-        apart.append(turned(joint_angles(env), joint_angles(free)).max())
-    assert min(least) < 0  # it touched them
-    assert max(apart) > 0.5
-
-
 @pytest.mark.parametrize(
     "control",
     [
@@ -403,7 +384,6 @@ def test_starts_and_targets_are_clear_of_obstacles() -> None:
     ("perturbations", "message"),
     [
         ("gremlins", "perturbations 'gremlins' is not accepted. It may be force-field, .*locks"),
-        (ForceField, r"perturbations <class .*; did you mean 'ForceField\(\)'"),
         (None, "perturbations None is not accepted. It may be .* or a Perturbation$"),
         (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
         (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach, .*degrees=180.0"),
@@ -420,7 +400,6 @@ def test_what_cannot_be_or_be_combined_is_refused(perturbations: Any, message: s
 
 
 ENTANGLED: list[dict[str, Any]] = [
-    {"perturbations": [LockedJoint(1), LockedJoint(2), "longer-50"]},
     {"perturbations": [LockedJoint(0), LockedJoint(1), LockedJoint(2), "longer-50"]},
     {"perturbations": [LockedJoint(0), LockedJoint(2), "shorter-50", "obstacles-4"]},
     {
@@ -435,14 +414,13 @@ ENTANGLED: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("arguments", ENTANGLED)
-@pytest.mark.parametrize("task", ["random", "double-step-100", "via-points", "pursuit"])
+@pytest.mark.parametrize("task", ["random", "via-points"])
 def test_what_can_be_made_can_be_reset_with_any_seed(arguments: dict[str, Any], task: str) -> None:
     env, vector = (make(task=task, **arguments) for make in (MMCReachEnv, MMCReachVectorEnv))
     for seed in range(30):
         observation, info = env.reset(seed=seed)
         assert env.observation_space.contains(observation)
-        if task != "pursuit":  # which asks for places that locked joints may not reach
-            assert env.setup.workspace.contains(info["target"], env.arm.joint_angles)
+        assert env.setup.workspace.contains(info["target"], env.arm.joint_angles)
         np.testing.assert_array_equal(vector.reset(seed=seed)[0][0], observation)
 
 
@@ -460,21 +438,16 @@ def test_a_posture_whose_locks_leave_no_target_is_refused_unless_there_is_one_al
 
 
 @pytest.mark.parametrize("told", [False, True])
-@pytest.mark.parametrize("factor", [0.5, 1.0, 1.5])
-@pytest.mark.parametrize("lengths", [(1.0,), (1.0, 0.4), (1.0, 1.0, 1.0)])
+@pytest.mark.parametrize("factor", [0.5, 1.5])
 @pytest.mark.parametrize("task", ["random", "pursuit"])
-def test_goals_of_an_arm_of_another_length_are_in_their_space_or_there_are_none(
-    lengths: tuple[float, ...], factor: float, told: bool, task: str
+def test_goals_of_an_arm_of_another_length_are_in_their_space(
+    factor: float, told: bool, task: str
 ) -> None:
     arguments: dict[str, Any] = {
-        "segment_lengths": lengths,
+        "segment_lengths": (1.0, 0.4),
         "task": task,
         "perturbations": [SegmentLength(factor, told=told), "rotation-45"],
     }
-    if len(lengths) == 1 and factor != 1 and not told:
-        with pytest.raises(UserError, match="must leave targets in reach"):
-            MMCReachGoalEnv(**arguments)
-        return
     for env in (MMCReachGoalEnv(**arguments), MMCReachGoalVectorEnv(2, **arguments)):
         action = np.full(env.action_space.shape, 0.7, np.float32)
         for seed in range(5):
@@ -485,9 +458,9 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space_or_there_are_none(
 @pytest.mark.parametrize(
     ("make", "name"),
     [
-        *((lambda f=f: SegmentLength(f), "factor") for f in (0.0, -1.0)),
+        (lambda: SegmentLength(0.0), "factor"),
         (lambda: LockedJoint(time=-0.1), "time"),
-        *((lambda s=s: SensoryDelay(s), "seconds") for s in (-0.1, math.inf, math.nan)),
+        (lambda: SensoryDelay(math.inf), "seconds"),
         (lambda: JointNoise(std=-0.1), "std"),
         (lambda: JointNoise(speed_std=math.nan), "speed_std"),
         (lambda: VisionNoise(std=math.inf), "std"),
@@ -496,11 +469,9 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space_or_there_are_none(
         (lambda: VisuomotorRotation(30.0, (0.0, math.inf)), "centre"),
         (lambda: HandMass(-1.0), "mass"),
         (lambda: ForceField(math.nan), "curl"),
-        *((lambda v=v: Gravity(v), "acceleration") for v in ("strong", None, [60.0], True)),
-        (lambda: LockedJoint(time="late"), "time"),
+        (lambda: Gravity("strong"), "acceleration"),
         (lambda: LockedJoint(1.5).change_body(ArmParameters()), "joint"),
-        *((lambda d=d: Obstacles(d), "discs") for d in (3, (1, 1, 0.2), ((1, 1),), "disc")),
-        *((lambda c=c: VisuomotorRotation(30.0, c), "centre") for c in (3, "ab", (0, 0, 0))),
+        (lambda: Obstacles((1, 1, 0.2)), "discs"),
     ],
 )
 def test_values_that_make_no_sense_are_refused(make: Callable[[], object], name: str) -> None:

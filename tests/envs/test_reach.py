@@ -1,20 +1,16 @@
 """Facts about MMCReach-v0 and MMCReachGoal-v0."""
 
 import math
-import re
 from collections.abc import Callable
-from decimal import Decimal
 from functools import partial
 from typing import Any, get_args
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from scipy import stats
 
 from mmc_gym._errors import UserError
-from mmc_gym.body import Engine
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
 from mmc_gym.interface import NEAR, Control, ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
@@ -160,45 +156,6 @@ def test_observation_and_info_tell_the_state(
         assert reward == pytest.approx(sum(terms), rel=1e-12)
 
 
-@pytest.mark.parametrize("turn", [-2.0, math.pi])
-@pytest.mark.parametrize("engine", get_args(Engine))
-@pytest.mark.parametrize("control", ["joint_delta", "joint_velocity", "joint_torque"])
-def test_an_arm_and_its_target_turned_about_the_base_live_the_same_life(
-    control: Control, engine: Engine, turn: float
-) -> None:
-    posture, target, way = [0.3, 0.6, -0.6], complex(-1.0, 1.5), np.exp(1j * turn)
-    env, other = (MMCReachEnv(control=control, engine=engine) for _ in range(2))
-    seen, _ = env.reset(options={"joint_angles": posture, "target": (target.real, target.imag)})
-    place = ((target * way).real, (target * way).imag)
-    options = {"joint_angles": [posture[0] + turn, *posture[1:]], "target": place}
-    turned, _ = other.reset(options=options)
-    for action in np.random.default_rng(0).uniform(-1, 1, (20, 3)).astype(np.float32):
-        np.testing.assert_allclose(np.delete(turned, [0, 3]), np.delete(seen, [0, 3]), atol=1e-5)
-        first, other_first = (complex(values[0], values[3]) for values in (seen, turned))
-        assert other_first == pytest.approx(first * way, abs=1e-5)
-        seen, reward, *_ = env.step(action)
-        turned, other_reward, *_ = other.step(action)
-        assert other_reward == pytest.approx(reward, abs=1e-5)
-
-
-@pytest.mark.parametrize("weight", [0.0, 1.0, 2.5])
-def test_precision_pays_most_at_the_target_less_with_distance_and_in_proportion_to_its_weight(
-    weight: float,
-) -> None:
-    setup, distances = MMCReachEnv(precision_weight=weight).setup, np.linspace(0, 6, 601)
-    rewards = precision(setup, distances)
-    assert ((rewards >= 0) & (rewards <= weight)).all()
-    assert (np.diff(rewards) <= 0).all()
-    assert (np.diff(rewards[:20]) < 0).all() == (weight > 0)
-    np.testing.assert_allclose(rewards, weight * precision(MMCReachEnv().setup, distances))
-    assert [precision(setup, distance) for distance in distances.tolist()] == rewards.tolist()
-    env = MMCReachGoalEnv(reward_type="dense", precision_weight=weight)
-    observation, _ = env.reset(seed=0)
-    goals = observation["achieved_goal"], observation["desired_goal"]
-    distance = math.dist(*goals)
-    assert env.compute_reward(*goals, {}) == pytest.approx(precision(setup, distance) - distance)
-
-
 def test_observed_speeds_are_those_of_the_angles() -> None:
     env = MMCReachEnv(control="joint_velocity")
     env.reset(seed=0)
@@ -252,6 +209,16 @@ def test_the_smoothness_cost_is_that_of_the_changes_of_joint_speed() -> None:
     assert "reward_smoothness" not in MMCReachEnv().reset(seed=0)[1]
 
 
+def test_precision_pays_its_weight_at_the_target_and_half_of_it_five_hundredths_away() -> None:
+    setup = MMCReachEnv(precision_weight=2.5).setup
+    assert [precision(setup, distance) for distance in (0.0, 0.05)] == [2.5, 1.25]
+    env = MMCReachGoalEnv(reward_type="dense", precision_weight=2.5)
+    observation, _ = env.reset(seed=0)
+    goals = observation["achieved_goal"], observation["desired_goal"]
+    distance = math.dist(*goals)
+    assert env.compute_reward(*goals, {}) == pytest.approx(precision(setup, distance) - distance)
+
+
 # --- What actions mean
 
 
@@ -296,20 +263,13 @@ def test_a_moved_target_is_seen_and_rewarded_at_the_next_step_and_nothing_else_c
         env.reset(seed=0)
     moved.set_target(np.array([1.0, -2.0]))
     for action in np.random.default_rng(0).uniform(-1, 1, (20, 3)).astype(np.float32):
-        observation, reward, _, _, info = moved.step(action)
-        seen, *_, same_arm = other.step(action)
+        observation, _, _, _, info = moved.step(action)
+        *_, same_arm = other.step(action)
         assert info["target"].tolist() == [1.0, -2.0]
         assert info["end_effector"].tolist() == same_arm["end_effector"].tolist()
         assert info["distance"] == pytest.approx(math.dist(info["end_effector"], (1.0, -2.0)))
-        if isinstance(observation, dict):
-            assert observation["desired_goal"].tolist() == [1.0, -2.0]
-            np.testing.assert_array_equal(observation["observation"], seen["observation"])
-        else:
-            sensed = ReachInterface.of(moved).sense(observation)
-            np.testing.assert_allclose(sensed.target, [1.0, -2.0], atol=1e-6)
-            np.testing.assert_array_equal(observation[:9], seen[:9])
-            terms = (info[f"reward_{name}"] for name in ("distance", "precision", "control"))
-            assert reward == pytest.approx(sum(terms), rel=1e-12)
+        sensed = ReachInterface.of(moved).sense(observation)
+        np.testing.assert_allclose(sensed.target, [1.0, -2.0], atol=1e-6)
     assert same(moved.reset(), other.reset())
 
 
@@ -321,11 +281,6 @@ def stepping(*actions: Any) -> list[tuple[Callable[[MMCReachEnv], Any], str]]:
     return [(lambda env, a=a: env.step(a), message[np.shape(a) == (3,)]) for a in actions]
 
 
-def acting(*nonsense: Any) -> list[tuple[Callable[[MMCReachEnv], Any], str]]:
-    message = "action must be numbers within -1 and 1, got "
-    return [(lambda env, a=a: env.step(a), message + re.escape(repr(a))) for a in nonsense]
-
-
 def resetting(**options: Any) -> Callable[[MMCReachEnv], Any]:
     return lambda env: env.reset(seed=7, options=options)
 
@@ -335,26 +290,18 @@ def aiming(target: Any) -> Callable[[MMCReachEnv], Any]:
 
 
 REFUSED: list[tuple[Callable[[MMCReachEnv], Any], str]] = [
-    *stepping([0.0, math.nan, 0.0], [0.0, 0.0, math.inf], np.array([0.0, 1.0001, 0.0], np.float32)),
-    *stepping([-1.0001, 0.0, 0.0], [0.0, 0.0], [0.0] * 4, 0.0, np.zeros((1, 3))),
-    *acting(
-        "abc", None, {"a": 1}, ["0.5"] * 3, [None] * 3, [0.5j] * 3, [Decimal(0)] * 3, [[1], 2, 3]
+    *stepping([0.0, math.nan, 0.0], np.array([0.0, 1.0001, 0.0], np.float32), [0.0, 0.0], 0.0),
+    *(
+        (lambda env, a=a: env.step(a), "action must be numbers within")
+        for a in ("abc", [[1], 2, 3])
     ),
-    (
-        resetting(goal=(0, 0)),
-        r"options 'goal' is not accepted. It may be joint_angles, target or trial",
-    ),
+    (resetting(goal=(0, 0)), "options 'goal' is not accepted. It may be joint_angles, target or"),
     (resetting(target=(math.nan, 0)), r"options\['target'\] must be 2 finite numbers"),
-    (resetting(target=(1, 1, 1)), r"options\['target'\] must be 2 finite .*\(1, 1, 1\)"),
     (resetting(target="there"), r"options\['target'\] must be 2 finite .*'there'"),
-    (resetting(target=((1,), (1, 2))), r"options\['target'\] must be 2 finite"),
     (resetting(target=(3.0, 0.1)), r"options\['target'\] .*between 0 and 3.*\(3.0, 0.1\)"),
-    (resetting(joint_angles=(0, 0, math.inf)), r"options\['joint_angles'\] must be 3 fin"),
     (resetting(joint_angles=(0, 0)), r"options\['joint_angles'\] must be 3 finite"),
     (resetting(joint_angles=(0, 0, 0), target=(9, 9)), r"options\['target'\]"),
     (aiming((3.1, 0.0)), r"target must be between 0 and 3 from the base, got \(3.1, 0.0\)"),
-    (aiming((math.nan, 0.0)), "target must be 2 finite numbers"),
-    (aiming((0.0, 0.0, 0.0)), "target must be 2 finite numbers"),
     (aiming("far away"), "target must be 2 finite numbers, got 'far away'"),
 ]
 
@@ -374,35 +321,30 @@ def test_bad_input_is_refused_and_leaves_no_trace(
     assert tried.np_random.bit_generator.state == untried.np_random.bit_generator.state
 
 
-def test_a_posture_outside_the_joint_limits_is_refused() -> None:
-    env = MMCReachEnv(joint_limits=LIMITS)
-    with pytest.raises(UserError, match=r"options\['joint_angles'\] must be within the joint l"):
-        env.reset(options={"joint_angles": [0.0, 0.0, 0.0]})
-
-
-def test_the_hole_in_the_middle_is_out_of_reach() -> None:
-    env = MMCReachEnv(segment_lengths=(2.0, 0.5))
-    with pytest.raises(ValueError, match=r"between 1\.5 and 2\.5 from the base"):
-        env.reset(options={"target": (1.0, 0.0)})
+@pytest.mark.parametrize(
+    ("arm", "options", "message"),
+    [
+        ({"joint_limits": LIMITS}, {"joint_angles": [0.0] * 3}, "must be within the joint limits"),
+        ({"segment_lengths": (2.0, 0.5)}, {"target": (1.0, 0.0)}, r"between 1\.5 and 2\.5 from"),
+    ],
+)
+def test_what_the_arm_cannot_do_is_refused(arm: Any, options: Any, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        MMCReachEnv(**arm).reset(options=options)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"control": "telepathy"}, "control 'telepathy' is not accepted. It may be joint_"),
         ({"control": "torque"}, "control 'torque' .*; did you mean 'joint_torque'"),
         ({"control": ["joint_delta"]}, r"control \['joint_delta'\] is not accepted"),
         ({"reward_type": "golden"}, "reward_type 'golden' is not accepted. It may be dense or sp"),
         ({"render_mode": "ansi"}, "render_mode 'ansi' is not accepted. It may be None, human or"),
         ({"engine": "pymunck"}, "engine 'pymunck' .*; did you mean 'pymunk'"),
         ({"control_weight": "a"}, "control_weight must be finite and not negative, got 'a'"),
-        ({"control_weight": None}, "control_weight must be finite and not negative, got None"),
-        ({"success_distance": np.zeros(2)}, "success_distance must be finite and not negative"),
         ({"smoothness_weight": -1.0}, "smoothness_weight must be finite and not negative"),
-        ({"control_weight": -1.0}, "control_weight must be finite and not negative, got -1.0"),
         ({"precision_weight": math.inf}, "precision_weight must be finite and not negative"),
         ({"success_distance": math.nan}, "success_distance must be finite and not negative"),
-        ({"segment_lengths": (1.0, -1.0)}, "segment_lengths must be positive"),
         ({"segment_length": (1.0,)}, "'segment_length'; did you mean 'segment_lengths'"),
         ({"kontrol": "joint_delta"}, "takes no argument 'kontrol'; did you mean 'control'"),
         ({"colour": 1}, "takes no argument 'colour'. It takes render_mode, control, "),
@@ -421,14 +363,9 @@ def test_the_goal_environment_has_no_costs_and_goals_that_tell_the_reward() -> N
     for weight in ("control_weight", "smoothness_weight"):
         with pytest.raises(UserError, match=f"{weight} must be 0"):
             MMCReachGoalEnv(**{weight: 0.1})
-    names = (
-        {"perturbations": "joint-noise"},
-        {"perturbations": "delay-40"},
-        {"task": "via-points"},
-    )
-    for arguments in names:
+    for wrong in ({"perturbations": "joint-noise"}, {"task": "via-points"}):
         with pytest.raises(UserError, match="no noise, no delay and no via points"):
-            MMCReachGoalEnv(**arguments)
+            MMCReachGoalEnv(**wrong)
 
 
 @pytest.mark.parametrize("reward_type", ["sparse", "dense"])
@@ -453,32 +390,3 @@ def test_relabelled_transitions_have_the_reward_of_the_step_and_no_end(reward_ty
     grid = env.compute_reward(np.reshape(achieved, (4, 50, 2)), np.array(desired[0]), {})
     assert grid.shape == (4, 50)
     assert len(set(rewards)) > 1
-    for ends in (env.compute_terminated, env.compute_truncated):
-        assert ends(np.array(achieved), np.array(desired), {}).tolist() == [False] * 200
-        assert not ends(achieved[0], desired[0], {})
-
-
-@pytest.mark.slow
-def test_hindsight_experience_replay_learns_from_it() -> None:
-    from stable_baselines3 import SAC, HerReplayBuffer
-
-    env = gym.make("MMCReachGoal-v0", max_episode_steps=50)
-    model = SAC(
-        "MultiInputPolicy",
-        env,
-        replay_buffer_class=HerReplayBuffer,
-        learning_starts=100,
-        train_freq=(8, "step"),
-        policy_kwargs={"net_arch": [16]},
-        device="cpu",
-        seed=0,
-    )
-    model.learn(300)
-    assert isinstance(model.replay_buffer, HerReplayBuffer)
-    batch = model.replay_buffer.sample(256)
-    achieved = batch.next_observations["achieved_goal"].numpy()
-    desired = batch.next_observations["desired_goal"].numpy()
-    near = np.linalg.norm(achieved - desired, axis=-1) <= 0.05
-    np.testing.assert_array_equal(batch.rewards.numpy().ravel(), near - 1.0)
-    assert near.any()  # targets were relabelled
-    assert not batch.dones.any()

@@ -33,7 +33,6 @@ from mmc_gym.envs.perturbations import (
     SegmentLength,
     SensoryDelay,
     VisionNoise,
-    VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import (
@@ -42,7 +41,7 @@ from mmc_gym.envs.scenarios import (
     environment_id,
     scenario,
 )
-from mmc_gym.envs.tasks import TASKS, outward_task
+from mmc_gym.envs.tasks import TASKS
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import Control
 
@@ -74,7 +73,6 @@ DISC = (1.5, 1.0, 0.25)
         ("shorter", "shorter-20", SegmentLength(0.8)),
         ("force-field", "force-field-60", ForceField(60.0)),
         ("force-field--5.50", "force-field--5.5", ForceField(-5.5)),
-        ("rotation-30", "rotation-30", VisuomotorRotation(30.0)),
         ("gravity", "gravity-60", Gravity(60.0)),
         ("locked", "locked-2", LockedJoint(1)),
         ("locks-3-told", "locks-3-told", LockedJoint(2, time=0.2, told=True)),
@@ -98,8 +96,6 @@ def test_a_name_with_any_strength_makes_a_perturbation(
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
-        ("longer-told-20", "did you mean 'longer-20-told'"),
-        ("Delay-30", "did you mean 'delay-30'"),
         ("forcefield", "did you mean 'force-field'"),
         ("pursuits", "did you mean 'pursuit'"),
         ("gremlins", "scenario 'gremlins' is not accepted. It may be random, .*force-field"),
@@ -110,25 +106,12 @@ def test_a_name_with_any_strength_makes_a_perturbation(
         ("delay--40", "seconds must be"),
         ("shorter-100", "factor must be"),
         ("delay-", "did you mean 'delay'"),
-        ("MMCReachLonger20Told-v0", "did you mean 'longer-20-told'"),
-        ("MMCReach-v0", "did you mean 'random'"),
         (None, "scenario None is not accepted. It may be"),
     ],
 )
 def test_a_wrong_name_is_refused_with_a_hint(name: Any, hint: str) -> None:
     with pytest.raises(UserError, match=hint):
         scenario(name)
-
-
-@pytest.mark.parametrize(
-    ("task", "centre"),
-    [("centre-out", (0.0, 1.5)), (outward_task([0.1, 0.3]), (0.0, 1.5)), ("random", (0.0, 0.0))],
-)
-def test_a_rotation_turns_about_the_start_of_all_movements_or_the_base(
-    task: Any, centre: tuple[float, float]
-) -> None:
-    rotation = MMCReachEnv(task=task, perturbations="rotation-30").setup.rotation
-    assert rotation == VisuomotorRotation(30.0, centre)
 
 
 def test_a_scenario_makes_its_environments_and_counts_its_trials() -> None:
@@ -184,10 +167,8 @@ def test_a_task_of_another_length_than_the_ids_is_refused_by_name(mode: str | No
 
 
 def test_an_explicit_time_limit_wins() -> None:
-    assert gym.make("MMCReachPursuit-v0", max_episode_steps=7).spec.max_episode_steps == 7
-    assert gym.make_vec("MMCReachPursuit-v0", 2, max_episode_steps=7).max_episode_steps == 7
-    other = gym.make_vec("MMCReach-v0", 2, task="pursuit", max_episode_steps=30)
-    assert other.max_episode_steps == 30
+    for env_id, arguments in (("MMCReachPursuit-v0", {}), ("MMCReach-v0", {"task": "pursuit"})):
+        assert gym.make_vec(env_id, 2, max_episode_steps=7, **arguments).max_episode_steps == 7
 
 
 def test_registering_imports_neither_physics_nor_drawing() -> None:
@@ -233,30 +214,11 @@ def continued(env: gym.Env, actions: np.ndarray) -> list[Transition]:
     return record
 
 
-def flat(observation: Any) -> np.ndarray:
-    if isinstance(observation, dict):
-        return np.concatenate([observation[key] for key in sorted(observation)])
-    return np.asarray(observation)
-
-
-def elements(env: gym.Env, start: int, stop: int) -> np.ndarray:
-    """Which elements of the flat observation are from `start` to `stop` of the posture's nine."""
-    places = np.arange(len(flat(env.observation_space.sample())))
-    if isinstance(env.observation_space, gym.spaces.Dict):  # the posture comes last
-        places = places - len(places) + 9
-    return (start <= places) & (places < stop)
-
-
-@every_case
-def test_its_specification_is_data(env_id: str, control: str) -> None:
-    spec = gym.spec(env_id)
-    assert gym.envs.registration.EnvSpec.from_json(spec.to_json()) == spec
-    assert spec.vector_entry_point is not None
-
-
 @every_case
 def test_gymnasium_approves(env: gym.Env) -> None:
     check_env(env.unwrapped)  # pytest makes its warnings errors
+    assert env.spec is not None
+    assert gym.envs.registration.EnvSpec.from_json(env.spec.to_json()) == env.spec
 
 
 @every_case
@@ -290,15 +252,9 @@ def test_a_copy_of_a_running_environment_has_the_same_future(env: gym.Env) -> No
 
 
 @every_case
-def test_observations_are_in_their_space_and_each_element_tells_something(env: gym.Env) -> None:
-    observations = [transition[0] for transition in rollout(env, harsh_actions(env, 500))]
-    assert all(env.observation_space.contains(observation) for observation in observations)
-    seen = np.array([flat(observation) for observation in observations])
-    assert np.isfinite(seen).all()
-    varies, setup = np.ptp(seen, axis=0) > 0.1, env.unwrapped.setup
-    for joint in setup.body.lockable_joints if setup.lock_step == 0 else ():
-        varies |= elements(env, 6 + joint, 7 + joint)  # the speed of a joint that cannot turn
-    assert varies.all()
+def test_observations_are_in_their_space(env: gym.Env) -> None:
+    for observation, *_ in rollout(env, harsh_actions(env, 500)):
+        assert env.observation_space.contains(observation)
 
 
 @every_case

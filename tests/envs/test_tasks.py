@@ -45,22 +45,12 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent() -> Non
     assert len(movements) == 420
 
 
-def test_trials_that_are_not_asked_for_are_drawn_from_all() -> None:
-    env = MMCReachEnv(task="paper")
-    env.reset(seed=0)
-    drawn = {
-        (*info["end_effector"].round(6), *info["target"].round(6))
-        for info in (env.reset()[1] for _ in range(2000))
-    }
-    assert len(drawn) > 400
-
-
 @pytest.mark.parametrize(
     ("task", "arguments", "message"),
     [
         ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture has the hand at"),
         # The cursor leaves the reach.
-        ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "its 420 trials 60 sta"),
+        ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "where trial .* starts"),
         ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
         ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
         ("centre-in", {}, "task 'centre-in' is not accepted; did you mean 'centre-out'"),
@@ -72,13 +62,6 @@ def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(
 ) -> None:
     with pytest.raises(UserError, match=message):
         MMCReachEnv(task=task, **arguments)
-
-
-def test_an_arm_of_another_reach_does_the_task_in_proportion() -> None:
-    env = MMCReachEnv(task="paper", segment_lengths=(2.0, 2.0, 2.0))
-    _, info = env.reset(options={"trial": 7})
-    np.testing.assert_allclose(info["end_effector"], 2 * TARGETS[PAIRS[7, 0]], atol=1e-9)
-    np.testing.assert_allclose(info["target"], 2 * TARGETS[PAIRS[7, 1]], atol=1e-9)
 
 
 # --- Centre-out
@@ -197,7 +180,7 @@ def test_posture_and_target_can_be_set_in_every_task(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("task", "trial"),
-    [("random", 0), ("pursuit", 0), ("paper", 420), ("paper", -1), ("paper", 1.5), ("paper", True)],
+    [("random", 0), ("paper", 420), ("paper", 1.5)],
 )
 def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, trial: Any) -> None:
     env, twin = MMCReachEnv(task=task), MMCReachEnv(task=task)
@@ -210,23 +193,15 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, tri
         assert data_equivalence(act(env), act(twin), exact=True)
 
 
-def test_a_path_has_one_place_at_least() -> None:
-    targets = targets_of(MMCReachEnv(task=Pursuit(period=0.001)), 2, seed=0)
-    assert np.ptp(targets, axis=0).tolist() == [0.0, 0.0]
-
-
 @pytest.mark.parametrize(
     ("make", "name"),
     [
         (lambda: DoubleStep(delay=-0.1), "delay"),
         (lambda: ViaPoints(count=0), "count"),
-        *((lambda d=d: DoubleStep(delay=d), "delay") for d in ("late", None, [0.1])),
-        (lambda: ViaPoints(count=2.5), "count"),  # type: ignore[arg-type]
-        *((lambda m=m: Pursuit(multiples_x=m), "multiples_x") for m in (3, ("a",), (2.5,))),
-        *((lambda p=p: PointToPoint(p, ((0, 1),)), "points") for p in (3, ((0,), (1,)), "ab")),
+        *((lambda m=m: Pursuit(multiples_x=m), "multiples_x") for m in (3, (2.5,), ())),
+        (lambda: PointToPoint(((0,), (1,)), ((0, 1),)), "points"),
         (lambda: Pursuit(period=0.0), "period"),
         (lambda: Pursuit(amplitude=math.nan), "amplitude"),
-        (lambda: Pursuit(multiples_y=()), "multiples_y"),
         (lambda: PointToPoint(((0.5, 0.0),), ()), "pairs"),
         (lambda: PointToPoint(((0.5, 0.0),), ((0, 1),)), "pairs"),
     ],

@@ -27,26 +27,13 @@ def test_what_the_environment_hands_out_becomes_tensors_without_a_copy(engine):
             assert tensor.data_ptr() == array.ctypes.data and tensor.is_contiguous()
 
 
-@every_engine
-def test_a_tensor_is_an_action_like_an_array(engine):
-    actions = np.random.default_rng(0).uniform(-1, 1, (5, 3)).astype(np.float32)
-    returned = []
-    for given in (actions, torch.from_numpy(actions)):
-        arms = made(engine)
-        arms.reset(seed=0)
-        returned.append(arms.step(given))
-    for one, other in zip(*map(seen_values, returned), strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert np.shares_memory(np.asarray(torch.from_numpy(actions)), actions)
-
-
 def test_without_copies_one_tensor_shows_every_observation():
     arms = made("analytic", copy=False)
     observation, _ = arms.reset(seed=0)
     tensor = torch.from_dlpack(observation)
     before = tensor.clone()
     for _ in range(3):
-        now, *_ = arms.step(torch.ones(5, 3))
+        now, *_ = arms.step(torch.ones(5, 3))  # a tensor is an action like an array
         np.testing.assert_array_equal(tensor, now)
     assert (tensor != before).any()
 

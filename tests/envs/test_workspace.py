@@ -40,12 +40,6 @@ def test_targets_are_uniform_over_the_area_that_the_hand_reaches(
     assert stats.chisquare(counts.ravel()).pvalue > 0.01
 
 
-def test_a_single_segment_has_its_circle_for_targets() -> None:
-    random = np.random.default_rng(0)
-    targets = np.array([workspace((1.5,)).draw_target(random, []) for _ in range(1000)])
-    np.testing.assert_allclose(np.linalg.norm(targets, axis=-1), 1.5)
-
-
 @given(
     lengths=LENGTHS,
     x=st.floats(-50, 50),
@@ -63,13 +57,6 @@ def test_targets_are_reachable_and_so_is_the_nearest_point(
     distance = math.hypot(x, y)
     expected = max(0.0, inner - distance, distance - outer)
     assert math.dist(nearest, (x, y)) == pytest.approx(expected, abs=1e-9)
-
-
-def test_a_reachable_point_is_its_own_nearest() -> None:
-    assert workspace((1.0, 1.0, 1.0)).nearest((0.3, -2.0)) == (0.3, -2.0)
-    assert workspace((1.0, 1.0, 1.0)).nearest((0.0, 0.0)) == (0.0, 0.0)
-    assert workspace((1.0, 1.0, 1.0)).nearest((6.0, 0.0)) == (3.0, 0.0)
-    assert workspace((2.0, 0.5)).nearest((0.0, 0.0)) == (1.5, 0.0)
 
 
 # --- Joint limits
@@ -166,11 +153,3 @@ def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(
         assert space.contains(target)
         assert math.hypot(*target) <= 3 + 1e-8
         assert math.hypot(*rotation.hand(*target)) <= 3 + 1e-8
-
-
-def test_what_the_hand_reaches_its_cursor_may_not() -> None:
-    space = workspace((1.0, 1.0, 1.0))
-    space.rotation = VisuomotorRotation(180.0, (1.0, 0.0))
-    assert space.contains((0.0, 0.0))  # the hand is then at (2, 0)
-    assert not space.contains((-2.0, 0.0))  # it would be at (4, 0)
-    assert not space.contains((4.0, 0.0))  # the target itself is out of reach
