@@ -1,10 +1,10 @@
 """A control step of many arms of the analytic engine in one go: movement, observation, reward.
 
-Each thread takes its share of the arms through all of it, so that no thread reads what another one
-has just written.  `look_and_reward` does what `ObservationLayout.encode` and `reward_and_info` do,
-operation by operation.  Only the cosines and sines of the joint angles come from the engine instead
-of the C library.  Both are right to a unit in the last place of float64, so an observation differs,
-in the last place of its float32, once in some hundred million values.
+Each thread takes its arms through the whole step, so no thread reads what another has just written.
+`look_and_reward` repeats `ObservationLayout.encode` and `reward_and_info` operation by operation.
+Only the cosines and sines of the joint angles come from the engine instead of the C library.  Both
+are right to a unit in the last place of float64, so observations differ in the last place of a
+float32, once in some hundred million values.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 class Constants(NamedTuple):
-    """What is the same for all arms and steps; `limits` is empty if nothing is clipped to it."""
+    """Values that all arms and steps share; `limits` is empty if observations are not clipped."""
 
     speed_limit: float
     success_distance: float
@@ -42,10 +42,11 @@ class Arms(NamedTuple):
         cosines: of the joint angles, (n, N).
         sines: of the joint angles, (n, N).
         velocities: of the joints, rad/s, (n, N).
-        hands: where they, or their cursors, are, (n, 2).
-        targets: where they are, (n, 2).
+        hands: positions of the hands or their cursors, (n, 2).
+        targets: positions, (n, 2).
         may_succeed: whether the target is the last one, (n,).
-        speeds: of the joints one step earlier, and then now, as fractions of their limit, (n, N).
+        speeds: of the joints, as fractions of their limit, (n, N): those of the last step are
+            replaced by those of this step.
         observation: (n, 3 N + 6), or (n, 3 N) of a goal environment.
         terms: distance, minus distance, precision, control, smoothness, and dense reward, (6, n).
         is_success: whether the target is reached, (n,).

@@ -54,8 +54,8 @@ class ForceField(Perturbation):
     """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
 
     After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  The hand leaves its course where
-    the field takes the servos to their torque limit.  Up to a curl of about 120 nearly all random
-    movements reach their target within 2 s, at 200 85 % of them do.
+    the field drives the servos to their torque limit.  Nearly all random movements reach their
+    target within 2 s up to a curl of about 120; 85 % of them do at 200.
 
     Attributes:
         curl: mass / s; positive bends to the right of the movement.
@@ -117,7 +117,7 @@ class Gravity(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class SegmentLength(Perturbation):
-    """A segment is longer or shorter than it was, as by a tool, growth or a cut, of equal mass.
+    """A segment is longer or shorter than before, as by a tool or growth; its mass is the same.
 
     Attributes:
         factor: new length over old.
@@ -145,7 +145,7 @@ class LockedJoint(Perturbation):
     """A joint becomes rigid at its present angle until the next reset.
 
     If it is locked from the start, the other joints can reach all targets.  If it locks later, the
-    target may have become unreachable, which cannot be known beforehand.
+    target may become unreachable: the posture at that time is not known when targets are drawn.
 
     Attributes:
         joint: index of the joint, from the base outward.
@@ -172,9 +172,9 @@ class Obstacles(Perturbation):
     """Fixed discs in the plane stop the arm, without friction; several add.
 
     Starting postures and drawn targets are clear of them.  The way between may be blocked, and
-    the path of a pursued target may lead through them.  A segment that is thrown against a disc
-    sinks in a little.  Physics steps are therefore half as long as without obstacles: in a million
-    control steps of rough commands segments sank in by at most 0.07, and by 0.14 at full steps.
+    the path of a pursued target may lead through them.  Physics steps are half as long as without
+    obstacles, because a fast segment sinks into a disc a little: at most 0.07 in a million control
+    steps of rough commands, and 0.14 with full steps.
 
     Attributes:
         discs: (x, y, radius) of each.
@@ -200,7 +200,7 @@ class Obstacles(Perturbation):
 
 @dataclass(frozen=True)
 class Readings:
-    """What the senses of arms read, before it is encoded; the hand may be a cursor."""
+    """Readings of the senses before they are encoded; the hand may be a cursor."""
 
     joint_angles: Floats  # (..., N), radians
     joint_velocities: Floats  # (..., N), rad/s
@@ -223,15 +223,15 @@ class Noise(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class VisuomotorRotation(Perturbation):
-    """A cursor, the hand turned about a centre, is seen, measured and rewarded.
+    """A cursor is seen, measured and rewarded in place of the hand: the hand turned about a centre.
 
     After Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20:8916, who turned by 30°.
 
     Attributes:
         degrees: counter-clockwise.
-        centre: (x, y), where the cursor is on the hand.  None: where the task's movements begin, or
-            the base if they begin anywhere.  About the base, the cursor reaches all that the hand
-            does; about another point, fixed targets near the border may be out of its reach.
+        centre: (x, y), where cursor and hand coincide.  None: where the task's movements begin, or
+            the base if they begin anywhere.  A turn about the base leaves all targets in reach; one
+            about another point may take fixed targets near the border out of reach.
     """
 
     degrees: float = 30.0
@@ -340,7 +340,7 @@ class SensoryDelay(Perturbation):
 
 
 def _index(name: str, index: int, count: int) -> int:
-    """Return an index that may count from the end as one from 0 on."""
+    """Return an index counted from 0; negative ones count from the end."""
     fine = is_whole(index) and -count <= index < count
     require(fine, name, index, f"an index from {-count} to {count - 1}")
     return index % count
@@ -357,11 +357,11 @@ class Family:
         default: strength of a name without one.
         make: makes the perturbation of a strength.
         strengths: those of the benchmark.
-        told: strengths in the benchmark at which agents are given the change; None if they cannot
-            be given it.
-        ids: names that have an id, the family's by default; if agents can be given the change, the
-            same names with `-told` have one, too.
-        whole: whether strengths are whole numbers, of a joint or a count.
+        told: strengths at which the benchmark gives agents the change; None if they cannot be given
+            it.
+        ids: names that have an id, by default the family's; where `told` is not None, each also
+            has an id with `-told`.
+        whole: whether strengths are whole numbers: the number of a joint, or a count.
     """
 
     name: str

@@ -58,8 +58,8 @@ def make_environment(
 
     Args:
         env: see `EnvLike`; modules in the working directory are found.
-        control: its control mode; None for its default, or that among the arguments.  Your own
-            environment keeps its default if it takes no such argument.
+        control: the control mode; None keeps that among the arguments, or the default.  It is left
+            out if your own environment takes no such argument.
         arguments: for its constructor.
 
     Raises:
@@ -107,7 +107,7 @@ def _not_accepted(env: EnvLike, error: Exception) -> UserError:
 def code_of(thing: Any) -> str:
     """Return the SHA-256 of the source of an object's class, and of the environment it wraps.
 
-    It is empty without code of the user.  Changes in what that code imports are not noticed.
+    It is empty if none of these classes is yours.  It does not notice changes of imported code.
     """
     kinds = [type(thing)]
     while isinstance(thing, gym.Wrapper):
@@ -133,7 +133,7 @@ class Scenario:
         env_kwargs: more arguments of the environment.
         family: of the perturbation; empty for a task.
         strength: of the perturbation, comparable within its family.
-        told: whether agents are given the perturbed body, where they can be.
+        told: whether agents are given the perturbed body.
     """
 
     name: str

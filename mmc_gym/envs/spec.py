@@ -76,7 +76,7 @@ class ReachSetup:
         lock_step: number of control steps after which the lockable joints lock, or None.
         workspace: where hand and target can be.
         path_length: number of places on the path of the target.
-        draws_pairs: whether `workspace.draw_pairs` draws its trials, many at once.
+        draws_pairs: whether `workspace.draw_pairs` can draw many trials at once.
         frame_rate: pictures a second, one each control step.
         trace_length: number of places on the hand's trace in a picture, one second.
         action: what actions mean for the servos.
@@ -133,7 +133,7 @@ class ReachSetup:
         self.action = action_meaning(control, self.given_body)
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
-        # Noise, a longer arm or a cursor may take what is seen beyond the limits.
+        # With noise, a longer arm or a cursor, observed values may exceed the limits.
         is_clipped = bool(self.noises) or self.farthest > self.reach
         self.layout = ObservationLayout(self.joint_count, self.reach, is_clipped)
         self.observation_space = self.layout.space()
@@ -191,13 +191,12 @@ class ReachSetup:
     def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
         """Return a trial of the task with the options filled in.
 
-        A target given as an option stands still.  Everything is drawn in any case, so that an
-        option for the one does not change the other.  Where hardly anything can be drawn, this
-        may be the same trial again and again.
+        A given target stands still.  Posture and target are always drawn, so that giving one does
+        not change the other.  If drawing fails, the trial of a fixed seed is returned.
         """
         try:
             trial = self._draw(random, options)
-        except UserError:  # by bad luck: with this generator it is known to work
+        except UserError:  # bad luck: the fixed seed worked when the setup was made
             trial = self._draw(np.random.default_rng(0), options)
         if options.target is None:
             return trial
@@ -291,7 +290,7 @@ class GoalSetup(ReachSetup):
                 f"perturbations={self.perturbations}"
             )
         self.layout = replace(self.layout, is_clipped=False, has_goals=True)
-        # Rounding may put a goal beyond the reach by as much as a target is allowed to be.
+        # Rounding may put a goal beyond the reach, by as much as is accepted of a target.
         self.observation_space = self.layout.goal_space(self.farthest * (1 + REACH_TOLERANCE))
 
 
@@ -316,8 +315,8 @@ class ReachEnvironment:
     def spec(self) -> EnvSpec | None:
         """Gymnasium's specification, if `gym.make` made the environment.
 
-        Setting it raises a `UserError` if a task given by name is longer or shorter than an episode
-        of the id: Gymnasium goes by the id alone.
+        Setting it raises a `UserError` if a task given by name has another number of steps than the
+        id: Gymnasium takes the time limit from the id alone.
         """
         return self._spec
 
@@ -341,7 +340,7 @@ class ReachEnvironment:
 
 
 def check_names(arguments: Iterable[str], *own: str) -> None:
-    """Raise a `UserError` for an argument that is no setup's, nor one of an environment's `own`."""
+    """Raise a `UserError` for an argument that is neither the setup's nor in `own`."""
     setup = [name for name in signature(ReachSetup).parameters if name != "arm_parameters"]
     known = (*own, *setup, *signature(ArmParameters).parameters)
     require_known("the environment", arguments, known)

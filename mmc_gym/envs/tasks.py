@@ -157,7 +157,7 @@ class ViaPoints(RandomTarget):
     Success is to be at the last of them.
 
     Attributes:
-        count: how many targets a trial has.
+        count: number of targets in a trial.
     """
 
     advance: ClassVar[Literal["time", "reach"]] = "reach"
@@ -245,8 +245,8 @@ class PointToPoint(Task):
 class Pursuit(Task):
     """The target moves along sums of sines, as in manual tracking (McRuer & Jex, 1967).
 
-    Frequencies are multiples of one over the period, all prime, so that no sine is a harmonic of
-    another; phases are random.  The centre is half a reach in front of the base (up, along y).
+    Frequencies are multiples of 1 / period.  The multiples are prime, so that no sine is a harmonic
+    of another; phases are random.  The centre is half a reach in front of the base (along y).
 
     Attributes:
         period: time after which the path repeats, s.

@@ -33,7 +33,7 @@ class NoTarget(UserError):
 class Workspace:
     """The points that the hand of one arm can reach.
 
-    The joints in `locked` cannot move.  The segments on both sides of them are one rigid piece, and
+    The joints in `locked` cannot move: the segments on both sides of each form one rigid piece, and
     the reachable points depend on the posture.
 
     Attributes:
@@ -55,8 +55,8 @@ class Workspace:
 
         Args:
             body: the arm that moves.
-            given_body: the arm that agents are given, if it differs: the workspace is then what
-                both can reach.
+            given_body: the arm that agents are given, by default the same.  The workspace is what
+                both arms can reach.
             locked: indices of joints that are always locked.
 
         Raises:
@@ -74,7 +74,7 @@ class Workspace:
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
 
     def contains(self, point: Sequence[float], posture: Sequence[float] | None = None) -> bool:
-        """Tell whether the hand can be at `point` (x, y), if joints had no limits.
+        """Tell whether the hand can be at `point` (x, y), leaving joint limits aside.
 
         Args:
             point: (x, y).  With a rotation, both the cursor and the hand must be able to be there.
@@ -116,9 +116,9 @@ class Workspace:
     def draw_target(self, random: np.random.Generator, posture: Sequence[float]) -> Point:
         """Draw a target that the hand can reach from `posture`, clear of obstacles.
 
-        It is area-uniform over the reachable set; with joint limits, up to the size of a grid
-        cell.  If some joints are locked and others limited, it is the hand of a uniform posture,
-        which is not area-uniform.
+        Targets are area-uniform over the reachable set; with joint limits, up to the size of a grid
+        cell.  With locked joints and joint limits they are hands of uniform postures, which are not
+        area-uniform.
 
         Raises:
             NoTarget: if none is found.
@@ -252,8 +252,8 @@ def reachable_hands(
 ) -> list[NDArray[np.float64]]:
     """Return hand positions of an arm with joint limits, an array (n, 2) per cell of a square grid.
 
-    A position drawn from a cell that is drawn first is reachable, and area-uniform up to the size
-    of a cell (a thirtieth of the reach).
+    Draw a cell, then a position from it: such positions are reachable, and area-uniform up to the
+    size of a cell (a thirtieth of the reach).
     """
     random = np.random.default_rng(0)
     low, high = np.array(joint_limits).T
@@ -267,9 +267,9 @@ def reachable_hands(
     return np.split(hands[order], borders)
 
 
-@lru_cache(maxsize=64)  # tasks start from a few points, time and again
+@lru_cache(maxsize=64)  # tasks start from the same few points
 def _even_bend(segment_lengths: tuple[float, ...], distance: float) -> float | None:
-    """Return the smallest common angle of all joints but the first at this distance of the hand."""
+    """Return the least bend (see `_bent_hand`) that puts the hand at this distance, or None."""
     from scipy.optimize import brentq  # not with the registration of the environments
 
     if math.isclose(distance, sum(segment_lengths), rel_tol=REACH_TOLERANCE):

@@ -205,11 +205,10 @@ def rollout(env: gym.Env, actions: np.ndarray, seed: int = 7) -> list[Transition
 
 
 def continued(env: gym.Env, actions: np.ndarray) -> list[Transition]:
-    """All that steps return, with a reset at every truncation."""
     record: list[Transition] = []
     for action in actions:
         record.append(env.step(action))
-        if record[-1][2] or record[-1][3]:
+        if record[-1][3]:
             record.append(env.reset())
     return record
 
