@@ -1,8 +1,9 @@
 """Perturbations: what goes wrong with the body, with the sight of the hand, or with the senses.
 
 Each is a frozen dataclass of physical parameters.  They can be combined.  Some change the body
-(`change_body`); a visuomotor rotation moves the cursor that stands for the hand; noise and delay
-change observations, not rewards.  Lengths are in segment lengths.
+(`change_body`), whose parameters are checked then; a visuomotor rotation moves the cursor that
+stands for the hand; noise and delay change observations, not rewards.  Lengths are in segment
+lengths.
 
 A `Family` gives them names, with any strength; `mmc_gym.envs.scenarios` reads the names.
 """
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import (
-    is_disc,
     is_point,
     is_whole,
     require,
@@ -27,7 +27,6 @@ from mmc_gym._errors import (
     require_not_negative,
     require_numbers,
     require_positive,
-    require_rows,
     spelt,
 )
 
@@ -62,9 +61,6 @@ class ForceField(Perturbation):
     """
 
     curl: float = 60.0
-
-    def __post_init__(self) -> None:
-        require_finite("curl", self.curl)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -104,9 +100,6 @@ class Gravity(Perturbation):
 
     acceleration: float = 60.0
     told = True
-
-    def __post_init__(self) -> None:
-        require_finite("acceleration", self.acceleration)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -183,11 +176,6 @@ class Obstacles(Perturbation):
 
     discs: tuple[tuple[float, float, float], ...] = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25))
     segment_radius: float = 0.05
-
-    def __post_init__(self) -> None:
-        accepted = "discs (x, y, radius), finite, of positive radius"
-        require_rows("discs", self.discs, accepted, is_disc)
-        require_positive("segment_radius", self.segment_radius)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:

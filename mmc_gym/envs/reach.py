@@ -40,10 +40,10 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     ## Description
     Three uniform rods of length 1 and mass 1 with continuous joints lie in a horizontal plane,
-    simulated by pymunk in control steps of 0.02 s (four physics steps of 0.005 s).  Each segment
-    turns the rotor of its drive, which has a quarter of the inertia that it moves: as in real arms,
-    and the solver then comes near the exact movement in a few sweeps.  A servo
-    at each joint follows the action with at most 2π rad/s and a torque of at most 500
+    simulated by pymunk in control steps of 0.02 s (four physics steps of 0.005 s).  As in real
+    arms, each segment also turns the rotor of its drive, which has a quarter of the inertia that it
+    moves; this lets the solver come near the exact movement in a few sweeps.  A servo at each joint
+    follows the action with at most 2π rad/s and a torque of at most 500
     (mass · length² / s²): the stretched arm turns by 90° in 0.40 s, to within 0.05 rad.
     Arms of more or longer segments get stronger servos (`ArmParameters.torque_limit`).
 
@@ -72,9 +72,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     | 11–12 | target − hand, segment lengths | ±6 |
     | 13–14 | (target − hand) / (0.05 + distance) | ±1 |
 
-    From 9 on vectors are in the frame of the first segment, its x axis: reaching is the same
-    in every direction, and a learner need not learn that.  The last two enlarge small distances,
-    where success is decided.
+    From index 9 on, vectors are in the frame whose x axis is the first segment: a learner need not
+    learn that reaching is the same in every direction.  The last two enlarge small distances, where
+    success is decided.
 
     ## Rewards
     Dense (default): −distance + 0.05 / (0.05 + distance) − mean((joint velocity / 2π)²); the
@@ -86,7 +86,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     Joint angles are uniform on the circle, at rest; the target is area-uniform over the disc (for
     unequal segments: the ring) that the hand can reach.  `reset(options={"joint_angles": …})` (3
     angles in radians) and `{"target": (x, y)}` set them.  Other tasks start in other ways; if
-    their trials are numbered (`setup.task.trial_count`), `{"trial": k}` chooses one.
+    their trials are numbered (`setup.task.trial_count`), `{"trial": k}` selects one.
 
     ## Episode End
     Episodes never terminate: the hand must stay at the target.  `gym.make` truncates them after

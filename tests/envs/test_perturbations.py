@@ -13,7 +13,6 @@ from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import (
     ForceField,
-    Gravity,
     HandMass,
     JointNoise,
     LockedJoint,
@@ -455,10 +454,9 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space(
         (lambda: VisuomotorRotation(math.nan), "degrees"),
         (lambda: VisuomotorRotation(30.0, (0.0, math.inf)), "centre"),
         (lambda: HandMass(-1.0), "mass"),
-        (lambda: ForceField(math.nan), "curl"),
-        (lambda: Gravity("strong"), "acceleration"),
+        (lambda: ForceField(math.nan).change_body(ArmParameters()), "force_field"),
         (lambda: LockedJoint(1.5).change_body(ArmParameters()), "joint"),
-        (lambda: Obstacles((1, 1, 0.2)), "discs"),
+        (lambda: Obstacles((1, 1, 0.2)).change_body(ArmParameters()), "obstacles"),
     ],
 )
 def test_values_that_make_no_sense_are_refused(make: Callable[[], object], name: str) -> None:

@@ -17,18 +17,8 @@ from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
-CONDITIONS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "all": {
-        "segment_lengths": (1.5, 1.0, 0.4),
-        "segment_masses": (2.0, 0.5, 0.1),
-        "joint_limits": LIMITS,
-        "gravity": (3.0, -9.81),
-    },
-}
 
 every_control = pytest.mark.parametrize("control", get_args(Control))
-every_condition = pytest.mark.parametrize("body", CONDITIONS.values(), ids=CONDITIONS.keys())
 
 
 def hand_of(joint_angles: Any, lengths: tuple[float, ...] = (1.0,) * 3) -> np.ndarray:
@@ -49,23 +39,6 @@ def future(env: MMCReachEnv, seed: int = 0, steps: int = 40) -> list[Any]:
             action = random.uniform(-1, 1, action.shape).astype(np.float32)
         record.append(env.step(action))
     return [*record, env.reset(), env.step(action), env.np_random.random()]
-
-
-# --- Reset
-
-
-@every_control
-@every_condition
-def test_a_reset_environment_has_the_future_of_a_new_one(
-    control: Control, body: dict[str, Any]
-) -> None:
-    used = MMCReachEnv(control=control, **body)
-    used.reset(seed=1)
-    for episode in range(4):
-        future(used, seed=episode)
-        new = MMCReachEnv(control=control, **body)
-        assert same(used.reset(seed=50 + episode), new.reset(seed=50 + episode))
-        assert same(future(used, seed=9), future(new, seed=9))
 
 
 @pytest.mark.parametrize(

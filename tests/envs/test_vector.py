@@ -157,15 +157,6 @@ def test_it_has_the_time_limit_of_the_registration_or_none(limit: dict[str, Any]
     assert np.flatnonzero(ends).tolist() == ([] if limit else [99])
 
 
-def test_a_goal_reward_is_that_of_the_goals() -> None:
-    vector = make_native("MMCReachGoal-v0", success_distance=1.0)
-    vector.reset(seed=0)
-    for action in random_actions(vector, 20):
-        observation, rewards, *_ = vector.step(action)
-        goals = observation["achieved_goal"], observation["desired_goal"]
-        assert same(vector.compute_reward(*goals, {}), rewards)  # type: ignore[attr-defined]
-
-
 # --- What is refused
 
 REFUSED: dict[str, tuple[Callable[[VectorEnv], Any], str]] = {
