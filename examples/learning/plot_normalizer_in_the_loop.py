@@ -14,15 +14,15 @@ import torch
 
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
-from mmc_gym.network.fitting import ACCURATE, Refinement, train_normalizers
+from mmc_gym.network.fitting import ACCURATE, train_normalizers
 
 # %%
 # Eight hidden units learn to bring vectors to their length by imitation: 60 epochs of Adam; four
 # times as many; and 60 that Levenberg and Marquardt's method refines.
 
-short = replace(ACCURATE, samples=3600, epochs=60, refinement=Refinement(iterations=0))
+short = replace(ACCURATE, samples=3600, epochs=60, refinement_iterations=0)
 recipes = {"60 epochs": short, "240 epochs": replace(short, epochs=240)}
-recipes["60 epochs, refined"] = replace(short, refinement=Refinement())
+recipes["60 epochs, refined"] = replace(short, refinement_iterations=300)
 learned = {name: train_normalizers((8,), one)[0].normalizer for name, one in recipes.items()}
 
 # %%

@@ -1,12 +1,12 @@
 """Fit the MLPs that learn to normalize, several runs of them at once.
 
-Each MLP f gets vectors x = r u of random length r in direction u, and should return u (paper,
+Each MLP f gets vectors x = r u of random length r in direction u, and learns to return u (paper,
 Sect. "Learning the Normalization Network").  There are two recipes:
 
-* `PAPER`: the paper's.  Adam on the mean squared error |f(x) − u|²/2.  For lengths near 1 it
+* `PAPER`: the paper's.  Adam on the mean squared error E = |f(x) − u|²/2.  For lengths near 1 it
   ends at mean angle errors of .25 to .5 degrees.
 * `ACCURATE`: what the MMC network needs.  Without biases the MLP is odd, f(−x) = −f(x), so that
-  it keeps the direction of even the shortest vectors.  After Adam, `refine` takes over.
+  it keeps the direction of even the shortest vectors.  `refine` follows Adam.
 
 Weight decay λ adds the L2 penalty λ Σ w² on the weights of all layers to E, as Keras'
 `kernel_regularizer=l2(λ)` in every layer does: ∂E/∂W_k gains 2 λ W_k.  The paper's sixty networks
@@ -15,16 +15,15 @@ have none.
 Runs stand on a leading axis: parameters are (runs, P), values (runs, units, samples), samples
 (runs, 4, n), each a column of x and u.
 
-The normalizers that ship with the package were trained, in about a minute, by
+This command trains the normalizers that ship with the package, in about a minute:
 
     OMP_NUM_THREADS=1 python -m mmc_gym.network.fitting
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from math import pi, sqrt
 from pathlib import Path
@@ -35,7 +34,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from mmc_gym._errors import is_whole, require, require_not_negative, require_whole
+from mmc_gym._errors import require, require_not_negative, require_whole
 from mmc_gym._grid import one_torch_thread
 from mmc_gym.network.normalizers import (
     WEIGHTS,
@@ -45,28 +44,23 @@ from mmc_gym.network.normalizers import (
 )
 
 Array: TypeAlias = NDArray[np.float64]
-Progress: TypeAlias = Callable[[int, int], None]
 _Layers: TypeAlias = "list[tuple[Tensor, Tensor]]"
 
 
-@dataclass(frozen=True)
-class Refinement:
-    """Settings of `refine`.
+BATCH_SIZE = 16
+"""Samples per update of Adam."""
+LEARNING_RATE = 0.001
+"""Step size of Adam."""
 
-    Attributes:
-        iterations: number of steps.
-        near: lengths within this of 1 have weight 1, because an arm at rest needs them.
-        far_weight: weight of all other lengths.
-        short: length below which the weight falls to 0, because no MLP does well near the zero
-            vector, where all directions meet.
-        length_weight: c, weight of the length error relative to the angle error.
-    """
-
-    iterations: int = 300
-    near: float = 0.3
-    far_weight: float = 0.1
-    short: float = 0.05
-    length_weight: float = 0.3
+# What `refine` weighs.
+NEAR = 0.3
+"""Lengths within this of 1 have weight 1, because an arm at rest needs them."""
+FAR_WEIGHT = 0.1
+"""Weight of all other lengths."""
+SHORT = 0.05
+"""Length below which the weight falls to 0: no MLP does well near the zero vector."""
+LENGTH_WEIGHT = 0.3
+"""c, weight of the length error relative to the angle error."""
 
 
 @dataclass(frozen=True)
@@ -75,17 +69,15 @@ class FittingSettings:
 
     Attributes:
         name: name that is written on the card.
-        samples: number of vectors, their directions spread evenly over the circle.  A fifth of
-            them, drawn at random, is left out of the training, for validation.
+        samples: number of vectors, their directions spread evenly over the circle.  A random fifth
+            of them is held out of the training, for validation.
         length_ranges: lengths are uniform in ]low, high]; sample k takes range k mod their number.
         epochs: passes of Adam over the training samples.
-        batch_size: samples per update.
-        learning_rate: Adam's step size.
         weight_decay: λ of the penalty λ Σ w² on the weights, without the biases, during Adam;
             recorded errors are without it.
         biases: whether units have biases; without them the MLP is odd.
         precision: floating point type to train in.
-        refinement: follows Adam, unless it has zero iterations.
+        refinement_iterations: iterations of `refine` after Adam.
 
     Raises:
         UserError: if a value is out of range.
@@ -95,16 +87,15 @@ class FittingSettings:
     samples: int = 3600
     length_ranges: tuple[tuple[float, float], ...] = ((0.0, 2.0),)
     epochs: int = 400
-    batch_size: int = 16
-    learning_rate: float = 0.001
     weight_decay: float = 0.0
     biases: bool = True
     precision: Literal["float32", "float64"] = "float32"
-    refinement: Refinement = field(default_factory=lambda: Refinement(iterations=0))
+    refinement_iterations: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("samples", 3), ("epochs", 1), ("batch_size", 1)):
-            require_whole(name, getattr(self, name), least)
+        require_whole("samples", self.samples, least=3)
+        require_whole("epochs", self.epochs)
+        require_whole("refinement_iterations", self.refinement_iterations, least=0)
         require_not_negative(weight_decay=self.weight_decay)
         ranges = self.length_ranges
         fine = bool(ranges) and all(0 <= low < high for low, high in ranges)
@@ -124,7 +115,7 @@ ACCURATE = FittingSettings(
     epochs=100,
     biases=False,
     precision="float64",
-    refinement=Refinement(),
+    refinement_iterations=300,
 )
 RECIPES = {recipe.name: recipe for recipe in (ACCURATE, PAPER)}
 
@@ -135,9 +126,9 @@ class TrainedNormalizer:
 
     Attributes:
         normalizer: the trained MLP; its card has recipe, seed, and measured errors.
-        training_mse: mean squared error on the training samples, one entry per epoch (mean over
-            its batches at the time), then one per refinement iteration.
-        validation_mse: the same on the validation samples, after each epoch or iteration.
+        training_mse: mean squared error on the training samples in each epoch of Adam, the mean
+            over its batches at the time, (epochs,).
+        validation_mse: mean squared error on the validation samples after each epoch, (epochs,).
     """
 
     normalizer: LearnedNormalizer
@@ -150,7 +141,6 @@ def train_normalizers(
     recipe: FittingSettings = ACCURATE,
     runs: int = 1,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> list[TrainedNormalizer]:
     """Train `runs` MLPs of one architecture together.
 
@@ -165,7 +155,6 @@ def train_normalizers(
         recipe: `ACCURATE`, `PAPER`, or another.
         runs: number of MLPs, each with its own samples, initial weights and order of samples.
         seed: seed of all random numbers, not negative.
-        progress: called with (epochs and refinement iterations done, their total number).
 
     Returns:
         One trained normalizer per run.
@@ -175,35 +164,25 @@ def train_normalizers(
     """
     require_whole("runs", runs)
     require_whole("seed", seed, least=0)
-    fine = isinstance(hidden_units, Sequence) and bool(hidden_units)
-    fine = fine and all(is_whole(units) and units >= 1 for units in hidden_units)
-    require(fine, "hidden_units", hidden_units, "a tuple of whole numbers, 1 or more each")
-    fine, accepted = isinstance(recipe, FittingSettings), "FittingSettings, such as PAPER"
-    require(fine, "recipe", recipe, accepted)
+    require(len(hidden_units) > 0, "hidden_units", hidden_units, "sizes of one layer or more")
+    for units in hidden_units:
+        require_whole("hidden_units", units)
     widths = (2, *hidden_units, 2)
-    total = recipe.epochs + runs * recipe.refinement.iterations
-    done = 0
-
-    def tick() -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(done, total)
-
     with one_torch_thread():
         generators = [_generator(seed, run) for run in range(runs)]
         samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
         parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
-        parameters, history = _adam(parameters, widths, samples, generators, recipe, tick)
+        parameters, history = _adam(parameters, widths, samples, generators, recipe)
     trained = []
     for run in range(runs):
+        validation, training = np.split(samples[run].numpy().T, [recipe.held_out])
         normalizer = _normalizer(parameters[run], widths)
-        normalizer, refined = _refined(normalizer, samples[run].numpy().T, recipe, tick)
-        training_mse, validation_mse = np.concatenate([history[run], refined]).T
-        card = {"seed": f"{seed}, run {run}", "validation_mse": f"{validation_mse[-1]:.4g}"}
+        normalizer = refine(normalizer, training[:, :2], recipe.refinement_iterations)
+        error = np.mean((normalizer(validation[:, :2]) - validation[:, 2:]) ** 2)
+        card = {"seed": f"{seed}, run {run}", "validation_mse": f"{error:.4g}"}
         card |= _card(normalizer, recipe)
         normalizer = LearnedNormalizer(normalizer.weights, normalizer.biases, card)
-        trained.append(TrainedNormalizer(normalizer, training_mse, validation_mse))
+        trained.append(TrainedNormalizer(normalizer, *history[run].T))
     return trained
 
 
@@ -214,7 +193,7 @@ def _card(normalizer: LearnedNormalizer, recipe: FittingSettings) -> dict[str, s
     return {
         "recipe": repr(recipe),
         "epochs": str(recipe.epochs),
-        "refinement_iterations": str(recipe.refinement.iterations),
+        "refinement_iterations": str(recipe.refinement_iterations),
         "mse": f"{mse:.4g} (all lengths to 2)",
         "mean_angle_error_deg": f"{near.mean():.4g} (lengths 0.9 to 1.1)",
         "worst_angle_error_deg": f"{everywhere.max():.4g} (lengths 1e-6 to 3)",
@@ -300,7 +279,6 @@ def _adam(
     samples: Tensor,
     generators: Sequence[torch.Generator],
     recipe: FittingSettings,
-    tick: Callable[[], None],
 ) -> tuple[Tensor, Array]:
     """Run Adam; return the fitted parameters and the history of errors (runs, epochs, 2)."""
     dtype = torch.float32 if recipe.precision == "float32" else torch.float64
@@ -314,7 +292,7 @@ def _adam(
         orders = [torch.randperm(count, generator=generator) for generator in generators]
         order = torch.stack(orders)[:, None].expand_as(training)
         total = training.new_zeros(len(parameters))
-        for batch in torch.split(training.gather(2, order), recipe.batch_size, dim=2):
+        for batch in torch.split(training.gather(2, order), BATCH_SIZE, dim=2):
             values = _forward(layers, batch[:, :2])
             error = values[-1] - batch[:, 2:]
             total += error.square().sum((1, 2))
@@ -327,35 +305,15 @@ def _adam(
             mean.lerp_(gradient, 0.1)
             variance.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
             # Keras adds its 1e-7 before the bias correction, torch's Adam adds 1e-8 after it.
-            step = recipe.learning_rate * sqrt(1 - 0.999**update) / (1 - 0.9**update)
+            step = LEARNING_RATE * sqrt(1 - 0.999**update) / (1 - 0.9**update)
             parameters.addcdiv_(mean, variance.sqrt().add_(1e-7), value=-step)
         error = _forward(layers, validation[:, :2])[-1] - validation[:, 2:]
         history.append(torch.stack([total / (2 * count), error.square().mean((1, 2))], dim=1))
-        tick()
     return parameters.double(), torch.stack(history, dim=1).double().numpy()
 
 
-def _refined(
-    normalizer: LearnedNormalizer, samples: Array, recipe: FittingSettings, tick: Callable[[], None]
-) -> tuple[LearnedNormalizer, Array]:
-    """Refine on samples (n, 4); return the normalizer and the history (iterations, 2)."""
-    validation, training = np.split(samples, [recipe.held_out])
-    history: list[list[float]] = []
-
-    def record(current: LearnedNormalizer) -> None:
-        errors = [(current(part[:, :2]) - part[:, 2:]) ** 2 for part in (training, validation)]
-        history.append([float(error.mean()) for error in errors])
-        tick()
-
-    normalizer = refine(normalizer, training[:, :2], recipe.refinement, record)
-    return normalizer, np.reshape(history, (-1, 2))
-
-
 def refine(
-    normalizer: LearnedNormalizer,
-    vectors: ArrayLike,
-    refinement: Refinement | None = None,
-    after_iteration: Callable[[LearnedNormalizer], None] | None = None,
+    normalizer: LearnedNormalizer, vectors: ArrayLike, iterations: int
 ) -> LearnedNormalizer:
     """Refine a normalizer so that it turns vectors less.
 
@@ -371,15 +329,13 @@ def refine(
     Args:
         normalizer: the normalizer to begin with.
         vectors: vectors to do better on, none of them zero, shape (n, 2).
-        refinement: iterations and weights.
-        after_iteration: called with the normalizer of every iteration.
+        iterations: number of steps.
 
     Returns:
         The refined normalizer, without a card.
     """
-    refinement = refinement or Refinement()
     vectors = np.asarray(vectors, dtype=np.float64)
-    projections = _projections(vectors, refinement)
+    projections = _projections(vectors)
     widths, parts, free = (2, *normalizer.hidden_units, 2), [], []
     for weight, bias in zip(normalizer.weights, normalizer.biases, strict=True):
         parts += [weight.ravel(), bias]
@@ -389,7 +345,7 @@ def refine(
     values = [vectors, *normalizer.activations(vectors)]
     errors = _errors(values[-1], projections)
     damping = 0.01
-    for _ in range(refinement.iterations):
+    for _ in range(iterations):
         jacobian = np.concatenate([_jacobian(normalizer, values, a) for a in projections])
         jacobian = jacobian[:, is_free]
         normal, slope = jacobian.T @ jacobian, jacobian.T @ errors
@@ -406,19 +362,17 @@ def refine(
                 damping = max(damping / 3, 1e-12)
                 break
             damping = min(4 * damping, 1e300)  # where nothing more is gained, it goes on growing
-        if after_iteration:
-            after_iteration(normalizer)
     return normalizer
 
 
-def _projections(vectors: Array, refinement: Refinement) -> list[Array]:
+def _projections(vectors: Array) -> list[Array]:
     """Return the weighted directions across and along u, each (n, 2), to project f(x) − u on."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     along = vectors / lengths
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    weight = np.where(abs(lengths - 1) <= refinement.near, 1.0, refinement.far_weight)
-    weight *= np.minimum(lengths / refinement.short, 1)
-    return [weight * across, weight * refinement.length_weight * along]
+    weight = np.where(abs(lengths - 1) <= NEAR, 1.0, FAR_WEIGHT)
+    weight *= np.minimum(lengths / SHORT, 1)
+    return [weight * across, weight * LENGTH_WEIGHT * along]
 
 
 def _errors(output: Array, projections: list[Array]) -> Array:
@@ -442,11 +396,8 @@ def _jacobian(normalizer: LearnedNormalizer, values: list[Array], projection: Ar
     return np.concatenate(parts, axis=1)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(folder: Path = WEIGHTS) -> None:
     """Train the normalizers that the package ships and write their files."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--folder", type=Path, default=WEIGHTS)
-    folder = parser.parse_args(arguments).folder
     for name, recipe in RECIPES.items():
         normalizer = train_normalizers(recipe=recipe)[0].normalizer
         path = folder / f"{name}-16x16.safetensors"
