@@ -1,6 +1,6 @@
 """The base of all agents: the signature of `predict`, and the way from observation to action.
 
-An agent sees observations only; `ReachInterface` is what it is given besides.
+An agent sees only observations; besides, it is given a `ReachInterface`.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Agent(ABC, Generic[State]):
             state: what the last call returned; None at the start.
             episode_start: for each environment, whether a new episode starts with this
                 observation, so that its part of the state is made anew.
-            deterministic: without exploration, for agents that explore.
+            deterministic: whether agents that explore act without exploration.
 
         Returns:
             The action, float32 within −1 and 1, and the state for the next call.
@@ -88,10 +88,10 @@ class Agent(ABC, Generic[State]):
 
 
 class InternalModelAgent(Agent[State]):
-    """An agent whose state is an internal model of the arm, and which gives joint targets."""
+    """An agent whose state is an internal model of the arm, and which returns joint targets."""
 
     def __init__(self, interface: ReachInterface) -> None:
-        """Make an agent for the environment that `interface` was read off.
+        """Make an agent for the environment that `interface` describes.
 
         Raises:
             CannotActError: under torque control.
@@ -116,8 +116,8 @@ class InternalModelAgent(Agent[State]):
         """Return the state to resume from: made anew where an episode starts.
 
         Raises:
-            UserError: if the state is that of another agent or of another number of arms, or
-                `episode_start` has other batch axes than what is sensed.
+            UserError: if the state comes from another agent or another number of arms, or
+                `episode_start` has other batch axes than the observations.
         """
         if state is None:
             return self.start(sensed)
@@ -152,7 +152,7 @@ class JointTargetAgent(InternalModelAgent[State]):
 
 
 def starting(episode_start: Started, batch: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """Return for which arms an episode starts, of the shape `batch`; None for none of them.
+    """Return for which arms an episode starts, of shape `batch`; None if it starts for no arm.
 
     Raises:
         UserError: if `episode_start` has other batch axes.
@@ -218,7 +218,7 @@ def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:
 
 
 def some(values: NDArray[Any]) -> bool:
-    """Return whether any value is not 0; for few of them in a third of the time of `any`."""
+    """Return whether any value is not 0; for small arrays three times as fast as `any`."""
     return bool(np.count_nonzero(values))
 
 
@@ -228,10 +228,10 @@ def every(values: NDArray[Any]) -> bool:
 
 
 def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> None:
-    """Warn, by a `MismatchWarning`, if an agent was trained with another arm than that of `env`.
+    """Warn with a `MismatchWarning` if an agent was trained with another arm than that of `env`.
 
-    Another engine makes no difference, because engines simulate the same arm.  Perturbations do
-    not count: they are intended.  If either arm is unknown, there is no warning.
+    Engines do not matter, because they simulate the same arm.  Perturbations do not count, because
+    they are intended.  If either arm is unknown, there is no warning.
     """
     here = read_attribute(env, "unperturbed")
     if trained is None or here is None:
@@ -243,7 +243,10 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
 
 
 def _differences(trained: ArmParameters, here: ArmParameters) -> Iterator[str]:
-    """Name the parameters in which arms differ; the same control step may have other substeps."""
+    """Name the parameters in which arms differ.
+
+    The same control step may have other substeps.
+    """
     solved = ("segment_masses", "substep", "substeps")
     names = [each.name for each in fields(trained) if each.name not in solved]
     for name in (*names, "masses", "control_step"):
@@ -255,10 +258,9 @@ def _differences(trained: ArmParameters, here: ArmParameters) -> Iterator[str]:
 class RandomAgent(Agent[None]):
     """Draws every action uniformly from −1 to 1."""
 
-    def __init__(self, action_size: int, seed: int = 0) -> None:
-        """Make the agent; the same seed gives the same actions."""
+    def __init__(self, action_size: int) -> None:
         self._action_size = action_size
-        self._random = np.random.default_rng(seed)
+        self._random = np.random.default_rng(0)
 
     @override
     def predict(

@@ -1,10 +1,10 @@
 """Inverse kinematics as a policy: a solver iterates on an internal posture, servos follow it.
 
 The internal posture starts as the sensed one.  In each control step a solver takes it nearer to
-the target, by a few iterations, and its joint angles are the servos' targets.  Nothing sensed
-later changes it: that is resolved-rate control (Whitney 1969) over position servos.
+the target, by a few iterations, and its joint angles are the servos' targets.  Later
+senses do not change it: this is resolved-rate control (Whitney 1969) over position servos.
 
-**By the Jacobian.**  With J, how the hand's position changes with the joint angles q,
+**By the Jacobian.**  With J, the derivative of the hand's position by the joint angles q,
 
     e = target − hand,   shortened to at most `max_step`
     damped least squares   Δq = Jᵀ(JJᵀ + λ²I)⁻¹e
@@ -20,9 +20,9 @@ given, an arm of three is one of two, to the wrist:
     q₁ = ∠w − ∠(ℓ₁ + ℓ₂ cos q₂, ℓ₂ sin q₂),     q₃ = φ − q₁ − q₂
 
 The half angle is exact where acos is not: near the stretched and the folded arm.  φ is the one
-redundant freedom; the angle α between φ and the target's direction decides on |w|.  The possible
-ones are an interval of |α|, which is swept.  Of all solutions the nearest to the present posture is
-taken, in the Euclidean distance of joint angles the short way round.
+redundant freedom.  The angle α between φ and the target's direction determines |w|.  Possible α
+form an interval of |α|, which is swept.  The solution nearest to the present posture is chosen, by
+the Euclidean distance of joint angles the short way round.
 
 Literature: D. E. Whitney (1969), Resolved motion rate control of manipulators and human
 prostheses, IEEE Trans. Man-Machine Systems 10, 47–53.  C. W. Wampler (1986), IEEE Trans. Syst. Man
@@ -42,7 +42,7 @@ from typing import TypeAlias
 import numpy as np
 from typing_extensions import override
 
-from mmc_gym._errors import require, require_whole
+from mmc_gym._errors import require_whole
 from mmc_gym.agents.base import JointTargetAgent
 from mmc_gym.interface import CannotActError, JointLimits, ReachInterface, Sensed
 from mmc_gym.network.chain import (
@@ -90,7 +90,6 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
                 control, or if the solver is none for this number of segments.
         """
         require_whole("iterations_per_step", iterations_per_step)
-        require(callable(solver), "solver", solver, "a function, such as damped_least_squares")
         super().__init__(interface)
         self.solver = solver
         self.iterations_per_step = iterations_per_step
@@ -118,10 +117,10 @@ def iterate(
     iterations: int,
     joint_limits: JointLimits | None = None,
 ) -> Floats:
-    """Return joint angles (..., N) after iterations of a solver, out of a dead end if in one.
+    """Return joint angles (..., N) after iterations of a solver; first leave a dead end.
 
-    A target out of reach is replaced by the nearest point within: an arm that keeps pulling outward
-    trembles where it is stretched.
+    A target out of reach is replaced by the nearest point within reach, because an arm that keeps
+    pulling outward trembles where it is stretched.
     """
     target = nearest_reachable(target, segment_lengths)
     joint_angles = leave_line(joint_angles, target, segment_lengths)
@@ -133,7 +132,7 @@ def iterate(
 def jacobian(
     joint_angles: Floats, segment_lengths: SegmentLengths
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the hand (..., 2), and how it moves with the joints: ∂x/∂q and ∂y/∂q, each (..., N).
+    """Return the hand (..., 2), and its derivatives ∂x/∂q and ∂y/∂q by the joints, (..., N) each.
 
     A joint turns the hand about itself: column i of J is (hand − p_i) turned by 90°.
     """
@@ -150,12 +149,12 @@ def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths | Floats
 
 
 def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:
-    """Return the same joint angles (..., N), but bent a little where an iteration gets nowhere.
+    """Return joint angles (..., N), with arms bent a little that no iteration could move.
 
     Where all segments and the target lie in one line, no joint can move the hand towards the
-    target (Jᵀe = 0).  The network has no way out either, for all its vectors lie in that line, and
-    so do their means.  Each joint of such an arm turns by `BEND`, unless the hand is at the target,
-    (..., 2), which must be within reach.
+    target (Jᵀe = 0).  The network has no way out either: all its vectors lie in that line, and so
+    do their means.  Each joint of such an arm turns by `BEND`, unless the hand is at the target.
+    Targets (..., 2) must be within reach.
     """
     straight = np.abs(np.sin(joint_angles[..., 1:])).max(axis=-1, initial=0.0) < STRAIGHT
     if not straight.any():
@@ -199,13 +198,13 @@ def null_space(
 ) -> Floats:
     """Iterate once by damped least squares, towards a comfortable posture: a `Solver`.
 
-    H = ½ Σ (q_i − m_i)²: Liégeois's distance from the middles m of the joints' ranges.  Where there
-    are no limits these are 0, and the first joint, which only says where the arm points, is left
-    out: among all postures that reach the target the evenly bent one is the most comfortable.
-    With limits each term has a weight, (narrowest range / its range)⁴, and joints may pass through
-    the forbidden range here: comfort takes them out again, and the servos go round.  The projector
-    is that of the undamped pseudo-inverse, so comfort does not move the hand; it is bounded, so it
-    needs no damping.  `comfort` is κ, the share of the way to it that one iteration goes.
+    H = ½ Σ (q_i − m_i)²: Liégeois's distance from the middles m of the joints' ranges.  Without
+    limits the middles are 0, and the first joint is left out, because it only turns the whole arm:
+    of all postures that reach the target the evenly bent one is the most comfortable.  With limits
+    each term has the weight (narrowest range / its range)⁴.  Joints may then pass through the
+    forbidden range here: comfort brings them back, and the servos go round.  The projector is that
+    of the undamped pseudo-inverse, so comfort does not move the hand.  It is bounded, so it needs
+    no damping.  `comfort` is κ, the share of the way that one iteration goes.
     """
     moved, jacobian_x, jacobian_y = _damped_step(joint_angles, target, segment_lengths)
     if joint_limits is None:
@@ -242,9 +241,9 @@ def _damped_step(
 
 
 def _without_hand(jacobian_x: Floats, jacobian_y: Floats, change: Floats) -> Floats:
-    """Return (I − J⁺J) Δq: changes (..., N) of joint angles without what moves the hand.
+    """Return (I − J⁺J) Δq: changes (..., N) of joint angles that do not move the hand.
 
-    With J = Σ σ u vᵀ it takes away the part of the change along each σ v = Jᵀu, if σ is more than a
+    With J = Σ σ u vᵀ, remove the part of the change along each σ v = Jᵀu whose σ is more than a
     millionth of the largest.
     """
     xx = (jacobian_x * jacobian_x).sum(axis=-1)
@@ -285,7 +284,7 @@ def closed_form(
         segment_lengths: N = 1, 2 or 3 lengths.
         joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
             Solutions beyond them do not count, and distances are measured along the way that the
-            limits allow.  If all are beyond, the one least so is brought to the limits.
+            limits allow.  If all are beyond, the one least beyond is moved to the limits.
 
     Raises:
         CannotActError: for another number of segments.
@@ -344,10 +343,10 @@ def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Flo
 
 
 def _orientations(distance: Floats, present: Floats, segment_lengths: SegmentLengths) -> Floats:
-    """Return α of a sweep, for targets at a distance from the base; (..., 2 `ORIENTATIONS` + 1)."""
+    """Return the α of a sweep for targets at a distance, (..., 2 `ORIENTATIONS` + 1)."""
     first, second, last = segment_lengths
     # |w|² = distance² + ℓ₃² − 2 distance ℓ₃ cos α; at the base any α gives the same.
-    product = np.maximum(2 * distance * last, np.finfo(np.float64).tiny)
+    product = np.maximum(2 * distance * last, _TINY)
     square = distance * distance + last * last
     least = np.arccos(np.clip((square - (first - second) ** 2) / product, -1.0, 1.0))
     most = np.arccos(np.clip((square - (first + second) ** 2) / product, -1.0, 1.0))
@@ -357,7 +356,7 @@ def _orientations(distance: Floats, present: Floats, segment_lengths: SegmentLen
 
 
 def _two_segments(wrist: Floats, first: float, second: float) -> tuple[Floats, Floats]:
-    """Return both solutions for two segments, (..., 2); to the nearest point if too far."""
+    """Return both solutions for two segments, (..., 2); if too far, for the nearest point."""
     distance = np.hypot(wrist[..., 0], wrist[..., 1])
     short = (first + second - distance) * (first + second + distance)
     long = (distance - abs(first - second)) * (distance + abs(first - second))

@@ -1,21 +1,20 @@
 """The MMC network as a policy: target → internal model → joint targets.
 
-At the start of an episode the network is set to the observed posture.  From then on it runs
-without further senses, a few iterations per control step with its end effector clamped to the
-target.  The servos follow the joint angles of its segments.
+At the start of an episode the network is set to the observed posture.  Then it runs without
+further senses, a few iterations per control step, with its end effector clamped to the target.  The
+servos follow the joint angles of its segments.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.agents.base import JointTargetAgent, State, where
-from mmc_gym.agents.inverse_kinematics import STRAIGHT, leave_line
+from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.agents.planners import MovementTiming, begin, follow, step
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.network import Clamps, EuclideanNormalizer, MMCNetwork, MMCState, Normalizer
@@ -26,7 +25,6 @@ from mmc_gym.network.chain import (
     wrap_angle,
 )
 from mmc_gym.network.embodied import Embodiment, embodied_run
-from mmc_gym.network.model import NetworkEngine
 from mmc_gym.network.time_base import share, timed_step
 
 
@@ -52,7 +50,7 @@ class NetworkAgent(JointTargetAgent[State]):
 
         Args:
             interface: of the environment.
-            network: the internal model; of the environment's segment lengths.
+            network: the internal model, with the environment's segment lengths.
             iterations_per_step: iterations of the network in a control step.
 
         Raises:
@@ -68,19 +66,6 @@ class NetworkAgent(JointTargetAgent[State]):
             raise UserError(f"network must be {accepted}, got one of {own}")
         self.network = network
         self.iterations_per_step = iterations_per_step
-
-    def with_engine(self, engine: NetworkEngine) -> Self:
-        """Return the agent with another engine of its network, see `MMCNetwork`.
-
-        >>> import gymnasium as gym, mmc_gym
-        >>> env = gym.make("MMCReach-v0")
-        >>> agent = mmc_gym.make_agent("mmc", env).with_engine("numba")
-
-        Raises:
-            UserError: if there is no such engine, or it cannot run the network.
-        """
-        network = replace(self.network, engine=engine)
-        return type(self)(self.interface, network, self.iterations_per_step)
 
     @property
     @override
@@ -118,13 +103,13 @@ def run_within_limits(
 ) -> MMCState:
     """Run networks, and keep their joints within the limits.
 
-    A joint limit acts like a sensed posture (`network.embodied`): for an arm with a joint beyond a
+    A joint limit acts like a sensed posture (`network.embodied`).  For an arm with a joint beyond a
     limit, the nearest posture within the limits is one more computation in the mean, of weight
     N + 1.  So the other joints take over what that joint cannot do.
 
-    Of 200 random targets under limits of ±3, ±2, ±2 the network reaches 80 % in this way, 64 % if
-    the servos alone stop at the limits, and 53 % if it is set to the posture in which its joints
-    have stopped.  The rest needs a detour, which it does not look for.
+    Of 200 random targets under limits of ±3, ±2, ±2 the network reaches 80 % in this way.  It
+    reaches 64 % if only the servos stop at the limits, and 53 % if it is set to the posture in
+    which its joints stopped.  The other targets need a detour, which it does not look for.
     """
     weight = network.segment_count + 1.0
     for _ in range(iterations):
@@ -142,32 +127,28 @@ def run_within_limits(
 def out_of_line(network: MMCNetwork, state: MMCState, held: Clamps) -> MMCState:
     """Return networks, bent a little if they could not get to their targets.
 
-    An arm gets into such a dead end (see `leave_line`) only with a new target, so `held`, the clamp
-    of the end effector, is first compared with the last one.  Then it is checked whether any arm is
-    nearly straight.  Both are quick.
+    An arm gets into such a dead end (see `leave_line`) only with a new target.  So `held`, the
+    clamp of the end effector, is first compared with the last one.
     """
-    (row,), count = held.rows, network.segment_count
+    (row,), lengths = held.rows, network.segment_lengths
     if held.values.tobytes() == state.values[row].tobytes():
         return state
-    x, y = state.values[:count].swapaxes(0, 1)
-    areas = x[:-1] * y[1:] - y[:-1] * x[1:]
-    lengths = network.segment_lengths
-    if np.abs(areas).max(axis=0).min() > STRAIGHT * max(lengths) ** 2:
-        return state
-    target = np.moveaxis(held.values[0], 0, -1)
     joint_angles = state.joint_angles
-    bent = leave_line(joint_angles, nearest_reachable(target, lengths), lengths)
+    target = nearest_reachable(np.moveaxis(held.values[0], 0, -1), lengths)
+    bent = leave_line(joint_angles, target, lengths)
     is_stuck = np.asarray((bent != joint_angles).any(axis=-1))
-    return where(is_stuck, network.state_from_joint_angles(bent), state)
+    return (
+        where(is_stuck, network.state_from_joint_angles(bent), state) if is_stuck.any() else state
+    )
 
 
 def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None) -> MMCAgent:
-    """Return the dynamic network at its best setting; the normalizer is Euclidean if None is given.
+    """Return the dynamic network at its best setting; by default the normalizer is Euclidean.
 
-    With d = N + 1 the linear part converges fastest without oscillation; the other constants are
-    the paper's.  With three iterations per control step it reaches all but about one in a thousand
-    random targets within the 2 s of an episode.  Longer chains converge more slowly: with ten
-    segments it reaches 41 % in these 300 iterations, and 85 % in 600.
+    With d = N + 1 the linear part converges fastest without oscillation.  The other constants are
+    the paper's.  With three iterations per control step it misses about one in a thousand random
+    targets within the 2 s of an episode.  Longer chains converge more slowly: with ten segments it
+    reaches 41 % in these 300 iterations, and 85 % in 600.
     """
     network = network_of_arm(
         interface,
@@ -181,8 +162,8 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None)
 def tuned_mmc(interface: ReachInterface) -> MMCAgent:
     """Return the network of `mmc` with constants from `mmc-gym tune mmc`: 20 trials, 200,000 steps.
 
-    With them the hand is at the target for 77.2 % of the time, with those of `mmc` for 75.5 %.  d
-    is just above (N + 1) / 2, the bound of convergence.
+    The hand is at the target for 77.2 % of the time, with the constants of `mmc` for 75.5 %.  d is
+    just above (N + 1) / 2, the bound of convergence.
     """
     network = network_of_arm(
         interface,
@@ -204,9 +185,9 @@ class TimedMMCState(NamedTuple):
 class TimedMMCAgent(NetworkAgent[TimedMMCState]):
     """A kinematic MMC network on a time base that drives the arm, with a bell-shaped speed.
 
-    Unlike in `MMCAgent`, the gain of every iteration lets the hand cover the share of its way that
-    a minimum-jerk movement would (`network.time_base`).  `planners` defines when a movement begins
-    and how long it takes.
+    Unlike in `MMCAgent`, the gain of each iteration makes the hand cover the same share of its way
+    as a minimum-jerk movement (`network.time_base`).  `planners` defines when a movement begins and
+    how long it takes.
     """
 
     @override

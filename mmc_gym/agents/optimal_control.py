@@ -1,16 +1,16 @@
 """Optimal feedback control: the linear-quadratic-Gaussian controller of the linearised arm.
 
-This is the field's normative model of movement (Todorov & Jordan 2002).  Nothing plans a path: at
-any time the feedback is optimal, given noise that grows with the command.  So it corrects errors
-only where they matter: along what moves the hand.
+This is the field's normative model of movement (Todorov & Jordan 2002).  No path is planned.  At
+any time the feedback is optimal under noise that grows with the command.  So it corrects errors
+only where they matter: where they move the hand.
 
-**The body, as given.**  A joint turns as fast as its servo is commanded to.  The drive a changes
-that speed, and follows the command u late, as muscles do:
+**The given body.**  A joint turns at the speed that its servo is commanded.  The drive a changes
+that speed, and follows the command u with a lag, as muscles do:
 
     q̇ = v,     v̇ = a,     τ ȧ = u (1 + c ε) − a,     ε normal
 
-**The task.**  Be at the target after the time T, and stay.  During a reach hardly anything but
-effort costs; from then on every control step costs, for ever,
+**The task.**  Be at the target after the time T, and stay.  During a reach there is little cost
+but effort.  After it every control step costs, for ever,
 
     |e|² + ρ² |ṗ|² + η² |v|² + r |u|²,     e target − hand,  p hand
 
@@ -22,19 +22,19 @@ time, with S the cost to go (Todorov 2005),
 
     L = (r + (1 + c²) BᵀSB)⁻¹ BᵀSA,     u = −L (z, v, a),     S ← Q + AᵀS (A − BL)
 
-Staying is the fixed point of this (Qian, Jiang, Jiang & Mazzoni 2013): a Riccati equation, with
-c² BᵀSB added to r.  A reach ends in it.  L depends only on s and on the number of remaining steps:
-it is solved once for a table of both, and looked up for the present posture.
+Staying is the fixed point of this recursion (Qian, Jiang, Jiang & Mazzoni 2013): a Riccati
+equation, with c² BᵀSB added to r.  A reach ends in it.  L depends only on s and on the number of
+remaining steps.  It is solved once for a table of both, and looked up for the present posture.
 
 **Senses.**  Kalman filters have constant gains, from the dual Riccati equation.  There is one for
 each joint, with the command as efference copy; one for the difference between the seen and the felt
-hand; and one for a target that may move.  Noise is not given: it is assumed to be that of people.
-Senses are assumed to be on time, unless a delay is given.  Then the filters estimate the past.
-Joints are extrapolated from there by the commands since then, and the target by its velocity.
+hand; and one for a target that may move.  The noise is not given.  It is assumed to be that of
+people.  Senses are assumed to be on time, unless a delay is given.  Then the filters estimate the
+past; joints are extrapolated by the commands since then, and the target by its velocity.
 
 Literature: Todorov & Jordan (2002), Nature Neurosci. 5, 1226–1235.  Todorov (2005), Neural Comput.
-17, 1084–1108.  Todorov & Li (2005), Proc. American Control Conf., 300–306 (linearise where the arm
-is).  Qian et al. (2013), Neural Comput. 25, 697–724.  van Beers, Sittig & Denier van der Gon
+17, 1084–1108.  Todorov & Li (2005), Proc. American Control Conf., 300–306 (linearise at the present
+posture).  Qian et al. (2013), Neural Comput. 25, 697–724.  van Beers, Sittig & Denier van der Gon
 (1998), Exp. Brain Res. 122, 367–377 (noise of the senses).
 """
 
@@ -58,7 +58,7 @@ from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What is optimised, and the noise that is assumed.
+    """Costs to minimise, and assumptions on timing, lag, noise and delay.
 
     Attributes:
         shortest: T₀, duration of a movement of no length, s.
@@ -66,9 +66,9 @@ class Assumptions:
         longest: largest duration of a movement, s; at least a control step.
         lag: τ of the drive, s.
         velocity_cost: ρ, s.
-        joint_cost: η, lengths · s / rad; it ends movements that leave the hand in place.
+        joint_cost: η, lengths · s / rad; it stops movements that do not move the hand.
         effort_cost: √r, lengths · s² / rad.
-        motor_noise: c, noise of a command as a fraction of it.
+        motor_noise: c, noise as a fraction of the command.
         joint_noise: of felt joint angles, rad; that of felt velocities is ten times this, rad/s.
         vision_noise: of the seen hand and target, segment lengths.
         slip: error of a joint's turn in a control step, rad.
@@ -108,7 +108,7 @@ DEFAULT = Assumptions()
 TARGET_JUMP_DISTANCE = 0.5
 """A target farther than this from the expected place has jumped, segment lengths."""
 SOFT = 0.05
-"""Keeps joints that hardly move the hand from chasing a moving target, lengths² / rad²."""
+"""Stops joints that hardly move the hand from chasing a moving target, lengths² / rad²."""
 SMALLEST, LARGEST, ENTRIES = 0.01, 30.0, 81
 """Values of s in the table of gains, lengths / rad: spaced by one ratio, interpolated linearly."""
 
@@ -125,7 +125,7 @@ def staying_cost(assumed: Assumptions, moves: float) -> Floats:
 
 
 def optimal_gain(assumed: Assumptions, step: float, value: Floats) -> Floats:
-    """Return L (..., 3) if the cost to go from the next step on is S, (..., 3, 3)."""
+    """Return L (..., 3) for a cost to go of S after the next step, (..., 3, 3)."""
     a, b = plant(assumed, step)
     stake = (1 + assumed.motor_noise**2) * (b.T @ value @ b)[..., 0]
     gain: Floats = (b.T @ value @ a)[..., 0, :] / (assumed.effort_cost**2 + stake)
@@ -225,7 +225,7 @@ def gains(assumed: Assumptions, step: float) -> Gains:
     felt, seen = assumed.joint_noise**2 * np.diag([1.0, 100.0]), assumed.vision_noise**2 * np.eye(1)
     return Gains(
         np.ascontiguousarray(np.moveaxis(control, -1, 0)),
-        # A joint's velocity is the one that is asked for, whatever it was.
+        # A joint's velocity is the commanded one, whatever it was before.
         posture=np.diag(kalman_gain(fresh, np.eye(2), hindered, felt)),
         vision=float(kalman_gain(np.eye(1), np.eye(1), assumed.drift**2 * np.eye(1), seen)[0, 0]),
         target=kalman_gain(glides, np.eye(1, 2), assumed.swerve**2 * bump, seen)[:, 0],
@@ -270,7 +270,7 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         Args:
             interface: of the environment.
             assumed: see `Assumptions`.
-            noise_seed: seed of the noise of its commands, when not deterministic; None: no noise.
+            noise_seed: seed of the noise of its commands when not deterministic; None: no noise.
 
         Raises:
             UserError: if the longest movement is shorter than a control step; as `CannotActError`,
@@ -305,13 +305,13 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         state = self.resumed(state, seen, episode_start)
         state = self._perceived(state, seen)
         state = self._driven(state, None if deterministic else self._random)
-        # A position servo turns a joint at this velocity if its target is so far ahead.
+        # A position servo turns a joint at this velocity if its target is this far ahead.
         ahead = state.velocity / self.interface.servo_gain
         now = seen.joint_angles + self.interface.control_step * state.asked.sum(axis=-2)
         return self.interface.act(now + ahead, replace(seen, joint_angles=now)), state
 
     def _perceived(self, before: Belief, seen: Seen) -> Belief:
-        """Return the state as sensed now: the expected one, corrected by the gains."""
+        """Return the expected state at this time, corrected by the senses."""
         gains, assumed = self.gains, self.assumed
         step, lengths = self.interface.control_step, self.interface.segment_lengths
         asked = np.concatenate((before.asked, before.velocity[..., None, :]), axis=-2)
@@ -369,7 +369,7 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         command = (rows * command[..., None]).sum(axis=-2) + still
         velocity = state.velocity + step * state.drive
         drive = state.drive + step / assumed.lag * (command - state.drive)
-        # If the fastest joint must be slower, all are, so that the hand keeps its direction.
+        # If the fastest joint must slow down, all do, so that the hand keeps its direction.
         fastest = np.abs(velocity).max(axis=-1, keepdims=True)
         share = interface.speed_limit / np.maximum(fastest, interface.speed_limit)
         remaining = np.maximum(state.remaining - 1.0, 0.0)

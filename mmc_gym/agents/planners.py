@@ -1,23 +1,23 @@
 """Planned movements of the hand, by minimum jerk.
 
-A movement begins with the episode, and wherever the target jumps.  It takes
+A movement begins with the episode, and whenever the target jumps.  It takes
 
     T = T₀ + d / v̄,     d the distance of the hand from the target at its beginning
 
 Durations of reaching movements grow about linearly with their amplitude (for given accuracy and
-medium amplitudes, Fitts's logarithm is nearly a line).  T₀ and v̄ are chosen for the arm: with them
-a minimum-jerk movement of 3 segment lengths peaks at 6 lengths/s, half of what its servos can do,
-and the longest possible one, of 6, takes 1.7 s.  A target that moves by less than a jump belongs to
-the same movement, which then continues for at least `HORIZON` more control steps, so that the hand
-pursues the target without haste, and noise in seeing the target is smoothed.
+medium amplitudes, Fitts's logarithm is nearly a line).  T₀ and v̄ suit the arm: a minimum-jerk
+movement of 3 segment lengths peaks at 6 lengths/s, half of what its servos can do, and the longest
+possible one, of 6, takes 1.7 s.  If the target moves by less than a jump, the movement continues
+for at least `HORIZON` more control steps.  So the hand pursues the target without haste, and noise
+in the seen target is smoothed.
 
 The hand goes from rest at x₀ to rest at the target g in T, on the path of least ∫ |d³x/dt³|² dt:
 
     x(t) = x₀ + (g − x₀) (10 τ³ − 15 τ⁴ + 6 τ⁵),     τ = t/T
 
-a straight line with a bell-shaped speed.  At any time the rest of it is the quintic from the
-present position, velocity and acceleration to rest at g in what remains of T.  Each control step
-follows that quintic, and a target that has moved is simply another g: the movement turns to it
+a straight line with a bell-shaped speed.  At any time the rest of the movement is the quintic from
+the present position, velocity and acceleration to rest at g in the rest of T.  Each control step
+follows that quintic.  A target that has moved is simply another g, to which the movement turns
 smoothly.  The posture follows by damped least squares.
 
 Literature: T. Flash, N. Hogan (1985), The coordination of arm movements: an experimentally
@@ -50,8 +50,8 @@ HORIZON = 5
 ITERATIONS = 3
 """Iterations of inverse kinematics in a control step."""
 
-# The plan moves a fraction of a length in a step, so less damping than that of a lone solver
-# keeps the hand on the path, and is enough.
+# The plan moves only a fraction of a length in a step.  So it needs less damping than a solver
+# alone, which keeps the hand on the path.
 _track = partial(damped_least_squares, damping=0.05, max_step=0.1)
 
 
@@ -148,8 +148,8 @@ def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> Hand
     Args:
         plan: position, velocity and acceleration, (..., 2) each.
         target: segment lengths, (..., 2).
-        remaining: control steps until the hand is to rest there, (...); if one or less, the
-            hand rests there after this step.
+        remaining: control steps until the hand rests there, (...); if one or less, it rests there
+            after this step.
 
     >>> plan = HandPlan(np.zeros(2), np.zeros(2), np.zeros(2))
     >>> for remaining in (4, 3, 2, 1):

@@ -10,12 +10,12 @@ which takes of the order of N² operations for all vectors, where a matrix takes
 why d = N + 1 needs a single iteration: (S_i − S_j)/(N + 1) are the vectors between the nodes that
 fit best.)  And the arms of a block stay in the first-level cache for all iterations.
 
-Lanes never mix and nothing is reassociated or fused: the numbers of an arm do not depend on its
-neighbours.  Everything is computed in float64, whatever the dtype of the state.
+Lanes never mix, and no operation is reassociated or fused.  So the result of an arm does not depend
+on its neighbours.  All computations are in float64, whatever the dtype of the state.
 
 A block is a record of arrays whose shapes are part of its type.  So the compiler knows N, unrolls
-the loops over nodes, and turns those over lanes into vector instructions.  It compiles once for
-each N, in a few seconds, and keeps the result on the machine.
+the loops over nodes, and turns loops over lanes into vector instructions.  It compiles once for
+each N, in a few seconds, and caches the result on disk.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def prepare(
         "state": (nodes * count // 2 + 2 * count, 2),
         "total": (nodes, 2),  # S_i
         "length": (count,),
-        "size": (count,),  # before it is brought to that, see `_normalize`
+        "size": (count,),  # the length before normalization, see `_normalize`
         "others": (count,),
     }
     no_blocks = np.empty(0, [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()])
@@ -76,12 +76,12 @@ def iterate(no_blocks, lengths, rule, is_late, clamped, values, held, result, ti
     Args:
         no_blocks: an empty array of blocks; its type says how many segments there are.
         lengths: of the segments, (N,).
-        rule: 1/d, and the factors of L̃ − L and of the old velocity in the new velocity; 1 and 0
-            make a kinematic network of a dynamic one.
+        rule: 1/d, and the factors of L̃ − L and of the old velocity in the new velocity; with 1
+            and 0 a dynamic network is a kinematic one.
         is_late: whether the schedule is "delayed".
         clamped: rows that are held, (n,).
         values: the state, (rows, 2, batch); see `MMCState`.
-        held: what the clamped rows are held at, (n, 2, batch or 1).
+        held: values of the clamped rows, (n, 2, batch or 1).
         result: the new state, (rows, 2, batch).
         times: number of iterations.
     """
@@ -204,7 +204,7 @@ def _average_diagonals(vector, total, share, k):
 
 @inner
 def _average_hand(block, share, lanes):
-    """Replace R likewise, after all others; not needed for the inverse task, which holds R."""
+    """Replace R by the mean of its computations, after all others; the inverse task holds R."""
     last = block.total.shape[0] - 1
     for k in range(lanes):
         _average(block.state, block.total, share, 0, last, k)

@@ -1,7 +1,7 @@
 """The network as a torch module: gradients flow through its iterations, on any device.
 
-`model` has the equations, and the function that makes the linear part of an iteration.  Iterations
-need no value on the host, so that an accelerator never waits.
+`model` has the equations, and the function for the linear part of an iteration.  Iterations need no
+value on the host, so an accelerator never waits.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torch import Tensor
 from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Pair
-from mmc_gym.network.model import MMCNetwork, held_rows, linear_part, triangle_products
+from mmc_gym.network.model import MMCNetwork, held_rows, linear_operator, triangle_products
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer
 
 _STRAIGHT = 64  # roundings within which vectors are in one line
@@ -67,12 +67,12 @@ class TorchNetwork(torch.nn.Module):
     """An `MMCNetwork` in torch, equal to it up to rounding (1e-12 in float64).
 
     Clamps are a mapping from pairs of nodes to vectors (..., 2), as for `MMCNetwork.clamp`.
-    Tensors of another device or dtype are converted to the module's.  Their values are not checked:
-    values that are not finite spread.
+    Tensors are converted to the module's device and dtype.  Their values are not checked, so values
+    that are not finite spread.
 
-    The weights of a learned normalizer are parameters, and so are the biases of each layer, unless
-    they are all zero: so an odd normalizer stays odd.  The other parameters get no gradient until
-    it is asked for, as in `network.damping.requires_grad_()`.
+    The weights of a learned normalizer are trainable, and so are the biases of each layer unless
+    they are all zero: an odd normalizer stays odd.  Other parameters become trainable on request,
+    as in `network.damping.requires_grad_()`.
 
     Attributes:
         segment_lengths: lengths, (N,).
@@ -80,10 +80,10 @@ class TorchNetwork(torch.nn.Module):
         velocity_damping: d_v, how slowly the velocity follows.
         velocity_decay: factor on the velocity in each iteration.
         normalizer: a module that takes vectors (n, 2, batch) and lengths (n, 1), and returns the
-            vectors with these lengths; another may replace it.
+            vectors with these lengths; you may replace it.
 
     Args:
-        network: the network to make; by default the paper's, `MMCNetwork()`.
+        network: the description of the network; by default the paper's, `MMCNetwork()`.
         device: device of its parameters, torch's default if None.
         dtype: their type, torch's default if None.
 
@@ -137,10 +137,10 @@ class TorchNetwork(torch.nn.Module):
             self.normalizer = _Euclidean()
 
     def to_numpy(self) -> MMCNetwork:
-        """Return the network of numpy with the present parameters, such as those learned.
+        """Return the network in numpy with the present parameters.
 
         Raises:
-            UserError: if a parameter has left its range, such as a damping that is too small; or
+            UserError: if a parameter is out of its range, such as a damping that is too small, or
                 if the normalizer was replaced.
         """
         if not isinstance(self.normalizer, _Euclidean | _Learned):
@@ -214,25 +214,24 @@ class TorchNetwork(torch.nn.Module):
         values = self._out_of_line(values, held)
         values = torch.stack([held.get(row, one) for row, one in enumerate(values.unbind())])
         flat = values.view(self.row_count, 2, prod(batch))
-        operator = linear_part(self, tuple(held), self.triangles, torch)
+        rows = [row in held for row in range(self.row_count)]
+        is_held = torch.tensor(rows, device=flat.device)[:, None, None]
+        operator = linear_operator(self, tuple(held), self.triangles, torch)
         for _ in range(iterations):
             if self.schedule == "delayed":
-                flat = self._normalized(flat, held)
+                flat = self._normalized(flat, is_held)
             flat = (operator @ flat.flatten(1)).view_as(flat)
             if self.schedule == "synchronous":
-                flat = self._normalized(flat, held)
+                flat = self._normalized(flat, is_held)
         return TorchState(flat.view_as(values), self.segment_count)
 
-    def _normalized(self, values: Tensor, held: Mapping[int, Tensor]) -> Tensor:
+    def _normalized(self, values: Tensor, is_held: Tensor) -> Tensor:
         """Return values (rows, 2, batch) with those segments normalized that are not held."""
         start = len(self.triangles) if self.schedule == "delayed" else 0
         end = start + self.segment_count
         segments = values[start:end]
         normalized = self.normalizer(segments, self.segment_lengths[:, None])
-        if any(start <= row < end for row in held):
-            both = zip(segments.unbind(), normalized.unbind())
-            rows = [old if row in held else new for row, (old, new) in enumerate(both, start)]
-            normalized = torch.stack(rows)
+        normalized = torch.where(is_held[start:end], segments, normalized)
         return torch.cat([values[:start], normalized, values[end:]])
 
     def _out_of_line(self, values: Tensor, held: Mapping[int, Tensor]) -> Tensor:
@@ -246,7 +245,7 @@ class TorchNetwork(torch.nn.Module):
             others = torch.cat([segments[1:], torch.stack(list(held.values()))])
             across = (segments[0, 0] * others[:, 1] - segments[0, 1] * others[:, 0]).abs()
             is_in_line = (across <= _STRAIGHT * eps * lengths[0] * reach).all(0)
-            # Where the hand can get: as in `chain.nearest_reachable`, but without asking the host.
+            # As `chain.nearest_reachable`, but without waiting for values on the host.
             inner = (2 * lengths.max() - reach).clamp(min=0.0)
             radius = torch.hypot(*target).clamp(inner, reach)
             bearing = torch.atan2(target[1], target[0])

@@ -1,7 +1,7 @@
 """Iterations of the network with knowledge of the body: sensed posture, lengths, locked joints.
 
 The end effector R is held at the target.  Each kind of knowledge may differ between the arms of a
-batch.  Without any, an iteration is that of `MMCNetwork.run`, bit for bit.
+batch.  Without any, an iteration equals that of `MMCNetwork.run`, bit for bit.
 
 **A sensed posture is one more computation in the mean.**  With L^s the sensed segments and w the
 weight of that computation, the mean of a segment becomes
@@ -14,15 +14,15 @@ weight of that computation, the mean of a segment becomes
 **A locked joint is a clamp on an angle.**  The segments on both sides of it are one rigid body,
 which can turn but not bend.  Its segments are ℓ_i R(c_i) u, where R(c_i) turns by the sum of the
 locked joints' angles.  Its span is D = Σ ℓ_i R(c_i) u, of fixed length and at a fixed angle to each
-segment.  A free segment is replaced by the nearest vector of its length; likewise a body by the one
-that fits its proposed segments L̃_i and their sum best,
+segment.  A free segment is replaced by the nearest vector of its length.  Likewise, a body is
+replaced by the one that best fits its proposed segments L̃_i and their sum,
 
     u = normalize(λ Σ ℓ_i R(c_i)ᵀ L̃_i + (Σ ℓ_i R(c_i))ᵀ Σ L̃_i),     L_i ← ℓ_i R(c_i) u
 
 The span dominates (λ is small), as in a network of one segment less, in which the body is a
 segment.  With the segments alone, a folded body would turn slowly.  With the span alone, a body
-folded to nothing would have no direction.  A body of one segment is a free segment.  A body that
-is tied to the base, because the first joint is locked, cannot turn.
+whose span is 0 would have no direction.  A body of one segment is a free segment.  If the first
+joint is locked, its body is tied to the base and cannot turn.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ class Embodiment:
         joint_angles: angles of the locked joints, radians, (..., N); the others do not matter.
 
     Raises:
-        UserError: for another weight, one without a sensed posture, or locks without angles.
+        UserError: for a negative weight, a weight without a sensed posture, or locks without
+            angles.
     """
 
     segment_lengths: Floats | None = None
@@ -112,15 +113,12 @@ def embodied_run(
     if body.segment_lengths is not None:
         lengths = _batch_last(body.segment_lengths, values, (count,))
     pull = _pull(network, body, values)
-    nearest = _rigid_bodies(network.normalizer, body, lengths, values)
+    nearest = _nearest(network.normalizer, body, lengths, values)
     for _ in range(iterations):
         following = iteration.operator.dot(current.reshape(rows, -1)).reshape(current.shape)
         if pull is not None:
             pull(current, following)
-        if nearest is None:
-            network.normalizer.normalize_rows(following[:count], lengths)
-        else:
-            following[:count] = nearest(following[:count])
+        following[:count] = nearest(following[:count])
         current = following
     return MMCState(current.reshape(values.shape), count)
 
@@ -150,15 +148,20 @@ def _pull(
     return pull
 
 
-def _rigid_bodies(
+def _nearest(
     normalizer: Normalizer, body: Embodiment, lengths: Floats, values: Floats
-) -> Callable[[Floats], Floats] | None:
-    """Return a function of segments (N, 2, batch): the nearest ones of the bodies made by locks.
+) -> Callable[[Floats], Floats]:
+    """Return a function of proposed segments (N, 2, batch): the nearest that the body allows.
 
-    Complex numbers represent vectors and turns.
+    Complex numbers represent vectors and turns of the rigid bodies that locks make.
     """
     if body.locked is None or body.joint_angles is None or not body.locked.any():
-        return None
+
+        def normalized(segments: Floats) -> Floats:
+            normalizer.normalize_rows(segments, lengths)
+            return segments
+
+        return normalized
     count = body.locked.shape[-1]
     locked = _batch_last(body.locked, values, (count,)) > 0
     starts, is_tied = ~locked, locked.copy()  # a body's first segment; tied to the base
@@ -184,7 +187,7 @@ def _rigid_bodies(
 
 
 def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
-    """Sum over each rigid body, and give the sum to all its segments, (N, batch)."""
+    """Return the sum over each rigid body, at all its segments, (N, batch)."""
     sums, count = values.copy(), len(values)
     for joint in range(1, count):  # complete at the last segment of each body
         sums[joint] += np.where(starts[joint], 0.0, sums[joint - 1])

@@ -312,9 +312,7 @@ def _adam(
     return parameters.double(), torch.stack(history, dim=1).double().numpy()
 
 
-def refine(
-    normalizer: LearnedNormalizer, vectors: ArrayLike, iterations: int
-) -> LearnedNormalizer:
+def refine(normalizer: LearnedNormalizer, vectors: ArrayLike, iterations: int) -> LearnedNormalizer:
     """Refine a normalizer so that it turns vectors less.
 
     Adam leaves angle errors of some tenths of a degree, and with them a floor under an MMC

@@ -11,14 +11,14 @@ Then the segments are brought back to their lengths:
     kinematic:  L ← normalize(L̃)
     dynamic:    v ← rule(L̃ − L, v),   L̂ = L + v,   L ← normalize(L̂)          (Eqs. 3, 4)
 
-There are two rules for the velocity, the paper's Eq. 3 and what its figures were made with,
+There are two rules for the velocity: the paper's Eq. 3, and the one behind its figures,
 
     "paper":      v = 1/d_v (L̃ − L) + decay (d_v − 1)/d_v v
     "reference":  v = decay ((L̃ − L) + d_v v) / (d_v + 1)
 
-and two schedules.  "synchronous" reads the newest values everywhere, as the equations are printed.
-"delayed" is what the published figures were made with: the triangle terms read the normalized
-segments of one iteration ago, and only the self term and the velocity read the new ones.
+and two schedules.  "synchronous" reads the newest values everywhere, as printed.  "delayed" is the
+one behind the published figures: the triangle terms read the normalized segments of one iteration
+ago, and only the self term and the velocity read the new ones.
 
 All of this but the normalization is linear.  So the whole state is one array with a row per
 variable, and an iteration is one matrix product and one normalization (`Iteration`).  A clamped
@@ -136,7 +136,7 @@ NO_CLAMPS = Clamps((), np.empty((0, 2)), 0)
 
 
 class Trajectory(NamedTuple):
-    """The course of a network through its iterations.
+    """The states of a network over its iterations.
 
     Attributes:
         state: the last state.
@@ -178,8 +178,8 @@ class MMCNetwork:
         velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
         schedule: "synchronous" or "delayed".
         engine: "numpy"; or "numba", which compiles the iterations of a Euclidean network.  That
-            takes a quarter of the time and gives the same up to rounding (1e-12).  The first run of
-            the first network of N segments compiles for some seconds.
+            takes a quarter of the time, and the result is equal up to rounding (1e-12).  The first
+            run with N segments compiles for some seconds.
 
     Raises:
         UserError: for fewer than two segments, a value outside its range, or an unknown argument;
@@ -247,9 +247,9 @@ class MMCNetwork:
         )
 
     def state_from_segments(self, segments: ArrayLike) -> MMCState:
-        """Return the state at rest with these segment vectors (..., N, 2), the others consistent.
+        """Return the state at rest with segment vectors (..., N, 2), and all others consistent.
 
-        They are not normalized before the first iteration.  float32 is kept, anything else
+        The segments are not normalized before the first iteration.  float32 is kept; anything else
         becomes float64.
 
         Raises:
@@ -268,7 +268,7 @@ class MMCNetwork:
 
     def inverse(self, target: ArrayLike) -> Clamps:
         """Hold the end effector at `target` (..., 2): the inverse task."""
-        # The same as `clamp`, in a third of the time: agents call it in every control step.
+        # As `clamp`, but three times as fast: agents call it in every control step.
         target = _as_floats("target", target, (2,))
         row = self.segment_count * (self.segment_count + 1) // 2 - 1
         batch = range(target.ndim - 1)
@@ -283,10 +283,10 @@ class MMCNetwork:
     def clamp(self, vectors: Mapping[Pair, ArrayLike]) -> Clamps:
         """Hold the vectors v_ij of the given node pairs at values (..., 2): any mixed task.
 
-        A segment is held as it is given, and should have its length.
+        A held segment is not normalized, so its value should have its length.
 
         Raises:
-            UserError: for a pair that is no vector of the chain, or a value that is not a finite
+            UserError: for a pair that is not a vector of the chain, or a value that is not a finite
                 array of shape (..., 2).
         """
         held = held_rows(self, "vectors", vectors, _as_floats)
@@ -312,12 +312,12 @@ class MMCNetwork:
         Batch axes of state and clamps are broadcast against each other.
 
         If a straight or folded arm, its target and all clamped vectors lie in one line, so do all
-        means, and no iteration would ever leave that line.  If such an arm is not at its target,
-        but in reach of it, it is first bent by `chain.BEND` at each joint.
+        means, and no iteration leaves that line.  Such an arm is first bent by `chain.BEND` at each
+        joint, if it could get nearer to its target.
 
         Raises:
-            UserError: if state or clamps come from another kind of network, or `iterations` is no
-                whole number of at least 0.
+            UserError: if state or clamps come from another kind of network, or `iterations` is not
+                a whole number of at least 0.
         """
         self._check(state, clamps, iterations)
         values, clamped = state.values, clamps.values
@@ -347,7 +347,7 @@ class MMCNetwork:
         return MMCState(result, self.segment_count)
 
     def trajectory(self, state: MMCState, clamps: Clamps, iterations: int) -> Trajectory:
-        """Run, and record the segments after every iteration.
+        """Run the network and record the segments after every iteration.
 
         Returns:
             The last state, and the segments of all iterations, (iterations, ..., N, 2); its `plot`
@@ -371,7 +371,7 @@ class MMCNetwork:
         return Trajectory(state, postures)
 
     def _check(self, state: MMCState, clamps: Clamps, iterations: int) -> None:
-        """Raise a `UserError` if state or clamps are those of another network, or none."""
+        """Raise a `UserError` if state or clamps do not come from a network like this one."""
         accepted = "an MMCState, such as network.state_from_joint_angles([0.3, 0.6, 0.6])"
         require(isinstance(state, MMCState), "state", state, accepted)
         accepted = "Clamps, such as network.inverse([1.0, 1.5])"
@@ -397,7 +397,7 @@ class MMCNetwork:
     def _out_of_line(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
         """Return states (rows, 2, ...), bent where they could never leave the line they lie in.
 
-        To be quick, it examines only states with a new target.
+        Only states with a new target are examined.
         """
         count = self.segment_count
         hand = count * (count + 1) // 2 - 1
@@ -406,24 +406,22 @@ class MMCNetwork:
         target = clamped[rows.index(hand)]
         if target.tobytes() == values[hand].tobytes():
             return values
-        (x, y), (next_x, next_y) = values[0], values[1]
-        lengths = self.segment_lengths
+        (x, y), lengths = values[0], self.segment_lengths
         least = _STRAIGHT[values.dtype.char] * lengths[0] * sum(lengths)
-        if (np.abs(x * next_y - y * next_x) > least).all():  # the first joint alone is bent
-            return values
 
         def are_in_line(vectors: Floats) -> NDArray[np.bool_]:
             across = np.abs(x * vectors[:, 1] - y * vectors[:, 0])
             in_line: NDArray[np.bool_] = (across <= least).all(axis=0)
             return in_line
 
+        is_straight = are_in_line(values[1:count])
+        if not is_straight.any():
+            return values
         clamped = _broadcast(clamped, values.shape[2:])
         target = chain.nearest_reachable(np.moveaxis(target, 0, -1), lengths)
         way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
         is_away = np.hypot(way[..., 0], way[..., 1]) > 1e-3 * sum(lengths)
-        is_stuck = are_in_line(values[1:count]) & are_in_line(clamped) & is_away
-        if not is_stuck.any():
-            return values
+        is_stuck = is_straight & are_in_line(clamped) & is_away
         bent = MMCState(values, count).joint_angles + chain.BEND
         return np.where(is_stuck, self.state_from_joint_angles(bent).values, values)
 
@@ -462,13 +460,9 @@ class Iteration:
         return values
 
     def _normalize(self, values: Floats) -> None:
-        rows = self.normalized
-        if isinstance(rows, slice):
-            self.normalizer.normalize_rows(values[rows], self.lengths)
-        elif rows.size:
-            segments = values[rows]
-            self.normalizer.normalize_rows(segments, self.lengths)
-            values[rows] = segments
+        segments = values[self.normalized]  # a view if they are neighbours, otherwise a copy
+        self.normalizer.normalize_rows(segments, self.lengths)
+        values[self.normalized] = segments
 
 
 @lru_cache(maxsize=256)
@@ -501,31 +495,23 @@ def compiled_iterations(
     return prepare(network.segment_lengths, network.damping, rule, is_late, clamped)
 
 
-def linear_operator(network: MMCNetwork, clamped: Sequence[int] = ()) -> NDArray[np.float64]:
+def linear_operator(
+    network: Any, clamped: Sequence[int] = (), triangles: Any = None, arrays: Any = np
+) -> Any:
     """Return the linear part of an iteration, a matrix K over the rows of the state, (rows, rows).
 
     The next state is normalize(K state) if the network is synchronous.  If it is delayed, it is
     K normalize(state), and the pending segments are normalized.
 
     Args:
-        network: the network.
-        clamped: rows that are held (`Clamps.rows`).
-    """
-    check_clamped(network, clamped)
-    triangles = triangle_products(network.segment_count)
-    operator: NDArray[np.float64] = linear_part(network, clamped, triangles, np)
-    return operator
-
-
-def linear_part(network: Any, clamped: Sequence[int], triangles: Any, arrays: Any) -> Any:
-    """Return the matrix of `linear_operator`, in numpy or torch.
-
-    Args:
         network: an `MMCNetwork`; or a `TorchNetwork`, through whose parameters gradients flow.
-        clamped: rows that are held.
-        triangles: ∂₂∂₂ᵀ, see `triangle_products`.
+        clamped: rows that are held (`Clamps.rows`).
+        triangles: ∂₂∂₂ᵀ, see `triangle_products`; by default that of the network, in numpy.
         arrays: the module that `triangles` is an array of, numpy or torch.
     """
+    check_clamped(network, clamped)
+    if triangles is None:
+        triangles = triangle_products(network.segment_count)
     count, size, vectors = network.segment_count, network.row_count, len(triangles)
     delayed = network.schedule == "delayed"
     dynamic = network.dynamics != "kinematic"
@@ -580,7 +566,7 @@ def held_rows(
     return held
 
 
-def check_clamped(network: MMCNetwork, clamped: Sequence[int]) -> None:
+def check_clamped(network: Any, clamped: Sequence[int]) -> None:
     """Raise a `UserError` if clamps are those of another schedule."""
     count = network.segment_count
     vectors = count * (count + 1) // 2

@@ -44,18 +44,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, require, require_array, require_positive, require_whole
-from mmc_gym.network.chain import Floats, triangle_incidence
-from mmc_gym.network.model import MMCNetwork, MMCState
+from mmc_gym.network.chain import Floats
+from mmc_gym.network.model import MMCNetwork, MMCState, triangle_products
 
 CORRECTIONS = 4
 """Secant steps by which the gain of an iteration is corrected."""
 
 
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
-    """Return the time base ξ, the share of a minimum-jerk movement covered at a phase of it.
+    """Return the time base ξ, the share of a minimum-jerk movement that is covered at a phase.
 
     Args:
-        phase: time over duration; before 0 the movement has not begun, after 1 it is over.
+        phase: time / duration; before 0 the movement has not begun, after 1 it is over.
 
     >>> minimum_jerk([-1.0, 0.0, 0.25, 0.5, 1.0, 2.0]).round(4).tolist()
     [0.0, 0.0, 0.1035, 0.5, 1.0, 1.0]
@@ -66,7 +66,7 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
 
 
 def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
-    """Return σ, the share of the remaining distance that the hand is to go in an iteration.
+    """Return σ, the share of the remaining distance that the hand covers in an iteration.
 
     After `duration` iterations the share is 1: the hand covers the rest as fast as the network can.
 
@@ -80,10 +80,9 @@ def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
     >>> share([1, 2, 3, 4, 5], duration=4).round(4).tolist()
     [0.1035, 0.4423, 0.793, 1.0, 1.0]
     """
-    duration = require_array("duration", duration, "positive and finite").astype(np.float64)
+    duration, number = np.asarray(duration, np.float64), np.asarray(iteration, np.float64)
     fine = bool(((duration > 0) & (duration < np.inf)).all())
     require(fine, "duration", duration.tolist(), "positive and finite")
-    number = require_array("iteration", iteration).astype(np.float64)
     remaining = 1 - minimum_jerk((number - 1) / duration)
     covered = minimum_jerk(number / duration) - minimum_jerk((number - 1) / duration)
     return np.divide(covered, remaining, out=np.ones_like(remaining), where=remaining > 0)
@@ -160,7 +159,7 @@ def timed_trajectory(
     ([-0.98, 1.5], 24)
     """
     _check(network)
-    duration = require_positive("duration", duration)
+    require_positive("duration", duration)
     iterations = round(duration) if iterations is None else iterations
     require_whole("iterations", iterations, least=0)
     state = network.run(state, network.inverse(target), iterations=0)
@@ -199,15 +198,12 @@ def _solve(
 @lru_cache(maxsize=16)
 def _coupling(segment_count: int) -> NDArray[np.float64]:
     """Return ∂₂∂₂ᵀ with the row of R, which is held, set to zero."""
-    incidence = triangle_incidence(segment_count)
-    coupling = incidence @ incidence.T
+    coupling = triangle_products(segment_count)
     coupling[-1] = 0.0
-    coupling.setflags(write=False)
     return coupling
 
 
 def _check(network: MMCNetwork) -> None:
-    require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")
     if network.dynamics != "kinematic" or network.schedule != "synchronous":
         raise UserError(
             "network must be kinematic and synchronous to follow a time base, "

@@ -165,27 +165,6 @@ def test_a_posture_that_reaches_already_is_its_own_closed_form_solution(posture)
     np.testing.assert_allclose(found, posture, atol=1e-5)
 
 
-def test_closed_form_is_the_nearest_of_all_solutions_within_a_sweeps_grid():
-    lengths = (1.0, 1.0, 1.0)
-    postures, targets = random_reaches(lengths, 10)
-    found = np.linalg.norm(closed_form(postures, targets, lengths) - postures, axis=-1)
-    random = np.random.default_rng(0)
-    for posture, target, length in zip(postures, targets, found):
-        starts = random.uniform(-np.pi, np.pi, (300, 3))
-        starts[:100] = posture + random.normal(0.0, 0.5, (100, 3))
-        others = iterate(damped_least_squares, starts, target, lengths, 150)
-        others = others[distances(others, target, lengths) < 1e-6]
-        assert length <= np.linalg.norm(wrap_angle(others - posture), axis=-1).min() + 0.02
-
-
-def test_the_jacobian_is_the_derivative_of_the_hand():
-    lengths, posture = (1.0, 0.7, 1.3), np.array([0.4, -1.2, 2.0])
-    small = 1e-6 * np.eye(3)
-    expected = hand_position(posture + small, lengths) - hand_position(posture - small, lengths)
-    _, jacobian_x, jacobian_y = jacobian(posture, lengths)
-    np.testing.assert_allclose(np.stack([jacobian_x, jacobian_y], -1), expected / 2e-6, atol=1e-8)
-
-
 @pytest.mark.parametrize("target", [[0.5, 0.2], [0.98, -0.4], [-1.0, 2.0]])
 def test_one_iteration_is_what_the_textbook_says(target):
     lengths, posture, target = (1.0, 0.7, 1.3), np.array([0.4, -1.2, 2.0]), np.array(target)

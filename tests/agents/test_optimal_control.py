@@ -5,7 +5,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import solve_discrete_lyapunov
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.inverse_kinematics import jacobian
@@ -13,7 +13,6 @@ from mmc_gym.agents.optimal_control import (
     DEFAULT,
     Assumptions,
     OptimalControlAgent,
-    gains,
     kalman_gain,
     optimal_gain,
     plant,
@@ -27,7 +26,6 @@ from mmc_gym.measures.rollout import run_episodes
 from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks
 
 STEP = 0.02
-QUIET = replace(DEFAULT, motor_noise=0.0)
 
 
 def expected_cost(gain: np.ndarray, assumed=DEFAULT, moves: float = 1.0) -> np.ndarray:
@@ -46,13 +44,6 @@ def expected_cost(gain: np.ndarray, assumed=DEFAULT, moves: float = 1.0) -> np.n
 
 def best(assumed=DEFAULT, moves: float = 1.0) -> np.ndarray:
     return optimal_gain(assumed, STEP, staying_value(assumed, STEP, moves))
-
-
-@pytest.mark.parametrize("moves", [0.01, 1.0])
-def test_without_noise_the_gain_is_that_of_the_riccati_equation(moves):
-    (a, b), q, r = plant(QUIET, STEP), staying_cost(QUIET, moves), QUIET.effort_cost**2
-    p = solve_discrete_are(a, b, q, [[r]])
-    np.testing.assert_allclose(best(QUIET, moves), (b.T @ p @ a)[0] / (r + (b.T @ p @ b)[0, 0]))
 
 
 def test_the_cost_to_go_is_what_the_noisy_controller_pays():
@@ -82,21 +73,12 @@ def test_the_jacobian_is_taken_apart_as_by_the_singular_value_decomposition(kind
     np.testing.assert_allclose(np.sort(moves, axis=0)[::-1].T, expected, atol=1e-9)
 
 
-def test_noise_that_grows_with_the_command_makes_commands_gentler():
-    assert np.all(best(replace(DEFAULT, motor_noise=0.5)) < best(QUIET))
-
-
 def test_a_long_reach_begins_gently_and_ends_as_staying_does():
     assumed = replace(DEFAULT, longest=40.0)
     found = reaching_gains(assumed, STEP, staying_value(assumed, STEP, 1.0))
     of_error = found[:, 0]
     assert np.all(np.diff(of_error[50:]) < 0)
     assert of_error[-1] < 1e-3 * best()[0]
-
-
-def test_the_gain_of_the_senses_falls_with_their_noise():
-    least, most = (gains(replace(DEFAULT, joint_noise=noise), STEP) for noise in (0.001, 0.1))
-    assert 1 > least.posture[0] > most.posture[0] > 0
 
 
 def test_the_kalman_gain_is_the_one_of_least_error():

@@ -3,11 +3,9 @@
 import subprocess
 import sys
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
 
@@ -27,17 +25,6 @@ def test_an_arm_moves_in_any_batch_as_it_does_alone(schedule):
         start.values[:] = state.values[..., arm]
         alone = network.run(start, network.inverse(targets[arm]), 40)
         np.testing.assert_array_equal(together.values[..., arm], alone.values)
-
-
-def test_an_agent_acts_alike_on_either_engine():
-    env = gym.make_vec("MMCReach-v0", 40)
-    agents = [make_agent("mmc", env), make_agent("mmc", env).with_engine("numba")]
-    (observations, _), states = env.reset(seed=0), [None, None]
-    for _ in range(50):
-        outcomes = [agent.predict(observations, one) for agent, one in zip(agents, states)]
-        (actions, others), states = zip(*outcomes)
-        np.testing.assert_allclose(others, actions, atol=1e-6)
-        observations, *_ = env.step(actions)
 
 
 def test_a_learned_normalizer_is_refused():

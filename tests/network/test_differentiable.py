@@ -9,7 +9,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from mmc_gym._errors import UserError
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, chain
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
 
 KINDS = list(product(["kinematic", "paper", "reference"], ["synchronous", "delayed"]))
@@ -55,25 +55,6 @@ def test_gradients_flow_through_iterations_to_all_that_they_depend_on(
     used = [one for name, one in network.named_parameters() if name not in unused]
     sum(one.sum() for one in end(angles, targets, *parameters)).backward()
     assert all(one.grad.abs().sum() > 0 for one in (angles, targets, *used))
-
-
-def test_the_settled_forward_task_has_the_jacobian_of_the_arm():
-    _, network = twin()
-
-    def hand(angles):
-        posture = network.state_from_joint_angles(angles)
-        clamps = {(i, i + 1): posture.segments[i] for i in range(3)}
-        other = network.state_from_joint_angles([1.0, 1.0, 1.0])
-        return network(other, clamps, 400).vectors[-1]
-
-    postures = doubles([0.3, 0.6, 0.9], [2.5, -2.0, 1.0])
-    found = torch.vmap(torch.func.jacrev(hand))(postures)
-    nodes = chain.node_positions(
-        network.state_from_joint_angles(postures).segments.detach().numpy()
-    )
-    levers = nodes[:, -1:] - nodes[:, :-1]
-    expected = np.stack([-levers[..., 1], levers[..., 0]], axis=1)
-    np.testing.assert_allclose(found.detach().numpy(), expected, atol=1e-9)
 
 
 def test_an_arm_that_was_bent_has_gradients_too():

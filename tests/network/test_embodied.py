@@ -80,18 +80,6 @@ def test_a_sensed_posture_is_one_more_computation_in_the_mean(weight):
     np.testing.assert_allclose(following.segments, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("dynamics", DYNAMICS)
-def test_to_sense_the_posture_of_the_model_takes_the_place_of_as_much_damping(dynamics):
-    damped = MMCNetwork(damping=4.0, dynamics=dynamics)
-    sensing = MMCNetwork(damping=3.0, dynamics=dynamics)
-    state, target = damped.state_from_joint_angles(postures(2, 5)), targets(3, 5)
-    body = Embodiment(sensed=state.segments, weight=1.0)
-    expected = damped.run(state, damped.inverse(target))
-    np.testing.assert_allclose(
-        run_to(sensing, state, target, body).segments, expected.segments, atol=1e-12
-    )
-
-
 @pytest.mark.parametrize(("count", "weight"), [(2, 5.0), (3, 1.0), (5, 0.2)])
 def test_posture_and_hand_are_fused_where_the_squares_of_what_they_miss_are_least(count, weight):
     """Those of the hand, and `weight` times those of the segments: the best estimate of both."""

@@ -5,9 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from mmc_gym._errors import UserError
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, chain, model
@@ -106,20 +104,6 @@ def test_the_linear_core_is_the_identity_less_the_products_of_the_triangles(coun
     np.testing.assert_allclose(core, identity - incidence @ incidence.T / damping, atol=1e-15)
 
 
-def test_three_segments_give_the_equation_of_the_paper():
-    row_of_l1 = linear_operator(network_of(3, damping=10))[0]
-    np.testing.assert_allclose(10 * row_of_l1, [8, -1, 0, 1, -1, 1], atol=1e-14)  # L1-3 D1-2 R
-
-
-@given(count=counts, data=st.data())
-def test_the_linear_core_converges_in_one_step_at_damping_n_plus_one(count, data):
-    core = linear_operator(network_of(count, damping=count + 1))
-    vectors = data.draw(arrays(float, len(core), elements=st.floats(-10, 10)))
-    once = core @ vectors
-    np.testing.assert_allclose(chain.triangle_incidence(count).T @ once, 0, atol=1e-12)
-    np.testing.assert_allclose(core @ once, once, atol=1e-12)
-
-
 @given(count=counts, excess=st.floats(0, 30), fraction=st.floats(0.01, 0.99))
 def test_the_linear_core_converges_as_the_damping_promises(count, excess, fraction):
     incidence = chain.triangle_incidence(count)
@@ -145,20 +129,6 @@ def test_with_the_end_effector_clamped_the_slowest_mode_has_eigenvalue_two(count
     eigenvalues = np.sort(network.damping * (1 - np.linalg.eigvals(free).real))
     np.testing.assert_allclose(eigenvalues[: count - 1], 0, atol=1e-11)  # the consistent postures
     np.testing.assert_allclose(eigenvalues[count - 1], 2.0, atol=1e-11)
-
-
-@given(damping=st.floats(5, 40), seed=st.integers(0, 99))
-@hypothesis_settings(max_examples=25)
-def test_three_clamped_segments_bring_the_end_effector_at_a_known_rate(damping, seed):
-    network = network_of(3, damping=damping)
-    begin, end = random_segments((2, 3), seed)
-    state = network.run(network.state_from_segments(begin), network.forward(end), 10 * int(damping))
-    errors = []
-    for _ in range(2):
-        errors.append(np.linalg.norm(state.vectors[-1] - end.sum(axis=0)))
-        state = network.step(state, network.forward(end))
-    if errors[0] > 1e-9:
-        assert errors[1] / errors[0] == pytest.approx((damping - 2 + 2**0.5) / damping, rel=1e-4)
 
 
 # The rules, against loops
@@ -243,14 +213,6 @@ def test_an_inverse_task_is_a_clamp_of_the_end_effector(shape, dtype):
         assert not np.shares_memory(inverse.values, targets)
 
 
-def test_the_nodes_are_the_base_each_joint_and_the_hand():
-    state = network_of(4).state_from_segments(random_segments((5, 4)))
-    assert state.nodes.shape == (5, 5, 2)
-    np.testing.assert_array_equal(state.nodes[:, 0], 0)
-    np.testing.assert_allclose(np.diff(state.nodes, axis=-2), state.segments)
-    np.testing.assert_allclose(state.nodes[:, -1], state.end_effector)
-
-
 def test_a_target_out_of_reach_is_pointed_at():
     network = MMCNetwork()
     state = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -302,11 +264,6 @@ def test_batches_larger_than_a_block_are_no_different(shared_target):
     state = moved(network, segments, targets, 5)
     alone = moved(network, segments[tail], targets if shared_target else targets[tail], 5)
     np.testing.assert_allclose(state.segments[tail], alone.segments, atol=1e-13)
-
-
-def test_an_empty_batch_stays_empty():
-    state = moved(MMCNetwork(), np.empty((0, 3, 2)), [1.0, 1.0], 3)
-    assert state.segments.shape == (0, 3, 2)
 
 
 @every_normalizer

@@ -101,11 +101,6 @@ def test_the_accurate_normalizer_is_odd():
     np.testing.assert_allclose(normalizer(-vectors), -normalizer(vectors), atol=1e-15)
 
 
-def test_no_other_normalizer_ships():
-    with pytest.raises(ValueError, match="name 'best' is not accepted"):
-        LearnedNormalizer.shipped("best")
-
-
 # Measures
 
 
