@@ -64,6 +64,8 @@ the lowest and highest angle of each joint in radians (None: joints turn freely)
 
 STRAIGHT = 0.01
 """An arm counts as straight, and a target as in line with it, within this angle, radians."""
+COMFORT = 0.03
+"""κ: share of the way to the comfortable posture that one iteration goes."""
 ORIENTATIONS = 90
 """Orientations of a sweep, on either side of the target's direction."""
 
@@ -194,7 +196,6 @@ def null_space(
     target: Floats,
     segment_lengths: SegmentLengths,
     joint_limits: JointLimits | None = None,
-    comfort: float = 0.03,
 ) -> Floats:
     """Iterate once by damped least squares, towards a comfortable posture: a `Solver`.
 
@@ -204,16 +205,16 @@ def null_space(
     each term has the weight (narrowest range / its range)⁴.  Joints may then pass through the
     forbidden range here: comfort brings them back, and the servos go round.  The projector is that
     of the undamped pseudo-inverse, so comfort does not move the hand.  It is bounded, so it needs
-    no damping.  `comfort` is κ, the share of the way that one iteration goes.
+    no damping.
     """
     moved, jacobian_x, jacobian_y = _damped_step(joint_angles, target, segment_lengths)
     if joint_limits is None:
-        toward_comfort = -comfort * wrap_angle(joint_angles)
+        toward_comfort = -COMFORT * wrap_angle(joint_angles)
         toward_comfort[..., 0] = 0.0
     else:
         middle, spread = np.mean(joint_limits, axis=-1), np.ptp(joint_limits, axis=-1)
         weight = (spread.min() / spread) ** 4
-        toward_comfort = comfort * weight * wrap_angle(middle - joint_angles)
+        toward_comfort = COMFORT * weight * wrap_angle(middle - joint_angles)
     return moved + _without_hand(jacobian_x, jacobian_y, toward_comfort)
 
 

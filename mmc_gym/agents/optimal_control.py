@@ -263,14 +263,12 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         self,
         interface: ReachInterface,
         assumed: Assumptions = DEFAULT,
-        noise_seed: int | None = None,
     ) -> None:
         """Make an agent.
 
         Args:
             interface: of the environment.
             assumed: see `Assumptions`.
-            noise_seed: seed of the noise of its commands when not deterministic; None: no noise.
 
         Raises:
             UserError: if the longest movement is shorter than a control step; as `CannotActError`,
@@ -282,7 +280,6 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         require(assumed.longest >= interface.control_step, "longest", assumed.longest, accepted)
         self.assumed, self.gains = assumed, gains(assumed, interface.control_step)
         self._late = round(assumed.delay / interface.control_step)
-        self._random = None if noise_seed is None else np.random.default_rng(noise_seed)
 
     @override
     def start(self, sensed: Sensed) -> Belief:
@@ -303,8 +300,7 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
     ) -> tuple[NDArray[np.float32], Belief | None]:
         seen = self.interface.see(observation)
         state = self.resumed(state, seen, episode_start)
-        state = self._perceived(state, seen)
-        state = self._driven(state, None if deterministic else self._random)
+        state = self._driven(self._perceived(state, seen))
         # A position servo turns a joint at this velocity if its target is this far ahead.
         ahead = state.velocity / self.interface.servo_gain
         now = seen.joint_angles + self.interface.control_step * state.asked.sum(axis=-2)
@@ -340,8 +336,8 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
             asked=asked[..., 1:, :],
         )
 
-    def _driven(self, state: Belief, random: np.random.Generator | None) -> Belief:
-        """Return the state after the optimal command, with noise if there is a generator."""
+    def _driven(self, state: Belief) -> Belief:
+        """Return the state after the optimal command."""
         interface, assumed = self.interface, self.assumed
         step, lengths = interface.control_step, interface.segment_lengths
         target = state.target + self._late * step * state.target_velocity
@@ -363,9 +359,6 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         command = of_error * error - of_velocity * (velocity - chased) - of_drive * drive
         of_still = self.gains.control[1:, state.remaining.astype(np.intp), 0]
         still = -of_still[0] * still_velocity - of_still[1] * still_drive
-        if random is not None:
-            noise = 1.0 + assumed.motor_noise * random.standard_normal((*moves.shape[:-1], 3))
-            command, still = command * noise[..., :2], still * noise[..., 2:]
         command = (rows * command[..., None]).sum(axis=-2) + still
         velocity = state.velocity + step * state.drive
         drive = state.drive + step / assumed.lag * (command - state.drive)

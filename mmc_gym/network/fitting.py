@@ -1,4 +1,4 @@
-"""Fit the MLPs that learn to normalize, several runs of them at once.
+"""Train MLPs that normalize vectors, several runs at once.
 
 Each MLP f gets vectors x = r u of random length r in direction u, and learns to return u (paper,
 Sect. "Learning the Normalization Network").  There are two recipes:
@@ -6,7 +6,8 @@ Sect. "Learning the Normalization Network").  There are two recipes:
 * `PAPER`: the paper's.  Adam on the mean squared error E = |f(x) − u|²/2.  For lengths near 1 it
   ends at mean angle errors of .25 to .5 degrees.
 * `ACCURATE`: what the MMC network needs.  Without biases the MLP is odd, f(−x) = −f(x), so that
-  it keeps the direction of even the shortest vectors.  `refine` follows Adam.
+  it keeps the direction of even the shortest vectors.  After Adam, Levenberg and Marquardt's method
+  refines it.
 
 Weight decay λ adds the L2 penalty λ Σ w² on the weights of all layers to E, as Keras'
 `kernel_regularizer=l2(λ)` in every layer does: ∂E/∂W_k gains 2 λ W_k.  The paper's sixty networks
@@ -31,7 +32,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from torch import Tensor
 
 from mmc_gym._errors import require, require_not_negative, require_whole
@@ -52,7 +53,7 @@ BATCH_SIZE = 16
 LEARNING_RATE = 0.001
 """Step size of Adam."""
 
-# What `refine` weighs.
+# What the refinement weighs:
 NEAR = 0.3
 """Lengths within this of 1 have weight 1, because an arm at rest needs them."""
 FAR_WEIGHT = 0.1
@@ -77,7 +78,7 @@ class FittingSettings:
             recorded errors are without it.
         biases: whether units have biases; without them the MLP is odd.
         precision: floating point type to train in.
-        refinement_iterations: iterations of `refine` after Adam.
+        refinement_iterations: iterations of Levenberg and Marquardt's method after Adam.
 
     Raises:
         UserError: if a value is out of range.
@@ -144,10 +145,10 @@ def train_normalizers(
 ) -> list[TrainedNormalizer]:
     """Train `runs` MLPs of one architecture together.
 
-    Run r depends on `seed` and r only, not on the number of runs, up to rounding.  Its samples are
+    Up to rounding, run r depends only on `seed` and r, not on the number of runs.  Its samples are
     the same for every architecture.  On one machine the same arguments give the same weights, bit
-    for bit; the last digits after a refinement also depend on the number of threads of numpy's
-    BLAS.  Torch's global random numbers are left alone.  Torch computes on one thread, which is
+    for bit; after a refinement the last digits also depend on the number of threads of numpy's
+    BLAS.  Torch's global random numbers do not change.  Torch computes on one thread, which is
     fastest for layers this small.
 
     Args:
@@ -176,8 +177,8 @@ def train_normalizers(
     trained = []
     for run in range(runs):
         validation, training = np.split(samples[run].numpy().T, [recipe.held_out])
-        normalizer = _normalizer(parameters[run], widths)
-        normalizer = refine(normalizer, training[:, :2], recipe.refinement_iterations)
+        refined = _refine(parameters[run], widths, training[:, :2], recipe.refinement_iterations)
+        normalizer = _normalizer(refined, widths)
         error = np.mean((normalizer(validation[:, :2]) - validation[:, 2:]) ** 2)
         card = {"seed": f"{seed}, run {run}", "validation_mse": f"{error:.4g}"}
         card |= _card(normalizer, recipe)
@@ -192,8 +193,6 @@ def _card(normalizer: LearnedNormalizer, recipe: FittingSettings) -> dict[str, s
     mse = mean_squared_error(normalizer, directions=360)
     return {
         "recipe": repr(recipe),
-        "epochs": str(recipe.epochs),
-        "refinement_iterations": str(recipe.refinement_iterations),
         "mse": f"{mse:.4g} (all lengths to 2)",
         "mean_angle_error_deg": f"{near.mean():.4g} (lengths 0.9 to 1.1)",
         "worst_angle_error_deg": f"{everywhere.max():.4g} (lengths 1e-6 to 3)",
@@ -260,7 +259,7 @@ def _forward(layers: _Layers, inputs: Tensor) -> list[Tensor]:
 def _gradient(layers: _Layers, values: list[Tensor], slope: Tensor) -> Tensor:
     """Return ∂E/∂parameters, (runs, P), from the slope ∂E/∂y_K, (runs, 2, samples).
 
-    It is written out, because autograd's bookkeeping costs more than layers of a few units:
+    It is written out, because autograd costs more than layers of a few units:
 
         δ_K = ∂E/∂y_K (1 − y_K²),   δ_k = (W_{k+1}ᵀ δ_{k+1}) (1 − y_k²),   ∂E/∂W_k = δ_k y_{k−1}ᵀ
     """
@@ -312,34 +311,21 @@ def _adam(
     return parameters.double(), torch.stack(history, dim=1).double().numpy()
 
 
-def refine(normalizer: LearnedNormalizer, vectors: ArrayLike, iterations: int) -> LearnedNormalizer:
-    """Refine a normalizer so that it turns vectors less.
+def _refine(parameters: Tensor, widths: Sequence[int], vectors: Array, iterations: int) -> Tensor:
+    """Refine an MLP so that it turns vectors less; return its new parameters (P,).
 
     Adam leaves angle errors of some tenths of a degree, and with them a floor under an MMC
     network's distance to its target.  Here the parts of f(x) − u across and along u are made
-    small, with weights w(r) for the lengths of the vectors x = r u,
+    small, with weights w(r) for the lengths of the vectors x = r u, (n, 2),
 
         E = Σ e²,   e = [w (u × f(x)),  w c (u · f(x) − 1)]
 
     A small MLP has few enough parameters P to solve (JᵀJ + λ diag JᵀJ) Δ = Jᵀe, with J = ∂e/∂P, for
     the step Δ (Levenberg and Marquardt).  An odd MLP, whose biases are all zero, stays odd.
-
-    Args:
-        normalizer: the normalizer to begin with.
-        vectors: vectors to do better on, none of them zero, shape (n, 2).
-        iterations: number of steps.
-
-    Returns:
-        The refined normalizer, without a card.
     """
-    vectors = np.asarray(vectors, dtype=np.float64)
     projections = _projections(vectors)
-    widths, parts, free = (2, *normalizer.hidden_units, 2), [], []
-    for weight, bias in zip(normalizer.weights, normalizer.biases, strict=True):
-        parts += [weight.ravel(), bias]
-        free += [np.ones(weight.size, bool), np.full(bias.size, np.any(bias))]
-    parameters, is_free = np.concatenate(parts), np.concatenate(free)
-    normalizer = _normalizer(torch.from_numpy(parameters), widths)
+    is_free = (parameters != 0).numpy()  # only the biases of an odd MLP are 0
+    normalizer = _normalizer(parameters, widths)
     values = [vectors, *normalizer.activations(vectors)]
     errors = _errors(values[-1], projections)
     damping = 0.01
@@ -349,9 +335,10 @@ def refine(normalizer: LearnedNormalizer, vectors: ArrayLike, iterations: int) -
         normal, slope = jacobian.T @ jacobian, jacobian.T @ errors
         scale = normal.diagonal() + 1e-12  # a unit that saturates has no slope left
         for _ in range(10):
-            moved = parameters.copy()
-            moved[is_free] -= np.linalg.solve(normal + np.diag(damping * scale), slope)
-            candidate = _normalizer(torch.from_numpy(moved), widths)
+            moved = parameters.clone()
+            step = np.linalg.solve(normal + np.diag(damping * scale), slope)
+            moved[is_free] -= torch.from_numpy(step)
+            candidate = _normalizer(moved, widths)
             candidate_values = [vectors, *candidate.activations(vectors)]
             candidate_errors = _errors(candidate_values[-1], projections)
             if candidate_errors @ candidate_errors < errors @ errors:
@@ -359,12 +346,12 @@ def refine(normalizer: LearnedNormalizer, vectors: ArrayLike, iterations: int) -
                 values, errors = candidate_values, candidate_errors
                 damping = max(damping / 3, 1e-12)
                 break
-            damping = min(4 * damping, 1e300)  # where nothing more is gained, it goes on growing
-    return normalizer
+            damping = min(4 * damping, 1e300)  # it grows for ever where nothing more is gained
+    return parameters
 
 
 def _projections(vectors: Array) -> list[Array]:
-    """Return the weighted directions across and along u, each (n, 2), to project f(x) − u on."""
+    """Return weighted directions across and along u, (n, 2) each, for projections of f(x) − u."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
     along = vectors / lengths
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)

@@ -426,7 +426,6 @@ class MMCNetwork:
         return np.where(is_stuck, self.state_from_joint_angles(bent).values, values)
 
 
-@dataclass(frozen=True, eq=False)
 class Iteration:
     """One iteration of a network, for a set of clamped rows and a dtype.
 
@@ -435,51 +434,39 @@ class Iteration:
         clamped: rows that hold clamp values.
         normalized: rows to normalize, those of the free segments.
         lengths: lengths to bring them to, (n, 1).
-        normalizer: the network's.
-        normalizes_first: whether this comes before the linear part (schedule "delayed").
     """
 
-    operator: Floats
-    clamped: Rows
-    normalized: Rows
-    lengths: Floats
-    normalizer: Normalizer
-    normalizes_first: bool
+    def __init__(self, network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> None:
+        """Prepare for clamped rows (`Clamps.rows`) and a dtype's character."""
+        free = [row for row in range(network.segment_count) if row not in clamped]
+        self._is_delayed = network.schedule == "delayed"
+        offset = len(chain.vector_pairs(network.segment_count)) if self._is_delayed else 0
+        self._normalizer = network.normalizer
+        self.operator: Floats = linear_operator(network, clamped).astype(dtype)
+        self.clamped = _as_slice(clamped)
+        self.normalized = _as_slice(tuple(offset + row for row in free))
+        self.lengths: Floats = np.array(network.segment_lengths, dtype=dtype)[free, None]
 
     def repeat(self, values: Floats, iterations: int) -> Floats:
         """Return the state (rows, 2, batch) after some iterations; `values` is overwritten."""
         following = np.empty_like(values)
         flat = (len(values), -1)
         for _ in range(iterations):
-            if self.normalizes_first:
+            if self._is_delayed:
                 self._normalize(values)
             self.operator.dot(values.reshape(flat), following.reshape(flat))
-            if not self.normalizes_first:
+            if not self._is_delayed:
                 self._normalize(following)
             values, following = following, values
         return values
 
     def _normalize(self, values: Floats) -> None:
         segments = values[self.normalized]  # a view if they are neighbours, otherwise a copy
-        self.normalizer.normalize_rows(segments, self.lengths)
+        self._normalizer.normalize_rows(segments, self.lengths)
         values[self.normalized] = segments
 
 
-@lru_cache(maxsize=256)
-def compile_iteration(network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> Iteration:
-    """Prepare an iteration for clamped rows (`Clamps.rows`) and a dtype's character."""
-    count = network.segment_count
-    free = [row for row in range(count) if row not in clamped]
-    delayed = network.schedule == "delayed"
-    offset = len(chain.vector_pairs(count)) if delayed else 0
-    return Iteration(
-        operator=linear_operator(network, clamped).astype(dtype),
-        clamped=_as_slice(clamped),
-        normalized=_as_slice(tuple(offset + row for row in free)),
-        lengths=np.array(network.segment_lengths, dtype=dtype)[free, None],
-        normalizer=network.normalizer,
-        normalizes_first=delayed,
-    )
+compile_iteration = lru_cache(maxsize=256)(Iteration)
 
 
 @lru_cache(maxsize=256)

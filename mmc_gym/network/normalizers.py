@@ -7,8 +7,8 @@ output units, is trained to map any vector onto the unit circle without turning 
     L = ℓ · f(L̃ / ℓ),      f(x) = tanh(W_K … tanh(W_1 x + b_1) … + b_K).
 
 Inside the network the batch is the last axis, (rows, 2, batch), so that an iteration is one matrix
-product over contiguous memory.  `normalize_rows` works on that layout, in place.  Calling a
-normalizer works on the usual one, (..., 2).
+product over contiguous memory.  `normalize_rows` takes that layout and works in place.  A call of
+the normalizer takes the usual layout, (..., 2).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Normalizer(ABC):
         require(vectors.shape[-1:] == (2,), "vectors", vectors.shape, "of shape (..., 2)")
         lengths = require_array("lengths", lengths).astype(vectors.dtype)
         shape = np.broadcast_shapes(vectors.shape[:-1], lengths.shape)
-        # Every vector has a length of its own here, so each is a row with a batch of one.
+        # Each vector may have another length, so each is a row with a batch of one.
         rows = np.broadcast_to(vectors, (*shape, 2)).reshape(-1, 2, 1).copy()
         self.normalize_rows(rows, np.broadcast_to(lengths, shape).reshape(-1, 1))
         return rows.reshape(*shape, 2)

@@ -21,11 +21,11 @@ sideways would need large steps to come nearer, and its speed would have a secon
 
 The linear part of the network moves the hand by the slow mode, of eigenvalue 2.  It covers the
 share 2g of the distance, so that g = σ/2, or d = 2/σ.  Normalization makes the hand slower than
-that, by a factor that depends on the posture.  So g = σ/2 is a first guess, which a few secant
-steps correct until the hand's step has the wanted length.  They repeat only the normalization,
-because the factor of g stays the same.  g is at most 2/(2 + (N + 1)), which damps the slow modes,
-of eigenvalue 2, and the fast ones, N + 1, equally well.  If this is too little, as with the arm
-folded or stretched out, the hand arrives late.  The network's own damping plays no part.
+that, by a factor that depends on the posture.  So g = σ/2 is a first guess.  A few secant steps
+correct it until the hand's step has the wanted length.  They repeat only the normalization, because
+the factor of g stays the same.  g is at most 2/(2 + (N + 1)), which damps the slow modes,
+of eigenvalue 2, and the fast ones, N + 1, equally well.  If this is too little, as with a folded or
+stretched arm, the hand arrives late.  The network's own damping has no effect.
 
 Literature: T. Flash, N. Hogan (1985), J. Neurosci. 5, 1688–1703.  M. Zak (1988), Terminal
 attractors for addressable memory in neural networks, Phys. Lett. A 133, 18–22.  P. Morasso,
@@ -48,7 +48,7 @@ from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork, MMCState, triangle_products
 
 CORRECTIONS = 4
-"""Secant steps by which the gain of an iteration is corrected."""
+"""Secant steps that correct the gain of an iteration."""
 
 
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
@@ -91,7 +91,7 @@ def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
 def timed_step(
     network: MMCNetwork, state: MMCState, target: ArrayLike, share: ArrayLike
 ) -> MMCState:
-    """Return the state after one iteration that takes the hand a share of its way to the target.
+    """Return the state after an iteration in which the hand covers a share of its distance.
 
     Args:
         network: a kinematic and synchronous network.
@@ -173,9 +173,9 @@ def timed_trajectory(
 def _solve(
     function: Callable[[Floats], Floats], wanted: Floats, first: Floats, largest: float
 ) -> Floats:
-    """Find where in [0, largest] an increasing function has the wanted value; at 0 it is 0.
+    """Find where in [0, largest] an increasing function, 0 at 0, has the wanted value.
 
-    Steps are proportional until the answer is bracketed, then secants of the bracket.
+    Steps are proportional until the answer is bracketed, and then secants of the bracket.
     """
     tiny = np.finfo(wanted.dtype).tiny
     low, low_value = np.zeros_like(wanted), np.zeros_like(wanted)

@@ -333,7 +333,6 @@ def test_vectors_of_any_kind_tell_what_their_environments_do():
             lambda given: InverseKinematicsAgent(given, damped_least_squares, 0),
             "iterations_per_step must be a whole",
         ),
-        (lambda given: InverseKinematicsAgent(given, "dls"), "solver must be a function, .*'dls'"),
         (lambda given: network_of_arm(given, dampening=4), "'dampening'; did you mean 'damping'"),
         (lambda given: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
     ],

