@@ -37,6 +37,7 @@ from torch import Tensor
 
 from mmc_gym._errors import require, require_not_negative, require_whole
 from mmc_gym._grid import one_torch_thread
+from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import (
     WEIGHTS,
     LearnedNormalizer,
@@ -326,7 +327,7 @@ def _refine(parameters: Tensor, widths: Sequence[int], vectors: Array, iteration
     projections = _projections(vectors)
     is_free = (parameters != 0).numpy()  # only the biases of an odd MLP are 0
     normalizer = _normalizer(parameters, widths)
-    values = [vectors, *normalizer.activations(vectors)]
+    values: list[Floats] = [vectors, *normalizer.activations(vectors)]
     errors = _errors(values[-1], projections)
     damping = 0.01
     for _ in range(iterations):
@@ -339,7 +340,7 @@ def _refine(parameters: Tensor, widths: Sequence[int], vectors: Array, iteration
             step = np.linalg.solve(normal + np.diag(damping * scale), slope)
             moved[is_free] -= torch.from_numpy(step)
             candidate = _normalizer(moved, widths)
-            candidate_values = [vectors, *candidate.activations(vectors)]
+            candidate_values: list[Floats] = [vectors, *candidate.activations(vectors)]
             candidate_errors = _errors(candidate_values[-1], projections)
             if candidate_errors @ candidate_errors < errors @ errors:
                 parameters, normalizer = moved, candidate
@@ -360,7 +361,7 @@ def _projections(vectors: Array) -> list[Array]:
     return [weight * across, weight * LENGTH_WEIGHT * along]
 
 
-def _errors(output: Array, projections: list[Array]) -> Array:
+def _errors(output: Floats, projections: list[Array]) -> Array:
     """Return the errors e of all vectors, (2 n,)."""
     across, along = projections
     # u · (f − u) = u · f − 1, and the weight of u is the length of the projection itself.
@@ -369,7 +370,7 @@ def _errors(output: Array, projections: list[Array]) -> Array:
     return errors
 
 
-def _jacobian(normalizer: LearnedNormalizer, values: list[Array], projection: Array) -> Array:
+def _jacobian(normalizer: LearnedNormalizer, values: list[Floats], projection: Array) -> Array:
     """Return ∂(a · y_K)/∂parameters of every vector, a its `projection`, (n, P)."""
     parts: list[Array] = []
     slope = projection

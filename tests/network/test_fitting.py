@@ -135,7 +135,7 @@ def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
         (FittingSettings, {"epochs": 0}, "epochs must be a whole number of at least 1, got 0"),
         (FittingSettings, {"samples": 2}, "samples must be a whole number of at least 3, got 2"),
         (FittingSettings, {"weight_decay": -0.1}, "weight_decay must be .*, got -0.1"),
-        (FittingSettings, {"length_ranges": ((1.0, 1.0),)}, r"length_ranges must .* \(1.0, 1.0"),
+        (FittingSettings, {"length_ranges": ((1.0, 1.0),)}, "length_ranges must be pairs"),
     ],
 )
 def test_impossible_trainings_are_refused(make, settings, message):
