@@ -1,4 +1,4 @@
-"""Errors about what a user gave.
+"""Errors of users' input, and checks that raise them.
 
 Messages name the argument, the value and what is accepted.
 """
@@ -8,8 +8,7 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-import sys
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
@@ -39,11 +38,11 @@ class MissingExtraError(UserError, ImportError):
 
 
 class MismatchWarning(UserWarning):
-    """Something acts in another environment than it was made for."""
+    """An agent acts in an environment that it was not made for."""
 
 
 def missing(what: str, package: str, extra: str) -> MissingExtraError:
-    """Return the error about something that needs a package of an extra."""
+    """Return the error that `what` needs a package of an extra."""
     return MissingExtraError(
         f'{what} needs {package}, which is not installed: pip install "mmc-gym[{extra}]"'
     )
@@ -63,7 +62,7 @@ def require(fine: bool, name: str, value: object, accepted: str) -> None:
 
 
 def shown(value: object) -> str:
-    """Return a value as it is written in code, cut off where that is long."""
+    """Return the `repr` of a value, cut off after `_LONGEST_VALUE` characters."""
     text = repr(value)
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
 
@@ -72,24 +71,24 @@ def shown(value: object) -> str:
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Tell whether a value is a whole number; bools are not."""
+    """Return whether a value is a whole number; bools are not."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def is_point(numbers: Numbers) -> bool:
-    """Tell whether numbers are a point or vector (x, y), finite."""
+    """Return whether numbers are a finite point or vector (x, y)."""
     return len(numbers) == 2 and all(map(math.isfinite, numbers))
 
 
 def is_disc(numbers: Numbers) -> bool:
-    """Tell whether numbers are a disc (x, y, radius), finite and of positive radius."""
+    """Return whether numbers are a finite disc (x, y, radius) of positive radius."""
     return len(numbers) == 3 and all(map(math.isfinite, numbers)) and numbers[2] > 0
 
 
 def require_number(
     name: str, value: Any, accepted: str, fine: Callable[[float], bool] = math.isfinite
 ) -> float:
-    """Return a real number, for which `fine` holds, as a float; texts and bools are not numbers."""
+    """Return a real number that satisfies `fine`, as a float; bools are not numbers."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     require(is_number and fine(float(value)), name, value, accepted)
     return float(value)
@@ -107,10 +106,9 @@ def require_positive(name: str, value: Any) -> float:
 
 def require_not_negative(**values: Any) -> None:
     """Check that all values are finite and not negative."""
+    accepted = "finite and not negative"
     for name, value in values.items():
-        require_number(
-            name, value, "finite and not negative", lambda number: 0 <= number < math.inf
-        )
+        require_number(name, value, accepted, lambda number: 0 <= number < math.inf)
 
 
 def require_whole(name: str, value: Any, least: int = 1) -> int:
@@ -122,39 +120,35 @@ def require_whole(name: str, value: Any, least: int = 1) -> int:
 def require_numbers(
     name: str, value: Any, accepted: str, fine: Callable[[Numbers], bool]
 ) -> Numbers:
-    """Return a list, tuple or array of numbers, for which `fine` holds, as floats."""
+    """Return a sequence or array of numbers that satisfies `fine`, as a tuple of floats."""
     array = _array(value)
-    numbers = tuple(array.astype(np.float64).tolist()) if array.ndim == 1 else None
-    require(numbers is not None and fine(numbers), name, value, accepted)
-    return numbers or ()
+    numbers = tuple(array.astype(np.float64).tolist()) if array.ndim == 1 else ()
+    require(array.ndim == 1 and fine(numbers), name, value, accepted)
+    return numbers
 
 
 def require_rows(
-    name: str,
-    value: Any,
-    accepted: str,
-    fine: Callable[[Numbers], bool],
-    counts: Container[int] = range(sys.maxsize),
+    name: str, value: Any, accepted: str, fine: Callable[[Numbers], bool]
 ) -> tuple[Numbers, ...]:
-    """Return rows of floats, for each of which `fine` holds; their number is one of `counts`."""
+    """Return rows of numbers, each of which satisfies `fine`, as tuples of floats."""
     array = _array(value)
     rows = tuple(map(tuple, array.astype(np.float64).tolist())) if array.ndim == 2 else ()
     are_rows = array.ndim == 2 or array.shape == (0,)
-    require(are_rows and len(rows) in counts and all(map(fine, rows)), name, value, accepted)
+    require(are_rows and all(map(fine, rows)), name, value, accepted)
     return rows
 
 
 def require_array(
     name: str, value: Any, accepted: str = "an array of numbers"
 ) -> NDArray[np.floating]:
-    """Return an array of floats: of float32 if it is one, otherwise of float64."""
+    """Return an array of floats: float32 stays float32, everything else becomes float64."""
     array = _array(value)
     require(array.dtype != object, name, value, accepted)
     return array if array.dtype == np.float32 else array.astype(np.float64)
 
 
 def _array(value: Any) -> NDArray[Any]:
-    """Return a value as an array of numbers; as a single None if it is not numeric."""
+    """Return a value as an array of numbers, or an array of None if it is not numeric."""
     try:
         array = np.asarray(value)
     except ValueError:  # of uneven lengths
@@ -166,7 +160,7 @@ def _array(value: Any) -> NDArray[Any]:
 
 
 def nearest(value: object, known: Iterable[object]) -> str:
-    """Return the one of `known` whose spelling is closest to a value, or "" if none is close.
+    """Return the name in `known` whose spelling is closest to `value`, or "" if none is close.
 
     >>> nearest("persuit", ["random", "pursuit"])
     'pursuit'
@@ -179,14 +173,14 @@ def nearest(value: object, known: Iterable[object]) -> str:
 def unknown(
     name: str, value: object, known: Iterable[object], *also: str, guess: str = ""
 ) -> UserError:
-    """Return the error about a value that is not among the known ones.
+    """Return the error that `value` is not among the known values.
 
     Args:
         name: of the argument.
-        value: the one that was given.
-        known: the names that are accepted; None may be one.
+        value: the value given.
+        known: the accepted names; None may be one.
         also: what else is accepted, in words.
-        guess: a suggestion, instead of the closest name.
+        guess: what to suggest instead of the closest name.
 
     >>> print(unknown("engine", "pymunck", ["pymunk", "analytic"]))
     engine 'pymunck' is not accepted; did you mean 'pymunk'? It may be pymunk or analytic
@@ -203,14 +197,14 @@ def _question(guess: str) -> str:
 
 
 def require_choice(name: str, value: object, known: Iterable[object]) -> None:
-    """Raise a `UserError` unless the value is one of the known names; or None, if that is one."""
+    """Raise a `UserError` unless the value is in `known`: names, and None where it is accepted."""
     known = tuple(known)
     if not (value is None or isinstance(value, str)) or value not in known:
         raise unknown(name, value, known)
 
 
 def spelt(cls: Class) -> Class:
-    """Let a class name an unknown argument of its constructor, and suggest the closest one."""
+    """Make a class refuse unknown arguments with a `UserError` that suggests the closest name."""
     plain: Any = cls.__init__  # type: ignore[misc]
     known = tuple(inspect.signature(cls).parameters)
 
@@ -224,7 +218,7 @@ def spelt(cls: Class) -> Class:
 
 
 def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise a `UserError` that names the first argument in `given` that is not known."""
+    """Raise a `UserError` for the first argument in `given` that is not in `known`."""
     known = tuple(known)
     for name in given:
         if name not in known:
@@ -236,9 +230,9 @@ def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None
 
 
 def explain(error: ValidationError) -> str:
-    """Return pydantic's complaints in one line: each entry, what it accepts, and its value.
+    """Return pydantic's errors in one line: each entry, what it accepts, and its value.
 
-    A complaint about all entries together has no value, which would be all of them.
+    An error about all entries together is shown without a value.
     """
     complaints = []
     for each in error.errors(include_url=False):

@@ -1,4 +1,4 @@
-"""Show things in a notebook: facts as HTML, pictures as PNG."""
+"""What objects show in a notebook: facts as HTML, pictures as PNG."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def facts_table(thing: object, facts: Mapping[str, str]) -> str:
-    """Return HTML: a thing's class, the first line of its docstring, and a row for each fact."""
+    """Return HTML with an object's class, its docstring's first line, and a row for each fact."""
     first = (inspect.getdoc(type(thing)) or "").partition("\n")[0]
     rows = "".join(
         f'<tr><th style="text-align: left">{escape(heading)}</th><td>{escape(fact)}</td></tr>'

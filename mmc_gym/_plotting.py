@@ -1,4 +1,4 @@
-"""Draw figures: their style and files, hand paths, speed profiles and postures."""
+"""Figures: style and files, hand paths, speed profiles and postures."""
 
 from __future__ import annotations
 
@@ -23,13 +23,8 @@ Floats = NDArray[np.float64]
 
 EXAMPLES = 4  # paths shown per agent
 POSTURES = 16  # of a network, at most
-LINES = ("-", "--", "-.", (0, (1, 1)))  # episodes differ without colour, too
-COLOURS = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#7f3b8c",
-)  # by Okabe and Ito, for the colour-blind
+LINES = ("-", "--", "-.", (0, (1, 1)))  # so that paths differ without colour, too
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c")  # by Okabe and Ito, for the colour-blind
 STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 9,
@@ -103,7 +98,7 @@ def paths_and_profiles(
         )
         for (above, below), (name, drawn) in zip(axes.T, movements.items(), strict=True):
             above.set_title(name)
-            draw_paths(above, drawn, reach, tolerance, halo=True)
+            draw_paths(above, drawn, reach, tolerance)
             above.set_xlabel("x [segment lengths]")
             draw_speed(below, speed_quartiles(drawn), control_step)
             below.set_xlabel("time [s]")
@@ -124,17 +119,13 @@ def paths_and_profiles(
 
 
 def draw_paths(
-    axes: Axes,
-    movements: Sequence[PlottedMovement],
-    reach: float,
-    tolerance: float,
-    *,
-    halo: bool = False,
+    axes: Axes, movements: Sequence[PlottedMovement], reach: float, tolerance: float
 ) -> None:
     """Draw the hand paths of the first `EXAMPLES` movements, with their targets and the reach.
 
-    For the arguments see `paths_and_profiles`; a `halo` sets off the numbers of the targets.
+    The arguments are those of `paths_and_profiles`.
     """
+    halo = [withStroke(linewidth=2, foreground="white")]
     axes.add_patch(Circle((0, 0), reach, fill=False, color="0.6", linestyle=":", linewidth=0.8))
     for number, (hands, (x, y), _) in enumerate(movements[:EXAMPLES]):
         colour = COLOURS[number]
@@ -143,37 +134,22 @@ def draw_paths(
         axes.add_patch(Circle((x, y), tolerance, fill=False, linewidth=0.8))
         axes.plot(*hands[0], "o", color=colour, markersize=5, markerfacecolor="white")
         axes.plot(*hands[-1], "o", color=colour, markersize=2.5)
-        write_number(axes, number + 1, (x, y), (5, 4), halo=halo, color=colour, zorder=5)
+        number_style: Any = {"color": colour, "path_effects": halo, "zorder": 5}
+        axes.annotate(str(number + 1), (x, y), (5, 4), textcoords="offset points", **number_style)
     border = 1.05 * reach
     axes.set(xlim=(-border, border), ylim=(-border, border), aspect="equal")
 
 
-def write_number(
-    axes: Axes,
-    number: int,
-    place: tuple[float, float],
-    offset: tuple[float, float],
-    *,
-    halo: bool = True,
-    **style: Any,
-) -> None:
-    """Write a number beside a place, `offset` by points; a halo sets it off."""
-    effects = [withStroke(linewidth=2, foreground="white")] if halo else None
-    axes.annotate(
-        str(number), place, offset, textcoords="offset points", path_effects=effects, **style
-    )
-
-
 def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = None) -> Figure:
-    """Draw the postures of the first `EXAMPLES` arms in turn, later ones darker.
+    """Draw successive postures of the first `EXAMPLES` arms, later ones darker.
 
     Args:
-        nodes: base, joints and hand in each posture, (postures, arms, N + 1, 2).
-        ends: the place of each arm's cross, (arms, 2).
+        nodes: positions of base, joints and hand in each posture, (postures, arms, N + 1, 2).
+        ends: position of each arm's target, drawn as a cross, (arms, 2).
         axes: to draw on; those of a new figure if None.
     """
-    # The first steps are the largest.
     count = len(nodes)
+    # Show more of the early postures: the first steps are the largest.
     shown = np.unique(np.geomspace(1, count, min(count, POSTURES)).round().astype(int)) - 1
     with rc_context(STYLE):
         if axes is None:

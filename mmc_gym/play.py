@@ -1,4 +1,4 @@
-"""Play: a window in which the mouse is the target and an agent drives the arm to it."""
+"""Play: a window in which the mouse moves the target and an agent moves the arm."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def play(
             `mmc_gym.agents.AGENTS`.
         env: id of a reaching environment, "module:Id", "module:function", or a function that
             returns one; it gets no time limit.
-        seed: of the postures, or None for others each time.
+        seed: of the postures, or None for different ones each time.
         env_kwargs: arguments of the environment, see `compare`.
         allow_pickle: whether files that hold pickles may be loaded, see `compare`.
 
     Raises:
-        UserError: without a display, for an unknown agent or another environment.
+        UserError: without a display, for an unknown agent, or for an environment without an arm.
     """
     open_display(must_be_seen=True)
     try:
@@ -71,7 +71,7 @@ class Game:
         agent: name of the present agent.
         paused: whether time stands still.
         running: False once the user has asked to quit.
-        target: (x, y) in segment lengths, from the mouse, or from the task before it moved.
+        target: (x, y) in segment lengths; from the task until the mouse moves.
         message: why an agent could not be made, or "".
     """
 
@@ -87,11 +87,11 @@ class Game:
         Args:
             env: an `MMCReachEnv`, wrapped or not, that renders "rgb_array" and has no time limit.
             makers: functions that make the agents, by name; called when one is chosen.
-            agent: name of the first.
+            agent: name of the first agent.
             seed: of the postures.
 
         Raises:
-            UserError: for another environment.
+            UserError: if `env` is no `MMCReachEnv`.
         """
         if not isinstance(env.unwrapped, MMCReachEnv):
             raise UserError(f"env must be a reaching environment like MMCReach-v0, got {env}")
@@ -111,14 +111,14 @@ class Game:
 
     def frame(self) -> None:
         """Read keys and mouse, simulate one control step unless paused, and draw the state."""
-        changed = [self._heed(event) for event in pygame.event.get()]
+        changed = [self._handle(event) for event in pygame.event.get()]
         if not self.paused:
             self._step()
         if any(changed) or not self.paused:
             self._show()
 
     def choose(self, agent: str) -> None:
-        """Hand the arm to another agent; if that fails, `message` says why."""
+        """Let another agent move the arm; if that fails, `message` says why."""
         try:
             if agent not in self._agents:
                 self._agents[agent] = self._makers[agent]()
@@ -147,12 +147,12 @@ class Game:
         self._see(info)
         self._hand_speed = math.dist(hand, self._hand) / self._reach.parameters.control_step
 
-    def _heed(self, event: pygame.event.Event) -> bool:
-        """Carry out an event; return whether it may change the picture."""
+    def _handle(self, event: pygame.event.Event) -> bool:
+        """Handle an event; return whether it may change the picture."""
         if event.type == pygame.QUIT:
             self.running = False
         elif event.type == pygame.KEYDOWN:
-            self._heed_key(event.key)
+            self._handle_key(event.key)
         elif event.type == pygame.MOUSEMOTION:
             self._move_target(self._view.point(event.pos))
         else:
@@ -160,14 +160,14 @@ class Game:
         return True
 
     def _move_target(self, point: tuple[float, float]) -> None:
-        """Move the target to the nearest point in reach, unless an obstacle is there."""
+        """Move the target to the point in reach nearest to `point`, unless an obstacle is there."""
         workspace = self._reach.setup.workspace
         nearest = workspace.nearest(point)
         if workspace.contains(nearest):
             self.target = nearest
             self._reach.set_target(nearest)
 
-    def _heed_key(self, key: int) -> None:
+    def _handle_key(self, key: int) -> None:
         names = list(self._makers)
         if key in (pygame.K_ESCAPE, pygame.K_q):
             self.running = False
@@ -209,7 +209,7 @@ class Game:
         return f"{self.agent}    {numbers}    {'paused' if self.paused else reached}"
 
     def _agents_line(self) -> pygame.Surface:
-        """Paint the names of all agents with their keys, the present one in brackets."""
+        """Return the names of all agents with their keys, the present one in brackets."""
         labels = []
         for number, name in enumerate(self._makers, start=1):
             label = f"{number}:{name}" if number <= 9 else name

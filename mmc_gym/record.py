@@ -1,4 +1,4 @@
-"""Record: a film of an agent, as GIF or MP4, without a display."""
+"""Record: films of agents as GIF or MP4, without a display."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mmc_gym.envs.scenarios import EnvLike
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
 Picture = NDArray[np.uint8]
-_SHORTEST = 0.02  # seconds that a picture of a GIF is shown: browsers slow shorter ones down
+_SHORTEST = 0.02  # seconds for each picture of a GIF; browsers show shorter ones more slowly
 
 
 def record(
@@ -36,15 +36,15 @@ def record(
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
 ) -> Path:
-    """Write one film of an agent in the first episodes that `compare` plays.
+    """Write a film of an agent in the first episodes that `compare` plays.
 
     Args:
-        out: file to write: .gif, or .mp4, which takes the extra `video`.
+        out: file to write: .gif, or .mp4, which needs the extra `video`.
         agent: as in `mmc_gym.compare`.
         env: a reaching environment, as in `mmc_gym.compare`.
         episodes: number of episodes in the film.
         seed: of the starts and targets.
-        on_episode: called with each episode when it is over.
+        on_episode: called with each episode after it ends.
         env_kwargs: arguments of the environment, as in `mmc_gym.compare`.
         allow_pickle: whether files that hold pickles may be loaded, as in `mmc_gym.compare`.
 
@@ -78,7 +78,7 @@ def _pictures(
     seeds: Sequence[int],
     on_episode: Callable[[Episode], None] | None,
 ) -> Iterator[Picture]:
-    """Play the episodes; yield pictures of the start and of each step."""
+    """Play the episodes and yield a picture of each start and each step."""
     for seed in seeds:
         run_episodes(player, world, [seed], on_episode, records_effort=False)
         frames: Any = world.render()
@@ -86,7 +86,7 @@ def _pictures(
 
 
 def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
-    """Return pictures (height, width, 3) as a GIF that repeats, at most 50 of them a second."""
+    """Return pictures (height, width, 3) as a GIF that loops, at most 50 pictures a second."""
     from PIL import Image
 
     every = math.ceil(_SHORTEST * frame_rate)
@@ -108,7 +108,7 @@ def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
 
 
 def mp4(pictures: Iterable[Picture], frame_rate: int) -> bytes:
-    """Return pictures (height, width, 3) as an MP4 of H.264.
+    """Return pictures (height, width, 3) as an MP4 film, H.264.
 
     Raises:
         UserError: if the extra `video` is missing.

@@ -68,7 +68,7 @@ def test_a_network_and_an_episode_say_what_they_are(env):
     assert repr(episode) == "<Episode of seed 5, 100 steps, 0.000 from the target at the end>"
 
 
-def test_the_way_of_a_network_can_be_drawn():
+def test_the_movement_of_a_network_can_be_drawn():
     network = MMCNetwork()
     start = network.state_from_joint_angles([0.3, 0.6, 0.6])
     way = network.trajectory(start, network.inverse([-1.0, 1.5]), 60)
@@ -83,7 +83,7 @@ def test_the_way_of_a_network_can_be_drawn():
     assert figure._repr_png_().startswith(b"\x89PNG")
 
 
-def test_the_ways_of_many_networks_are_drawn_on_axes_that_are_given():
+def test_the_movements_of_many_networks_are_drawn_on_given_axes():
     network = MMCNetwork()
     start = network.state_from_joint_angles([0.3, 0.6, 0.6])
     targets = np.random.default_rng(0).uniform(-1, 1, (2, 3, 2))

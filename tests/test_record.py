@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from mmc_gym._errors import UserError
 from mmc_gym.cli import main
 from mmc_gym.measures import episode_seeds
 from mmc_gym.record import record
@@ -88,21 +87,9 @@ def test_the_command_names_the_file_the_agent_and_the_missing_extra(tmp_path, mo
         (["film.avi"], "out must be a file that ends in .gif or .mp4, got 'film.avi'"),
         (["film.mp4"], 'pip install "mmc-gym[video]"'),
         (["film.gif", "--agent", "mcc"], "mcc"),
+        (["film.gif", "--env", "CartPole-v1"], "env must be a reaching environment"),
         (["film.gif", "--episodes", "0"], "episodes must be a whole number of at least 1, got 0"),
     ):
         with pytest.raises(SystemExit):
             main(["record", *arguments])
         assert message in capsys.readouterr().err
-
-
-def test_an_agent_acts_in_the_control_mode_of_its_own(tmp_path, monkeypatch):
-    seen = []
-    monkeypatch.setattr(
-        "mmc_gym.record.run_episodes",
-        lambda agent, env, *_, **__: seen.append(env.unwrapped.setup.control) or env.reset(seed=0),
-    )
-    for agent in ("mmc", "ppo", "ppo-torque"):
-        record(tmp_path / "film.gif", agent)
-    assert seen == ["joint_position", "joint_delta", "joint_torque"]
-    with pytest.raises(UserError, match="env must be a reaching environment"):
-        record(tmp_path / "film.gif", "mmc", "CartPole-v1")

@@ -1,4 +1,4 @@
-"""The simulated arm: bodies, joints and servos.  It uses no Gymnasium and no network.
+"""The simulated arm: bodies, joints and servos, without Gymnasium and without the network.
 
 Two engines simulate it.  `pymunk`, the default, is Chipmunk's constraint solver.  `analytic`
 integrates the equations of motion of the chain, compiled by numba, for millions of episodes.
@@ -22,7 +22,7 @@ Engine = Literal["pymunk", "analytic"]
 def make_arm(
     engine: Engine, parameters: ArmParameters | None = None, servo: Servo = "position"
 ) -> SingleArm:
-    """Build an arm that `engine` simulates.
+    """Build an arm simulated by `engine`.
 
     Raises:
         UserError: for an unknown engine, or an arm that it cannot simulate.
@@ -39,10 +39,10 @@ def make_arms(
     servo: Servo = "position",
     threads: int = 1,
 ) -> ArmBatch:
-    """Build `count` arms, stepped by `threads` threads.
+    """Build `count` equal arms, simulated by `engine` in `threads` threads.
 
     Raises:
-        UserError: as `make_arm` does, and for fewer than one arm or thread.
+        UserError: as `make_arm`, and for fewer than one arm or thread.
         MissingExtraError: if the engine needs numba and it is not installed.
     """
     _, batch = _classes(engine)

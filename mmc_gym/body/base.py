@@ -1,4 +1,4 @@
-"""The interfaces of arms, whatever engine simulates them: one arm, or many equal ones at once."""
+"""The interfaces of arms for every engine: one arm, or many equal arms at once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import UserError, require_choice, require_whole
+from mmc_gym._errors import UserError, require, require_choice, require_whole
 from mmc_gym.body.parameters import ArmParameters, Servo
 
 Floats = NDArray[np.float64]
@@ -28,11 +28,11 @@ class SingleArm(ABC):
         parameters: the arm's physical parameters.
         segment_angles: absolute angles of the segments after the last step, rad, not wrapped.
         joint_angles: relative angles of the joints after the last step, rad, not wrapped.
-        joint_velocities: their velocities, rad/s.
+        joint_velocities: velocities of the joints, rad/s.
         end_effector: position of the hand, (x, y).
         records_effort: whether steps record the effort of the servos; False by default.
         servo_impulses: ∫ |τ| dt of each servo in the last recorded step, mass · length² / s.  NaN
-            before it, and always on the analytic engine.  Stops and locks are not servos.
+            before the first, and always on the analytic engine.  Stops and locks do not count.
         servo_work: ∫ |τ q̇| dt of each servo in the same step, mass · length² / s².
     """
 
@@ -61,10 +61,10 @@ class SingleArm(ABC):
     def reset(
         self, joint_angles: Sequence[float], joint_velocities: Sequence[float] | None = None
     ) -> None:
-        """Place the arm.  From here it moves as a newly built one does, bit for bit.
+        """Place the arm.  From then on it moves as a newly built one does, bit for bit.
 
         Until the first command the servos hold the posture (position), stop the joints (velocity)
-        or are slack (torque).  Locked joints are free again.
+        or are slack (torque).  Locks are open again.
 
         Args:
             joint_angles: N relative angles in radians.
@@ -79,11 +79,11 @@ class SingleArm(ABC):
         self._place(joint_angles, speeds)
 
     def command(self, values: Sequence[float]) -> None:
-        """Hand N values to the servos, which hold them until the next call.
+        """Set N values for the servos, which keep them until the next call.
 
-        Depending on the servos they are joint targets in radians, joint velocities in rad/s, or
-        torques.  A joint with limits turns to its target within them, any other the short way
-        round.
+        The values are joint targets in radians ("position"), joint velocities in rad/s ("velocity")
+        or torques ("torque").  A joint with limits turns to its target within them; any other joint
+        turns the short way round.
 
         Raises:
             UserError: for another number of values than N.
@@ -101,7 +101,7 @@ class SingleArm(ABC):
 
     @abstractmethod
     def lock(self) -> None:
-        """Make the `lockable_joints` rigid where they are, until the next reset."""
+        """Make the `lockable_joints` rigid at their present angles, until the next reset."""
 
     @abstractmethod
     def _build(self) -> None: ...
@@ -116,8 +116,8 @@ class SingleArm(ABC):
 class ArmBatch(ABC):
     """Many equal arms, each of which moves as if it were alone.
 
-    The attributes are those of `SingleArm` with a leading axis: `end_effectors` are of shape
-    (count, 2), angles, velocities and efforts of shape (count, N).  Every step and reset
+    The attributes are those of `SingleArm` with a leading axis: `end_effectors` have shape
+    (count, 2); angles, velocities and efforts have shape (count, N).  Every step and reset
     overwrites these arrays: copy what you want to keep.
     """
 
@@ -142,7 +142,7 @@ class ArmBatch(ABC):
             parameters: physical parameters of every arm.
             count: number of arms.
             servo: what the servos take, see `SingleArm.command`.
-            threads: number of threads that simulate them.  The result does not depend on it.
+            threads: number of threads that simulate the arms.  It does not change the result.
 
         Raises:
             UserError: for an unknown kind of servo, less than one arm or thread, or an arm that
@@ -167,7 +167,7 @@ class ArmBatch(ABC):
         arms: ArrayLike | None = None,
         joint_velocities: ArrayLike | None = None,
     ) -> None:
-        """Place k of the arms, see `SingleArm.reset`.  The others are not touched.
+        """Place k of the arms, see `SingleArm.reset`.  The others do not change.
 
         Args:
             joint_angles: relative angles in radians, (k, N).
@@ -186,7 +186,7 @@ class ArmBatch(ABC):
         self._place(chosen, postures, speeds)
 
     def command(self, values: ArrayLike) -> None:
-        """Hand values (count, N) to the servos, see `SingleArm.command`.
+        """Set values (count, N) for the servos, see `SingleArm.command`.
 
         Raises:
             UserError: for another shape.
@@ -198,7 +198,7 @@ class ArmBatch(ABC):
         """Simulate one control step of every arm."""
 
     def lock(self, arms: ArrayLike) -> None:
-        """Make the `lockable_joints` of these arms rigid where they are, until their next reset.
+        """Make the `lockable_joints` of these arms rigid, see `SingleArm.lock`.
 
         Raises:
             UserError: for indices that repeat or belong to no arm.
@@ -206,13 +206,13 @@ class ArmBatch(ABC):
         self._lock(self._indices(arms))
 
     def close(self) -> None:
-        """End the threads; the next step starts new ones."""
+        """End the threads.  The next step starts new ones."""
         if self._pool is not None and self._pool_owner == os.getpid():
             self._pool.shutdown()
         self._pool = None
 
     def _executor(self) -> ThreadPoolExecutor:
-        """Return the threads of this process; a forked one has inherited none."""
+        """Return the thread pool of this process; a forked process inherits no threads."""
         if self._pool is None or self._pool_owner != os.getpid():
             self._pool, self._pool_owner = ThreadPoolExecutor(self._threads, "arms"), os.getpid()
         return self._pool
@@ -234,10 +234,7 @@ class ArmBatch(ABC):
         fine = rows.ndim == 1 and (rows.size == 0 or rows.dtype.kind in "iu")
         fine = fine and bool(np.all((rows >= 0) & (rows < self._count)))
         fine = fine and len(np.unique(rows)) == len(rows)
-        if not fine:
-            raise UserError(
-                f"arms must be different indices from 0 to {self._count - 1}, got {arms!r}"
-            )
+        require(fine, "arms", arms, f"different indices from 0 to {self._count - 1}")
         return np.ascontiguousarray(rows, np.intp)
 
 

@@ -26,12 +26,12 @@ _DEFAULT_INERTIA = 9.0  # of the default arm, stretched, about its base
 
 
 class Rod(NamedTuple):
-    """Inertia of a segment, with its drive and its load.
+    """Mass and inertia of a segment, including its drive and its load.
 
     Attributes:
         mass: mass.
         centre: distance of the centre of gravity from the joint, length.
-        inertia: moment of inertia about the centre of gravity, with the drive's, mass · length².
+        inertia: moment of inertia about the centre of gravity plus the drive's, mass · length².
     """
 
     mass: float
@@ -48,19 +48,19 @@ class ArmParameters:
     and does not overshoot.
 
     Each segment also turns the rotor of a geared drive, as if motors at the base drove the segments
-    by belts.  Drives are sized for what they move: the inertia of the stretched arm from the joint
-    on, without a load at the hand, is four times the drive's.  Bare rods are an ill-conditioned
-    chain: after the same number of sweeps, pymunk leaves them at least forty times farther from the
-    exact movement.
+    by belts.  By default a drive has a quarter of the inertia that it moves: that of the stretched
+    arm from the joint on, without a load at the hand.  Bare rods are an ill-conditioned chain:
+    after the same number of sweeps, pymunk leaves them at least forty times farther from the exact
+    movement.
 
     Attributes:
         segment_lengths: N positive lengths.
         segment_masses: N positive masses of the uniform rods, or None for 1 each.
         speed_limit: largest joint speed that a servo asks for, rad/s.
-        torque_limit: largest torque of a servo, mass · length² / s².  By default 500.  For an arm
-            of default masses that is harder to turn than the default arm, 500 times the ratio of
-            their inertias about the base, stretched; 18,519 for ten segments.  A changed arm
-            (`dataclasses.replace`, perturbations) keeps the limit it had.
+        torque_limit: largest torque of a servo, mass · length² / s².  The default is 500.  With
+            default masses and more inertia about the base than the default arm (both stretched), it
+            is 500 times the ratio of these inertias: 18,519 for ten segments.  A changed arm
+            (`dataclasses.replace`, perturbations) keeps its limit.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         joint_limits: lowest and highest angle of each joint, or None for continuous joints.
         gravity: acceleration (x, y), length / s².
@@ -70,10 +70,10 @@ class ArmParameters:
         force_field: 2 × 2 matrix of a viscous force field, mass / s, or None.  The force on the
             hand is `force_field` · (velocity of the hand).
         obstacles: fixed discs (x, y, radius) that the segments collide with, without friction.
-        segment_radius: half the thickness of the segments, length; only obstacles meet it.
+        segment_radius: half the thickness of the segments in collisions, length.
         lockable_joints: indices of the joints that `lock` makes rigid where they are.
         substep: duration of a physics step, s.
-        substeps: physics steps in a control step.
+        substeps: number of physics steps in a control step.
 
     Raises:
         UserError: if a value is not as described here.
@@ -96,7 +96,7 @@ class ArmParameters:
     substeps: int = 4
 
     def __post_init__(self) -> None:
-        # Fields are set to floats: arrays of whole numbers would round what is written to them.
+        # All fields become floats: arrays made from whole numbers would round later values.
         write = partial(object.__setattr__, self)
         accepted = "positive and finite lengths, one or more"
         lengths = require_numbers("segment_lengths", self.segment_lengths, accepted, _are_positive)
@@ -118,17 +118,17 @@ class ArmParameters:
         write("drive_inertia", float(self.drive_inertia))
         write("hand_mass", float(self.hand_mass))
         require_whole("substeps", self.substeps)
-        write(
-            "gravity",
-            require_numbers("gravity", self.gravity, "two finite values (x, y)", is_point),
-        )
+        accepted = "two finite values (x, y)"
+        write("gravity", require_numbers("gravity", self.gravity, accepted, is_point))
         if self.joint_limits is not None:
             accepted = f"{count} pairs low < high within -pi and pi, one per joint"
-            limits = require_rows("joint_limits", self.joint_limits, accepted, _is_range, (count,))
+            limits = require_rows("joint_limits", self.joint_limits, accepted, _is_range)
+            require(len(limits) == count, "joint_limits", limits, accepted)
             write("joint_limits", limits)
         if self.force_field is not None:
             accepted = "two rows of two finite values"
-            field = require_rows("force_field", self.force_field, accepted, is_point, (2,))
+            field = require_rows("force_field", self.force_field, accepted, is_point)
+            require(len(field) == 2, "force_field", field, accepted)
             write("force_field", field)
         accepted = "discs (x, y, radius), finite, of positive radius"
         write("obstacles", require_rows("obstacles", self.obstacles, accepted, is_disc))
@@ -146,7 +146,7 @@ class ArmParameters:
 
     @property
     def rods(self) -> tuple[Rod, ...]:
-        """Inertia of each segment with its drive; the last one carries the hand's mass."""
+        """Mass and inertia of each segment; the last one carries `hand_mass`."""
         rods: list[Rod] = []
         held = (0.0,) * (len(self.masses) - 1) + (self.hand_mass,)
         beyond = self._stretched_inertias()

@@ -1,7 +1,6 @@
 """Facts about the arms of the analytic engine."""
 
 import copy
-import math
 import pickle
 import subprocess
 import sys
@@ -11,100 +10,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
-from mmc_gym.body.analytic.arms import AnalyticArm, AnalyticArmBatch
-
-
-def scale(parameters, servo):
-    return {"position": math.pi, "velocity": parameters.speed_limit, "torque": 45.0}[servo]
-
-
-# The laws of motion, held against an independent account of one step
-
-
-class Bookkeeping:
-    """The rods of one arm as bodies: what torques must have acted to move it as it moved?"""
-
-    def __init__(self, parameters):
-        lengths, count = parameters.segment_lengths, len(parameters.segment_lengths)
-        self.step = parameters.substep
-        self.masses, self.inertias = np.array(parameters.masses), np.zeros(count)
-        self.inertias[:] = [rod.inertia for rod in parameters.rods]
-        self.levers = np.tril(np.tile(lengths, (count, 1)), -1) + np.diag(lengths) / 2
-        self.gravity = np.array(parameters.gravity)
-
-    def start(self, angles, speeds):
-        self.speeds = speeds
-        self.positions = self.levers @ self.along(angles)
-        self.velocities = self.levers @ (speeds[:, None] * self.across(angles))
-
-    @staticmethod
-    def along(angles):
-        return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-
-    @staticmethod
-    def across(angles):
-        return np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
-
-    def torques(self, angles, speeds):
-        """Joint torques of the step that ended so."""
-        straight_on = self.positions + self.step * self.velocities
-        self.positions = straight_on
-        gaps = (self.levers @ self.along(angles) - straight_on) / self.step
-        velocities = self.levers @ (speeds[:, None] * self.across(angles)) + gaps
-        pushes = velocities - self.velocities - self.step * self.gravity
-        forces = self.levers.T @ (self.masses[:, None] * pushes)
-        moments = np.sum(self.across(angles) * forces, axis=-1)
-        moments += self.inertias * (speeds - self.speeds)
-        self.velocities, self.speeds = velocities, speeds
-        return np.cumsum(moments[::-1])[::-1] / self.step
-
-
-@pytest.mark.parametrize("count", [1, 3, 5, pytest.param(12, marks=pytest.mark.slow)])
-def test_every_torque_is_the_one_that_gives_the_asked_speed_or_the_largest(servo, count, postures):
-    """And all momentum is accounted for: gravity and these torques alone move the rods."""
-    random = np.random.default_rng(count)
-    parameters = ArmParameters(
-        segment_lengths=tuple(random.uniform(0.5, 1.5, count).tolist()),
-        segment_masses=tuple(random.uniform(0.5, 1.5, count).tolist()),
-        gravity=(1.0, -9.81),
-        torque_limit=60.0,
-        substeps=1,
-    )
-    arm, books, bound, free = AnalyticArm(parameters, servo), Bookkeeping(parameters), 0, 0
-    fade = -math.expm1(-parameters.servo_gain * parameters.substep) / parameters.substep
-    for _ in range(2):
-        arm.reset(
-            postures(parameters, random, 1)[0].tolist(), random.uniform(-3, 3, count).tolist()
-        )
-        books.start(np.array(arm.segment_angles), np.cumsum(arm.joint_velocities))
-        for step in range(100):
-            if step % 20 == 0:
-                values = random.uniform(-1, 1, count) * scale(parameters, servo)
-                arm.command(values.tolist())
-                targets = arm.joint_angles + np.remainder(
-                    values - arm.joint_angles + np.pi, 2 * np.pi
-                )
-                targets -= np.pi
-            arm.step()
-            torques = books.torques(np.array(arm.segment_angles), np.cumsum(arm.joint_velocities))
-            limits, asked = np.full(count, 60.0), values
-            if servo == "position":
-                asked = np.clip(
-                    fade * (targets - arm.joint_angles),
-                    -parameters.speed_limit,
-                    parameters.speed_limit,
-                )
-            elif servo == "torque":
-                limits, asked = np.abs(values), np.copysign(parameters.speed_limit, values)
-            lack = asked - arm.joint_velocities
-            assert np.all(np.abs(torques) <= limits * (1 + 1e-6) + 1e-6)
-            at_limit = np.isclose(np.abs(torques), limits, rtol=1e-6, atol=1e-6)
-            assert np.all(at_limit | (np.abs(lack) < 1e-9))
-            assert np.all((torques * lack > -1e-6) | ~at_limit)
-            bound, free = bound + at_limit.sum(), free + (~at_limit).sum()
-    assert bound > 0
-    assert free > 0
-
+from mmc_gym.body.analytic.arms import AnalyticArmBatch
 
 # Many arms
 

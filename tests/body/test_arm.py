@@ -161,11 +161,6 @@ def test_joint_limits_are_held(engine, servo, postures, scale):
     assert max(beyond) < (0.15 if servo == "torque" else 0.08)  # a stop gives way to a blow
 
 
-def test_a_steady_push_against_a_stop_does_not_move_it(engine):
-    arm = arm_of(engine, "torque", joint_limits=((-1.0, 1.5),), segment_lengths=(1.0,))
-    assert drive(arm, [400.0], 100)[-1] == pytest.approx(1.5, abs=1e-6)
-
-
 def test_a_joint_with_limits_never_turns_through_the_forbidden_arc(engine):
     arm = arm_of(engine, joint_limits=((-3.0, 3.0),), segment_lengths=(1.0,))
     arm.reset([-2.9])

@@ -1,7 +1,6 @@
 """Facts about many arms at once, whatever engine simulates them."""
 
 import copy
-import math
 import multiprocessing
 import pickle
 
@@ -94,19 +93,6 @@ def test_a_whole_space_of_arms_moves_as_single_ones(play_both):
 
 
 # How they are used
-
-
-def test_resetting_all_arms_needs_no_indices(engine):
-    random = np.random.default_rng(0)
-    arms, named = (make_arms(engine, ArmParameters(), 70, "position") for _ in range(2))
-    postures = random.uniform(-math.pi, math.pi, (70, 3))
-    arms.reset(postures)
-    named.reset(postures, np.arange(70))
-    np.testing.assert_allclose(arms.joint_angles, postures, atol=1e-15)
-    for _ in range(5):
-        arms.step()
-        named.step()
-    np.testing.assert_array_equal(arms.joint_angles, named.joint_angles)
 
 
 def stepped_elsewhere(arms, results):

@@ -85,13 +85,6 @@ def test_braking_is_work_too():
     assert arm.servo_work[0] == pytest.approx(0.5 / 3 * (3.0**2 - left**2), rel=0.01)
 
 
-def test_a_slack_arm_costs_its_servos_nothing():
-    arm = recording(Arm(servo="torque"))
-    arm.reset([0.3, 0.4, 0.5], [1.0, -1.0, 2.0])
-    arm.step()
-    assert arm.servo_impulses == arm.servo_work == [0.0, 0.0, 0.0]
-
-
 def test_nothing_is_recorded_unless_it_is_asked_for():
     arm = Arm()
     play(arm, 3)

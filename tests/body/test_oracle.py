@@ -150,6 +150,8 @@ def test_no_curl_field_makes_an_arm_fly_apart(engine):
 
 CONVERGED = {
     "plain": ({}, "position"),
+    "one segment": ({"segment_lengths": (1.0,), "gravity": (1.0, -9.81)}, "torque"),
+    "five segments": ({"segment_lengths": (1.0, 0.8, 1.2, 0.9, 1.1)}, "position"),
     "longer": ({"segment_lengths": (1.0, 1.0, 1.5)}, "position"),
     "limits": ({"joint_limits": ((-2.0, 2.0),) * 3}, "position"),
     "locks": ({"lockable_joints": (1,)}, "position"),
@@ -161,7 +163,15 @@ CONVERGED = {
     "torque, locks": ({"lockable_joints": (1,)}, "torque"),
     "field": ({"force_field": ((0.0, 60.0), (-60.0, 0.0))}, "position"),
 }
-QUICK = ("limits", "hand mass 10", "velocity", "torque, locks", "field")
+QUICK = (
+    "one segment",
+    "five segments",
+    "limits",
+    "hand mass 10",
+    "velocity",
+    "torque, locks",
+    "field",
+)
 converged = pytest.mark.parametrize(
     "case",
     [pytest.param(c, marks=() if c in QUICK else pytest.mark.slow) for c in CONVERGED],
@@ -172,16 +182,17 @@ def differences(case, count):
     """Largest difference of each arm's joint angles after 2 s of random commands, (count,)."""
     made, servo = CONVERGED[case]
     p, ends = ArmParameters(**made), []
+    shape = count, len(p.segment_lengths)
     largest = {"position": 0.5, "velocity": p.speed_limit, "torque": 50.0}[servo]
     for engine in ("pymunk", "analytic"):
         random = np.random.default_rng(0)
         arms = make_arms(engine, p, count, servo)
-        arms.reset(random.uniform(-1.9, 1.9, (count, 3)))
+        arms.reset(random.uniform(-1.9, 1.9, shape))
         for step in range(100):
             if step == 25:
                 arms.lock(np.arange(count))
             if step % 4 == 0:
-                values = random.normal(0.0, largest, (count, 3))
+                values = random.normal(0.0, largest, shape)
                 if servo == "position":
                     values += arms.joint_angles
             arms.command(values)

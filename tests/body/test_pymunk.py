@@ -1,7 +1,6 @@
 """Facts about an arm in Chipmunk: what its solver must hold, and what only this engine knows."""
 
 import dataclasses
-import itertools
 import math
 import pickle
 import resource
@@ -44,23 +43,12 @@ def random_movements(arm, count, seed=0):
 
 
 class PublicArm(Arm):
-    """The same arm through nothing but pymunk's public interface."""
+    """The same arm, driven and stepped through pymunk's public interface."""
 
     def step(self):
         for _ in range(self.parameters.substeps):
             self._space.step(self.parameters.substep)
         self._read()
-
-    def _read(self):
-        angles = [0.0, *(body.angle for body in self._linkage.segments)]
-        speeds = [0.0, *(body.angular_velocity for body in self._linkage.segments)]
-        self.segment_angles = angles[1:]
-        self.joint_angles = [b - a for a, b in itertools.pairwise(angles)]
-        self.joint_velocities = [b - a for a, b in itertools.pairwise(speeds)]
-        x = y = 0.0
-        for angle, length in zip(angles[1:], self.parameters.segment_lengths, strict=True):
-            x, y = x + length * math.cos(angle), y + length * math.sin(angle)
-        self.end_effector = (x, y)
 
     def _set_servos(self, values):
         p = self.parameters
@@ -85,6 +73,9 @@ def test_direct_calls_give_what_pymunk_gives(parameters, servo, play, postures):
     for arm in arms:
         arm.reset(posture)
     assert play(arms[0], servo, seed=0) == play(arms[1], servo, seed=0)
+    assert arms[0].segment_angles == [body.angle for body in arms[1]._linkage.segments]
+    speeds = np.diff([body.angular_velocity for body in arms[1]._linkage.segments], prepend=0.0)
+    assert arms[0].joint_velocities == speeds.tolist()
 
 
 def test_an_arm_that_went_too_far_since_its_last_reset_has_no_copy(monkeypatch):

@@ -1,14 +1,13 @@
 """Arms whose equations of motion are integrated by compiled code, for millions of episodes.
 
-The physics and each physics step are those of pymunk's arms.  But what Chipmunk approaches by
-sweeping over the joints is solved here to the end, so pivots and torques are exact.  `kernel` has
-the equations.  With 3,000 sweeps in a physics step, Chipmunk's joint angles are the same to 1e-6
-rad after 2 s.
+The physics and the physics steps are those of pymunk's arms.  Chipmunk approaches the forces of the
+joints by sweeps; this engine solves for them, so pivots and torques are exact.  `kernel` has the
+equations.  With 3,000 sweeps in a physics step, Chipmunk's joint angles agree to 1e-6 rad after
+2 s.
 
-The motion of a slack arm is of second order in the substep: 5.4e-4 rad off after 2 s at 5 ms, and
-1.3e-4 at 2.5 ms (median of 60 arms released at up to 3 rad/s).  That of a driven arm is of first
-order (at most 0.02 and 0.01 off on its way), because the servos look at the angles once in a
-substep.
+The error of a slack arm is of second order in the substep: 5.4e-4 rad after 2 s at 5 ms, and 1.3e-4
+at 2.5 ms (median of 60 arms released at up to 3 rad/s).  That of a driven arm is of first order (at
+most 0.02 and 0.01 rad on its way), because the servos read the angles once in a substep.
 
 This engine does not compute the effort of its servos: `records_effort` has no effect.
 """
@@ -27,17 +26,16 @@ from mmc_gym._errors import require
 from mmc_gym.body.analytic import kernel
 from mmc_gym.body.base import ArmBatch, Floats, Indices, SingleArm
 
-_WORTH_A_THREAD = 256  # arms; sharing out fewer takes longer than it saves
+_WORTH_A_THREAD = 256  # arms; a thread for fewer costs more time than it saves
 
 
 class AnalyticArmBatch(ArmBatch):
-    """Arms of the analytic engine; `ArmBatch` documents what they are and do.
+    """Arms of the analytic engine; see `ArmBatch`.
 
-    Each moves bit for bit as if it were alone.  They can be pickled and copied at any time, and the
-    copy has the same future.
+    Arms can be pickled and copied at any time; the copy moves as the original does, bit for bit.
 
     Attributes:
-        shown: all of these arrays in one, with a record for each arm (`kernel.make_shown`).
+        shown: all public arrays in one, with a record for each arm (`kernel.make_shown`).
         joint_cosines: cosines of the joint angles, (count, N).
         joint_sines: their sines, (count, N).
     """
@@ -69,7 +67,7 @@ class AnalyticArmBatch(ArmBatch):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._show(self.shown)  # a copy of a view is an array of its own
+        self._show(self.shown)  # copying or unpickling turns views into separate arrays
 
     @override
     def _place(self, arms: Indices, postures: Floats, speeds: Floats) -> None:
@@ -84,9 +82,9 @@ class AnalyticArmBatch(ArmBatch):
         self.share_out(self.step_arms)
 
     def share_out(self, work: Callable[[int, int], None]) -> None:
-        """Call `work(first, last)` for shares of the arms, each from `first` to before `last`.
+        """Call `work(first, last)` for shares of the arms, each `first` to `last` - 1.
 
-        Each thread does one share, and so does the calling thread.
+        The calling thread does the first share, other threads one each.
         """
         shares = max(1, min(self._threads, self._count // _WORTH_A_THREAD))
         blocks = [len(self._state) * share // shares for share in range(1, shares)]
@@ -99,10 +97,10 @@ class AnalyticArmBatch(ArmBatch):
     def command_arms(
         self, values: NDArray[np.floating], scale: float, is_relative: bool, first: int, last: int
     ) -> None:
-        """Hand `scale` times `values`, (count, N), to the servos of a share of the arms.
+        """Command `scale` times `values`, (count, N), to the servos of a share of the arms.
 
-        If they are relative, the present joint angles are added.  `values` are of float32 or
-        float64, in C order.
+        Relative values are added to the present joint angles.  `values` are float32 or float64, in
+        C order.
         """
         state = self._state[self._blocks(first, last)]
         kernel.command(state, self._chain, values[first:last], scale, is_relative)
@@ -113,7 +111,7 @@ class AnalyticArmBatch(ArmBatch):
         kernel.step(state, shown, self._chain, self._no_work, self.parameters.substeps)
 
     def _blocks(self, first: int, last: int) -> slice:
-        """Return the blocks of arms from `first`, which begins a block, to before `last`."""
+        """Return the blocks of arms `first` to `last` - 1; `first` begins a block."""
         return slice(first // self._lanes, -(-last // self._lanes))
 
     @override
@@ -124,7 +122,7 @@ class AnalyticArmBatch(ArmBatch):
 
 
 class AnalyticArm(SingleArm):
-    """One arm of the analytic engine; `SingleArm` documents what it is and does."""
+    """One arm of the analytic engine; see `SingleArm`."""
 
     @override
     def _build(self) -> None:

@@ -13,9 +13,9 @@ centripetal force of the new step extrapolated from the last two.  It costs as l
 step, and needs no Coriolis term.  Chipmunk does the same once its pivots are solved to the end and
 all of their error is corrected.
 
-The torques are those of the servos, stops and locks.  Each joint asks for a velocity, and has a
-lowest and a highest impulse to reach it.  Take q̇ = asked + z, the joint-space mass matrix M
-(`_weigh`), and the impulses that would give every joint the velocity it asks for (`_need`,
+The torques are those of the servos, stops and locks.  Each joint asks for a velocity, and may use
+impulses between a lowest and a highest one to reach it.  Take q̇ = asked + z, the joint-space mass
+matrix M (`_weigh`), and the impulses that would give every joint the velocity it asks for (`_need`,
 recursive Newton–Euler).  Then
 
     λ = needed + M z,   lowest ≤ λ ≤ highest,   z = 0 where λ is between its bounds,
@@ -23,9 +23,8 @@ recursive Newton–Euler).  Then
 
 M is positive definite, so there is one solution.  `_limit` finds it by principal pivoting: guess
 which joints are at a bound, solve, change the guess (Júdice & Pires 1994, Computers & Operations
-Research 21, 587–596).  A joint thrown against its stop while its servo is at a bound is one more
-such case.  The joints of all lanes are solved together; lanes that are done keep their solution
-while the others continue.
+Research 21, 587–596).  A joint thrown against its stop while its servo is at a bound is a further
+case.  All lanes are solved together; lanes that are done keep their solution while others continue.
 
 Lanes never mix, and no operations are reordered or fused.  So an arm's numbers do not depend on its
 neighbours, its lane or the machine's vector width.  The compiler turns a loop over lanes into
@@ -63,16 +62,16 @@ def _fields(names: str, *shape: int) -> list[tuple[str, type[np.float64], tuple[
 
 
 def lanes_of(segments: int) -> int:
-    """Return how many arms are in a block: so many that its records fit the cache."""
+    """Return the number of arms in a block, such that its records fit the cache."""
     return 32 if segments <= 4 else 8
 
 
 def make_state(segments: int, count: int) -> Records:
-    """Return one record per block of arms: what arms remember, arrays (N, lanes).
+    """Return one record per block of arms: their state, arrays (N, lanes).
 
-    `lag` is the part of the velocity of u_j that closes the pivots; `asked` is what the servo
-    should do, with at most the impulse `limit`; `held` is the angle of a locked joint, or nan;
-    `yields` is 1 where the servo gave its largest torque.
+    `lag` is the part of the velocity of u_j that closes the pivots; `asked` is the servo's command,
+    `limit` its largest impulse; `held` is the angle of a locked joint, or nan; `yields` is 1 where
+    the servo gave its largest torque.
     """
     lanes = lanes_of(segments)
     names = "angle speed lag_x lag_y asked limit held yields"
@@ -80,15 +79,15 @@ def make_state(segments: int, count: int) -> Records:
 
 
 def make_shown(segments: int, count: int) -> Records:
-    """Return one record per arm: what it shows after each step, arrays (N,) and the hand (2,)."""
+    """Return one record per arm: its public values, arrays (N,) and the hand (2,)."""
     names = "segment_angles joint_angles joint_velocities joint_cosines joint_sines"
     return np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
 
 
 def no_work(segments: int) -> Records:
-    """Return an empty array of the record that the physics steps of a block work with.
+    """Return an empty array of the record of working memory for a block.
 
-    Compiled functions make their own, many times faster than numpy does.
+    Compiled functions take its type and allocate the record, many times faster than numpy does.
     """
     lanes = lanes_of(segments)
     names = (
@@ -191,9 +190,9 @@ def place(state, shown, chain, no_work, chosen, postures, speeds):
 
 @compiled
 def command(state, chain, values, scale, is_relative):
-    """Hand one value per joint and arm to the servos: `scale` times `values`, (count, N).
+    """Command `scale` times `values`, (count, N), one value per arm and joint.
 
-    If they are relative, the present joint angle is added.
+    Relative values are added to the present joint angles.
     """
     c = chain[0]
     is_torque, is_position = c.is_torque > 0.0, c.is_position > 0.0
@@ -223,7 +222,7 @@ def command(state, chain, values, scale, is_relative):
 
 @compiled
 def step(state, shown, chain, no_work, substeps):
-    """Simulate one control step of the arms in `state`, and write what they show."""
+    """Simulate one control step of the arms in `state`, and write their public values."""
     c, works = chain[0], np.zeros(1, no_work.dtype)
     has_field = np.abs(c.field).max() > 0.0
     for block in range(state.shape[0]):
@@ -251,7 +250,7 @@ def step(state, shown, chain, no_work, substeps):
 
 @inner
 def _look(arms, work, lanes):
-    """Compute where the segments point; free all joints, and leave the hand without a push."""
+    """Compute the directions of the segments; free all joints and clear the push on the hand."""
     for k in range(lanes):
         work.push_x[k] = 0.0
         work.push_y[k] = 0.0
@@ -359,7 +358,7 @@ def _push(arms, work, chain, lanes):
 
 @inner
 def _let_yield(arms, work, impulse, k):
-    """Compute by how much an impulse speeds up the joints that yield: `excess`."""
+    """Compute how much an impulse changes the speeds of the joints that yield: `excess`."""
     segments = arms.yields.shape[0]
     for i in range(segments):
         work.right[i, k] = impulse[i, k] * arms.yields[i, k]
@@ -371,7 +370,7 @@ def _let_yield(arms, work, impulse, k):
 
 @inner
 def _ask(arms, work, chain, lanes):
-    """Compute what each joint wants, within which impulses, and how much more its stop allows."""
+    """Compute the speed each joint asks for, its range of impulses, and what its stop allows."""
     fastest, gain, stop, rate = chain.speed_limit, chain.gain, chain.stop_gain, 1.0 / chain.substep
     is_position = chain.is_position > 0.0
     for k in range(lanes):
@@ -401,7 +400,7 @@ def _ask(arms, work, chain, lanes):
 
 @inner
 def _need(arms, work, chain, lanes):
-    """Compute the impulses that give joints what they want; return if any is out of bounds."""
+    """Compute the impulses that give the wanted speeds; return whether any is out of bounds."""
     segments = arms.angle.shape[0]
     last = segments - 1
     fall_x, fall_y = chain.substep * chain.gravity[0], chain.substep * chain.gravity[1]
@@ -441,7 +440,7 @@ def _need(arms, work, chain, lanes):
 
 @inner
 def _turn(arms, work, lanes):
-    """Set the segments' velocities to those that the joints have reached."""
+    """Set the segments' velocities to those that the joints reach."""
     for k in range(lanes):
         speed = 0.0
         for i in range(arms.speed.shape[0]):
@@ -452,7 +451,7 @@ def _turn(arms, work, lanes):
 
 @inner
 def _show(arms, work, chain, shown):
-    """Write what the arms show: angles, velocities, hands, cosines and sines of joint angles."""
+    """Write the public values: angles, velocities, hands, cosines and sines of joint angles."""
     segments = arms.angle.shape[0]
     for k in range(shown.shape[0]):
         parent = 0.0
@@ -511,10 +510,10 @@ def _weigh(work, chain, lanes):
 
 @inner
 def _guess(arms, work, chain, lanes):
-    """Guess which bounds bind: those of the last substep, or else those that `needed` is beyond.
+    """Guess which bounds bind: those of the last substep, or else those that `needed` exceeds.
 
     A torque servo is nearly always at its bound.  A lane where no impulse is out of bounds stays
-    free, as it would if it were alone; `changed` is their number in each lane.
+    free, as it would if it were alone; `changed` is the number of those impulses in each lane.
     """
     is_torque = chain.is_torque > 0.0
     for k in range(lanes):
@@ -553,7 +552,7 @@ def _limit(work, lanes):
 
 @inner
 def _prescribe(work, lanes):
-    """Set up equations for joints at a bound; others move as they want, or as their stop allows."""
+    """Set up equations for joints at a bound; set the others to their own or their stop's speed."""
     segments = work.bound.shape[0]
     for i in range(segments):
         for k in range(lanes):
@@ -599,7 +598,7 @@ def _solve(work, k):
 
 @inner
 def _revise(work, one_by_one, lanes):
-    """Change the guesses that the solution contradicts; return whether there were any."""
+    """Change the guesses that the solution contradicts; return whether there are any."""
     segments = work.bound.shape[0]
     for k in range(lanes):
         work.changed[k] = 0.0

@@ -11,10 +11,9 @@ substep and needs one write per control step.  None gives more than `torque_limi
     velocity   a SimpleMotor turns the joint at the commanded speed
     torque     a SimpleMotor gives the commanded torque until the joint turns at `speed_limit`
 
-Calls made in every step go to Chipmunk directly, through the library that pymunk's own properties
-call.  `pymunk.Space.step` spends as long on callbacks and on added bodies, of which there are none
-here, as Chipmunk spends on the physics.  A test compares the direct calls with pymunk's own, bit by
-bit.
+Calls made in every step go directly to Chipmunk, through the same library as pymunk's properties.
+`pymunk.Space.step` spends as long on callbacks and added bodies, of which there are none here, as
+Chipmunk spends on the physics.  A test holds the direct calls against pymunk's own, bit for bit.
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ from mmc_gym.body.base import SingleArm
 from mmc_gym.body.force_field import HandField
 from mmc_gym.body.pymunk.linkage import MOTION, Linkage, forget_impulses, make_space
 
-_LONGEST_HISTORY = 20_000  # calls: 10,000 commands, each with a step
+_LONGEST_HISTORY = 20_000  # calls: 10,000 steps, each with a command
 
 
 class Arm(SingleArm):
-    """An arm simulated by pymunk; `SingleArm` documents what it is and does.
+    """An arm simulated by pymunk; see `SingleArm`.
 
-    `end_effector` is computed from the angles, because the pivots gape a little under load.
+    `end_effector` follows from the angles, because pivots open a little under load.
 
-    A copy or a pickle of an arm has the same future, bit for bit.  Chipmunk does not show the
-    impulses that its joints remember, so a copy replays all calls since the last reset.  It is
-    refused after 20,000 of them, which is 10,000 steps with a command each.
+    A copied or unpickled arm moves as the original does, bit for bit.  Chipmunk does not expose the
+    impulses that its joints remember, so a copy replays all calls since the last reset.  Copying
+    fails after 20,000 calls, which is 10,000 steps with a command each.
 
     Example:
         >>> arm = Arm(servo="torque")
@@ -54,8 +53,8 @@ class Arm(SingleArm):
         [0.12, 0.0, 0.06]
     """
 
-    _history: deque[tuple[Any, ...]]  # the last reset, or what is kept of it, and the calls since
-    _yields: list[float]  # see `Linkage.yields`; used where there is a force field
+    _history: deque[tuple[Any, ...]]  # the last reset and the calls since; the oldest drop out
+    _yields: list[float]  # see `Linkage.yields`; only a force field needs them
 
     @override
     def _build(self) -> None:
@@ -105,20 +104,11 @@ class Arm(SingleArm):
     @override
     def step(self) -> None:
         self._history.append(("step",))
-        if self._field is not None or self.records_effort:
-            self._simulate_closely(self._field)
-        else:
-            space, substep = self._space._space, self.parameters.substep
-            for _ in range(self.parameters.substeps):
-                chipmunk.cpSpaceStep(space, substep)
-        self._read()
-
-    def _simulate_closely(self, field: HandField | None) -> None:
-        """Simulate a control step, with work to do before and after every physics step."""
         space, substep = self._space._space, self.parameters.substep
-        records, servos = self.records_effort, self._linkage.servo_handles
-        impulses, work = [0.0] * len(servos), [0.0] * len(servos)
+        field, records = self._field, self.records_effort
         before = self._velocities() if records else []
+        if records:
+            self.servo_impulses, self.servo_work = [0.0] * self._count, [0.0] * self._count
         for _ in range(self.parameters.substeps):
             if field is not None:
                 self._push_hand(field)
@@ -127,16 +117,15 @@ class Arm(SingleArm):
                 self._yields = self._linkage.yields(substep)
             if records:
                 after = self._velocities()
-                for joint, servo in enumerate(servos):
+                for joint, servo in enumerate(self._linkage.servo_handles):
                     impulse = chipmunk.cpConstraintGetImpulse(servo)  # its size, without a sign
-                    impulses[joint] += impulse
-                    work[joint] += impulse * abs(before[joint] + after[joint]) / 2
+                    self.servo_impulses[joint] += impulse
+                    self.servo_work[joint] += impulse * abs(before[joint] + after[joint]) / 2
                 before = after
-        if records:
-            self.servo_impulses, self.servo_work = impulses, work
+        self._read()
 
     def _velocities(self) -> list[float]:
-        """Return the joint velocities of this moment within a control step."""
+        """Return the present joint velocities, within a control step too."""
         velocities, parent = [], 0.0
         for segment, _, _ in self._linkage.rods:
             velocity = chipmunk.cpBodyGetAngularVelocity(segment)
@@ -145,7 +134,7 @@ class Arm(SingleArm):
         return velocities
 
     def _push_hand(self, field: HandField) -> None:
-        """Let the force field act on the hand in the next physics step."""
+        """Set the force and torque of the field on the last segment for the next physics step."""
         self._buffer.clear()
         get_space_bodies(self._space, MOTION, self._buffer)
         motion = np.frombuffer(self._buffer.float_buf()).reshape(-1, 6)[: self._count]
@@ -180,15 +169,15 @@ class Arm(SingleArm):
         if self._history[0][0] != "reset":
             raise RuntimeError(
                 "an arm cannot be copied or pickled this long after its last reset: a copy replays "
-                f"all steps and commands since, and only the last {_LONGEST_HISTORY} are kept; "
-                "reset the arm first, or pickle its parameters"
+                f"all calls since then, but only the last {_LONGEST_HISTORY} are kept; reset the "
+                "arm first, or pickle its parameters"
             )
         effort = ("records_effort", "servo_impulses", "servo_work")
         state = self._history, {name: getattr(self, name) for name in effort}
         return type(self), (self.parameters, self._servo), state
 
     def __setstate__(self, state: tuple[deque[tuple[Any, ...]], dict[str, Any]]) -> None:
-        """Repeat all calls that the original has had since its reset."""
+        """Repeat all calls that the original received since its reset."""
         history, effort = state
         for name, *arguments in history:
             getattr(self, name)(*arguments)

@@ -1,11 +1,11 @@
-"""Many equal arms, each as if it were alone, in a few pymunk Spaces: array in, array out.
+"""Many equal arms in a few pymunk Spaces, commanded and read by arrays.
 
     arms      0 … 127    128 … 255    256 …
     group         0           1          2  …    stepped one after the other, or by several threads
 
-One call into Chipmunk steps all arms of a Space, and one reads them.  Every arm moves bit for bit
-as a single `Arm` does: Chipmunk solves the joints of a Space one after the other, and those of an
-arm in the same order as if it were alone.
+One call into Chipmunk steps all arms of a Space, and one call reads them.  Every arm moves bit for
+bit as a single `Arm` does: Chipmunk solves the joints of a Space one after the other, and those of
+an arm in the same order as if it were alone.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from mmc_gym.body.force_field import HandField
 from mmc_gym.body.parameters import ArmParameters, Servo
 from mmc_gym.body.pymunk.linkage import MOTION, Linkage, forget_impulses, make_space
 
-ARMS_PER_GROUP = 128  # with more, there are fewer calls, but less fits the cache
+ARMS_PER_GROUP = 128  # larger groups need fewer calls, but fit the cache less well
 _WORTH_A_THREAD = 16  # arms
 
 
 class ArmGroup:
-    """Arms that are stepped and read together: `count` of them, from number `first` on.
+    """A group of `count` arms, from index `first` on, that are stepped and read together.
 
-    They share a Space; but arms with obstacles, which would collide with each other, have one each.
+    They share a Space.  Arms with obstacles have a Space each, because they would collide.
     """
 
     def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
@@ -44,7 +44,7 @@ class ArmGroup:
         self._arms_per_space = 1 if parameters.obstacles else count
         self._buffer = Buffer()
         self._field = None if parameters.force_field is None else HandField(parameters)
-        # A row for each body; all obstacles of a Space are one more body, its last.
+        # A row for each body.  The obstacles of a Space are one body, its last.
         rows = self._arms_per_space * self._shape[1] + bool(parameters.obstacles)
         self._pushes = np.zeros((count // self._arms_per_space, rows, 3))  # force x, y and torque
         self._push_buffers = [Buffer() for _ in self._pushes]
@@ -56,7 +56,7 @@ class ArmGroup:
         self._find_servos()
 
     def _build(self, member: int) -> Linkage:
-        """Build an arm into its Space."""
+        """Build an arm in its Space."""
         space = self._spaces[member // self._arms_per_space]
         return Linkage(space, self._parameters, self._servo)
 
@@ -73,7 +73,7 @@ class ArmGroup:
             deque(map(chipmunk.cpConstraintSetMaxForce, self._servos, limits), maxlen=0)
 
     def step(self, effort: tuple[Floats, Floats] | None) -> None:
-        """Simulate one control step; write the servos' impulses and work (count, N) to `effort`."""
+        """Simulate a control step; write the servos' impulses and work (count, N) to `effort`."""
         substep = self._parameters.substep
         before = self._joint_velocities() if effort else np.empty(0)
         for array in effort or ():
@@ -97,7 +97,7 @@ class ArmGroup:
         return _relative(self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0])
 
     def _get(self, fields: BodyFields) -> Floats:
-        """Read these fields of all segments, (count, N, values); valid until the next call."""
+        """Return these fields of all segments, (count, N, values), valid until the next call."""
         self._buffer.clear()
         for space in self._spaces:
             get_space_bodies(space, fields, self._buffer)
@@ -111,7 +111,7 @@ class ArmGroup:
         angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
 
     def _push_hands(self, field: HandField) -> None:
-        """Let the force field act on the hands in the next physics step."""
+        """Set the field's forces and torques on the last segments for the next physics step."""
         joints = self._shape[1]
         pushes = field.impulses(self._get(MOTION), self._yields) / self._parameters.substep
         last = self._pushes[:, joints - 1 : self._arms_per_space * joints : joints]
@@ -126,7 +126,7 @@ class ArmGroup:
         joint_velocities: Sequence[Sequence[float]],
         scratch: pymunk.Space,
     ) -> None:
-        """Place some of the arms; `scratch` is an empty Space."""
+        """Place the arms `members` of the group; `scratch` is an empty Space."""
         substep = self._parameters.substep
         linkages = [self.linkages[member] for member in members]
         if self._parameters.obstacles:
@@ -149,22 +149,20 @@ class ArmGroup:
 
 
 def _relative(absolute: Floats) -> Floats:
-    """Return what joints do from what segments do, (..., N): angles or angular velocities."""
+    """Return angles or velocities of joints from those of segments, (..., N)."""
     differences = absolute.copy()
     differences[..., 1:] -= absolute[..., :-1]
     return differences
 
 
 def _each(function: Callable[..., float], values: Floats, *arguments: float) -> Floats:
-    """Apply a function of `math` to each value: numpy's own may differ in the last bit."""
+    """Apply a function of `math` to each value; numpy's may differ in the last bit."""
     numbers = map(function, values.ravel().tolist(), *map(repeat, arguments))
     return np.fromiter(numbers, np.float64, values.size).reshape(values.shape)
 
 
 class PymunkArmBatch(ArmBatch):
-    """Arms simulated by pymunk; `ArmBatch` documents what they are and do.
-
-    Arms with obstacles have a Space each, because otherwise they would collide with each other.
+    """Arms simulated by pymunk; see `ArmBatch`.  They cannot be copied or pickled.
 
     Example:
         >>> arms = PymunkArmBatch(count=2, servo="torque")
@@ -213,8 +211,7 @@ class PymunkArmBatch(ArmBatch):
     def step(self) -> None:
         shared = min(self._threads, len(self._groups)) > 1
         running = []
-        # Setting servos takes too little time for two threads to share: this one sets those of a
-        # group while others simulate the groups before it.
+        # This thread sets the servos of a group while others simulate the groups before it.
         for group in self._groups:
             if self._commanded:
                 group.drive(self._settings[group.arms], self._torques[group.arms])
@@ -235,7 +232,7 @@ class PymunkArmBatch(ArmBatch):
         group.read(self.segment_angles[arms], self._segment_velocities[arms])
 
     def _derive(self, arms: slice | Indices) -> None:
-        """Update what follows from the segments' angles and velocities."""
+        """Compute joints and hands from the segments' angles and velocities."""
         angles = self.segment_angles[arms]
         self.joint_angles[arms] = _relative(angles)
         self.joint_velocities[arms] = _relative(self._segment_velocities[arms])
@@ -264,12 +261,12 @@ class PymunkArmBatch(ArmBatch):
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
-            "a PymunkArmBatch cannot be pickled or copied: Chipmunk does not show the impulses "
-            "that its joints remember; pickle the parameters and build new arms, or use an Arm each"
+            "a PymunkArmBatch cannot be pickled or copied: Chipmunk does not expose the impulses "
+            "that its joints remember; pickle the parameters and build new arms, or use `Arm`"
         )
 
     def _by_group(self, arms: Indices) -> Iterable[tuple[ArmGroup, Indices, list[int]]]:
-        """Yield each group with some of `arms`, the rows of `arms` that it holds, and its own."""
+        """Yield each group with some of `arms`, their rows in `arms`, and their numbers in it."""
         owners = arms // self._arms_per_group
         for owner in np.unique(owners).tolist():
             part = np.flatnonzero(owners == owner)

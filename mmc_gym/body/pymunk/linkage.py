@@ -2,12 +2,12 @@
 
     base ── pivot, servo ── segment 0 ── pivot, servo ── segment 1 ── … ── hand
 
-The rods have shapes, and can collide, only where there are obstacles.  The joints are added from
-the hand inward, each with its pivot last.  Chipmunk sweeps over them in this order, and what it
-solves last is held best.  Each physics step corrects all of a pivot's error; in this order the
-pivots then gape ten times less than in the order from the base outward.
+The rods have shapes, and can collide, only if there are obstacles.  The joints are added from the
+hand inward, each with its pivot last.  Chipmunk sweeps over them in this order, and satisfies the
+last ones best.  Each physics step corrects all of a pivot's error.  In this order the pivots open
+ten times less than in the order from the base outward.
 
-Frequent calls go to Chipmunk directly, through the library that pymunk's own properties call.
+Frequent calls go directly to Chipmunk, through the same library as pymunk's properties.
 """
 
 from __future__ import annotations
@@ -25,31 +25,32 @@ from pymunk.batch import BodyFields
 from mmc_gym._errors import UserError
 from mmc_gym.body.parameters import ArmParameters, Servo
 
-# What a force field depends on, of each body: x, y, angle, their velocities.
+# What a force field needs of each body: x, y, angle, and their velocities.
 MOTION = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 
 _FEWEST_SWEEPS, _MOST_SWEEPS = 20, 500  # with the most, a step of three segments takes 0.1 ms
 _SWEEPS_PER_MASS = 20 / 3  # of the rods beyond a joint, in masses of the first of them
 _SWEEPS_PER_LOAD = 12  # of the load at the hand, in the same unit
 _LARGEST_RATIO_OF_NEIGHBOURS = 10.0
-_STRONG = 1e4  # rad/s; a strong servo can give a lone segment more than this in a physics step
+_STRONG = 1e4  # rad/s, the speed that a strong servo gives a free segment in a physics step
 
 
 def solver_iterations(parameters: ArmParameters) -> int:
-    """Return the number of solver sweeps per physics step after which the solver has converged.
+    """Return the number of sweeps per physics step after which the solver has converged.
 
     In one sweep a servo or a pivot acts on the two segments that it joins as if they were alone;
     further sweeps pass this on to the rest of the arm.  The number grows with the mass beyond a
-    segment, relative to that segment's own.  Up to three segments of default masses and any lengths
-    take 20, with joint limits, locks, gravity and all servos: after 2 s of random commands their
-    joint angles are 0.002 rad from those of 1,000 sweeps in the median, and 0.007 rad where torques
-    throw joints against their limits.  More segments and loads at the hand need more sweeps to come
-    as near; servos out of all proportion to the segments need ten times as many.
+    segment, relative to the segment's own.  Arms of up to three segments of default masses and any
+    lengths take 20, with joint limits, locks, gravity and all servos: after 2 s of random commands
+    their joint angles differ from those of 1,000 sweeps by 0.002 rad in the median, and by 0.007
+    rad where torques throw joints against their limits.  More segments and loads at the hand need
+    more sweeps for the same precision.  Servos that are far too strong for their segments need ten
+    times as many.
 
     Raises:
-        UserError: if too many would be needed.  Of 13,266 random arms that were not refused (two to
-            nine segments; lengths, masses and loads over six decades; random torques), the pivots
-            of 4 gaped by more than a twentieth of the reach.
+        UserError: if too many would be needed.  Of 13,266 random arms that were accepted (two to
+            nine segments; lengths, masses and loads over six decades; random torques), 4 had pivots
+            that opened by more than a twentieth of the reach.
     """
     rods, masses = parameters.rods, parameters.masses
     sweeps = 0.0
@@ -81,8 +82,8 @@ class Linkage:
             is from its joint.
         servos: the N constraints that drive the joints.
         servo_handles: their handles.
-        locks: the lockable joints and the constraints that make them rigid.
-        locked: whether the lockable joints are held.
+        locks: the lockable joints, each with the constraint that makes it rigid.
+        locked: whether these constraints are closed.
         joint_handles: all constraints, in the order in which Chipmunk solves them.
         force_limits: the largest force of each of these, with the locks open.
     """
@@ -95,8 +96,8 @@ class Linkage:
         self.locked = False
         self._stops: list[Any] = []  # handles of the joint limits, where there are any
         self.rods: list[tuple[Any, float, float]] = []
-        # Every arm has its own base, a body that is not in the Space: bulk calls would read and
-        # write the Space's own static body.
+        # Every arm has its own base, a body outside of the Space.  The Space's static body would be
+        # read and written by bulk calls.
         parent, anchor = pymunk.Body(body_type=pymunk.Body.STATIC), 0.0
         joints: list[list[pymunk.Constraint]] = []
         for joint, (length, rod) in enumerate(zip(parameters.segment_lengths, parameters.rods)):
@@ -161,7 +162,7 @@ class Linkage:
             space.add(pymunk.Circle(ground, radius, (x, y)))
 
     def place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
-        """Set the posture, and the velocities that rigid rods on pivots have in it."""
+        """Set the posture, and the velocities of the rods as rigid rods on pivots."""
         angle = speed = x = y = velocity_x = velocity_y = 0.0
         for (segment, length, centre), joint_angle, joint_velocity in zip(
             self.rods, joint_angles, joint_velocities
@@ -180,7 +181,7 @@ class Linkage:
             velocity_y += speed * length * along_x
 
     def lock(self, joint_angles: Sequence[float]) -> None:
-        """Hold the lockable joints at `joint_angles`, one per joint; once only."""
+        """Close the locks at `joint_angles`, one per joint; do nothing if they are closed."""
         if self.locked:
             return
         self.locked = True
@@ -189,11 +190,10 @@ class Linkage:
             chipmunk.cpConstraintSetMaxForce(lock._constraint, math.inf)
 
     def move_joints(self, source: pymunk.Space, target: pymunk.Space) -> None:
-        """Move the joints from one Space to another, and keep the order of all joints.
+        """Move the joints from one Space to another without reordering those of any arm.
 
-        Chipmunk fills the place of a removed joint with the last joint of the Space.  If an arm's
-        joints are removed from the last to the first, those of another arm take their places in
-        order.
+        Chipmunk fills the place of a removed joint with the last joint of the Space.  Removed from
+        the last to the first, an arm's joints are replaced by those of another arm in order.
         """
         for joint in reversed(self.joint_handles):
             chipmunk.cpSpaceRemoveConstraint(source._space, joint)
@@ -201,7 +201,7 @@ class Linkage:
             chipmunk.cpSpaceAddConstraint(target._space, joint)
 
     def yields(self, substep: float) -> list[float]:
-        """Return 1 for each joint that yields, and 0 for each that is held.
+        """Return 1 for each joint that yields to a push, and 0 for each joint that is held.
 
         A joint yields if its servo gave its largest torque in the last physics step, and neither a
         stop nor a lock holds it.
@@ -221,7 +221,7 @@ class Linkage:
 
 
 def make_space(parameters: ArmParameters) -> pymunk.Space:
-    """Return an empty Space with the gravity and the solver settings for these arms.
+    """Return an empty Space with gravity and solver settings for these arms.
 
     Raises:
         UserError: for arms that Chipmunk cannot hold together.
