@@ -29,17 +29,15 @@ _LEFT = np.array([-1.0, 1.0])  # (y, x) times this is (x, y) turned left by a ri
 
 
 class HandField:
-    """The force field of an arm, acting on its hand; or on the hands of many equal arms at once."""
+    """The force field on the hand of an arm, or on the hands of many equal arms at once."""
 
     def __init__(self, parameters: ArmParameters) -> None:
-        """Prepare for arms with these parameters, which have a force field."""
+        """Prepare for arms with these parameters; `force_field` must not be None."""
         count, lengths = len(parameters.segment_lengths), np.array(parameters.segment_lengths)
         masses, centres, inertias = np.array(parameters.rods).T
         self._half = parameters.substep / 2 * np.array(parameters.force_field)
-        self._substep, self._fall = (
-            parameters.substep,
-            parameters.substep * np.array(parameters.gravity),
-        )
+        self._substep = parameters.substep
+        self._fall = parameters.substep * np.array(parameters.gravity)
         # Row j: how far the centre of rod j moves along each segment.
         self._levers = np.tril(np.tile(lengths, (count, 1)), -1) + np.diag(centres)
         self._weighted = self._levers.T * masses
@@ -52,9 +50,9 @@ class HandField:
         """Return the impulse (x, y) on the hand, and its moment about the last segment's centre.
 
         Args:
-            motion: of the segments before the substep: centre of gravity (x, y), angle, velocity of
+            motion: of each segment before the substep: centre of gravity (x, y), angle, velocity of
                 the centre (x, y) and angular velocity, (..., N, 6).
-            yields: 1 for each joint that gives way to a push, 0 for one that is held, (..., N).
+            yields: 1 for each joint that yields to a push, 0 for each that is held, (..., N).
 
         Returns:
             Impulse and moment, (..., 3).
