@@ -5,10 +5,10 @@ mean of the hand's velocity before and after the substep (the midpoint rule),
 
     p = h F (v + J z / 2),     M z = Jᵀ p − c,
 
-where z are the changes of the joint speeds.  So a field across the velocity turns it and does no
-work.  The movement of the arm within a substep is neglected.  At joint speeds of 0.5 rad/s a slack
-arm in a curl field of 120 keeps its energy for 2 s to within 2 % in the median and 10 % at worst;
-at 500 it may gain several times as much.
+where z are the changes of the joint speeds, so that (M − Jᵀ h F J / 2) z = Jᵀ h F v − c.  A field
+across the velocity turns it and does no work.  The movement of the arm within a substep is
+neglected.  At joint speeds of 0.5 rad/s a slack arm in a curl field of 120 keeps its energy for 2 s
+to within 2 % in the median and 10 % at worst; at 500 it may gain several times as much.
 
 v is the mean velocity if no joint changes its speed.  c are the impulses that inertia and gravity
 then demand of the joints.  The velocities are those of the rods, which go straight on in a substep
@@ -62,7 +62,7 @@ class HandField:
         along = np.concatenate([np.cos(angles), np.sin(angles)], axis=-1)
         across = along[..., ::-1] * _LEFT
         # Before the substep rods move on their own.  After it they are rigid rods on pivots, which
-        # turn with `speeds`.  Sums of both velocities follow from where the rods get to.
+        # turn with `speeds`.  The sum of a rod's two velocities follows from where its centre gets.
         turning = speeds * across
         sums = (self._levers @ (along + self._substep * turning) - centres) / self._substep
         velocity = (sums[..., -1, :] + 2 * self._reach * turning[..., -1, :])[..., None]
