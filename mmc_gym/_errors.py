@@ -8,7 +8,8 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Callable, Container, Iterable
 from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
@@ -128,13 +129,20 @@ def require_numbers(
 
 
 def require_rows(
-    name: str, value: Any, accepted: str, fine: Callable[[Numbers], bool]
+    name: str,
+    value: Any,
+    accepted: str,
+    fine: Callable[[Numbers], bool],
+    counts: Container[int] = range(sys.maxsize),
 ) -> tuple[Numbers, ...]:
-    """Return rows of numbers, each of which satisfies `fine`, as tuples of floats."""
+    """Return rows of numbers, each of which satisfies `fine`, as tuples of floats.
+
+    The number of rows must be in `counts`.
+    """
     array = _array(value)
     rows = tuple(map(tuple, array.astype(np.float64).tolist())) if array.ndim == 2 else ()
     are_rows = array.ndim == 2 or array.shape == (0,)
-    require(are_rows and all(map(fine, rows)), name, value, accepted)
+    require(are_rows and len(rows) in counts and all(map(fine, rows)), name, value, accepted)
     return rows
 
 

@@ -122,13 +122,11 @@ class ArmParameters:
         write("gravity", require_numbers("gravity", self.gravity, accepted, is_point))
         if self.joint_limits is not None:
             accepted = f"{count} pairs low < high within -pi and pi, one per joint"
-            limits = require_rows("joint_limits", self.joint_limits, accepted, _is_range)
-            require(len(limits) == count, "joint_limits", limits, accepted)
+            limits = require_rows("joint_limits", self.joint_limits, accepted, _is_range, (count,))
             write("joint_limits", limits)
         if self.force_field is not None:
             accepted = "two rows of two finite values"
-            field = require_rows("force_field", self.force_field, accepted, is_point)
-            require(len(field) == 2, "force_field", field, accepted)
+            field = require_rows("force_field", self.force_field, accepted, is_point, (2,))
             write("force_field", field)
         accepted = "discs (x, y, radius), finite, of positive radius"
         write("obstacles", require_rows("obstacles", self.obstacles, accepted, is_disc))
