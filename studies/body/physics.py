@@ -3,11 +3,14 @@
     python -m studies.body.physics                       # all agents, 1,000 episodes a cell
     python -m studies.body.physics --agents mmc ppo sac
 
-Success of each agent in `MMCReach-v0`, of training seed 0 if it is trained; with a lock that never
-locks; on the exact engine; with physics steps half as long; and with twice as many sweeps of the
-solver.  Below it the time of a step, of one arm and of each of 256.  Then the joint angles of
-pymunk after 2 s of random commands against those of the exact engine, by inertia of the drives and
-number of sweeps; and the energy of slack arms in a curl field against time.
+It prints three tables:
+
+- The success of each agent in `MMCReach-v0` (training seed 0 of trained ones): by default; with a
+  lock that never locks; on the exact engine; with physics steps half as long; and with twice as
+  many solver sweeps.  The last rows give the time of a step, for one arm and for each of 256.
+- The error of pymunk's joint angles after 2 s of random commands, compared with the exact engine,
+  by inertia of the drives and number of sweeps.
+- The energy of slack arms in a curl field, at several times.
 """
 
 from __future__ import annotations
@@ -49,8 +52,8 @@ class Arguments:
 
     Attributes:
         agents: names of agents; by default all but `random`.
-        episodes: of each agent in each setting.
-        steps: of one arm, timed five times; of 256 arms a hundredth of them.
+        episodes: episodes of each agent in each setting.
+        steps: timed steps of one arm, five times; 256 arms take a hundredth of them.
     """
 
     agents: tuple[str, ...] = tuple(name for name in AGENTS if name != "random")
@@ -60,9 +63,9 @@ class Arguments:
 
 @contextmanager
 def sweeps(count: Callable[[int], int]) -> Any:
-    """Make new arms use `count(sweeps)` in place of their number of solver sweeps."""
-    asked = linkage.solver_iterations
-    with mock.patch.object(linkage, "solver_iterations", lambda p: count(asked(p))):
+    """Make new arms use `count(n)` solver sweeps in place of n."""
+    default = linkage.solver_iterations
+    with mock.patch.object(linkage, "solver_iterations", lambda p: count(default(p))):
         yield
 
 
@@ -81,7 +84,7 @@ def success(name: str, setting: str, episodes: int) -> str:
 
 
 def step_times(setting: str, count: int) -> tuple[str, str]:
-    """Return the time of a step, µs: of one arm, and of each of 256."""
+    """Return the time of a step in µs, for one arm and for each of 256."""
     with solved(setting):
         one = gym.make(ENV, max_episode_steps=10**9, **SETTINGS[setting])
         many = gym.make_vec(ENV, 256, **SETTINGS[setting])
@@ -128,7 +131,7 @@ def energy(p: ArmParameters, arms: Any) -> Any:
 
 
 def energies(engine: Any, curl: float, spread: float) -> dict[str, str]:
-    """Return energy over that at the start, by time: median and range over the arms."""
+    """Return the energy divided by the initial one, by time: median and range over the arms."""
     p = ArmParameters(force_field=((0.0, curl), (-curl, 0.0)))
     random = np.random.default_rng(0)
     arms = make_arms(engine, p, ARMS, "torque")

@@ -1,1 +1,1 @@
-"""What the parts of `mmc-body` are worth, where it fails, and how it does beside the others."""
+"""What the parts of `mmc-body` are worth, where it fails, and how it compares with others."""

@@ -4,12 +4,12 @@ The cause is the first of these that holds:
 
 - out of reach: with the joints that locked, no posture brings the hand to the target;
 - left: the hand was at a resting target, and left it before the end;
-- stuck: the hand never was at the target, and is at rest;
-- late: the hand never was at the target, and is still moving.
+- stuck: the hand was never at the target, and is at rest;
+- late: the hand was never at the target, and is still moving.
 
-The table also counts in how many of these episodes an agent fails that is given the truth about its
-body (`known_body.py`; not about obstacles, masses or noise).  Episodes have the numbers that they
-have in the battery and in its report.
+Another column counts those of these episodes in which an agent that is given its true body fails
+too (`known_body.py`; it is not given obstacles, masses or noise).  Episodes are numbered as in the
+benchmark and its report.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from studies.body_model.known_body import KnownBody
 from studies.body_model.playing import play, successes
 
 CAUSES = ("out of reach", "left", "stuck", "late")
-REST, AT_REST = 15, 0.02
-"""Steps, and segment lengths: a hand that moves less in so many steps is at rest."""
+REST_STEPS, REST_PATH = 15, 0.02
+"""A hand is at rest if its path in so many steps is shorter than this, segment lengths."""
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to look at.
+    """List the failures of an agent.
 
     Attributes:
-        agent: the agent whose failures are listed.
-        scenarios: names, see `mmc-gym list scenarios`; all of the battery by default.
-        episodes: in each scenario.
-        seed: of the episodes; 0 is that of the battery.
+        agent: name of the agent.
+        scenarios: names, see `mmc-gym list scenarios`; all of the benchmark by default.
+        episodes: episodes in each scenario.
+        seed: seed of the episodes; the benchmark's is 0.
         draw: folder for a picture of each failure; none by default.
     """
 
@@ -60,7 +60,7 @@ class Arguments:
 
 
 def cause(episode: Episode, setup: ReachSetup) -> str:
-    """Return why an episode failed."""
+    """Return the cause of a failed episode, one of `CAUSES`."""
     hands, targets = episode.seen_hands, episode.targets
     if setup.lock_step:
         workspace = Workspace(setup.body, setup.given_body, setup.body.lockable_joints)
@@ -70,12 +70,12 @@ def cause(episode: Episode, setup: ReachSetup) -> str:
     stands = (targets == targets[-1]).all(axis=-1)
     if (episode.distances[stands] <= episode.tolerance).any():
         return "left"
-    steps = np.linalg.norm(np.diff(hands[-REST - 1 :], axis=0), axis=-1)
-    return "stuck" if steps.sum() < AT_REST else "late"
+    steps = np.linalg.norm(np.diff(hands[-REST_STEPS - 1 :], axis=0), axis=-1)
+    return "stuck" if steps.sum() < REST_PATH else "late"
 
 
 def draw(episode: Episode, setup: ReachSetup, file: Path) -> None:
-    """Write a picture: the arm every 0.1 s, the later the darker, target, obstacles, distance."""
+    """Draw the arm every 0.1 s (later ones darker), target and obstacles; and distance by time."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
     lengths = setup.body.segment_lengths
     nodes = node_positions(segments_from_joint_angles(episode.joint_angles, lengths))
@@ -117,20 +117,20 @@ def main(arguments: Arguments) -> None:
             continue
         causes = {number: cause(seen[0][number], setup) for number in failed}
         counts = Counter(causes.values())
-        too = int((successes(given)[0][failed] == 0).sum())
-        total.update({"failures": len(failed), "too": too, **counts})
+        both = int((successes(given)[0][failed] == 0).sum())
+        total.update({"failures": len(failed), "both": both, **counts})
         table.add_row(
             scenario.name,
             f"{len(failed)} of {len(seen[0])}",
             *(str(counts[one] or "") for one in CAUSES),
-            str(too or ""),
+            str(both or ""),
             " ".join(map(str, failed[:12])) + (" …" if len(failed) > 12 else ""),
         )
         for number in failed if arguments.draw is not None else ():
             name = f"{scenario.name}-{number}-{causes[number].replace(' ', '-')}.png"
             draw(seen[0][number], setup, arguments.draw / name)
     table.add_section()
-    sums = (str(total[one] or "") for one in (*CAUSES, "too"))
+    sums = (str(total[one] or "") for one in (*CAUSES, "both"))
     table.add_row("all", f"{total['failures']} of {total['episodes']}", *sums, "")
     Console(width=150).print(table)
 

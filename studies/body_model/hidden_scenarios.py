@@ -1,13 +1,13 @@
 """Measure agents in scenarios that nobody tuned them on.
 
 None of them is in the benchmark: other strengths and signs, two perturbations at once, other arms.
-`ppo-memory` has met similar ones in training: rotations to both sides, delays of any length, and at
-times two perturbations at once.  The other policies have met none.  Two kinds of rows are no longer
-unseen, because they showed defects of `mmc-body` that were then mended: seven segments and more (96
-and 54 % before), and a delay with joint noise (60 %).
+`ppo-memory` has met similar ones in training: rotations in both directions, delays of any length,
+and sometimes two perturbations at once.  The other policies have met none.  Two kinds of rows are
+no longer unseen, because they showed defects of `mmc-body` that were then mended: seven and more
+segments (96 and 54 % before), and a delay with joint noise (60 %).
 
-All agents meet the same postures, targets and noise.  Success in percent, with the 95 % interval
-over trainings and episodes, where not all end alike; – where an agent cannot act.
+All agents meet the same postures, targets and noise.  The table shows success in per cent, with the
+95 % interval over trainings and episodes unless all end alike; – where an agent cannot act.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ AGENTS: tuple[str | Make, ...] = (
 
 
 def scenario(name: str, *perturbations: Any, task: str = "random", **arm: Any) -> Scenario:
-    """Return a scenario that is not in the battery."""
+    """Return a scenario that is not in the benchmark."""
     found = tuple(map(find_perturbation, perturbations))
     return Scenario(name, name, task, found, env_kwargs=arm)
 
 
 def of_segments(count: int, *perturbations: str, task: str = "random") -> Scenario:
-    """Return a scenario of an arm with so many segments of length 1."""
+    """Return a scenario of an arm with `count` segments of length 1."""
     name = " + ".join([f"{count} segments", *perturbations, *([task] if task != "random" else [])])
     return scenario(name, *perturbations, task=task, segment_lengths=(1.0,) * count)
 
@@ -92,12 +92,12 @@ SCENARIOS = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to measure.
+    """Measure agents in the hidden scenarios.
 
     Attributes:
-        episodes: of each training of an agent in each scenario.
-        seed: of the episodes.
-        only: a text that is in the names of the scenarios that are played.
+        episodes: episodes of each training of an agent in each scenario.
+        seed: seed of the episodes.
+        only: play only the scenarios whose name contains this text.
     """
 
     episodes: int = 200

@@ -32,10 +32,8 @@ class KnownBody(BodyAgent):
     def __init__(self, env: Any, parts: Parts = ALL) -> None:
         """Make the agent for an environment, and give it the environment's setup."""
         interface = ReachInterface.of(env)
-        finds_nothing = replace(
-            parts, identifies_body=False, bridges_delay=False, finds_locks=False
-        )
-        super().__init__(interface, NetworkSolver(network_of_body(interface)), finds_nothing)
+        parts = replace(parts, identifies_body=False, bridges_delay=False, finds_locks=False)
+        super().__init__(interface, NetworkSolver(network_of_body(interface)), parts)
         self.setup: ReachSetup = env.unwrapped.setup
 
     @override
@@ -60,7 +58,7 @@ class KnownBody(BodyAgent):
         return state._replace(locks=self._true_locks(state))
 
     def _true_locks(self, state: BodyState) -> Locks:
-        """Return the locks in this control step; late senses show their places later."""
+        """Return the locks in this control step; delayed senses show the locked angles later."""
         since = state.looks[:, 0] - 1 - (self.setup.lock_step or 0)
         by_now = state.delay.run_forward(self.interface, state.posture.joint_angles)
         late, seen = self.setup.delay, state.posture.joint_angles

@@ -2,12 +2,12 @@
 
 Three tables.  Episodes are paired: all agents meet the same postures, targets and noise.
 
-- Parts: success with all parts, without one, and with none; and of an agent that is given what the
-  parts would identify (`known_body.py`).
-- Switches of the network: the paper's own, learned normalizer and velocities, against the Euclidean
-  normalizer and kinematics.
-- Vigour: from the fastest that the servos allow (1) to human-like movement (0).  A movement to two
-  targets has two velocity peaks, and one that follows a moving target has many.
+- Parts: success with all parts, without one, and with none; and that of an agent that is given what
+  the parts identify (`known_body.py`).
+- Switches of the network: the paper's learned normalizer or the Euclidean one, with velocities or
+  without.
+- Vigour: from the fastest movement that the servos allow (1) to a human-like one (0).  A movement
+  to two targets has two velocity peaks, and one that follows a moving target has many.
 """
 
 from __future__ import annotations
@@ -65,21 +65,21 @@ PARTS = {
 }
 VIGOURS = (1.0, 0.5, 0.0)
 SETTLED = 0.01
-"""A posture that misses its target by less has settled, segment lengths."""
+"""A posture has settled if its hand is nearer to the target than this, segment lengths."""
 BELL = 0.95
-"""A movement that correlates more with minimum jerk is bell-shaped."""
+"""A movement is bell-shaped if its correlation with minimum jerk is at least this."""
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to measure.
+    """Measure parts, switches and vigour.
 
     Attributes:
-        tables: which of parts, switches and vigour.
+        tables: which tables to print: parts, switches, vigour.
         scenarios: names, see `mmc-gym list scenarios`; by default the most informative ones.
-        episodes: of each agent in each scenario.
-        seed: of the episodes.
-        model: internal model of the agents whose parts are left out, mmc or ik.
+        episodes: episodes of each agent in each scenario.
+        seed: seed of the episodes.
+        model: internal model of the agents in the table of parts, mmc or ik.
     """
 
     tables: tuple[str, ...] = ("parts", "switches", "vigour")
@@ -92,9 +92,9 @@ class Arguments:
         """Return the episodes of an agent."""
         return play(agent, scenario, self.episodes, self.seed)
 
-    def each(self, scenarios: Sequence[str]) -> list[Scenario]:
-        """Return the scenarios of `--scenarios`, or these without any."""
-        return list(find_scenarios(self.scenarios or scenarios).values())
+    def each(self, default: Sequence[str]) -> list[Scenario]:
+        """Return the scenarios of `--scenarios`, or the default ones if none are given."""
+        return list(find_scenarios(self.scenarios or default).values())
 
 
 def of_parts(arguments: Arguments) -> Table:
@@ -142,7 +142,7 @@ def of_switches(arguments: Arguments) -> Table:
 
 
 def of_vigour(arguments: Arguments) -> Table:
-    """Return the table of vigour; all but success are of the episodes that ended at the target."""
+    """Return the table of vigour; all but success is measured in successful episodes."""
     table = _table(
         f"vigour: {arguments.episodes} episodes",
         "scenario",
@@ -161,7 +161,7 @@ def of_vigour(arguments: Arguments) -> Table:
             given = arguments.played(partial(KnownBody, parts=parts), scenario)
             arrived = [one for one in played[0] if success(one)]
             likeness = np.array([minimum_jerk_correlation(one) for one in arrived])
-            likeness = likeness[~np.isnan(likeness)]  # hands that began at the target
+            likeness = likeness[~np.isnan(likeness)]  # NaN where the hand began at the target
             peaks = np.array([velocity_peaks(one) for one in arrived])
             table.add_row(
                 scenario.name if vigour == VIGOURS[0] else "",

@@ -21,20 +21,20 @@ from mmc_gym.measures import Episode, episode_seeds, run_episodes
 from mmc_gym.measures.reaching import success
 
 Make: TypeAlias = Callable[[Any], Agent[Any]]
-"""Makes an agent for an environment."""
+"""A function that makes an agent for an environment."""
 Played: TypeAlias = list[tuple[Episode, ...]]
-"""The episodes of each training of an agent; one training if it is not trained."""
+"""The episodes of an agent, by training; agents without training have one entry."""
 
 ALL = Parts()
 
 
 def body_model(parts: Parts = ALL, build: Callable[..., Agent[Any]] = mmc_body, **how: Any) -> Make:
-    """Return a function that makes a body model of these parts."""
+    """Return a function that makes an agent with a body model of these parts."""
     return lambda env: build(ReachInterface.of(env), parts, **how)
 
 
 def play(agent: str | Make, scenario: Scenario, episodes: int, seed: int) -> Played:
-    """Return the episodes of an agent: those of the battery, if the seed is 0.
+    """Return the episodes of an agent: those of the benchmark if the seed is 0.
 
     Every agent meets the same postures, targets and noise.  The list is empty if the agent cannot
     act in the scenario.
@@ -44,7 +44,7 @@ def play(agent: str | Make, scenario: Scenario, episodes: int, seed: int) -> Pla
     played = []
     for one in resolve_all(agent if isinstance(agent, str) else {"agent": agent}):
         try:
-            with warnings.catch_warnings():  # another arm is meant
+            with warnings.catch_warnings():  # the arm may differ from the training's
                 warnings.simplefilter("ignore", MismatchWarning)
                 env, player = make_player(one, scenario, {"control": "joint_position"})
         except CannotActError:
@@ -62,9 +62,9 @@ def successes(played: Played) -> np.ndarray:
 
 
 def percent(played: Played, *, interval: bool = False) -> str:
-    """Return the success in percent, with its interval over trainings and episodes if it has any.
+    """Return the success in per cent.
 
-    There is none where all episodes ended alike.
+    With `interval`, its interval over trainings and episodes follows, unless all ended alike.
     """
     if not played:
         return "–"

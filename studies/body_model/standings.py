@@ -1,7 +1,7 @@
-"""Where the agents of a benchmark stand: success by family, and agents against each other.
+"""Compare the agents of a benchmark: success by family, and each agent with each other.
 
 The tables are read from stores of `mmc-gym benchmark`.  The yardstick, which is given its true
-body, has a store of its own, because it is nobody's rival:
+body, has a separate store, because it is not a rival:
 
     mmc-gym benchmark
     mmc-gym benchmark --out runs/known-body \
@@ -9,11 +9,11 @@ body, has a store of its own, because it is nobody's rival:
     python -m studies.body_model.standings
 
 Success is the mean over the scenarios of a family, with 95 % intervals over training seeds and
-instances.  "24 35 0" against a rival: clearly better in 24 scenarios, no clear difference in 35,
-clearly worse in none.  Clear means that the 95 % interval of the paired difference excludes 0 and
-more than half a unit of the last digit shown.  A scenario counts if both agents have a value in
-half of their episodes.  The last table lists the scenarios in which the best rival is ahead in
-success by more than 2 points.
+instances.  "24 35 0" means: clearly better than the rival in 24 scenarios, no clear difference in
+35, clearly worse in none.  A difference is clear if its 95 % interval (paired by instance) excludes
+0, and reaches more than half a unit of the last digit shown.  A scenario counts if both agents have
+a value in at least half of their episodes.  The last table lists the scenarios in which the success
+of the best rival is more than 2 points higher.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from mmc_gym.benchmark.store import read_episodes, read_manifest
 from mmc_gym.measures import MEASURES, Measure, leave_out_failures
 
 COLUMNS = ("known-body", "mmc-body", "ik-body", "optimal-control", "ppo-memory", "ppo", "mmc")
-BEHIND = 0.02
-PRESENT = 0.5  # part of its episodes in which an agent must have a value
+BEHIND = 0.02  # success by which the best rival is ahead
+PRESENT = 0.5  # share of its episodes in which an agent must have a value
 COMMON = 5  # fewest instances on which two agents are compared
 NO_RIVALS = ("random", REFERENCE)
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to print.
+    """Print the standings.
 
     Attributes:
-        stores: folders of `mmc-gym benchmark`; rivals are those of the first.
-        agents: the columns of success by family, as far as they took part.
+        stores: folders of `mmc-gym benchmark`; rivals are the agents of the first.
+        agents: columns of the table of success by family; those that did not play are left out.
         focus: the agents that are compared with each of the others.
     """
 
@@ -56,11 +56,11 @@ class Arguments:
 
 
 def by_family(arguments: Arguments) -> Table:
-    """Return success by family."""
+    """Return the table of success by family."""
     stores = [store for store in arguments.stores if store.is_dir()]
     episodes = pd.concat([read_episodes(store) for store in stores], ignore_index=True)
-    there = set(episodes["agent"])
-    agents = [agent for agent in arguments.agents if agent in there]
+    played = set(episodes["agent"])
+    agents = [agent for agent in arguments.agents if agent in played]
     environments = read_manifest(arguments.stores[0]).environments
     families: dict[str, list[str]] = {}
     for key, settings in environments.items():
@@ -87,16 +87,19 @@ def by_family(arguments: Arguments) -> Table:
 
 
 def difference(episodes: pd.DataFrame, measure: Measure, pair: Sequence[str]) -> Estimate | None:
-    """Return the first agent less the second in a scenario; None if too few episodes have a value.
+    """Return by how much the first agent of a pair exceeds the second in a measure.
 
     Args:
-        episodes: of the scenario.
-        measure: of which the difference is taken.
-        pair: two agents.
+        episodes: the episodes of one scenario.
+        measure: the measure.
+        pair: names of two agents.
+
+    Returns:
+        The difference with its interval; None if too few episodes have a value.
     """
     rows = episodes[episodes["agent"].isin(pair)]
     has_value = rows[measure.name].notna()
-    # Few episodes record the time per action: only instances count where either has a value.
+    # Few episodes record the time per action, so count only instances where either has a value.
     either = has_value.groupby(rows["instance"]).transform("any")
     shares = has_value[either].groupby(rows.loc[either, "agent"]).mean()
     if shares.reindex(list(pair), fill_value=0.0).min() < PRESENT:
@@ -120,7 +123,7 @@ def judge(found: Estimate, measure: Measure) -> str:
 
 
 def against_each(agent: str, episodes: pd.DataFrame) -> Table:
-    """Return in how many scenarios an agent is better, not clearly different, and worse."""
+    """Return the table of scenarios in which an agent is better, not clearly different, worse."""
     measures = [
         one
         for one in MEASURES.values()
@@ -142,7 +145,7 @@ def against_each(agent: str, episodes: pd.DataFrame) -> Table:
 
 
 def behind(agent: str, episodes: pd.DataFrame) -> Table:
-    """Return where the best rival is ahead, with the interval of the difference."""
+    """Return the table of scenarios in which the best rival is ahead."""
     success = MEASURES["success"]
     table = Table(title=f"{agent} is more than {100 * BEHIND:g} points behind the best rival")
     for heading in ("scenario", agent, "best rival", "its success", "difference"):

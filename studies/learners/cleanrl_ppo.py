@@ -1,9 +1,9 @@
 """PPO with the constants of CleanRL's `ppo_continuous_action.py`.
 
-CleanRL (Huang et al., JMLR 23, 2022) is made of single files that people copy.  This is the
+CleanRL (Huang et al., JMLR 23, 2022) consists of single files that people copy.  This is the
 algorithm that its documentation describes, written anew: the same wrappers, networks, constants and
-order of random numbers.  What differs: there is one environment and no vector of them, it is reset
-in the step that ends an episode, observations are not flattened, and nothing is logged or saved.
+order of random numbers.  The differences: one environment instead of a vector, which is reset in
+the step that ends an episode; observations are not flattened; and nothing is logged or saved.
 
 https://docs.cleanrl.dev/rl-algorithms/ppo/#ppo_continuous_actionpy
 """
@@ -28,7 +28,7 @@ EPOCHS = 10
 LEARNING_RATE = 3e-4
 ANNEALED_OVER = 1_000_000  # steps
 GAMMA, LAMBDA = 0.99, 0.95
-CLIP = 0.2  # of the ratio, and of the change of a value
+CLIP = 0.2  # largest change of the ratio, and of a value
 VALUE_WEIGHT = 0.5  # the entropy's is 0
 MAX_GRADIENT = 0.5
 HIDDEN = 64
@@ -36,7 +36,7 @@ LARGEST = 10.0  # normalized observation or reward
 
 
 class Rollout(NamedTuple):
-    """What `ROLLOUT` steps gave: observations and actions (steps, …), the others (steps,)."""
+    """The data of `ROLLOUT` steps: observations and actions (steps, …), all others (steps,)."""
 
     observations: Tensor
     actions: Tensor
@@ -59,12 +59,12 @@ def perceptron(inputs: int, outputs: int, last_gain: float) -> nn.Sequential:
 
 
 class CleanRLPPO:
-    """Learns in one environment; `learn` and `predict` are called as stable-baselines3's are."""
+    """PPO in one environment, with `learn` and `predict` as in stable-baselines3."""
 
     def __init__(self, env: gym.Env[Any, Any], seed: int) -> None:
-        """Wrap `env`, which has a `Box` of observations and one of actions, and make networks."""
+        """Wrap `env`, whose observations and actions are `Box`es, and make the networks."""
         torch.manual_seed(seed)
-        self._random = np.random.RandomState(seed)  # what `numpy.random.seed` seeds, but our own
+        self._random = np.random.RandomState(seed)  # the generator of `numpy.random.seed`, unshared
         self._seed = seed
         self._space = env.action_space
         self._normalize = wrappers.NormalizeObservation(wrappers.ClipAction(env))
@@ -80,10 +80,10 @@ class CleanRLPPO:
         self.num_timesteps = 0
 
     def learn(self, total_timesteps: int, callback: Callable[[Any, Any], bool]) -> None:
-        """Learn for so many steps, or until `callback`, called after each of them, returns False.
+        """Learn for `total_timesteps`, or until `callback`, called in each step, returns False.
 
-        The learning rate falls to 0 over `ANNEALED_OVER` steps, or `total_timesteps` if they are
-        more.
+        The learning rate falls to 0 over `ANNEALED_OVER` steps, or over `total_timesteps` if that
+        is more.
         """
         updates = max(total_timesteps, ANNEALED_OVER) // ROLLOUT
         observation, _ = self._env.reset(seed=self._seed)
@@ -109,7 +109,10 @@ class CleanRLPPO:
     def predict(
         self, observation: NDArray[Any], *_: Any, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], None]:
-        """Return the mean actions, (…, actions), and no state; what is normal is as learned."""
+        """Return the mean actions, (…, actions), and no state.
+
+        Observations are normalized by the statistics of the training.
+        """
         assert deterministic
         seen = self._normalize.obs_rms
         normal = (observation - seen.mean) / np.sqrt(seen.var + self._normalize.epsilon)
@@ -122,16 +125,16 @@ class CleanRLPPO:
         return Normal(mean, self._log_std.exp().expand_as(mean))
 
     def _rollout(self, steps: list[tuple[Any, ...]], last: Tensor) -> Rollout:
-        """Return the steps with generalized advantages; a truncation counts as a termination."""
+        """Return the steps with generalized advantages; truncation counts as termination."""
         observations, actions, log_probabilities, values, rewards, are_over = zip(*steps)
         with torch.no_grad():
             known = [*(float(value) for value in values), self._critic(last).item()]
         advantages = np.zeros(len(steps))
         advantage = 0.0
         for step in reversed(range(len(steps))):
-            goes_on = 0.0 if are_over[step] else GAMMA
-            error = rewards[step] + goes_on * known[step + 1] - known[step]
-            advantage = advantages[step] = error + goes_on * LAMBDA * advantage
+            discount = 0.0 if are_over[step] else GAMMA
+            error = rewards[step] + discount * known[step + 1] - known[step]
+            advantage = advantages[step] = error + discount * LAMBDA * advantage
         arrays = [torch.stack(one) for one in (observations, actions, log_probabilities, values)]
         gained = torch.as_tensor(advantages, dtype=torch.float32)
         return Rollout(*arrays, gained, gained + arrays[-1])
@@ -149,7 +152,7 @@ class CleanRLPPO:
                 self._optimizer.step()
 
     def _loss(self, batch: Rollout) -> Tensor:
-        """Return the clipped loss of the policy, and that of the values."""
+        """Return the sum of the clipped losses of policy and values."""
         spread = batch.advantages.std() + 1e-8
         advantages = (batch.advantages - batch.advantages.mean()) / spread
         logs = self._policy(batch.observations).log_prob(batch.actions).sum(-1)

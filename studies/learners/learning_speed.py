@@ -1,11 +1,10 @@
 """Time the training of a policy from nothing until it reaches: PPO on many analytic arms.
 
-Run it with `python -m studies.learners.learning_speed`.  stable-baselines3's PPO learns on the
-analytic engine (extra `fast`), and its policies are scored on pymunk, on targets that they never
-saw.  The clock stands still while they are copied; they are scored once the training is over.
-Processor seconds stand beside those of the wall, which others on the machine lengthen.  Printed are
-the medians over the seeds, when 95 % and 98 % of the targets were reached for the first time, and
-where the processor time went.
+stable-baselines3's PPO learns on the analytic engine (extra `fast`).  Its policies are copied
+during the training, while the clock stands still, and scored after it: on pymunk, with targets that
+they have not seen.  The table shows when 95 % and 98 % of the targets were reached for the first
+time, by seed and as the median, in wall time and in processor time, which other work on the machine
+does not lengthen.  A profile shows where the processor time goes.
 """
 
 from __future__ import annotations
@@ -49,12 +48,12 @@ class Arguments:
     """Time trainings.
 
     Attributes:
-        seeds: how many, from 0 on.
-        arms: how many learn together.
-        steps: of all arms together, in a training.
-        threads: of torch and of the environment.
-        targets: for which each policy is scored.
-        profile: show where the processor time of one more training goes.
+        seeds: number of training seeds, from 0.
+        arms: number of arms that learn together.
+        steps: steps of a training, of all arms together.
+        threads: threads of torch and of the environment.
+        targets: number of targets with which each policy is scored.
+        profile: show where the processor time of another, short training goes.
     """
 
     seeds: int = 5
@@ -66,7 +65,7 @@ class Arguments:
 
 
 class Snapshot(NamedTuple):
-    """A policy, and what it took to get there."""
+    """A policy, with the steps and seconds of training until then."""
 
     steps: int
     wall: float
@@ -75,7 +74,7 @@ class Snapshot(NamedTuple):
 
 
 class Clock(BaseCallback):
-    """Copies the policy before every update; the copying is not timed."""
+    """Copy the policy before every update; the copying is not timed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -113,7 +112,7 @@ def make_model(arguments: Arguments, seed: int) -> PPO:
 
 
 def share_reached(model: PPO, weights: dict[str, torch.Tensor], targets: int) -> float:
-    """Return which share of targets a policy reaches on pymunk, at the end of the episode."""
+    """Return the share of targets at which a policy ends its episodes, on pymunk."""
     model.policy.load_state_dict(weights)
     arms = gym.make_vec("MMCReach-v0", targets)
     observations, _ = arms.reset(seed=1_000_000)
@@ -124,7 +123,7 @@ def share_reached(model: PPO, weights: dict[str, torch.Tensor], targets: int) ->
 
 
 def times_to(arguments: Arguments, seed: int) -> tuple[dict[float, Snapshot | None], float]:
-    """Train; return the first snapshot that reaches each share, and steps a processor second."""
+    """Train; return the first snapshot to reach each share, and the steps per processor second."""
     model, clock = make_model(arguments, seed), Clock()
     model.learn(arguments.steps, callback=clock)
     found: dict[float, Snapshot | None] = dict.fromkeys(SHARES)
@@ -148,7 +147,7 @@ def main(arguments: Arguments) -> None:
     for heading in ("seed", "reached", "steps", "seconds", "processor seconds"):
         table.add_column(heading, justify="right")
     times: dict[float, list[tuple[float, float]]] = {share: [] for share in SHARES}
-    make_model(arguments, 0).learn(arguments.arms)  # compiles
+    make_model(arguments, 0).learn(arguments.arms)  # compile first
     for seed in range(arguments.seeds):
         found, speed = times_to(arguments, seed)
         for share, snapshot in found.items():
@@ -158,7 +157,7 @@ def main(arguments: Arguments) -> None:
                 steps, wall, processor = f"{snapshot.steps:,}", snapshot.wall, snapshot.processor
             times[share].append((wall, processor))
             table.add_row(str(seed), f"{share:.0%}", steps, f"{wall:.1f}", f"{processor:.1f}")
-        console.print(f"seed {seed}: {speed:,.0f} steps a processor second")
+        console.print(f"seed {seed}: {speed:,.0f} steps per processor second")
     for share, both in times.items():
         wall, processor = np.median(both, axis=0)
         table.add_row("median", f"{share:.0%}", "", f"{wall:.1f}", f"{processor:.1f}")

@@ -1,22 +1,23 @@
-"""Measure what untuned learners reach in a reaching environment, each with its own defaults.
+"""Measure what untuned learners reach in `MMCReach-v0`, each with its own defaults.
 
-stable-baselines3's PPO (eight environments), SAC and TD3 (one), and PPO as CleanRL sets it up (one,
-see `cleanrl_ppo.py`).  Each training is what a new user would type,
+The learners are stable-baselines3's PPO (eight environments), SAC and TD3 (one environment), and
+PPO with CleanRL's constants (one environment, see `cleanrl_ppo.py`).  Each training is what a new
+user would type,
 
     PPO("MlpPolicy", make_vec_env("MMCReach-v0", 8, seed=seed), seed=seed, device="cpu")
 
-on one thread.  Where it passes one of the step counts `--at`, its policy plays 200 episodes without
-exploration, the same for all, on pymunk: so a policy of PPO has learned from the rollouts that were
-complete before.  Success is a hand within the success distance when the episode ends; the table has
-its median over seeds, the worst and the best.  Minutes are wall time, without the evaluations, of
-as many trainings at once as `--jobs` says; the files have processor time, too.
+on one thread.  After each of the step counts `--at` its policy plays the same 200 episodes on
+pymunk, without exploration.  A policy of PPO has then learned from all rollouts completed before.
+Success means that the hand is within the success distance when the episode ends; the table has the
+median over seeds, the worst and the best.  Minutes are wall time without evaluations, with `--jobs`
+trainings at once; the files also have processor time.
 
     python -m studies.learners.plain_learners --learners ppo cleanrl --out runs/plain-learners
     python -m studies.learners.plain_learners --learners sac td3 --steps 200000
-    python -m studies.learners.plain_learners --learners --plot plain.png   # trains nothing
+    python -m studies.learners.plain_learners --learners    # only prints the results
 
-An interrupted training starts again, but keeps its evaluations.  A finished one is not run again:
-after a change of the environment's code choose another folder.
+An interrupted training starts again, but keeps its evaluations.  A finished training is not run
+again: choose another folder if the environment's code has changed.
 """
 
 from __future__ import annotations
@@ -33,27 +34,22 @@ import loky
 import numpy as np
 import pandas as pd
 import tyro
-import yaml
-from matplotlib import rc_context
-from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, NullLocator, PercentFormatter
 from rich.console import Console
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.env_util import make_vec_env
 
 from mmc_gym.measures.reaching import final_distance, success
 from mmc_gym.measures.rollout import run_episodes
-from studies.drawing import COLOURS, LINES, STYLE
 from studies.learners.cleanrl_ppo import CleanRLPPO
 from studies.tables import table_of
 
 Learner = Literal["ppo", "sac", "td3", "cleanrl"]
 
 LABELS = {"ppo": "PPO, sb3", "sac": "SAC, sb3", "td3": "TD3, sb3", "cleanrl": "PPO, CleanRL's"}
+ENV = "MMCReach-v0"
 ENVIRONMENTS = {"ppo": 8}  # the others have one
-MARKERS = "osD^"
 EPISODES = 200
-EVALUATION_SEED = 2_000_000  # far from those of trainings
+EVALUATION_SEED = 2_000_000  # far from the seeds of trainings
 
 
 @dataclass(frozen=True)
@@ -61,16 +57,12 @@ class Arguments:
     """Train and evaluate, then print all results in the folder.
 
     Attributes:
-        learners: to train; none of them only shows the results in the folder.
-        seeds: of the trainings, for each learner.
-        steps: environment steps of a training, at most: it ends where it is last evaluated.
+        learners: learners to train; without any, only the results in the folder are printed.
+        seeds: training seeds of each learner.
+        steps: largest number of environment steps; a training ends with its last evaluation.
         at: environment steps after which the policy is evaluated.
-        jobs: trainings at once.
-        env: id of the environment.
-        env_kwargs: its arguments, as NAME=VALUE.
+        jobs: number of trainings at once.
         out: folder for the results.
-        plot: PNG to draw success against steps into.
-        markdown: print the table as Markdown.
     """
 
     learners: tuple[Learner, ...] = ("ppo", "sac", "td3", "cleanrl")
@@ -78,43 +70,23 @@ class Arguments:
     steps: int = 1_000_000
     at: tuple[int, ...] = (50_000, 100_000, 200_000, 500_000, 1_000_000)
     jobs: int = 2
-    env: str = "MMCReach-v0"
-    env_kwargs: tuple[str, ...] = ()
     out: Path = Path("runs/plain-learners")
-    plot: Path | None = None
-    markdown: bool = False
 
 
 @dataclass(frozen=True)
 class Training:
-    """One training: learner, seed, steps of the evaluations, environment and file."""
+    """One training: learner, seed, steps of the evaluations, and file of the results."""
 
     learner: Learner
     seed: int
     marks: tuple[int, ...]
-    env: str
-    env_kwargs: tuple[str, ...]
     file: Path
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The arguments of the environment."""
-        return {
-            name: yaml.safe_load(value)
-            for name, _, value in (text.partition("=") for text in self.env_kwargs)
-        }
-
     def rows(self) -> dict[int, dict[str, Any]]:
-        """Return the finished evaluations, by environment steps.
-
-        Raises:
-            ValueError: if they are of another environment.
-        """
+        """Return the finished evaluations, by environment steps."""
         if not self.file.exists():
             return {}
-        rows = pd.read_csv(self.file, keep_default_na=False).to_dict("records")
-        if (rows[0]["env"], rows[0]["env_kwargs"]) != (self.env, " ".join(self.env_kwargs)):
-            raise ValueError(f"out has results of another environment: {self.file}")
+        rows = pd.read_csv(self.file).to_dict("records")
         return {row["steps"]: row for row in rows}
 
     def run(self) -> None:
@@ -128,7 +100,6 @@ class Training:
             if learner.num_timesteps >= left[0]:
                 paused = self._now()
                 found: dict[str, Any] = {"learner": self.learner, "seed": self.seed}
-                found |= {"env": self.env, "env_kwargs": " ".join(self.env_kwargs)}
                 found |= {"steps": left.pop(0), **self.evaluate(learner)}
                 found |= dict(zip(("seconds", "cpu_seconds"), np.round(paused - begun, 1)))
                 rows[found["steps"]] = found
@@ -145,19 +116,18 @@ class Training:
     def make_learner(self) -> PPO | SAC | TD3 | CleanRLPPO:
         """Return the learner with its defaults."""
         if self.learner == "cleanrl":
-            return CleanRLPPO(gym.make(self.env, **self.settings), self.seed)
+            return CleanRLPPO(gym.make(ENV), self.seed)
         algorithm = {"ppo": PPO, "sac": SAC, "td3": TD3}[self.learner]
         count = ENVIRONMENTS.get(self.learner, 1)
-        env = make_vec_env(self.env, count, seed=self.seed, env_kwargs=self.settings)
+        env = make_vec_env(ENV, count, seed=self.seed)
         return algorithm("MlpPolicy", env, seed=self.seed, device="cpu")
 
     def evaluate(self, learner: Any) -> dict[str, float]:
         """Return success, and the median final distance in segment lengths.
 
-        It draws no random numbers but those of its own environment, and changes no training.
+        It has no effect on the training: all random numbers come from its own environment.
         """
-        settings = {**self.settings, "engine": "pymunk", "autoreset_mode": "Disabled"}
-        with closing(gym.make_vec(self.env, EPISODES, **settings)) as env:
+        with closing(gym.make_vec(ENV, EPISODES, autoreset_mode="Disabled")) as env:
             seeds = range(EVALUATION_SEED, EVALUATION_SEED + EPISODES)
             episodes = run_episodes(learner, env, seeds, records_effort=False)
         return {
@@ -176,20 +146,20 @@ def trainings(arguments: Arguments) -> list[Training]:
     found = []
     for seed, learner in product(arguments.seeds, arguments.learners):
         file = arguments.out / f"{learner}-{seed}.csv"
-        one = Training(learner, seed, marks, arguments.env, arguments.env_kwargs, file)
+        one = Training(learner, seed, marks, file)
         if not one.rows().keys() >= set(marks):
             found.append(one)
     return found
 
 
 def read_results(folder: Path) -> pd.DataFrame:
-    """Return all rows of a folder, learners in the order of `LABELS`."""
-    tables = [pd.read_csv(path, keep_default_na=False) for path in sorted(folder.glob("*-*.csv"))]
+    """Return all rows of a folder, with learners in the order of `LABELS`."""
+    tables = [pd.read_csv(path) for path in sorted(folder.glob("*-*.csv"))]
     return pd.concat(tables).sort_values("learner", key=lambda names: names.map([*LABELS].index))
 
 
 def cells(results: pd.DataFrame) -> list[dict[str, str]]:
-    """Return a row for each learner: success after so many steps, seeds, and wall time."""
+    """Return a row for each learner: seeds, success by number of steps, and wall time."""
     rows = []
     for learner, group in results.groupby("learner", sort=False):
         row = {"learner": LABELS[str(learner)], "seeds": str(group["seed"].nunique())}
@@ -205,46 +175,11 @@ def cells(results: pd.DataFrame) -> list[dict[str, str]]:
     return rows
 
 
-def to_markdown(rows: list[dict[str, str]]) -> str:
-    """Return the table as Markdown."""
-    lines = [[*rows[0]], ["---"] * len(rows[0]), *([*row.values()] for row in rows)]
-    return "\n".join("| " + " | ".join(line).replace("\n", " ") + " |" for line in lines)
-
-
-def draw(results: pd.DataFrame) -> Figure:
-    """Draw success against steps: the median over seeds, and a band from the worst to the best."""
-    with rc_context(STYLE):
-        figure = Figure(figsize=(5.0, 3.4), layout="constrained")
-        axes = figure.subplots()
-        for place, (learner, group) in enumerate(results.groupby("learner", sort=False)):
-            seeds = group.groupby("steps")["success"]
-            median, colour, line = seeds.median(), COLOURS[place], LINES[place]
-            label = f"{LABELS[str(learner)]} ({group['seed'].nunique()} seeds)"
-            axes.fill_between(median.index, seeds.min(), seeds.max(), color=colour, alpha=0.15)
-            axes.plot(median, color=colour, linestyle=line, marker=MARKERS[place], label=label)
-        axes.set(xscale="log", ylim=(-0.02, 1.02))
-        axes.set(xlabel="environment steps of training", ylabel="success [% of 200 episodes]")
-        axes.set_xticks(sorted(results["steps"].unique()))
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-        axes.legend(frameon=False, handlelength=4)
-        axes.set_title("Median over seeds; band: worst to best", loc="left")
-    return figure
-
-
 def main(arguments: Arguments) -> None:
     """Run unfinished trainings; print the table of all results."""
     executor = loky.get_reusable_executor(arguments.jobs, env={"OMP_NUM_THREADS": "1"})
     list(executor.map(Training.run, trainings(arguments)))
-    results = read_results(arguments.out)
-    if arguments.markdown:
-        print(to_markdown(cells(results)))
-    else:
-        Console().print(table_of(cells(results)))
-    if arguments.plot is not None:
-        with rc_context(STYLE):
-            draw(results).savefig(arguments.plot, dpi=150)
+    Console().print(table_of(cells(read_results(arguments.out))))
 
 
 if __name__ == "__main__":

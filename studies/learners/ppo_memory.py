@@ -1,16 +1,17 @@
-"""Train `ppo-memory`: a policy with a memory learns to act as one that is given the truth.
+"""Train `ppo-memory`: a policy with a memory learns to act like one that is given the truth.
 
 A policy that has to identify noise, delays and its body from a memory learns slowly from rewards.
-One that is given the truth learns fast, and can say at any moment what it would do.  So a teacher,
-actor and critic, first learns by PPO how to use the truth.  Then its student acts, and learns to do
-from its memory what the teacher would do in its place: weighted least squares, on the states that
-the student itself gets into (dataset aggregation; only the latest rollout is kept).
+One that is given the truth learns fast, and can say in any state what it would do.  So a teacher
+(actor and critic) that is given the truth first learns by PPO.  Then its student acts, and learns
+from its memory to do what the teacher would do in the same state.  It minimizes weighted squared
+errors on the states that the student itself visits (dataset aggregation with the latest rollout
+only).
 
     python -m studies.learners.ppo_memory --seed 0 --out runs/ppo-memory-0   # 7 minutes
     python -m studies.learners.ppo_memory --seed 0 --steps 100000            # a short run
 
-The three policies that ship were trained so, with the seeds 0 to 2.  An interrupted training
-resumes with --resume.
+The three policies that ship were trained in this way, with the seeds 0 to 2.  An interrupted
+training resumes with --resume.
 
 Sources: Peng, Andrychowicz, Zaremba & Abbeel (2018), Sim-to-real transfer of robotic control with
 dynamics randomization, ICRA, https://arxiv.org/abs/1710.06537 (a memory, random dynamics).  Ross,
@@ -61,20 +62,20 @@ TARGET_JUMP = 0.1
 NOISE = 0.05
 """Standard deviation of a student's noise, so that it meets slightly more than its own states."""
 CALM = 0.004
-"""Mean square of actions at which an error counts half as much as at rest: success is decided at
-the target, where actions are small."""
+"""Mean square of actions at which an error counts half as much as at rest.  Errors of small actions
+count more, because actions are small at the target, where success is decided."""
 
 
 class Truth(gym.vector.VectorWrapper[Any, Any, Any]):
     """A vector of reaching environments whose observations are followed by the truth.
 
-    That is
+    The truth is
 
         the observation without noise and delay; the target's velocity, in the observation's frame;
         the cursor's turn (sine, cosine − 1); curl of the force field / 100, hand's mass / 10,
         gravity / 100; segment lengths − 1; which joints are locked now
 
-    but nothing of obstacles.
+    It does not include obstacles.
     """
 
     def __init__(self, env: VectorEnv) -> None:
@@ -114,18 +115,18 @@ class Truth(gym.vector.VectorWrapper[Any, Any, Any]):
         x, y = moved.T / setup.given_body.control_step
         velocity = turned_back(x, y, true[:, 0], true[:, count])
         locked = self._locks & (setup.lock_step is not None and self._step >= setup.lock_step)
-        of_all = np.broadcast_to((*self._body, *locked), (len(true), len(self._body) + count))
-        truth = (seen, true, np.stack(velocity, axis=-1), of_all)
+        body = np.broadcast_to((*self._body, *locked), (len(true), len(self._body) + count))
+        truth = (seen, true, np.stack(velocity, axis=-1), body)
         return np.concatenate(truth, axis=-1, dtype=np.float32)
 
 
 def truth_size(joint_count: int) -> int:
-    """Return how many values `Truth` adds."""
+    """Return the number of values that `Truth` adds."""
     return ObservationLayout(joint_count, 1.0).size + 2 + 2 + 3 + 2 * joint_count
 
 
 def lengthened(space: spaces.Space[Any], count: int) -> spaces.Box:
-    """Return the space of observations that are followed by `count` values of any size."""
+    """Return the space of observations that are followed by `count` unbounded values."""
     assert isinstance(space, spaces.Box)
     unbounded = np.full(count, np.inf, np.float32)
     low, high = np.concatenate((space.low, -unbounded)), np.concatenate((space.high, unbounded))
@@ -136,7 +137,7 @@ class TruthfulScenarios(RandomScenarios):
     """`RandomScenarios` whose observations are followed by the `Truth`."""
 
     def __init__(self, venv: VecEnv, **options: Any) -> None:
-        """Wrap a vector of equal environments; the options are those of `RandomScenarios`."""
+        """Wrap a vector of equal environments, with the options of `RandomScenarios`."""
         super().__init__(venv, **options)
         size = truth_size(venv.action_space.shape[0])  # type: ignore[index]
         self.observation_space = lengthened(venv.observation_space, size)
@@ -153,7 +154,7 @@ class Memory(VecEnvWrapper):
     """
 
     def __init__(self, venv: VecEnv, blocks: Sequence[int]) -> None:
-        """Wrap an environment; the blocks are those of `History`."""
+        """Wrap an environment, with the blocks of `History`."""
         self.blocks = tuple(blocks)
         self._history = History(ReachInterface.of(venv).layout, self.blocks)
         super().__init__(venv, lengthened(venv.observation_space, self._history.size))
@@ -195,7 +196,7 @@ class Memory(VecEnvWrapper):
 
 
 class TruthLayer(BaseFeaturesExtractor):
-    """The truth, with which an observation ends."""
+    """Extract the truth, the last values of an observation."""
 
     def __init__(self, observation_space: spaces.Box, size: int) -> None:
         """Make the layer for the last `size` values."""
@@ -207,11 +208,11 @@ class TruthLayer(BaseFeaturesExtractor):
 
 
 class TaughtPolicy(ActorCriticPolicy):
-    """A teacher, actor and critic, that sees the truth, and a student that sees all else.
+    """A teacher (actor and critic) that sees the truth, and a student that sees all other values.
 
     Attributes:
         student: the student's network; its last layer gives actions.
-        inputs: how many values the student sees, the first ones.
+        inputs: number of values that the student sees; they come first.
         student_acts: whether the student or the teacher acts when actions are collected; `predict`
             always asks the student.
     """
@@ -228,12 +229,12 @@ class TaughtPolicy(ActorCriticPolicy):
         """Make a policy.
 
         Args:
-            observation_space: of observations that end with the truth.
-            action_space: of joint actions.
+            observation_space: space of observations that end with the truth.
+            action_space: space of joint actions.
             lr_schedule: learning rate.
-            net_arch: the student's hidden layers.
-            teacher: those of the teacher's actor, and of its critic.
-            options: of the base class.
+            net_arch: hidden layers of the student.
+            teacher: hidden layers of the teacher's actor, and of its critic.
+            options: options of the base class.
         """
         size = truth_size(action_space.shape[0])
         self.inputs = observation_space.shape[0] - size
@@ -254,7 +255,7 @@ class TaughtPolicy(ActorCriticPolicy):
         super()._build(lr_schedule)
 
     def student_actions(self, obs: torch.Tensor) -> torch.Tensor:
-        """Return the student's actions, not yet clipped."""
+        """Return the student's actions, not clipped."""
         actions: torch.Tensor = self.student(obs[..., : self.inputs])
         return actions
 
@@ -273,7 +274,7 @@ class TaughtPolicy(ActorCriticPolicy):
         actions = self.student_actions(obs)
         if not deterministic:
             actions = actions + NOISE * torch.randn_like(actions)
-        unused = actions[:, :1]  # values and probabilities, which only PPO asks for
+        unused = actions[:, :1]  # in place of values and probabilities, which only PPO needs
         return actions, unused, unused[:, 0]
 
     @override
@@ -284,21 +285,21 @@ class TaughtPolicy(ActorCriticPolicy):
 
 
 class TaughtPPO(PPO):
-    """PPO of the teacher of a `TaughtPolicy`, and then lessons for its student."""
+    """PPO for the teacher of a `TaughtPolicy`, then lessons for its student."""
 
     policy: TaughtPolicy
 
     def __init__(
         self, *arguments: Any, lessons: float = 0.5, lesson_epochs: int = 2, **options: Any
     ) -> None:
-        """Make a model; further arguments are those of PPO.
+        """Make a model.
 
         Args:
             arguments: policy and environment.
-            lessons: share of the steps in which the student acts and learns; they come last.
-            lesson_epochs: passes through a rollout, as `n_epochs` is for PPO.
-            options: of PPO.  The learning rate takes its course twice, first for PPO and then for
-                the lessons.
+            lessons: share of the steps, at the end, in which the student acts and learns.
+            lesson_epochs: passes through a rollout, like PPO's `n_epochs`.
+            options: options of PPO.  The schedule of the learning rate runs twice: for PPO, and
+                then for the lessons.
         """
         super().__init__(*arguments, **options)
         self.lessons, self.lesson_epochs = lessons, lesson_epochs
@@ -332,7 +333,7 @@ class TaughtPPO(PPO):
         for _ in range(self.lesson_epochs):
             for batch in torch.split(torch.randperm(len(seen)), self.batch_size):
                 wanted, actions = right[batch], policy.student_actions(observations[batch])
-                # An action beyond the bounds is clipped to them, and right where they are wanted.
+                # Actions are clipped to ±1, so one beyond a wanted bound is not wrong.
                 beyond = (wanted * actions >= 1.0) & (wanted.abs() >= 1.0)
                 errors = torch.where(beyond, 0.0, actions - wanted).square()
                 loss = (errors / (CALM + wanted.square().mean(dim=-1, keepdim=True))).mean()
@@ -357,7 +358,7 @@ class TaughtRecipe(Recipe):
 
 @dataclass
 class TaughtTraining(Training):
-    """The training of a `TaughtPolicy`; what it keeps is the student."""
+    """The training of a `TaughtPolicy`; it keeps the student."""
 
     @override
     def export(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, dict[str, Any]]:
@@ -370,7 +371,7 @@ class TaughtTraining(Training):
 
 
 def taught_recipe(steps: int | None = None, **changes: Any) -> Recipe:
-    """Return the recipe of `ppo-memory`, with other hyperparameters if any are given."""
+    """Return the recipe of `ppo-memory`, with changed hyperparameters if any are given."""
     recipe = read_recipe(str(HYPERPARAMETERS), steps=steps).with_changes(**changes)
     return TaughtRecipe(recipe.name, recipe.env_id, recipe.hyperparameters)
 

@@ -1,22 +1,23 @@
-"""What the network does beside inverse kinematics, for arms of 2 to 10 segments.
+"""Measure what the network does beside inverse kinematics, for arms of 2 to 10 segments.
 
-A solver of inverse kinematics answers one question: which posture brings the hand there?  The
+A solver of inverse kinematics answers one question: which posture brings the hand to a place?  The
 network completes whatever is not clamped, so it answers others without a change:
 
 - forward: all segments are clamped, and the hand is read off;
-- inverse: the hand is clamped (damped least squares beside it);
-- elbow: the middle joint is held at a place, and the hand is brought to another;
+- inverse: the hand is clamped (the table also has damped least squares);
+- elbow: the middle joint is held at one place, and the hand is brought to another;
 - tray: the direction of the last segment is held, and the hand is brought to its place.
 
-It also fuses senses.  Let the directions of the segments, of length 1, be seen with a noise of σ_θ
-radians, and the hand with one of σ_x.  The seen hand is clamped, and the seen segments enter the
-mean with the weight w = (σ_x / σ_θ)².  Whatever N is, the network settles where
+It also fuses senses.  Suppose that the directions of unit segments are sensed with a noise of σ_θ
+(radians), and the hand x is seen with a noise of σ_x (segment lengths).  The seen hand is clamped,
+and the sensed segments L^s enter the mean with the weight w = (σ_x / σ_θ)².  For any number of
+segments the network settles at the minimum of
 
     |x − ΣL|² + w Σ |L_i − L_i^s|²
 
-is least: at the most probable posture, if directions are distributed by von Mises.
-Beside it stands the best linear estimate (Kalman's, at the seen posture), which is also what a
-single step of damped least squares from there gives with λ = σ_x / σ_θ.
+which is the most probable posture if the directions have von Mises distributions.  The table
+compares it with the best linear estimate (Kalman's, at the sensed posture).  A single step of
+damped least squares from that posture with λ = σ_x / σ_θ gives the same estimate.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ from mmc_gym.network.embodied import Embodiment, embodied_run
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to measure.
+    """Measure tasks and fused senses.
 
     Attributes:
         segments: numbers of segments, N.
-        arms: of each number.
-        iterations: of the network.
-        learned: whether the normalizer is the learned one; else Euclidean.
-        seed: of postures, targets and noise.
+        arms: arms with each number of segments.
+        iterations: iterations of the network.
+        learned: use the learned normalizer instead of the Euclidean one.
+        seed: seed of postures, targets and noise.
     """
 
     segments: tuple[int, ...] = (2, 3, 4, 6, 8, 10)
@@ -60,7 +61,7 @@ NOISE = ((0.02, 0.05), (0.05, 0.05), (0.1, 0.05), (0.1, 0.2))
 
 
 def tasks(count: int) -> dict[str, tuple[Pair, ...]]:
-    """Return what is clamped, by task."""
+    """Return the clamped vectors of each task, as pairs of nodes."""
     hand = (0, count)
     return {
         "forward": tuple((one, one + 1) for one in range(count)),
@@ -71,15 +72,16 @@ def tasks(count: int) -> dict[str, tuple[Pair, ...]]:
 
 
 def network_of(count: int, arguments: Arguments) -> MMCNetwork:
-    """Return the network of `mmc-body`, of unit segments."""
+    """Return the network of `mmc-body` for `count` unit segments."""
     arm = ReachInterface((1.0,) * count, "joint_position", 6.0, 12.0, 0.02)
     return network_of_body(arm, is_learned=arguments.learned)
 
 
 def errors(count: int, arguments: Arguments) -> dict[str, Floats]:
-    """Return by how much each task is missed, segment lengths, (arms,).
+    """Return the error of each task, segment lengths, (arms,).
 
-    The hand of the segments is compared with R, and what is held with the sum of its segments.
+    It is the distance between R and the sum of all segments, plus that between each other clamped
+    vector and the sum of its segments.
     """
     random, network = np.random.default_rng(arguments.seed), network_of(count, arguments)
     starts, wanted = random.uniform(-np.pi / 2, np.pi / 2, (2, arguments.arms, count))
@@ -102,7 +104,10 @@ def errors(count: int, arguments: Arguments) -> dict[str, Floats]:
 
 
 def fused(count: int, direction_noise: float, hand_noise: float, arguments: Arguments) -> Floats:
-    """Return root mean squares of the hand's errors, segment lengths, as the table has them."""
+    """Return the root mean square error of the hand by each estimate, segment lengths.
+
+    The estimates are those of the table: posture alone, sight alone, best linear, network.
+    """
     random, network = np.random.default_rng(arguments.seed), network_of(count, arguments)
     angles = np.cumsum(random.uniform(-np.pi / 2, np.pi / 2, (arguments.arms, count)), axis=-1)
     hand = np.exp(1j * angles).sum(axis=-1)

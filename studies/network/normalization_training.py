@@ -1,8 +1,7 @@
 """Time the training of the paper's normalization networks, five runs together and one by one.
 
-Run it with `python -m studies.network.normalization_training`.  Only a few epochs are trained, and
-extrapolated: all epochs of a training cost the same.  Seconds are the
-process' own time on one thread, so that other work on the machine hardly disturbs them.
+Only a few epochs are trained, and their time is extrapolated: all epochs cost the same.  Seconds
+are processor time on one thread, so that other work on the machine hardly disturbs them.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ class Arguments:
     """Time the training of the normalization networks.
 
     Attributes:
-        epochs: epochs to train.
-        widest: architectures with larger layers are left out.
+        epochs: number of epochs to train.
+        widest: leave out architectures with larger layers.
     """
 
     epochs: int = 20
@@ -32,7 +31,7 @@ class Arguments:
 
 
 def seconds(units: Units, runs: int, epochs: int) -> float:
-    """Time of the paper's 400 epochs; what is done once for a training is subtracted."""
+    """Return the seconds of the paper's 400 epochs, without what a training does only once."""
     times = []
     for count in (2, 2 + epochs):
         start = time.process_time()

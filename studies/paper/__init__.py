@@ -1,1 +1,1 @@
-"""The paper's experiments, and what they measured when it was published."""
+"""The paper's experiments, run again and set beside the published results."""

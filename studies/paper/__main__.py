@@ -1,4 +1,4 @@
-"""Run the paper's experiments; write figures, data, and a table of published beside measured.
+"""Run the paper's experiments; write figures, data, and a table with the published values.
 
 make paper                                  # all of them
 python -m studies.paper [EXPERIMENT ...] [--quick] [--out OUT] [--seed SEED] [--jobs JOBS]
@@ -21,11 +21,11 @@ def main(
     seed: int = 0,
     jobs: int | None = None,
 ) -> None:
-    """Run the paper's experiments; write figures, data, and a table of published beside measured.
+    """Run the paper's experiments; write figures, data, and a table with the published values.
 
     Args:
         experiments: Names of experiments (default: all).
-        out: Folder for figures, data and table; networks found in it are not trained again.
+        out: Folder for figures, data and table; networks in it are not trained again.
         quick: Run a small part of each experiment, to see that everything works.
         seed: Seed of everything random.
         jobs: Number of processes that train networks (default: one per core).

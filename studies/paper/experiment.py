@@ -1,4 +1,4 @@
-"""Settings and result of an experiment: rows of published beside measured, figures, data."""
+"""Settings and results of an experiment: rows of published and measured values, figures, data."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class ResultRow:
         data: value from the data published with the paper.
         ours: value measured here.
         unit: of all three; empty for a plain number.
-        note: anything that a reader needs to compare them.
+        note: what a reader needs to know to compare them.
     """
 
     quantity: str
@@ -120,7 +120,7 @@ def mean_and_deviation(values: ArrayLike, decimals: int = 4) -> str:
 
 
 def over_runs(values: ArrayLike, digits: str = ".4f") -> str:
-    """Return the mean over runs and, if there are several, the smallest and the largest.
+    """Return the mean over runs and, with several runs, the smallest and largest value.
 
     >>> over_runs([0.0625]), over_runs([0.05, 0.04, 0.09])
     ('0.0625', '0.0600 (0.0400 to 0.0900)')
@@ -131,7 +131,7 @@ def over_runs(values: ArrayLike, digits: str = ".4f") -> str:
 
 
 def how_many(networks: int) -> str:
-    """Return the note on a value `over_runs` of several networks; "" for a single one."""
+    """Return the note on a value of `over_runs`; empty for a single network."""
     return f"{networks} networks: mean (least to most)" if networks > 1 else ""
 
 

@@ -24,7 +24,7 @@ styled = rc_context(STYLE)
 def make_panels(
     count: int, width: float, height: float, columns: int | None = None, **shared: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure, in inches, and its panels, side by side or in so many columns."""
+    """Return a figure of `width` × `height` inches and its panels, by default in one row."""
     figure = Figure(figsize=(width, height), layout="constrained")
     columns = columns or count
     panels = figure.subplots(-(-count // columns), columns, squeeze=False, **shared).ravel()
@@ -34,12 +34,12 @@ def make_panels(
 
 
 def look(number: int) -> dict[str, Any]:
-    """Return colour and line of a curve, by its number from 0."""
+    """Return the colour and line style of curve `number`, from 0."""
     return {"color": COLOURS[number % len(COLOURS)], "linestyle": LINES[number % len(LINES)]}
 
 
 def add_legend(figure: Figure, axes: Axes, title: str | None = None) -> None:
-    """Add a legend above the panels, of the curves in `axes`."""
+    """Add a legend of the curves in `axes`, above all panels."""
     handles, labels = axes.get_legend_handles_labels()
     columns = 1 if figure.get_figwidth() < 5 else 2 if len(labels) > 3 else 3
     figure.legend(
@@ -49,13 +49,13 @@ def add_legend(figure: Figure, axes: Axes, title: str | None = None) -> None:
 
 @styled
 def draw_courses(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
-    """Draw mean and standard deviation of courses (movements, iterations), by panel and name."""
+    """Draw the mean and standard deviation of each (movements, iterations), by panel and name."""
     figure, row = make_panels(len(panels), 3.7 * len(panels) + 0.5, 3.6)
     for axes, (label, courses) in zip(row, panels.items(), strict=True):
         for number, (name, course) in enumerate(courses.items()):
             iterations = np.arange(1, course.shape[1] + 1)
             mean, deviation = course.mean(axis=0), course.std(axis=0)
-            low, high = np.maximum(mean - deviation, 0), mean + deviation  # none is negative
+            low, high = np.maximum(mean - deviation, 0), mean + deviation  # no value is negative
             colour = look(number)["color"]
             axes.fill_between(iterations, low, high, color=colour, alpha=0.12, linewidth=0)
             for edge in (low, high):
@@ -100,7 +100,7 @@ def draw_final_distances(runs: Mapping[str, Floats], reference: Floats) -> Figur
 
 @styled
 def draw_profiles(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
-    """Draw velocities (iterations,) of single movements, by title of the panel and name."""
+    """Draw velocities of single movements, (iterations,), by panel and name."""
     figure, row = make_panels(len(panels), 3.1 * len(panels) + 0.6, 3.2, sharey=True)
     for axes, (title, profiles) in zip(row, panels.items(), strict=True):
         for number, (name, profile) in enumerate(profiles.items()):
@@ -115,7 +115,7 @@ def draw_profiles(panels: Mapping[str, Mapping[str, Floats]]) -> Figure:
 
 @styled
 def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
-    """Draw the share of the movements with at most a value; `label` names the value."""
+    """Draw the cumulative distribution of a value over movements; `label` names the value."""
     figure, (axes,) = make_panels(1, 4.2, 3.3)
     for number, (name, values) in enumerate(samples.items()):
         axes.ecdf(values, linewidth=1.5, label=name, **look(number))
@@ -126,7 +126,7 @@ def draw_shares(samples: Mapping[str, Floats], label: str) -> Figure:
 
 @styled
 def draw_postures(movements: Mapping[str, Recording]) -> Figure:
-    """Draw every second posture of single movements, by title; first and last are thick."""
+    """Draw every second posture of single movements, by panel; the first and last are thick."""
     figure, row = make_panels(len(movements), 3.1 * len(movements), 2.5, sharex=True, sharey=True)
     ends: Any = {"color": "black", "linewidth": 1.8, "marker": "o", "markersize": 3.5}
     cross: Any = {"color": COLOURS[1], "markersize": 8, "markeredgewidth": 2}
@@ -149,7 +149,7 @@ def draw_postures(movements: Mapping[str, Recording]) -> Figure:
 def write_number(
     axes: Axes, number: int, place: tuple[float, float], offset: tuple[float, float], **style: Any
 ) -> None:
-    """Write a number beside a place; `offset` is in points, and a white halo sets it off."""
+    """Write a number with a white halo beside a place; `offset` is in points."""
     halo = [withStroke(linewidth=2, foreground="white")]
     axes.annotate(
         str(number), place, offset, textcoords="offset points", path_effects=halo, **style

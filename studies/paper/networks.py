@@ -1,9 +1,9 @@
-"""The paper's normalization networks: twelve architectures, five runs each, trained and kept.
+"""Train the paper's normalization networks, twelve architectures with five runs each.
 
-The runs of an architecture are trained as one batch of tensors, architectures in as many processes
-as asked for.  Each finished architecture is a file, named by recipe, seed and version, with which
-interrupted work resumes.  All twelve take 76 seconds of one core; the sixty networks one by one
-take 349 (`python -m studies.network.normalization_training`).
+The runs of an architecture are trained as one batch of tensors, architectures in several processes.
+Each finished architecture is written to a file named after recipe, seed and version, so an
+interrupted run resumes.  All twelve take 76 seconds of one core; the sixty networks one by one take
+349 (`python -m studies.network.normalization_training`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ QUICK_ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (16,), (8, 8), (16, 16))
 QUICK_RUNS = 2
 QUICK_RECIPE = replace(PAPER, epochs=20)
 
-_NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest asks for
+_NEAR_ONE = np.linspace(0.9, 1.1, 21)  # the lengths that an arm at rest normalizes
 
 
 class TrainedArchitecture(NamedTuple):
@@ -46,7 +46,7 @@ class TrainedArchitecture(NamedTuple):
         normalizers: one per run.
         training_mse: on the training samples, (runs, epochs).
         validation_mse: on the validation samples, (runs, epochs).
-        grid_mse: over all directions and lengths in ]0, 2], free of the luck of samples, (runs,).
+        grid_mse: over a grid of directions and lengths in ]0, 2], without samples, (runs,).
         angle_error: mean absolute angle error at lengths 0.9 to 1.1, degrees, (runs,).
     """
 
@@ -58,7 +58,7 @@ class TrainedArchitecture(NamedTuple):
 
 
 def architecture_name(hidden_units: Sequence[int]) -> str:
-    """Return hidden layer sizes as the table and figures write them: "[16]", "[16, 16]"."""
+    """Return the name of an architecture in table and figures, such as "[16]" or "[16, 16]"."""
     return str(list(hidden_units))
 
 
@@ -67,15 +67,15 @@ def trained_architectures(
     architectures: Sequence[Units] | None = None,
     weight_decay: float = PAPER.weight_decay,
 ) -> dict[str, TrainedArchitecture]:
-    """Return networks trained by the paper's recipe; read those that the settings' folder has.
+    """Return networks trained by the paper's recipe; read those that are in the settings' folder.
 
     Args:
-        settings: a quick run trains fewer runs for fewer epochs.
+        settings: a quick run has fewer runs of fewer epochs.
         architectures: hidden layer sizes; by default the paper's twelve, or a quick run's five.
         weight_decay: weight decay of the training; the paper's twelve have none.
 
     Returns:
-        All runs of each architecture, by its name, in the order asked for.
+        All runs of each architecture, by name, in the order of `architectures`.
     """
     if architectures is None:
         architectures = QUICK_ARCHITECTURES if settings.quick else ARCHITECTURES
@@ -96,7 +96,7 @@ def trained_architectures(
 
 @dataclass(frozen=True)
 class _Training:
-    """The training of one architecture: all that its result depends on."""
+    """Everything that the training of one architecture depends on."""
 
     hidden_units: Units
     recipe: FittingSettings

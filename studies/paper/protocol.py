@@ -1,4 +1,4 @@
-"""The paper's movements: from each of 21 targets to each other, 420 in all, and one example.
+"""Run the paper's 420 movements, from each of 21 targets to each other, and its example movement.
 
 The targets stand at the radii 1, 2, 3 and the angles 0°, 30°, …, 180°.  Before each movement
 the network is set to the starting posture and moves to the first target (the warm movement);
@@ -44,7 +44,7 @@ for _constant in (TARGETS, PAIRS, STARTING_SEGMENTS, EXAMPLE_TARGET):
     _constant.setflags(write=False)
 
 EUCLIDEAN, ACCURATE = "Euclidean", "accurate [16, 16]"
-"""Names of the normalizers that the paper's recipe has no part in."""
+"""Names of the normalizers that are not trained by the paper's recipe."""
 
 OVERSHOOT = 0.01
 """A movement overshoots if its distance rises by more than this above its smallest so far."""
@@ -53,7 +53,7 @@ SECOND_PEAK = 0.05
 """A second velocity peak is a rise, after the peak, by more than this share of it."""
 
 FAR = 0.1
-"""Movements that end at a larger distance are counted."""
+"""Movements that end at a larger distance than this are counted."""
 
 INNER = (PAIRS < 14).all(axis=1)
 """Movements between targets at radius 1 and 2, which need no stretched arm, (420,)."""
@@ -123,11 +123,11 @@ def record_movements(
         network: a network of three segments; the paper's have length 1.
         iterations: recorded iterations; the paper's are 100 for kinematic and 40 for dynamic
             networks.
-        warm_iterations: iterations of the warm movement; by default as many.
-        move: moves the network, in both movements.
+        warm_iterations: iterations of the warm movement; by default equal to `iterations`.
+        move: runs the network in both movements.
 
     Raises:
-        ValueError: if the network has not three segments.
+        ValueError: if the network does not have three segments.
 
     >>> recording = record_movements(MMCNetwork(schedule="delayed"))
     >>> recording.distance.shape, float(recording.distance.mean(axis=0)[-1].round(5))
@@ -150,7 +150,7 @@ def record_runs(
     iterations: int,
     warm_iterations: int | None = None,
 ) -> Recording:
-    """Run the 420 movements with each normalizer, and join the recordings, (420 · runs, ...)."""
+    """Run the 420 movements with each normalizer; return one recording, (420 · runs, ...)."""
     recordings = [
         record_movements(replace(network, normalizer=normalizer), iterations, warm_iterations)
         for normalizer in normalizers
@@ -159,7 +159,7 @@ def record_runs(
 
 
 def record_example(network: MMCNetwork, iterations: int = 40) -> Recording:
-    """Run the paper's example movement, from the starting posture, without a warm movement."""
+    """Run the paper's example movement from the starting posture, without a warm movement."""
     state = network.state_from_segments(STARTING_SEGMENTS)
     _, segments = clamp_and_run(network, state, EXAMPLE_TARGET, iterations)
     segments = np.moveaxis(segments, 0, -3)
@@ -167,12 +167,12 @@ def record_example(network: MMCNetwork, iterations: int = 40) -> Recording:
 
 
 def summarize(recording: Recording) -> dict[str, float]:
-    """Summarize movements, (movements, iterations).
+    """Summarize a recording of (movements, iterations).
 
     Returns:
-        Means over the movements: distance_k after each k of `ITERATIONS` that was recorded, final
-        distance and its deviation, peak_velocity and peak_iteration of the mean profile.  Numbers
-        of movements: far, which end above `FAR`, overshoots and second_peaks.
+        Means over the movements: distance_k after each recorded k of `ITERATIONS`, final distance
+        and its deviation, peak_velocity and peak_iteration of the mean profile.  Numbers of
+        movements: far (ending farther than `FAR`), overshoots and second_peaks.
     """
     distance, velocity = recording.distance, recording.velocity
     mean_distance, mean_velocity = distance.mean(axis=0), velocity.mean(axis=0)
@@ -190,7 +190,7 @@ def summarize(recording: Recording) -> dict[str, float]:
 
 
 def shapes(recording: Recording) -> dict[str, Floats]:
-    """Measure the shape of each movement, columns of (movements,): see `measures.speed`."""
+    """Return measures of each movement's shape, (movements,) each: see `measures.speed`."""
     distance, velocity = recording.distance, recording.velocity
     return {
         "correlation": each(speed.correlation_with_minimum_jerk, velocity),
@@ -208,7 +208,7 @@ def each(measure: Callable[[Floats], float], profiles: Floats) -> Floats:
 
 
 def all_normalizers(settings: ExperimentSettings) -> dict[str, tuple[Normalizer, ...]]:
-    """Return Euclidean, the shipped accurate one, and all runs of every architecture, by name."""
+    """Return normalizers by name: Euclidean, accurate, and all runs of each architecture."""
     return {
         EUCLIDEAN: (EuclideanNormalizer(),),
         ACCURATE: (LearnedNormalizer.shipped("accurate"),),

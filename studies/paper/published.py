@@ -1,4 +1,4 @@
-"""Published figures, measured again from the data published with the paper.
+"""Published values, computed from the data that were published with the paper.
 
 Distances and velocities are normalized; the schedule is "delayed" unless one is named.
 """
@@ -29,8 +29,8 @@ class PublishedErrors(NamedTuple):
     text: float | None = None
 
 
-# Errors: training histories published with the paper.  Angle errors: measured on the networks
-# published with it, one for each architecture.
+# The MSEs are from the training histories published with the paper; the angle errors were measured
+# on the networks published with it, one for each architecture.
 NORMALIZATION_PUBLISHED: dict[str, PublishedErrors] = {
     "[2]": PublishedErrors((0.03399, 0.00012), (0.03013, 0.00003), 2.23),
     "[4]": PublishedErrors((0.01433, 0.00106), (0.01262, 0.00104), 3.34),
@@ -61,7 +61,7 @@ KINEMATIC_PUBLISHED: dict[str, tuple[str, int]] = {
     "[32, 32]": ("0.0806 ± 0.0901", 89),
     "Euclidean": ("0.0226 ± 0.0320", 7),
 }
-"""Distance after 100 iterations, one trained network of each kind; movements that end above 0.1."""
+"""By normalizer (one trained network each): distance after 100 iterations; ends above 0.1."""
 
 KINEMATIC_COURSE: dict[int, float] = {10: 0.42478, 20: 0.22386, 40: 0.09712, 100: 0.02264}
 """Mean distance with the Euclidean normalization, by iteration."""
@@ -77,7 +77,7 @@ class PublishedDynamics(NamedTuple):
         overshoots: number of the 420 movements that overshoot.
         second_peaks: number of those with a second velocity peak.
         example: distance after 40 iterations of the example movement.
-        example_in_text: the same in the paper's text.
+        example_in_text: that distance in the paper's text.
     """
 
     distances: Mapping[int, float]
@@ -114,11 +114,11 @@ DYNAMIC_EUCLIDEAN: dict[tuple[Dynamics, float, Schedule], dict[int, float]] = {
     ("paper", 0.92, "synchronous"): {10: 0.48200, 20: 0.22089, 40: 0.09736},
     ("reference", 0.92, "synchronous"): {10: 0.54623, 20: 0.24937, 40: 0.11499},
 }
-"""Mean distances with the Euclidean normalization: no learned weights, so they must agree."""
+"""Mean distances with the Euclidean normalization; without learned weights, ours must be equal."""
 
 
 class Point(NamedTuple):
-    """A subject, what the paper says of it and where, and what the published data give."""
+    """A subject: what the paper says about it, and what the published data show."""
 
     subject: str
     paper: str

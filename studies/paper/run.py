@@ -1,9 +1,9 @@
-"""Run experiments of the paper, and write their findings into one folder.
+"""Run experiments of the paper, and write their results into one folder.
 
-OUT/table.md                    the report: published beside measured
+OUT/table.md                    the report: published and measured values
 OUT/EXPERIMENT/*.png, *.svg     figures
 OUT/EXPERIMENT/*.npz, *.csv     the data behind them
-OUT/networks/*.npz              trained networks, with which an interrupted run resumes
+OUT/networks/*.npz              trained networks; an interrupted run resumes from them
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ Name: TypeAlias = Literal[
 
 
 class Experiment(NamedTuple):
-    """A description in one line, and a function that writes only below `settings.folder`."""
+    """A description in one line, and a function that writes into `settings.folder` only."""
 
     description: str
     run: Callable[[ExperimentSettings], Result]
@@ -92,7 +92,7 @@ EXPERIMENTS: Mapping[Name, Experiment] = {
 }
 """Experiments by name on the command line, which also names their folder."""
 
-# Columns of the tables, and their shares of a terminal's width.
+# Columns of the tables, and their relative widths in a terminal.
 _COLUMNS = {"quantity": 12, "paper": 8, "its data": 8, "ours": 8, "note": 10}
 _POINT_COLUMNS = {"": 1, "subject": 8, "paper": 8, "its data": 8, "ours": 8}
 
@@ -131,7 +131,7 @@ def reproduce(
         for column, share in columns.items():
             table.add_column(column, ratio=share, overflow="fold")
         for row in rows:
-            table.add_row(*map(Text, row))  # units in brackets are no markup
+            table.add_row(*map(Text, row))  # Text: rich would take units in brackets for markup
         console.print(table)
     console.print(f"{QUICK} {LEGEND}" if quick else LEGEND)
     return results

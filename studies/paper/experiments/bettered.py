@@ -1,16 +1,16 @@
-"""The paper's networks bettered: an accurate normalization, and a time base.
+"""Improve on the paper's networks: an accurate normalization, and a time base.
 
-The accurate normalization network ships as the default beside the one trained by the paper's
-recipe; both are 2-16-16-2 tanh networks f.  How it is trained: `network.fitting`.  Why: at rest the
-free segments satisfy L̃ = L + e/d with e the sum of the triangles' contradictions (Eq. 2), and
-L = f(L̃).  An f that turns vectors of length near 1 by ε leaves a contradiction of about d·ε, and
-with it a distance of about 1.5·d·ε to the target.  The MSE over lengths in ]0, 2] says little
-about ε.
+Two normalization networks ship, the accurate one (the default) and one trained by the paper's
+recipe; both are 2-16-16-2 tanh networks f.  `network.fitting` trains the accurate one.  It is
+needed because at rest the free segments satisfy L̃ = L + e/d with e the sum of the triangles'
+contradictions (Eq. 2), and L = f(L̃).  An f that turns vectors of length near 1 by ε leaves a
+contradiction of about d·ε, and so a distance of about 1.5·d·ε to the target.  The MSE over lengths
+in ]0, 2] says little about ε.
 
-The paper's dynamic network has a bell-shaped velocity profile on average over the 420 movements.
-On the time base of `network.time_base` each movement of the kinematic network has one.  Beside it,
-through the same code: the paper's networks, and a hand that moves straight from start to target
-with minimum jerk.
+The velocity profile of the paper's dynamic network is bell-shaped on average over the 420
+movements.  With the time base of `network.time_base` that of the kinematic network is bell-shaped
+in each movement.  The paper's networks are measured by the same code, and so is a hand that moves
+straight from start to target with minimum jerk.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ from studies.paper.protocol import (
 from studies.paper.published import KINEMATIC_PUBLISHED, NORMALIZATION_PUBLISHED
 
 NEAR_ONE: Floats = np.linspace(0.9, 1.1, 41)
-"""Lengths at which an arm at rest asks for its segments, segment lengths."""
+"""Lengths of the vectors that an arm at rest normalizes, segment lengths."""
 
 LENGTHS: Floats = np.concatenate([np.geomspace(1e-6, 0.05, 60), np.linspace(0.06, 3, 295)])
 """Lengths in ]0, 3], segment lengths."""
@@ -92,7 +92,7 @@ class Measured(NamedTuple):
 
 
 def measure(normalizer: Normalizer, directions: int) -> Measured:
-    """Measure a normalizer at so many directions on the circle."""
+    """Measure a normalizer in `directions` directions around the circle."""
     errors = np.degrees(angle_errors(normalizer, LENGTHS, directions))
     angles = np.arange(directions) * (2 * np.pi / directions)
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -109,7 +109,7 @@ def measure(normalizer: Normalizer, directions: int) -> Measured:
 
 
 def accurate(settings: ExperimentSettings) -> Result:
-    """Measure the shipped networks, accurate and by the paper's recipe, beside the Euclidean."""
+    """Compare the shipped networks, accurate and by the paper's recipe, with the Euclidean one."""
     normalizers: dict[str, Normalizer] = {
         EUCLIDEAN: EuclideanNormalizer(),
         RECIPE: LearnedNormalizer.shipped("paper"),
@@ -203,7 +203,7 @@ def draw_errors_and_distances(measured: Mapping[str, Measured]) -> Figure:
     for number, (name, found) in enumerate(measured.items()):
         style, width = look(number), 1.3
         if name == EUCLIDEAN:
-            # Wide below, so that curves that coincide are both seen.
+            # A wide line below, so that both of two equal curves are visible.
             style, width = style | {"color": "0.75"}, 3.5
         else:
             colour, label = style["color"], f"{name}, worst"
@@ -226,10 +226,10 @@ CLASSICAL = "kinematic (Euclidean)"
 DYNAMIC = "dynamic (paper's recipe [16, 16]), decay 0.92"
 
 record_timed_movements = partial(record_movements, move=timed_trajectory)
-"""Runs the 420 movements, warm ones too, on a time base as long as the recording."""
+"""Run the 420 movements, with their warm movements, on a time base as long as the recording."""
 
 _SHOWN = (DYNAMIC, CLASSICAL, TIME_BASE, MINIMUM_JERK)
-_EXAMPLES = ([7, 10], [0, 8], [14, 18])  # pairs of targets: middle, inward out, stretched
+_EXAMPLES = ([7, 10], [0, 8], [14, 18])  # pairs of targets: middle, from inside out, stretched
 
 
 def minimum_jerk_movements(iterations: int) -> Recording:

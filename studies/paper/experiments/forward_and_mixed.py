@@ -1,19 +1,19 @@
-"""Forward and mixed tasks with the same network, which the paper claims and does not show.
+"""Give the network forward and mixed tasks, which the paper claims but does not show.
 
 A task is a set of clamped vectors, and the network completes the others (paper, abstract and
-Sect. "The Mean of Multiple Computations Model").  Clamped here, in arms that start in one random
-posture, are vectors of another random posture, so that every task has a solution:
+Sect. "The Mean of Multiple Computations Model").  Arms start in one random posture, and vectors of
+another random posture are clamped, so that every task has a solution:
 
-    forward   all segments L; wanted is the end effector R = L_1 + L_2 + L_3
+    forward   all segments L; the result is the end effector R = L_1 + L_2 + L_3
     mixed     the first segment L_1 and R;  the last segment L_3 and R, a hand's place and
               orientation;  the diagonal D_1 = L_1 + L_2, an elbow's place, and R
-    inverse   R alone, to compare with
+    inverse   R alone, for comparison
 
-With every L clamped all that is left is linear, in D_1, D_2 and R.  Its eigenvalues are 1 − λ/d
-with λ = 2 ± √2 and 2, so the error shrinks by the factor (d − 2 + √2)/d in each iteration, the
-same with every normalizer, because a clamped segment is not normalized.  The error is the
-distance between R and the hand ΣL, which is 0 in a posture that the network has completed, plus
-that between D_1 and L_1 + L_2 where D_1 is clamped.
+With every L clamped the rest of the network, D_1, D_2 and R, is linear.  Its eigenvalues are 1 −
+λ/d with λ = 2 ± √2 and 2, so the error shrinks by the factor (d − 2 + √2)/d in each iteration.  It
+does so with every normalizer, because a clamped segment is not normalized.  The error is the
+distance between R and the hand ΣL (0 once the network has settled) plus, where D_1 is clamped, the
+distance between D_1 and L_1 + L_2.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ TASKS: Mapping[str, tuple[Pair, ...]] = {
     "mixed: D_1, R": ((0, 2), _R),
     "inverse: R": (_R,),
 }
-"""Tasks by name: the node pairs of the vectors that are clamped."""
+"""The node pairs of the clamped vectors, by task."""
 
 NETWORKS: Mapping[str, MMCNetwork] = {
     "kinematic": MMCNetwork(),
     "kinematic, delayed": MMCNetwork(schedule="delayed"),
     "dynamic": MMCNetwork(dynamics="paper"),
 }
-"""d = 10; the equations as printed, as published, and with velocities (decay 0.92)."""
+"""d = 10: equations as printed, the schedule of the published figures, velocities (decay 0.92)."""
 
 _SHOWN = (10, 40, 100, 500)
 
@@ -75,7 +75,7 @@ def factor(damping: float) -> float:
 def random_tasks(
     network: MMCNetwork, arms: int, seed: int
 ) -> tuple[MMCState, dict[Pair, NDArray[np.float64]]]:
-    """Return arms in random postures, and all vectors of other random postures, by node pair."""
+    """Return arms in random postures, and by node pair the vectors of other random postures."""
     angles = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, arms, 3))
     wanted = network.state_from_joint_angles(angles[1]).segments
     vectors = np.asarray(chain_vectors(wanted), dtype=np.float64)
@@ -99,7 +99,7 @@ def errors(network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int
 
 
 def run(settings: ExperimentSettings) -> Result:
-    """Give every task to every network with every normalizer."""
+    """Run every task in every network with every normalizer."""
     arms = ARMS // 10 if settings.quick else ARMS
     normalizers: dict[str, Normalizer] = {
         EUCLIDEAN: EuclideanNormalizer(),
@@ -137,7 +137,7 @@ def run(settings: ExperimentSettings) -> Result:
 
 @styled
 def draw_errors(panels: Mapping[str, Mapping[str, Floats]], slope: float) -> Figure:
-    """Draw errors (iterations,) by title of the panel and name, beside a factor per iteration."""
+    """Draw errors, (iterations,), by panel and name, and the line of a constant factor."""
     figure, row = make_panels(len(panels), 2.7 * len(panels) + 0.6, 3.4, sharey=True)
     iterations = np.arange(1, ITERATIONS + 1)
     for axes, (title, courses) in zip(row, panels.items(), strict=True):

@@ -1,9 +1,9 @@
-"""The paper's movements with its networks: kinematic, dynamic, and one example.
+"""Run the paper's movements with its kinematic and dynamic networks, and its example.
 
 An iteration of the kinematic network is Eq. 2 with d = 10, and the normalization; in the dynamic
 network segments have velocities, Eqs. 3 and 4 with d_v = 5 (paper, Sect. "Results").  The tables
-give both schedules and both rules for velocities of `network.model`: the published figures were
-made with the schedule "delayed" and the rule "reference".
+have both schedules and both velocity rules of `network.model`.  The published figures were made
+with the schedule "delayed" and the rule "reference".
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ _of_movements = partial(ResultRow, unit="of 420")
 
 
 def kinematic(settings: ExperimentSettings) -> Result:
-    """Run the 420 movements of the kinematic network, and longer than the paper's."""
+    """Run the 420 movements of the kinematic network, also for longer than the paper does."""
     normalizers = all_normalizers(settings)
     networks = (CLASSICAL, SYNCHRONOUS)
     table = summarize_networks(networks, normalizers, KINEMATIC_ITERATIONS)
@@ -140,7 +140,7 @@ def final_distances(normalizers: Sequence[Normalizer]) -> Floats:
 
 
 def longer_course(normalizers: Sequence[Normalizer]) -> Floats:
-    """Return the mean distance of movements and normalizers over 500 iterations, (500,)."""
+    """Return the mean distance over movements and normalizers, for 500 iterations, (500,)."""
     recording = record_runs(CLASSICAL, normalizers, LONG, KINEMATIC_ITERATIONS)
     mean: Floats = recording.distance.mean(axis=0)
     return mean
@@ -246,7 +246,7 @@ def dynamic(settings: ExperimentSettings) -> Result:
 
 
 def catching_up(leader: ArrayLike, follower: ArrayLike) -> int | None:
-    """Return the iteration, from 1, from which on the follower is no farther; None if never.
+    """Return the iteration, from 1, after which the follower is never farther; None without one.
 
     >>> catching_up([0.9, 0.5, 0.3, 0.2], [1.0, 0.5, 0.4, 0.1])
     4
@@ -264,9 +264,10 @@ def _catching_up(leader: Floats, follower: Floats) -> str:
 
 
 def _shapes_of_movements(exact: Sequence[Normalizer], hidden: Sequence[Normalizer]) -> str:
-    """Describe single movements as the data do, which came without a definition.
+    """Describe single movements by the definition that reproduces the published numbers.
 
-    It was looked for among windows of a movement, medians and means, and sets of targets.
+    The data came without one.  It was sought among windows of a movement, medians and means, and
+    sets of targets.
     """
     shapes = (
         f"classical {_shape(CLASSICAL, exact)}",
@@ -449,7 +450,7 @@ def _examples(network: MMCNetwork, normalizers: Sequence[Normalizer]) -> list[Re
 
 
 def second_peak(velocity: ArrayLike) -> tuple[float, int] | None:
-    """Return height and iteration, from 1, of the highest peak after the highest; None without.
+    """Return height and iteration (from 1) of the highest peak after the main one, or None.
 
     A peak stands out by more than 5 % of the highest velocity (`SECOND_PEAK`).
 

@@ -1,14 +1,14 @@
-"""The learned normalization on its own: twelve architectures, five runs each, beside the paper's.
+"""Compare the learned normalizations, twelve architectures of five runs, with the paper's.
 
 A network f learns to bring any vector x = r u, r in ]0, 2], to unit length without turning it
 (paper, Sect. "Learning the Normalization Network").  Its loss is the mean squared error over
 the two components, MSE = mean |f(r u) − u|²/2, on 2,880 training and 720 validation vectors.
 
 Near the zero vector, where all directions meet, the error is near 1, so that a few short vectors
-make up most of the MSE.  Here every run draws its own validation vectors, and the [2] networks,
-which all but agree on a dense grid of directions and lengths, spread by 0.004 on them; the
-published ones spread by 0.0001, as runs do that share one set.  So the table also has the error
-over the dense grid, which is free of that luck.
+make up most of the MSE.  Here every run draws its own validation vectors.  So the MSEs of the [2]
+networks differ by 0.004, though these networks hardly differ on a dense grid of directions and
+lengths.  The published ones differ by 0.0001, like runs that share one validation set.  The table
+therefore also has the error over the dense grid, which does not depend on the drawn vectors.
 """
 
 from __future__ import annotations
@@ -87,14 +87,14 @@ def run(settings: ExperimentSettings) -> Result:
 
 
 def vector_field(normalizer: LearnedNormalizer) -> tuple[Floats, Floats]:
-    """Return vectors on a grid of ±1.6, and what the network makes of them, (289, 2)."""
+    """Return vectors on a grid of ±1.6, and the network's outputs for them, (289, 2) each."""
     side = np.linspace(-1.6, 1.6, 17)
     inputs = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     return inputs, normalizer(inputs)
 
 
 def agreement(ours: MeanAndDeviation, published: MeanAndDeviation) -> str:
-    """Tell in words whether two means lie within the sum of their standard deviations.
+    """Say whether two means differ by less than the sum of their standard deviations.
 
     >>> agreement((0.0036, 0.0015), (0.0043, 0.0002))
     'within the spread of both'
@@ -157,7 +157,7 @@ def _frame(trained: Mapping[str, TrainedArchitecture]) -> pd.DataFrame:
 
 @styled
 def draw_errors(trained: Mapping[str, TrainedArchitecture]) -> Figure:
-    """Draw MSE by architecture, mean ± deviation on a log axis, ours beside the published."""
+    """Draw the MSE by architecture, ours and the published one, mean ± deviation on a log axis."""
     figure, (axes,) = make_panels(1, 7.4, 3.4)
     finals = [found.validation_mse[:, -1] for found in trained.values()]
     ours = np.array([(final.mean(), final.std()) for final in finals])
@@ -179,14 +179,14 @@ def draw_errors(trained: Mapping[str, TrainedArchitecture]) -> Figure:
 
 def _draw_series(axes: Axes, x: Floats, errors: Floats, **style: Any) -> None:
     mean, deviation = errors.T
-    # A mean less its deviation may be negative, which a log axis cannot show.
+    # The mean minus the deviation may be negative, which a log axis cannot show.
     bars = np.stack([np.minimum(deviation, 0.9 * mean), deviation])
     axes.errorbar(x, mean, yerr=bars, markersize=4.5, linewidth=1.1, capsize=2.5, **style)
 
 
 @styled
 def draw_training_curves(histories: Mapping[str, Floats]) -> Figure:
-    """Draw MSE over epochs, a panel for a single hidden layer and one for two."""
+    """Draw the MSE over epochs, in one panel for one hidden layer and one for two."""
     figure, panels = make_panels(2, 7.2, 3.4, sharey=True)
     for axes, (title, group) in zip(panels, _by_layers(histories).items(), strict=True):
         colours = colormaps["viridis"](np.linspace(0, 0.85, max(len(group), 2)))

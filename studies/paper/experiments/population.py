@@ -1,20 +1,20 @@
 """The hidden units of the normalization networks as a population code of direction.
 
-A hidden unit of a trained network answers the unit vector in direction φ with (paper, Sect.
-"Learning the Normalization Network", the figure of the hidden units)
+The activation of a hidden unit for the unit vector in direction φ is (paper, Sect. "Learning the
+Normalization Network", the figure of the hidden units)
 
     h(φ) = tanh(w · (cos φ, sin φ) + b)                       in the first hidden layer,
 
-a bump around its preferred direction.  Here, for every unit and any layer,
+a bump around its preferred direction.  Here we measure for every unit of any layer
 
     preferred direction   arg Σ_φ h(φ) e^{iφ}; in the first layer that is arg(w_x + i w_y)
     tuning width          the part of the circle where h(φ) > (max h + min h)/2, in degrees
-    coverage              how many units are in their tuning width, by direction, and the
+    coverage              the number of units in their tuning width, by direction, and the
                           largest angle between neighbouring preferred directions
 
 The published figure in three dimensions is of a network trained with a weight decay of 0.0005,
-which those of the other figures do not have.  Here [8, 8] is shown without and with it.  Weight
-decay silences units: their activation hardly depends on the direction.  They are left out.
+unlike those of the other figures.  Here [8, 8] is shown without and with it.  Weight decay silences
+some units: their activation hardly depends on the direction.  They are left out.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from studies.paper.networks import Units, trained_architectures
 
 ARCHITECTURES: tuple[Units, ...] = ((4,), (8,), (8, 8))
 WEIGHT_DECAY = 0.0005
-"""Of the further networks [8, 8]; an L2 penalty on the weights, see `FittingSettings`."""
+"""Weight decay of the additional [8, 8] networks, see `FittingSettings`."""
 
 SILENT = 0.01
 """A unit whose activation ranges over less than this is silent."""
@@ -50,7 +50,7 @@ SILENT = 0.01
 _PLAIN, _DECAYED = "[8, 8]", "[8, 8], weight decay"
 
 DIRECTIONS: Floats = np.arange(720) * (2 * np.pi / 720)
-"""Directions φ that the units are shown, radians, (720,)."""
+"""Directions φ of the inputs, radians, (720,)."""
 
 
 class Tuning(NamedTuple):
@@ -77,7 +77,7 @@ class Tuning(NamedTuple):
 
 
 def tuning(activations: Floats) -> Tuning:
-    """Return the tuning of units by their activations at `DIRECTIONS`, (directions, units).
+    """Return the tuning of units from their activations at `DIRECTIONS`, (directions, units).
 
     >>> cosines = np.cos(DIRECTIONS[:, None] - np.radians([10.0, 100.0, 280.0]))
     >>> found = tuning(cosines)
@@ -218,7 +218,7 @@ _COLUMNS = 3
 
 @styled
 def draw_activations(layers: Mapping[str, Tuning]) -> Figure:
-    """Draw activations over the input angle, a panel per layer; number units where they peak."""
+    """Draw activations over the input angle, in a panel per layer; number units at their peaks."""
     rows = -(-len(layers) // _COLUMNS)
     figure, panels = make_panels(len(layers), 7.6, 2.5 * rows + 0.3, _COLUMNS)
     for axes, (name, layer) in zip(panels, layers.items(), strict=True):
@@ -226,7 +226,7 @@ def draw_activations(layers: Mapping[str, Tuning]) -> Figure:
         for unit, activation in enumerate(layer.activations.T):
             colour, line = COLOURS[unit % len(COLOURS)], LINES[unit // len(COLOURS) % len(LINES)]
             axes.plot(_DEGREES, activation, color=colour, linestyle=line, linewidth=1.2)
-            # At the preferred direction; in the middle of the plateau of a unit that saturates.
+            # At the preferred direction: for a unit that saturates, the middle of its plateau.
             angle = layer.preferred[unit]
             height = np.interp(angle, DIRECTIONS, activation, period=2 * np.pi)
             write_number(
