@@ -2,9 +2,8 @@
 How do I use my own things on the command line?
 ===============================================
 
-Put them into a module, and name it: your agents, environment, reward, task, perturbation and
-measure. ``--import`` reads the module in every command, and ``module:name`` stands for what is in
-it.
+Put your agents, environment, reward, task, perturbation and measure into a module. In every command
+``--import`` imports the module, and ``module:name`` names an object in it.
 
 .. code-block:: sh
 

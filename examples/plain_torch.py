@@ -3,7 +3,7 @@ How do I train without a reinforcement-learning library?
 ========================================================
 
 With PPO in a page of plain PyTorch, on 1,024 arms that write their observations into one array
-(``copy=False``). A page is quickly changed; what takes its time is PyTorch, not the arms.
+(``copy=False``). A single page is easy to change. PyTorch takes most of the time, not the arms.
 """
 
 import time
@@ -43,8 +43,8 @@ def log_probability(mean, action):
 
 
 # %%
-# A rollout fills the arrays; then advantages are summed from its end on (GAE). Where an episode is
-# cut off, its last state counts as much as the one before.
+# A rollout fills the arrays; then advantages are summed from its end (GAE). Where an episode is
+# truncated, its last state has the value of the state before.
 
 
 @torch.no_grad()

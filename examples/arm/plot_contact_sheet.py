@@ -2,9 +2,9 @@
 Which tasks and perturbations are there?
 ========================================
 
-One picture of each, a moment after the start. The thin arm is the network's internal model, ahead
-of the body; the cross is the target. A task says where the target is, a perturbation what goes
-wrong.
+One picture of each, a moment after the start. The thin arm is the network's internal model, which
+is ahead of the body; the cross is the target. A task says where the target is, a perturbation what
+goes wrong.
 
 ``python examples/arm/plot_contact_sheet.py docs/contact-sheet.png`` writes the sheet of the
 README.
@@ -20,7 +20,7 @@ from mmc_gym.envs.tasks import TASKS
 from mmc_gym.listing import picture
 
 # %%
-# Most look best after some steps, and two when they start from a certain place.
+# Most are drawn after eleven steps; some need other numbers of steps, or a certain start.
 
 COLUMNS, STEPS = 6, 11
 OTHER_STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}
@@ -31,7 +31,7 @@ OPTIONS = {
 }
 
 # %%
-# ``mmc-gym show NAME`` tells all about one of them, and ``mmc-gym list tasks`` what there is.
+# ``mmc-gym show NAME`` describes one of them; ``mmc-gym list tasks`` lists the available tasks.
 
 names = [*TASKS, *PERTURBATION_NAMES]
 rows = ceil(len(names) / COLUMNS)

@@ -2,8 +2,8 @@
 What happens when a joint locks on the way?
 ===========================================
 
-A network that only imagines its arm goes on as if nothing had happened, and misses. One that also
-senses its arm (`mmc-body`) finds out that the joint does not follow, and reaches with the others.
+A network that only imagines its arm continues as if nothing had happened, and misses. `mmc-body`,
+which also senses its arm, identifies the locked joint and reaches with the others.
 """
 
 import gymnasium as gym
@@ -14,8 +14,8 @@ import mmc_gym
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 
 # %%
-# `locks-2` locks the second joint after 0.2 s. Seeds decide on starts and targets; both agents get
-# the same 50, and a vector environment plays them all at once.
+# `locks-2` locks the second joint after 0.2 s. Starts and targets are drawn from seeds; both agents
+# get the same 50, and a vector environment plays them all at once.
 
 SEEDS = range(50)
 SETTINGS = dict(control="joint_position", perturbations=["locks-2"])
@@ -28,8 +28,8 @@ for name in AGENTS:
     print(f"{name}: {np.mean(reached):.0%} of {len(SEEDS)} targets reached")
 
 # %%
-# The first movement that makes a difference: postures at the start (thin), when the joint locks,
-# and at the end (thick), with the locked joint marked by a ring.
+# The first movement in which they differ: postures at the start (thin), when the joint locks, and
+# at the end (thick). A ring marks the locked joint.
 
 mine, theirs = ([one.distances[-1] for one in played[name]] for name in AGENTS)
 seed = next(seed for seed in SEEDS if theirs[seed] < 0.05 and mine[seed] > 0.5)

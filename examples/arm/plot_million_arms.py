@@ -2,8 +2,8 @@
 Can I simulate a million arms?
 ==============================
 
-Yes. States and targets are arrays with a batch axis, so a million networks are one call, and so
-are thousands of arms. What for? To see where in its workspace the network is quick, and where not.
+Yes. States and targets are arrays with a batch axis, so one call runs a million networks, or
+thousands of arms. Here this shows where in its workspace the network is quick.
 """
 
 import time
@@ -16,7 +16,8 @@ import mmc_gym
 from mmc_gym.network import MMCNetwork
 
 # %%
-# A million targets over the whole disc, from one posture. float32 is kept, and twice as fast.
+# A million targets all over the disc, from one posture. The network keeps float32, which is twice
+# as fast.
 
 COUNT, ITERATIONS = 1_000_000, 20
 random = np.random.default_rng(0)
@@ -34,7 +35,7 @@ print(f"{COUNT:,} networks, {ITERATIONS} iterations each: {seconds:.1f} s")
 print(f"{(distance < 0.05).mean():.1%} are within 0.05 of their targets")
 
 # %%
-# Which targets take longer: those at the rim, for which the arm must stretch, and those behind.
+# Targets at the rim, for which the arm must stretch, and targets behind the arm take longer.
 
 figure, axes = plt.subplots(figsize=(5.6, 4.6), layout="constrained")
 found = axes.hexbin(*targets.T, C=distance, gridsize=90, vmin=0, vmax=0.3, cmap="Greys")

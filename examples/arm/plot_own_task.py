@@ -1,9 +1,10 @@
 """
-How do I add a task of my own?
-==============================
+How do I add my own task?
+=========================
 
-Write a class that draws a trial: a posture to start from, and a path of targets. Give it a name,
-and every command, environment and benchmark knows it. Here the target goes round in a circle.
+Write a class that draws a trial: a starting posture, and a path of targets. Register it under a
+name, which then works in every command, environment and benchmark. Here the target moves in a
+circle.
 """
 
 from dataclasses import dataclass
@@ -17,8 +18,8 @@ from mmc_gym.envs import register_task
 from mmc_gym.envs.tasks import Task, Trial
 
 # %%
-# The path has a place for each control step. It starts over at its end, as the task is `periodic`.
-# All randomness comes from `request.random`, so that the same seed gives the same trial.
+# The path has a place for each control step. It repeats, because the task is `periodic`. All
+# randomness comes from `request.random`, so that the same seed gives the same trial.
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Circle(Task):
 register_task("circle", Circle(), "the target goes round a circle")
 
 # %%
-# The name is an id, too. Whoever acts in the environment need not know what the task is.
+# The id contains the name. Agents need not know the task.
 
 figure, axes = plt.subplots(figsize=(5, 4.4), layout="constrained")
 for name, line in {"mmc": "-", "ppo": "--"}.items():

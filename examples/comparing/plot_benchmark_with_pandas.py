@@ -2,8 +2,8 @@
 How do I read a benchmark with pandas?
 ======================================
 
-Its store is a folder of Parquet files, a row for each episode. ``read_episodes`` reads it into one
-data frame, and so does pandas alone. What follows is a groupby.
+Its store is a folder of Parquet files with a row for each episode. ``read_episodes`` reads it into
+a data frame, and so does pandas alone. The rest is a groupby.
 """
 
 import tempfile
@@ -14,8 +14,8 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
 
 # %%
-# A small benchmark, as ``mmc-gym benchmark --agents mmc ik-dls mmc-body --environments …`` runs
-# it. Usually you have a folder already, ``runs/benchmark``.
+# ``mmc-gym benchmark --agents mmc ik-dls mmc-body --environments …`` runs the same small benchmark.
+# Usually you already have a folder, ``runs/benchmark``.
 
 agents = ["mmc", "ik-dls", "mmc-body"]
 scenarios = ["random", "rotation-2", "rotation-10", "longer-6", "locks-2", "hand-mass-6"]
@@ -25,7 +25,7 @@ with tempfile.TemporaryDirectory() as folder:
 print(episodes.shape, list(episodes.columns[:6]))
 
 # %%
-# Success by scenario, and time to target of those episodes that have one.
+# Success by scenario, and the time to target of the episodes that reach it.
 
 success = episodes.pivot_table(index="environment", columns="agent", values="success")
 success = success.loc[scenarios, agents]
@@ -33,7 +33,7 @@ print(success.round(2))
 print(episodes.groupby("agent")["time_to_target"].describe()[["count", "50%"]].round(2))
 
 # %%
-# The i-th episode has the same start and target in all of them, so agents can be compared in
+# The i-th episode has the same start and target in all scenarios, so agents can be compared in
 # pairs.
 
 figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")

@@ -2,9 +2,9 @@
 How do MMC, inverse kinematics and reinforcement learning differ?
 =================================================================
 
-Not in whether they reach, but in how. All three agents meet the same targets from the same
-postures. The network and damped least squares go nearly straight and rest; the learned policy
-takes detours, and dances about its target.
+They differ in how they reach, not in whether. All three agents reach for the same targets from the
+same postures. The network and damped least squares move nearly straight and rest; the learned
+policy makes detours, and its hand keeps moving around the target.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ comparison = mmc_gym.compare(["mmc", "ik-dls", "ppo"], episodes=40)
 print(comparison.headline)
 
 # %%
-# ``print(comparison)`` shows the whole table. Here is a part of it,
-# with its intervals over episodes. The ideal hand has no arm, and follows a minimum-jerk movement.
+# ``print(comparison)`` shows the whole table. Here is a part of it, with intervals over episodes.
+# The ideal hand has no arm, and follows a minimum-jerk movement.
 
 measures = ["success", "time_to_target", "path_ratio", "velocity_peaks", "joint_work"]
 low, middle, high = (comparison.to_frame(of)[measures].T for of in ("low", "estimate", "high"))
@@ -29,7 +29,7 @@ comparison.plot(plt.figure(figsize=(9, 5), layout="constrained"))
 plt.show()
 
 # %%
-# What tells them apart are detours and work, not success.
+# They differ in detours and work, not in success.
 
 figure, panels = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
 units = {"path_ratio": "path / direct line", "joint_work": "joint work [mass · length² / s²]"}

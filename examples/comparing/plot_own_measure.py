@@ -1,9 +1,9 @@
 """
-How do I add a measure of my own?
-=================================
+How do I add my own measure?
+============================
 
-Decorate a function of an episode. From then on it stands in comparisons, benchmarks and their
-report, with its label, its unit, and intervals.
+Decorate a function of an episode. It then appears in comparisons, benchmarks and their report, with
+its label, its unit, and intervals.
 """
 
 import matplotlib.pyplot as plt
@@ -35,6 +35,6 @@ lines = ("-", "--", ":", "-.")
 for (agent, rows), line in zip(comparison.episodes.groupby("agent", sort=False), lines):
     times = np.sort(rows["half_way_time"])
     axes.step(times, np.arange(1, len(times) + 1) / len(times), line, where="post", label=agent)
-axes.set(xlabel="half-way time [s]", ylabel="part of the episodes", ylim=(0, 1.02))
+axes.set(xlabel="half-way time [s]", ylabel="share of the episodes", ylim=(0, 1.02))
 axes.legend()
 plt.show()

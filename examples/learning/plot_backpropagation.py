@@ -2,9 +2,9 @@
 Can a controller learn by backpropagation through the body model?
 =================================================================
 
-Yes. The network imagines where a posture puts the hand, and the hand's error flows back through its
-iterations into the controller: in seconds it reaches, without a step of the environment. It masters
-the bodies that it imagined, one or many.
+Yes. The network imagines where a posture puts the hand, and the gradient of the hand's error flows
+back through its iterations into the controller. The controller learns in seconds, without a step of
+the environment, and masters the bodies that were imagined, one or many.
 """
 
 import gymnasium as gym
@@ -31,7 +31,7 @@ for spread, lines in ((0, ("--", ":")), (0.2, ("-", "-."))):
         angles, others = torch.pi * (2 * torch.rand(2, 256, 3) - 1)
         state, loss = network.state_from_joint_angles(angles), 0
         hand, target = state.end_effector, network.state_from_joint_angles(others).end_effector
-        for _ in range(5):  # it corrects itself, and R follows the segments
+        for _ in range(5):  # it corrects itself; R follows the segments
             posture = torch.cat([angles.cos(), angles.sin(), 0 * angles], -1)
             seen = {"observation": posture, "achieved_goal": hand, "desired_goal": target}
             angles = angles + controller(layout.flatten(seen, torch)[:, SEEN])

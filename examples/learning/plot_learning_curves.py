@@ -2,7 +2,7 @@
 How sure can I be of a learning curve?
 ======================================
 
-As sure as several training seeds make you. The cards of trained policies keep their evaluations;
+That depends on how far training seeds differ. The cards of trained policies keep their evaluations;
 the curve is the mean over the seeds, and its band a 95 % bootstrap interval over seeds and
 episodes.
 """
@@ -12,8 +12,8 @@ import matplotlib.pyplot as plt
 from mmc_gym.training.curves import curve_rows, mean_curves, read_cards
 
 # %%
-# Here are the policies that ship. ``read_cards("runs")`` reads your own, which ``mmc-gym train``
-# writes there, and ``mmc-gym curves --folder runs`` draws them, with a table of steps and minutes.
+# These are the policies that ship. ``read_cards("runs")`` reads your own, which ``mmc-gym train``
+# writes there; ``mmc-gym curves --folder runs`` draws them, with a table of steps and minutes.
 
 cards = read_cards()
 rows = curve_rows(cards)
@@ -39,7 +39,7 @@ left.set_ylabel("success [%]")
 plt.show()
 
 # %%
-# A single training can be far from the mean while it learns; at the end all are alike.
+# During learning a single training can be far from the mean; at the end all are alike.
 
 half = rows[(rows["agent"] == "ppo") & (rows["steps"] < 80_000)].groupby("seed")["success"].last()
 print(f"before 80,000 steps: {half.min():.0%} to {half.max():.0%}, by the seed alone")

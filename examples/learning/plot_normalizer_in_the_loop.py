@@ -2,8 +2,8 @@
 Does a normalizer learn better inside the network?
 ==================================================
 
-Yes, by gradient descent: the hand's error, led back through the iterations, says which errors of
-the normalizer matter. But to imitate the exact one by a second-order method is better still.
+Yes, by gradient descent: the gradient of the hand's error through the iterations shows which errors
+of the normalizer matter. But imitating the exact one by a second-order method is better still.
 """
 
 from dataclasses import replace
@@ -17,8 +17,8 @@ from mmc_gym.network.differentiable import TorchNetwork
 from mmc_gym.network.fitting import ACCURATE, train_normalizers
 
 # %%
-# Eight hidden units learn to bring vectors to their length by imitation: 60 epochs of Adam; four
-# times as many; and 60 that Levenberg and Marquardt's method refines.
+# Networks of eight hidden units learn to imitate the exact normalizer: in 60 epochs of Adam, in
+# 240, and in 60 followed by the Levenberg-Marquardt method.
 
 short = replace(ACCURATE, samples=3600, epochs=60, refinement_iterations=0)
 recipes = {"60 epochs": short, "240 epochs": replace(short, epochs=240)}
@@ -26,8 +26,8 @@ recipes["60 epochs, refined"] = replace(short, refinement_iterations=300)
 learned = {name: train_normalizers((8,), one)[0].normalizer for name, one in recipes.items()}
 
 # %%
-# The first goes on inside the network: 60 iterations towards random targets, and gradients through
-# the next 20. Hands should be at their targets, and segments keep their lengths.
+# The first continues to learn inside the network: 60 iterations towards random targets, and
+# gradients through the next 20. The loss is the distance of the hand, and errors of the lengths.
 
 network = TorchNetwork(MMCNetwork(damping=4, normalizer=learned["60 epochs"]))
 optimizer = torch.optim.Adam(network.parameters(), lr=0.03)

@@ -2,9 +2,9 @@
 How long does plain PPO take from nothing to 95 %?
 ==================================================
 
-Some seconds on one core, if it learns on many arms at once. Nothing here is special but that: PPO
-of stable-baselines3 with its ``MlpPolicy``, and a native vector environment on the compiled
-engine (the extra ``fast``).
+Some seconds on one core, if it learns on many arms at once. Nothing else here is special: PPO of
+stable-baselines3 with its ``MlpPolicy``, and a native vector environment on the compiled engine
+(extra ``fast``).
 """
 
 import time
@@ -48,7 +48,7 @@ seconds = time.perf_counter() - begin
 print(f"{successes[-1]:.1%} of the targets after {steps[-1]:,} steps and {seconds:.0f} s")
 
 # %%
-# ``ppo.save`` keeps it. ``mmc_gym.compare({"mine": ppo, "mmc": "mmc"})`` sets it beside the
+# ``ppo.save`` saves it, and ``mmc_gym.compare({"mine": ppo, "mmc": "mmc"})`` compares it with the
 # network.
 
 figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")

@@ -2,8 +2,8 @@
 What does a policy on top of the network save?
 ==============================================
 
-The learning of how to reach. ``ppo-residual`` sees what the network proposes, and corrects it: so
-it reaches from the first step on, and only learns to be quicker. PPO alone has to find out
+It need not learn to reach. ``ppo-residual`` sees the action that the network proposes, and corrects
+it. So it reaches from the first step, and only learns to be quicker. PPO alone has to learn
 everything.
 """
 
@@ -13,9 +13,8 @@ import mmc_gym
 from mmc_gym.training.curves import read_cards
 
 # %%
-# Each training was evaluated now and then in the same 200 episodes, and the policy's card keeps it
-# all. ``agent = mmc_gym.train("ppo-residual", seed=7)`` trains another one, with its
-# ``agent.card``.
+# During training each policy was evaluated in the same 200 episodes, and its card has the results.
+# ``agent = mmc_gym.train("ppo-residual", seed=7)`` trains another one, with its ``agent.card``.
 
 cards = read_cards()
 for name in ("ppo-residual", "ppo"):
@@ -23,8 +22,7 @@ for name in ("ppo-residual", "ppo"):
     print(f"{name}: {first['success']:.0%} of the targets after {first['steps']:,} steps")
 
 # %%
-# What it stands on is the network: that proposes an action in every step. All that is learned is
-# what to add to it.
+# The network proposes an action in every step. The policy learns only what to add to it.
 
 comparison = mmc_gym.compare(["mmc", "ppo-residual", "ppo"], episodes=40)
 print(comparison.to_frame()[["success", "time_to_target", "path_ratio", "joint_work"]].round(2))
@@ -32,7 +30,7 @@ alone = comparison.recorded["mmc"]
 share = sum((one.distances[1:] <= one.tolerance).mean() for one in alone) / len(alone)
 
 # %%
-# Five trainings of each. To be quicker than the network is to be at the target for longer.
+# Five trainings of each. A policy that is quicker than the network is at the target for longer.
 
 figure, panels = plt.subplots(1, 2, figsize=(9, 3.6), sharex=True, layout="constrained")
 for name, line in {"ppo-residual": "-", "ppo": "--"}.items():

@@ -2,9 +2,9 @@
 Can a small neural network keep the segments at their length?
 =============================================================
 
-Yes: a multilayer perceptron learns to map any vector onto the unit circle without turning it. The
-whole body model is then a neural network. How well it reaches depends on the angle error that is
-left, so train it to be accurate.
+Yes: a multilayer perceptron learns to map any vector onto the unit circle without turning it. Then
+the whole body model is a neural network. How well it reaches depends on the remaining angle error,
+so the normalizer must be accurate.
 """
 
 from dataclasses import replace
@@ -17,15 +17,15 @@ from mmc_gym.network.fitting import PAPER, train_normalizers
 from mmc_gym.network.normalizers import angle_errors
 
 # %%
-# A few epochs of the paper's recipe, for sixteen hidden units; and the normalizer that ships,
-# which has two layers of sixteen and a more careful training.
+# One normalizer has sixteen hidden units and a few epochs of the paper's recipe. The one that ships
+# has two layers of sixteen units and a more careful training.
 
 (trained,) = train_normalizers((16,), replace(PAPER, epochs=40), seed=1)
 normalizers = {"16 units, 40 epochs": trained.normalizer, "shipped": LearnedNormalizer.shipped()}
 
 # %%
-# Arrows lead from a vector to what the perceptron makes of it. All should end on the circle, and
-# point away from the middle or towards it.
+# Arrows lead from a vector to the perceptron's output. They should end on the circle, and point
+# away from the centre or towards it.
 
 side = np.linspace(-1.5, 1.5, 13)
 vectors = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -40,7 +40,7 @@ panels[0].set_ylabel("y [segment lengths]")
 plt.show()
 
 # %%
-# In place of the exact normalization, the accurate one makes no difference to where the hand ends.
+# With the accurate normalizer the hand ends where it ends with exact normalization.
 
 for name, normalizer in normalizers.items():
     network = MMCNetwork(damping=4, normalizer=normalizer)

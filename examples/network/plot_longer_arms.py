@@ -3,8 +3,8 @@ How does the network scale from two to ten segments?
 ====================================================
 
 The same equations hold for any number of segments N: N (N + 1) / 2 vectors, and N − 1 triangles
-for each. Longer arms need more iterations. With the damping d = N + 1 the linear part of the
-network settles without oscillation.
+for each. Arms with more segments need more iterations. With the damping d = N + 1 the linear part
+of the network settles without oscillation.
 """
 
 import matplotlib.pyplot as plt
@@ -16,7 +16,7 @@ ITERATIONS, ARMS = 300, 200
 random = np.random.default_rng(0)
 
 # %%
-# All arms are three long, so that their tasks are the same: 500 random postures and targets.
+# All arms have the length three, so that their tasks are the same: random postures and targets.
 
 radius, angle = 3 * np.sqrt(random.uniform(0, 0.9, ARMS)), random.uniform(0, 2 * np.pi, ARMS)
 targets = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)

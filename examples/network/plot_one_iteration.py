@@ -2,9 +2,9 @@
 What does one iteration of the network do?
 ==========================================
 
-It asks every triangle for its opinion of each vector, and takes the mean. An arm of three segments
-has six vectors: the segments L1, L2, L3, the diagonals D1, D2, and the end effector R. Each is a
-side of two triangles, and each triangle computes it from its other two sides.
+It computes each vector from every triangle of which it is a side, and takes the mean. An arm of
+three segments has six vectors: the segments L1, L2, L3, the diagonals D1, D2, and the end effector
+R. Each is a side of two triangles, and each triangle computes it from the other two sides.
 """
 
 import matplotlib.pyplot as plt
@@ -16,11 +16,11 @@ from mmc_gym.network.chain import vector_pairs
 network = MMCNetwork(damping=4)
 rest = network.state_from_joint_angles([0.3, 0.6, 0.6])
 target = network.inverse([-1.0, 1.5])
-start = network.run(rest, target, iterations=0)  # R is at the target, all else is as it was
+start = network.run(rest, target, iterations=0)  # R is at the target, nothing else has changed
 
 # %%
-# A vector from node i to node j, by way of another node k: v_ik + v_kj. As long as the arm stands
-# still, all agree. Now that R has been moved, the triangles with R contradict the others.
+# A vector from node i to node j by way of another node k is v_ik + v_kj. In an arm at rest all
+# triangles agree. Now that R has moved, the triangles with R contradict the others.
 
 names = dict(zip(vector_pairs(3), ("L1", "L2", "L3", "D1", "D2", "R")))
 vector = dict(zip(names, start.vectors))
@@ -33,8 +33,8 @@ for pair, name in names.items():
     print(f"{name}: now {vector[pair].round(2)}, its triangles say {said}")
 
 # %%
-# The mean gives the present value the weight (d − 2)/d, and each of the two opinions 1/d, with the
-# damping d. At last the segments are brought back to their length; R, which is held, stays.
+# In the mean the present value has the weight (d − 2)/d, and each of the two computations 1/d, with
+# the damping d. Then the segments are brought back to their length; R, which is clamped, stays.
 
 after, d = network.step(start, target), network.damping
 layout = [["arm", "L1", "L2", "L3"], ["arm", "D1", "D2", "R"]]

@@ -2,9 +2,8 @@
 What do the hidden units of a learned normalizer stand for?
 ===========================================================
 
-Directions. Nobody asked for it, but after training each unit is active for a range of directions
-around a preferred one, and together they cover the circle: a population code, as it is known of
-motor cortex.
+Directions. Though training does not require it, each unit is active for a range of directions
+around a preferred one, and together they cover the circle: a population code, as in motor cortex.
 """
 
 from dataclasses import replace
@@ -17,7 +16,7 @@ from mmc_gym.network.fitting import PAPER, train_normalizers
 (trained,) = train_normalizers((8,), replace(PAPER, epochs=100), seed=1)
 
 # %%
-# Show it unit vectors in all directions, and record what its hidden layer answers.
+# Apply it to unit vectors in all directions, and record the activations of its hidden layer.
 
 directions = np.linspace(-np.pi, np.pi, 361)
 vectors = np.stack([np.cos(directions), np.sin(directions)], axis=-1)

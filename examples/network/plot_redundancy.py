@@ -2,8 +2,8 @@
 Where does the arm end if many postures reach the target?
 =========================================================
 
-At one that is near where it started. Three joints for two coordinates leave one freedom; the
-network does not choose a solution, it relaxes into one. Different starts end in different
+In a posture near its start. With three joints for two coordinates one degree of freedom is left.
+The network does not choose a solution but relaxes into one, so different starts end in different
 postures.
 """
 
@@ -20,7 +20,7 @@ end = network.run(start, network.inverse(target), iterations=200)
 
 # %%
 # All hands are at the same place, and the postures fill a closed line in the space of joint
-# angles: the self-motion of the arm. Along it the arm could move without moving its hand.
+# angles: the self-motion of the arm, along which it could move without moving its hand.
 
 distance = np.linalg.norm(end.end_effector - target, axis=-1)
 print(f"{(distance < 0.05).mean():.0%} of {len(starts)} arms end at the target")

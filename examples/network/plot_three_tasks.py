@@ -2,8 +2,8 @@
 Can one network do inverse, forward and mixed kinematics?
 =========================================================
 
-Yes. A task is a set of vectors that are held ("clamped"); all others settle. Hold the hand and the
-posture follows, hold the segments and the hand follows, hold some of both and the rest follows.
+Yes. A task is a set of vectors that are clamped (held); all others settle. Clamp the hand and the
+posture follows, clamp the segments and the hand follows, clamp some of both and the rest follows.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ network = MMCNetwork(segment_lengths=(1.0, 1.0, 1.0), damping=4)
 rest = network.state_from_joint_angles([0.3, 0.6, 0.6])
 
 # %%
-# Inverse: the end effector is held at a target. Forward: the three segments are held. Mixed: the
-# hand is held, and the first segment (from node 0, the base, to node 1) straight up.
+# Inverse: the end effector is clamped at a target. Forward: the three segments are clamped. Mixed:
+# the hand is clamped, and the first segment (from node 0, the base, to node 1) straight up.
 
 inverse = network.run(rest, network.inverse([-1.0, 1.5]), iterations=60)
 forward = network.run(rest, network.forward(inverse.segments), iterations=60)

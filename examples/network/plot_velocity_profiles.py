@@ -2,9 +2,9 @@
 Do its movements look like those of people?
 ===========================================
 
-Not by themselves. People move with a bell-shaped speed. The kinematic network is fastest at once,
-and approaches ever more slowly; velocities in the network (its dynamics) soften the start. A time
-base, which scales every iteration, makes the bell.
+Not without help. The speed of people is bell-shaped. The kinematic network is fastest in its first
+iterations and then slows down; velocities in the network (its dynamics) soften the start. A time
+base, which scales every iteration, makes the speed bell-shaped.
 """
 
 import matplotlib.pyplot as plt
@@ -25,14 +25,13 @@ for name, network in {"kinematic": kinematic, "dynamic (paper)": dynamic}.items(
     ways[name] = network.trajectory(start, network.inverse(target), ITERATIONS).segments
 
 # %%
-# The time base asks for the share of its way that a minimum-jerk movement covers in each
-# iteration.
+# In each iteration the time base demands the share of the way that a minimum-jerk movement covers.
 
 start = kinematic.state_from_joint_angles(posture)
 _, ways["kinematic on a time base"] = timed_trajectory(kinematic, start, target, ITERATIONS)
 
 # %%
-# Beside them an ideal hand, which has no arm to move.
+# For comparison, the speed of an ideal hand without an arm.
 
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 for (name, segments), line in zip(ways.items(), ("-", "--", "-.")):
