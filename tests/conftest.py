@@ -33,14 +33,14 @@ import mmc_gym  # noqa: E402, F401  registers the environments
 from mmc_gym.measures import Episode  # noqa: E402
 
 # A deadline measures the machine, not the code.  Where CI is set the examples are the same in
-# every run; elsewhere hypothesis goes on looking for new ones.
+# every run; elsewhere hypothesis looks for new ones.
 settings.register_profile("local", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 
 class Oracle:
-    """Knows a posture for every target: three unit segments along an arc, q = (β − φ, φ, φ).
+    """An agent that knows a posture for every target: segments along an arc, q = (β − φ, φ, φ).
 
     Its hand is at the distance |1 + e^{iφ} + e^{2iφ}| = 1 + 2 cos φ from the base.  Its actions are
     those of `joint_delta`, the default.
@@ -55,7 +55,7 @@ class Oracle:
     ) -> tuple[Any, Any]:
         values = observation.astype(np.float64)
         _, second, third = np.arctan2(values[3:6], values[:3])
-        x, y = values[9:11]  # seen from the first segment
+        x, y = values[9:11]  # in the first segment's frame
         bend = math.acos(np.clip((math.hypot(x, y) - 1) / 2, -1, 1))
         turns = (math.atan2(y, x) - bend, bend - second, bend - third)
         action = [math.remainder(turn, math.tau) * 12 / math.tau for turn in turns]
@@ -63,7 +63,7 @@ class Oracle:
 
 
 class Frozen:
-    """Asks for the posture it is in, and so never gets anywhere."""
+    """An agent whose target posture is always the present one, so that it never moves."""
 
     def predict(
         self,
@@ -93,7 +93,7 @@ def env() -> Iterator[gym.Env[Any, Any]]:
 
 
 def episode_of(hands, targets, control_step=0.02, joint_angles=None, **changes):
-    """An episode in which the hand and the target were there; the servos did nothing."""
+    """Make an episode of these hand positions and targets; the servos do nothing."""
     hands = np.array(hands, dtype=np.float64)
     targets = np.broadcast_to(np.array(targets, dtype=np.float64), hands.shape)
     joint_angles = np.zeros((len(hands), 3)) if joint_angles is None else np.array(joint_angles)
@@ -131,14 +131,14 @@ FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
-    "--hide-scrollbars",  # they may come after the page, and make it narrower
+    "--hide-scrollbars",  # they may appear after the page and make it narrower
 )
 PATIENCE = 120  # seconds; the machine may be busy
 
 
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A browser without a window; skips where there is no Chromium with its driver."""
+    """A browser without a window; the test is skipped without Chromium and its driver."""
     chrome = next(filter(None, map(shutil.which, CHROMES)), None)
     driver = shutil.which("chromedriver")
     if not (chrome and driver):
@@ -160,7 +160,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 @pytest.fixture
 def keep() -> Callable[[str, str], None]:
-    """Write what a browser gives, base64, into the folder MMC_GYM_ARTEFACTS, if that is set."""
+    """Write base64 content of the browser into the folder MMC_GYM_ARTEFACTS, if that is set."""
 
     def write(name: str, content: str) -> None:
         if folder := os.environ.get("MMC_GYM_ARTEFACTS"):

@@ -1,4 +1,4 @@
-"""Every example shows what it says, and answers a question that the gallery lists."""
+"""Every example prints and draws what it says, and its question is in the gallery."""
 
 import re
 import runpy
@@ -17,7 +17,7 @@ from mmc_gym.measures import MEASURES
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.py"))
 
-# What each prints, of what it claims.
+# What each prints.
 SHOWS = {
     "bring_your_own.py": r"success at the end: mmc 100\.0 %, still 0\.0 %, turner 0\.0 %",
     "plain_torch.py": r"9[5-9]\.\d% of the targets after",
@@ -49,7 +49,7 @@ REGISTRIES = (FAMILIES, MEASURES, TASKS, TASK_SCENARIOS, gym.registry)
 
 @pytest.fixture
 def nothing_is_left():
-    """Forget what an example registers and draws."""
+    """Remove what an example registers and draws."""
     before = [dict(registry) for registry in REGISTRIES]
     yield
     for registry, entries in zip(REGISTRIES, before, strict=True):
@@ -59,7 +59,7 @@ def nothing_is_left():
 
 
 def has_labels(axes) -> bool:
-    """Tell whether both axes have a label: their own, of a panel they share, or the figure's."""
+    """Return whether both axes have a label: their own, of a shared panel, or of the figure."""
     x = [one.get_xlabel() for one in axes.get_shared_x_axes().get_siblings(axes)]
     y = [one.get_ylabel() for one in axes.get_shared_y_axes().get_siblings(axes)]
     figure = axes.figure

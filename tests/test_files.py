@@ -22,13 +22,9 @@ _files.write_atomically(sys.argv[1], b"new")
 
 
 def start_writing(path):
-    process = subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, str(path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
+    command = [sys.executable, "-c", SCRIPT, str(path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    process = subprocess.Popen(command, **pipes, text=True)
     assert process.stdout.readline() == "writing\n"
     return process
 
@@ -54,7 +50,7 @@ def test_two_writers_of_one_file_leave_each_other_alone(tmp_path):
     path = tmp_path / "result.json"
     with start_writing(path) as process:
         write_atomically(path, b"old")
-        process.communicate("go on")
+        process.communicate("continue")
     assert process.returncode == 0
     assert path.read_bytes() == b"new"
     assert list(tmp_path.iterdir()) == [path]

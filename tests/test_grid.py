@@ -13,14 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cloudpickle
-import gymnasium as gym
 import numpy as np
 import pytest
 from loky import process_executor
 
-from mmc_gym import _grid, make_agent
+from mmc_gym import _grid
 from mmc_gym._grid import CellError, run_grid
-from mmc_gym.measures.rollout import episode_seeds, run_episodes
 
 # Workers cannot import this module.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
@@ -30,25 +28,21 @@ OBJECT_STORE = 100 * 2**20  # bytes
 
 
 @dataclass(frozen=True)
-class Play:
-    """Episodes of the network; on a cluster, with notes on where they were played."""
+class Draw:
+    """Random numbers; on a cluster, with notes on where they were drawn."""
 
     seed: int
-    episodes: int
+    size: int = 100
     notes: Path | None = None
 
 
-def play(cell):
-    env = gym.make("MMCReach-v0")
+def draw(cell):
     if cell.notes is not None:
         note_and_wait(cell.notes, cell.seed, "begun")
-    episodes = run_episodes(make_agent("mmc", env), env, episode_seeds(cell.seed, cell.episodes))
+    numbers = np.random.default_rng(cell.seed).random(cell.size)
     if cell.notes is not None:
         note_and_wait(cell.notes, cell.seed, "done")
-    return {
-        name: np.stack([getattr(episode, name) for episode in episodes])
-        for name in ("hands", "distances", "rewards", "target")
-    }
+    return numbers
 
 
 def note_and_wait(notes, seed, stage):
@@ -104,7 +98,7 @@ def end(number):
 
 
 def die(cell):
-    """Ends its process unless `cell` is a number, or a file that says that it did so before."""
+    """End this process, unless `cell` is a number, or a file that a first call has made."""
     if isinstance(cell, Path):
         if cell.exists():
             return "computed again"
@@ -126,14 +120,6 @@ def double_in_place(array):
     return array
 
 
-def assert_same(results, expected):
-    assert len(results) == len(expected)
-    for result, other in zip(results, expected, strict=True):
-        assert result.keys() == other.keys()
-        for name in other:
-            np.testing.assert_array_equal(result[name], other[name])
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_come_in_the_order_of_the_cells(jobs):
     seen = []
@@ -147,10 +133,6 @@ def test_results_are_handed_over_as_they_come(tmp_path):
     cells = [str(path), path]
     run_grid(touch_or_wait, cells, jobs=2, on_result=lambda *one: seen.append(one))
     assert seen == [(1, path), (0, str(path))]
-
-
-def test_an_empty_grid_needs_no_process():
-    assert run_grid(square, []) == []
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -178,10 +160,6 @@ def test_what_cannot_travel_is_an_error_of_its_cell(function, cell, message):
         run_grid(function, [cell, cell], jobs=2)
 
 
-def test_a_long_cell_is_named_in_short():
-    assert len(str(CellError(0, list(range(10_000)), "reason"))) < 300
-
-
 def test_an_error_of_on_result_ends_the_grid():
     def interrupt(index, result):
         raise KeyboardInterrupt
@@ -193,8 +171,8 @@ def test_an_error_of_on_result_ends_the_grid():
 
 @pytest.mark.slow
 def test_nothing_dies_where_a_grid_ends_while_a_call_is_handed_over(monkeypatch):
-    # Between the end of one cell and the start of the next, loky's thread is made to pause: an
-    # error in that thread is a warning of pytest's, and so an error of this test.
+    # loky's thread pauses between the end of one cell and the start of the next.  An error in that
+    # thread is a warning of pytest, and so an error of this test.
     manager = process_executor._ExecutorManagerThread
     process = manager.process_result_item
 
@@ -275,12 +253,6 @@ def test_large_arrays_arrive_writable():
     assert all(result.flags.writeable for result in results)
 
 
-@pytest.mark.slow
-def test_processes_give_what_one_process_gives():
-    cells = [Play(seed, 2) for seed in range(4)]
-    assert_same(run_grid(play, cells, jobs=2), run_grid(play, cells, jobs=1))
-
-
 @pytest.mark.parametrize(
     "cluster", ["", "dask", "ray:", "ray://", "ray://host", "ray://:1", "ray:/h:1"]
 )
@@ -302,14 +274,14 @@ def test_without_ray_the_extra_is_named(monkeypatch):
 
 
 def uses_ray(test):
-    """Marks a test; Ray leaves some of its own files to be closed by the garbage collector."""
+    """Mark a test; Ray leaves some of its files to the garbage collector."""
     ignored = ("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
     return pytest.mark.slow(pytest.mark.filterwarnings(*ignored)(test))
 
 
 @pytest.fixture
 def ray(monkeypatch):
-    """Ray, in a folder of its own, whose name is short enough for sockets; nothing is left."""
+    """Ray, in a temporary folder with a name short enough for sockets."""
     module = pytest.importorskip("ray")
     folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
     monkeypatch.setenv("RAY_TMPDIR", folder)
@@ -341,8 +313,9 @@ def free_port():
 @uses_ray
 def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "local")
-    cells = [Play(seed, 2) for seed in range(4)]
-    assert_same(run_grid(play, cells, jobs=2, cluster="ray"), run_grid(play, cells, jobs=1))
+    cells = [Draw(seed) for seed in range(4)]
+    found = run_grid(draw, cells, jobs=2, cluster="ray")
+    np.testing.assert_array_equal(found, run_grid(draw, cells, jobs=1))
     assert not ray.is_initialized()  # what was begun is ended
 
     ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=OBJECT_STORE)
@@ -379,9 +352,8 @@ def test_a_ray_cluster_that_loses_a_node_gives_what_one_process_gives(
             killed.append(index)
 
     # Results of this size stay on the node that made them until they are asked for.
-    cells = [Play(seed, 50, tmp_path) for seed in range(12)]
-    results = run_grid(play, cells, jobs=6, cluster="ray", on_result=kill)
-    assert sum(array.nbytes for array in results[0].values()) > 100_000
+    cells = [Draw(seed, 50_000, tmp_path) for seed in range(12)]
+    results = run_grid(draw, cells, jobs=6, cluster="ray", on_result=kill)
 
     begun = [note.name.split("-")[1:3] for note in tmp_path.glob("begun-*")]
     held = (tmp_path / "held").read_text()
@@ -389,7 +361,8 @@ def test_a_ray_cluster_that_loses_a_node_gives_what_one_process_gives(
     assert victim.node_id in nodes  # it was under way there,
     assert len(set(nodes)) == 2  # and was begun again elsewhere
     assert len([node for _, node in begun if node == victim.node_id]) == 3
-    assert_same(results, run_grid(play, [Play(seed, 50) for seed in range(12)], jobs=1))
+    expected = run_grid(draw, [Draw(seed, 50_000) for seed in range(12)], jobs=1)
+    np.testing.assert_array_equal(results, expected)
 
 
 @uses_ray
@@ -401,6 +374,6 @@ def test_a_ray_client_gives_what_one_process_gives(ray, cluster):
         object_store_memory=OBJECT_STORE,
         ray_client_server_port=port,
     )
-    cells = [Play(seed, 2) for seed in range(4)]
-    results = run_grid(play, cells, cluster=f"ray://127.0.0.1:{port}")
-    assert_same(results, run_grid(play, cells, jobs=1))
+    cells = [Draw(seed) for seed in range(4)]
+    results = run_grid(draw, cells, cluster=f"ray://127.0.0.1:{port}")
+    np.testing.assert_array_equal(results, run_grid(draw, cells, jobs=1))

@@ -16,17 +16,8 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 
-HEAVY = {
-    "matplotlib",
-    "numba",
-    "pandas",
-    "pydantic",
-    "pygame",
-    "rich",
-    "scipy",
-    "stable_baselines3",
-    "torch",
-}
+HEAVY = {"matplotlib", "numba", "pandas", "pydantic", "pygame", "rich", "scipy", "torch"}
+HEAVY |= {"stable_baselines3"}
 
 
 def run_python(code: str) -> str:

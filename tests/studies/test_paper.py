@@ -1,7 +1,9 @@
 """Each experiment of the paper runs, and gives the published figures where nothing is learned."""
 
 import doctest
+import re
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -13,12 +15,12 @@ from studies.paper import experiment, networks, protocol
 from studies.paper.experiment import ExperimentSettings
 from studies.paper.experiments import bettered, forward_and_mixed, movements, normalization
 from studies.paper.experiments import population as hidden_units
-from studies.paper.experiments.bettered import LENGTHS, measure
+from studies.paper.experiments.bettered import measure
 from studies.paper.experiments.forward_and_mixed import TASKS, errors, factor, random_tasks
-from studies.paper.experiments.population import DIRECTIONS, layer_tunings, tuning
-from studies.paper.networks import ARCHITECTURES, RUNS, architecture_name, trained_architectures
+from studies.paper.experiments.population import layer_tunings
+from studies.paper.networks import architecture_name, trained_architectures
 from studies.paper.protocol import INNER, OVERSHOOT, PAIRS, STARTING_SEGMENTS, TARGETS
-from studies.paper.published import NORMALIZATION_PUBLISHED, POINTS
+from studies.paper.published import POINTS
 from studies.paper.run import EXPERIMENTS, reproduce
 
 pytestmark = pytest.mark.slow
@@ -63,6 +65,11 @@ def small_recipe():
 
 def row(result, quantity):
     return next(row for row in result.rows if row.quantity.startswith(quantity))
+
+
+def numbers(value):
+    """Return the numbers in a value of the table."""
+    return [float(one) for one in re.findall(r"\d+(?:\.\d+)?", str(value))]
 
 
 # The command
@@ -118,40 +125,25 @@ def test_the_examples_in_docstrings_hold():
 # Published figures
 
 
-def test_the_paper_s_twelve_architectures_of_five_runs_have_published_errors():
-    assert (len(ARCHITECTURES), RUNS, PAPER.epochs) == (12, 5, 400)
-    assert list(NORMALIZATION_PUBLISHED) == [architecture_name(units) for units in ARCHITECTURES]
-
-
 def test_there_are_21_targets_and_every_ordered_pair_of_them():
     np.testing.assert_allclose(
-        TARGETS[[0, 6, 7, 10, 20]], [[1, 0], [-1, 0], [2, 0], [0, 2], [-3, 0]], atol=1e-15
+        TARGETS[[0, 6, 10, 20]], [[1, 0], [-1, 0], [0, 2], [-3, 0]], 0, 1e-15
     )
-    expected = [(start, end) for start in range(21) for end in range(21) if start != end]
-    assert [tuple(pair) for pair in PAIRS] == expected
+    assert [tuple(pair) for pair in PAIRS] == list(permutations(range(21), 2))
     assert INNER.sum() == 14 * 13
 
 
-def test_rows_without_learned_weights_agree_with_the_data_to_the_digit(results):
-    rows = [
-        row
-        for name in ("kinematic", "dynamic")
-        for row in results[name].rows
-        if row.quantity.startswith("Euclidean") and row.data is not None
-    ]
-    assert len(rows) == 13
+@pytest.mark.parametrize(
+    ("start", "number", "digits"),
+    [("Euclidean", 13, 5e-5), ("classical (Euclidean): ", 6, 5e-4)],
+)
+def test_rows_without_learned_weights_agree_with_the_data(start, number, digits, results):
+    rows = [row for name in ("kinematic", "dynamic") for row in results[name].rows]
+    rows = [one for one in rows if one.quantity.startswith(start) and one.data is not None]
     for found in rows:
-        if found.quantity.endswith("500 iterations"):
-            assert found.ours == pytest.approx(found.data, abs=5e-5)
-        else:
-            assert str(found.ours) == str(found.data)
-
-
-def test_the_classical_rows_agree_with_the_data(results):
-    for found in results["dynamic"].rows:
-        if found.quantity.startswith("classical") and not found.quantity.endswith("at iteration"):
-            assert float(found.ours) == pytest.approx(found.data, abs=5e-4)
-    assert row(results["dynamic"], "classical (Euclidean): peak").ours == "0.1082 at 2"
+        for ours, data in zip(numbers(found.ours), numbers(found.data), strict=True):
+            assert ours == pytest.approx(data, abs=digits)
+    assert len(rows) >= number
     assert row(results["example"], "kinematic (Euclidean)").ours == "0.00977"
 
 
@@ -173,13 +165,6 @@ def test_the_example_s_second_peak_is_that_of_the_data(results):
         height, iteration = peak.split(" at ")
         assert float(height) == pytest.approx(0.0139, rel=0.5)
         assert abs(int(iteration) - 28) <= 3
-
-
-def test_the_synchronous_network_takes_its_own_course():
-    distance = protocol.record_movements(MMCNetwork(schedule="synchronous")).distance
-    for iteration, expected in {10: 0.39447, 20: 0.20629, 40: 0.08648, 100: 0.01945}.items():
-        assert distance[:, iteration - 1].mean() == pytest.approx(expected, abs=1e-5)
-    assert distance[:, -1].std() == pytest.approx(0.02585, abs=1e-5)
 
 
 # What is measured, and how
@@ -228,7 +213,6 @@ def test_the_accurate_normalizer_is_as_good_as_was_sought(results):
     assert row(result, "accurate: mean angle error at lengths 0.9 to 1.1").ours <= 0.01
     assert row(result, "accurate: the same, as a multiple of the Euclidean").ours <= 1.02
     assert row(result, "accurate: movements that end above 0.1").ours <= 7
-    assert (LENGTHS.min(), LENGTHS.max()) == (1e-6, 3)
     assert row(result, "accurate: worst angle error").ours < 5
     exact = measure(EuclideanNormalizer(), directions=36)
     assert max(exact.near_error, exact.worst_error.max()) < 1e-12
@@ -286,13 +270,6 @@ def test_a_first_layer_unit_prefers_the_direction_of_its_weights(strength, bias)
     half = (np.tanh(bias + strength) + np.tanh(bias - strength)) / 2
     width = 2 * np.degrees(np.arccos((np.arctanh(half) - bias) / strength))
     np.testing.assert_allclose(found.width, width, atol=1.0)
-
-
-def test_silent_units_are_counted_and_left_out():
-    activations = np.cos(DIRECTIONS[:, None] - np.array([3.0, 1.0, 5.0])) * [1.0, 1e-6, 0.5]
-    found = tuning(activations)
-    np.testing.assert_allclose(found.preferred, [3, 5])
-    assert (len(found.width), found.size, found.active.max()) == (2, 3, 2)
 
 
 # Trained networks
