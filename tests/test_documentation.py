@@ -1,10 +1,10 @@
 """The pictures in the documentation are those that the commands beside them draw.
 
-They are compared by the mean colours of squares of 8 × 8 pixels, on which edges and single dots have
-little influence.  The same code redraws a square with a difference of 0 to 2 of 255.  Another version
-of pygame or SDL differs by up to 5.  Learned policies, whose hands move around the target, differ by
-up to 20 where numbers are rounded otherwise.  Arms drawn a single control step later differ by 40 to
-110 somewhere in their panels.  `ALIKE` lies between.
+They are compared by the mean colours of squares of 8 × 8 pixels, in which edges and single dots
+have little weight.  Redrawn by the same code a square differs by 0 to 2 of 255; with another
+version of pygame or SDL by up to 5; and by up to 20 where other rounding changes the movements of
+learned policies.  Arms that are drawn a single control step later differ by 40 to 110 somewhere in
+their panels.  `ALIKE` lies between.
 """
 
 import subprocess

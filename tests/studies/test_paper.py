@@ -10,7 +10,6 @@ import pytest
 
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.fitting import PAPER
-from mmc_gym.network.model import linear_operator
 from studies.paper import experiment, networks, protocol
 from studies.paper.experiment import ExperimentSettings
 from studies.paper.experiments import bettered, forward_and_mixed, movements, normalization
@@ -126,9 +125,8 @@ def test_the_examples_in_docstrings_hold():
 
 
 def test_there_are_21_targets_and_every_ordered_pair_of_them():
-    np.testing.assert_allclose(
-        TARGETS[[0, 6, 10, 20]], [[1, 0], [-1, 0], [0, 2], [-3, 0]], 0, 1e-15
-    )
+    some = [[1, 0], [-1, 0], [0, 2], [-3, 0]]
+    np.testing.assert_allclose(TARGETS[[0, 6, 10, 20]], some, atol=1e-15)
     assert [tuple(pair) for pair in PAIRS] == list(permutations(range(21), 2))
     assert INNER.sum() == 14 * 13
 
@@ -234,14 +232,6 @@ def test_a_time_base_makes_each_movement_bell_shaped_as_minimum_jerk_is(iteratio
         assert found["final"].mean() <= kinematic["final"].mean()
     for name in ("dynamic (Euclidean), decay 0.92", "kinematic (Euclidean), synchronous"):
         assert frame.loc[name, 40]["correlation"].median() < 0.1
-
-
-@pytest.mark.parametrize("damping", [4.0, 10.0, 30.0])
-def test_the_forward_task_has_the_eigenvalues_of_its_equation(damping):
-    operator = linear_operator(MMCNetwork(damping=damping), (0, 1, 2))[3:, 3:]
-    expected = 1 - np.array([2 + np.sqrt(2), 2, 2 - np.sqrt(2)]) / damping
-    np.testing.assert_allclose(np.sort(np.linalg.eigvals(operator).real), expected, atol=1e-12)
-    assert factor(damping) == pytest.approx(expected[-1])
 
 
 @pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), ACCURATE], ids=["exact", "learned"])
