@@ -198,18 +198,13 @@ def test_a_cell_that_kills_its_worker_twice_ends_the_grid():
         run_grid(die, [0, "killer", *range(2, 40)], jobs=2)
 
 
-def test_a_cell_that_kills_its_worker_twice_is_named():
+@pytest.mark.parametrize("cells", [[0, "killer", 2, 3], ["killer"], []])
+def test_a_cell_that_kills_its_worker_twice_is_named(cells):
     died = {}
-    results = run_grid(die, [0, "killer", 2, 3], jobs=2, on_failure=died.__setitem__)
-    assert results == [0, None, 2, 3]
-    assert isinstance(died[1].__cause__, _grid.WorkerDied)
-
-
-def test_a_single_cell_that_may_die_does_not_take_this_process_along():
-    died = {}
-    assert run_grid(die, ["killer"], on_failure=died.__setitem__) == [None]
-    assert isinstance(died[0].__cause__, _grid.WorkerDied)
-    assert run_grid(die, [], on_failure=died.__setitem__) == []
+    results = run_grid(die, cells, jobs=None if len(cells) < 2 else 2, on_failure=died.__setitem__)
+    assert results == [None if cell == "killer" else cell for cell in cells]
+    assert [cells[index] for index in died] == [cell for cell in cells if cell == "killer"]
+    assert all(isinstance(error.__cause__, _grid.WorkerDied) for error in died.values())
 
 
 def test_workers_end_when_their_parent_is_killed():
@@ -253,18 +248,22 @@ def test_large_arrays_arrive_writable():
     assert all(result.flags.writeable for result in results)
 
 
+CLUSTERS = ("", "dask", "ray:", "ray://", "ray://host", "ray://:1", "ray:/h:1")
+
+
 @pytest.mark.parametrize(
-    "cluster", ["", "dask", "ray:", "ray://", "ray://host", "ray://:1", "ray:/h:1"]
+    ("options", "message"),
+    [
+        *(
+            ({"cluster": one}, "cluster must be 'ray' or 'ray://HOST:PORT', got")
+            for one in CLUSTERS
+        ),
+        ({"jobs": 0}, "jobs must be a whole number of at least 1, got 0"),
+    ],
 )
-def test_other_clusters_are_refused(cluster):
-    message = f"cluster must be 'ray' or 'ray://HOST:PORT', got '{cluster}'"
+def test_other_clusters_and_no_jobs_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        run_grid(square, [1], cluster=cluster)
-
-
-def test_no_jobs_are_refused():
-    with pytest.raises(ValueError, match="jobs must be a whole number of at least 1, got 0"):
-        run_grid(square, [1], jobs=0)
+        run_grid(square, [1], **options)
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):

@@ -184,28 +184,6 @@ def test_a_recording_measures_the_arm_that_moved():
         before = state.end_effector
 
 
-@pytest.mark.parametrize(
-    ("distances", "overshoots", "second_peaks", "far"),
-    [
-        ([0.9, 0.5, 0.1, 0.0], 0, 0, 0),
-        ([0.9, 0.5, 0.2, 0.22], 1, 0, 1),
-        ([0.9, 0.5, 0.1, 0.109], 0, 0, 1),
-        ([0.9, 0.5, 0.49, 0.2], 0, 1, 1),
-    ],
-)
-def test_a_movement_is_summarized_by_the_published_definitions(
-    distances, overshoots, second_peaks, far
-):
-    segments = np.zeros((1, len(distances), 3, 2))
-    segments[0, :, 0, 0] = distances
-    start = np.array([[[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]])
-    movement = protocol.Recording(start, segments, np.array([[1.0, 0.0]]), np.zeros((1, 2)))
-    found = protocol.summarize(movement)
-    names = ("overshoots", "second_peaks", "far", "peak_iteration")
-    assert [found[name] for name in names] == [overshoots, second_peaks, far, 2]
-    assert (found["final"], found["peak_velocity"]) == pytest.approx((distances[-1], 0.4))
-
-
 def test_the_accurate_normalizer_is_as_good_as_was_sought(results):
     result = results["accurate"]
     assert row(result, "accurate: mean angle error at lengths 0.9 to 1.1").ours <= 0.01
