@@ -253,8 +253,8 @@ REFUSED = [{"cluster": one} for one in ("", "dask", "ray:", "ray://", "ray://hos
 
 @pytest.mark.parametrize("options", [*REFUSED, {"jobs": 0}])
 def test_other_clusters_and_no_jobs_are_refused(options):
-    (value,) = options.values()
-    with pytest.raises(ValueError, match=rf"{[*options][0]} must be .*, got '?{value}"):
+    ((name, value),) = options.items()
+    with pytest.raises(ValueError, match=rf"{name} must be .*, got '?{value}"):
         run_grid(square, [1], **options)
 
 
