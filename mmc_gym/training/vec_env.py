@@ -130,6 +130,17 @@ class GymnasiumVecEnv(VecEnv):
     def close(self) -> None:
         self.vector_env.close()
 
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Return a picture of each environment, if its render mode is "rgb_array"."""
+        if self.render_mode != "rgb_array":
+            warnings.warn(
+                f"render_mode must be 'rgb_array' for pictures, got {self.render_mode!r}",
+                stacklevel=2,
+            )
+            return [None] * self.num_envs
+        pictures: Any = self.vector_env.render()
+        return list(pictures)
+
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return the attribute of each chosen environment; native arms share one value."""
         values = self._values(attr_name)

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -110,22 +111,29 @@ def test_reaching_the_target_shows_without_colour() -> None:
     assert dark[1] > dark[0] + 50
 
 
-def test_the_trace_is_the_hands_path_whatever_frames_are_drawn() -> None:
+@pytest.mark.parametrize("vectorized", [False, True])
+def test_the_trace_is_the_hands_path_whatever_frames_are_drawn(vectorized: bool) -> None:
     """It fades within a second, and a reset clears it."""
-    often, once, resting = (gym.make("MMCReach-v0", render_mode="rgb_array") for _ in range(3))
+    make = partial(gym.make_vec, num_envs=2) if vectorized else gym.make
+    often, once, resting = (make("MMCReach-v0", render_mode="rgb_array") for _ in range(3))
     posture = [0.5, 0.5, 0.5]
     start = tuple(np.cumsum([(math.cos(a), math.sin(a)) for a in (0.5, 1.0, 1.5)], axis=0)[-1])
+
+    def seen(env: gym.Env) -> np.ndarray:
+        return np.array(env.render()[0] if vectorized else env.render())
+
     darkness = []
     for env in (often, once, resting):
         env.reset(seed=0, options={"joint_angles": posture, "target": FAR})
     for step in range(60):
         for env in (often, once):
-            env.step(np.float32([1, 0, 0] if step < 20 else [0, 0, 0]))
-        darkness.append(255 - gray(often.render(), start, 2).min())
+            action = np.float32([1, 0, 0] if step < 20 else [0, 0, 0])
+            env.step(np.tile(action, (2, 1)) if vectorized else action)
+        darkness.append(255 - gray(seen(often), start, 2).min())
     assert darkness[10] > darkness[30] > darkness[45] > darkness[55]
-    np.testing.assert_array_equal(often.render(), once.render())
+    np.testing.assert_array_equal(seen(often), seen(once))
     once.reset(seed=0, options={"joint_angles": posture, "target": FAR})
-    np.testing.assert_array_equal(once.render(), resting.render())
+    np.testing.assert_array_equal(seen(once), seen(resting))
 
 
 @pytest.mark.parametrize("lengths", [(1.0,), (2.0, 0.5), (1.0, 0.6, 0.4, 0.2, 0.1), (30.0,) * 8])
@@ -250,6 +258,25 @@ def test_every_perturbation_can_be_seen(name: str) -> None:
             one.step(np.full(3, 0.4, np.float32))
     below = np.s_[40:]  # the caption
     assert np.abs(env.render()[below].astype(int) - plain.render()[below]).max() > 30
+
+
+def test_a_vector_of_environments_shows_what_single_ones_do() -> None:
+    names = ["locks", "delay-100", "hand-mass"]
+    arguments = {"perturbations": names, "render_mode": "rgb_array"}
+    vector = gym.make_vec("MMCReachViaPoints-v0", 2, **arguments)
+    single = [gym.make("MMCReachViaPoints-v0", **arguments) for _ in range(2)]
+    vector.reset(seed=3)
+    for index, env in enumerate(single):
+        env.reset(seed=3 + index)
+    for _ in range(12):
+        vector.step(np.full((2, 3), 0.3, np.float32))
+        for env in single:
+            env.step(np.full(3, 0.3, np.float32))
+    pictures = vector.render()
+    for shown, env in zip(pictures, single, strict=True):
+        np.testing.assert_array_equal(shown, env.render())
+    assert not np.array_equal(*pictures)
+    vector.close()
 
 
 # --- The window (SDL's dummy driver stands in for a screen)

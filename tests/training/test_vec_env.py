@@ -160,6 +160,22 @@ def test_what_all_environments_share_is_set_and_called_for_all():
     assert env.env_is_wrapped(TimeLimit, indices=[0, 1]) == [False, False]
 
 
+def test_renders_a_grid_of_pictures_and_closes():
+    env = native(render_mode="rgb_array")
+    env.reset()
+    pictures = env.get_images()
+    assert len(pictures) == COUNT
+    height, width, _ = pictures[0].shape
+    assert env.render().shape == (2 * height, 2 * width, 3)
+    env.close()
+    assert env.vector_env.closed
+
+
+def test_without_a_render_mode_there_are_no_pictures():
+    with pytest.warns(UserWarning, match="render_mode must be 'rgb_array'"):
+        assert native().get_images() == [None] * COUNT
+
+
 def test_ppo_learns_in_it_and_monitor_and_normalization_wrap_it():
     env = VecNormalize(VecMonitor(native(), info_keywords=("is_success",)), norm_obs=False)
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu")
