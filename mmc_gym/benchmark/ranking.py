@@ -41,7 +41,7 @@ from mmc_gym.benchmark.store import (
 )
 
 BASELINE_AGENT = "mmc"
-_DIGITS = 12  # rounding makes sums of the same numbers in another order equal
+_DIGITS = 12  # so that the order of summation makes no difference
 _POLICY = ["agent", "training_seed"]
 
 
@@ -56,10 +56,10 @@ def rank_agents(
 
     Args:
         episodes: as `read_episodes` returns them.
-        not_played: cells that were attempted and have no episodes.
-        baseline: the agent that all are compared with; without it there is no comparison.
-        resamples: of the bootstrap.
-        seed: of the bootstrap.
+        not_played: cells that were attempted but have no episodes.
+        baseline: the agent that all are compared with; if it did not play, improvement is NaN.
+        resamples: number of bootstrap resamples.
+        seed: seed of the bootstrap.
 
     Returns:
         A row for each agent, the best first: rank, agent, success, settled and improvement (each
@@ -113,7 +113,7 @@ def success_by_environment(
 
     Args:
         episodes: as `read_episodes` returns them.
-        not_played: cells that were attempted and have no episodes; they count as no success.
+        not_played: cells that were attempted but have no episodes; they count as failures.
 
     Returns:
         Means over training seeds and instances; NaN where nothing was attempted.
@@ -177,7 +177,7 @@ RANKING = "ranking.csv"
 def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     """Rank the agents of a store, print the table, write it to `RANKING`, and return it.
 
-    If nothing can be ranked, print the reason and return no rows.
+    If the store holds only the ideal hand, print that and return no rows.
 
     Raises:
         UserError: if the folder holds no store, or no agent could play.

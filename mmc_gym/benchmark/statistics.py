@@ -47,7 +47,7 @@ from mmc_gym.measures.episode import Floats
 
 CONFIDENCE = 0.95
 TAILS = ((1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2)
-"""The ends of a percentile interval, as quantiles."""
+"""Quantiles at the ends of a percentile interval."""
 
 RESAMPLES = 2_000
 """Default number of resamples."""
@@ -153,10 +153,8 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
     if is_twice.any():
         first = frame.loc[is_twice, list(COLUMNS)].iloc[0].to_dict()
         raise ValueError(f"frame must have each episode once, got {first} repeatedly")
-    # Numbers in place of names: -1 without a training seed.
-    environment, seed = (
-        pd.factorize(frame[column])[0] for column in ("environment", "training_seed")
-    )
+    environment = pd.factorize(frame["environment"])[0]
+    seed = pd.factorize(frame["training_seed"])[0]  # -1 without training
     instance = pd.factorize(frame["instance"], sort=True)[0]
     most = instance.max() + 1
     sizes = tuple(np.bincount(np.unique(environment * most + instance) // most).tolist())
@@ -352,15 +350,15 @@ def bootstrap_interval(
     """Return the mean or median of `values` with its 95 % percentile bootstrap interval.
 
     Percentile, not BCa: the jackknife in BCa fails for the median.  Where all values are equal,
-    all resamples are, and the interval has no width.  It does not cover what did not occur: after
-    n successes in n episodes a failure rate of up to 3/n is still plausible.
+    all resamples are, and the interval has no width.  It does not cover rare events that did not
+    occur: after n successes in n episodes a failure rate of up to 3/n is still plausible.
 
     Args:
-        values: one per episode, (episodes,), or of several trainings on the same episodes,
-            (trainings, episodes): then a resample draws trainings and episodes, see the top of
-            this module.  NaNs are left out and counted.
+        values: one per episode, (episodes,); or several trainings on the same episodes,
+            (trainings, episodes), and then both are resampled, see the top of this module.  NaNs
+            are left out and counted.
         statistic: "mean" or "median".
-        seed: of the resampling.
+        seed: seed of the resampling.
         resamples: number of resamples.
 
     Source:
@@ -393,10 +391,10 @@ def bootstrap_interval(
 def success_interval(successes: ArrayLike, episodes: int) -> Interval:
     """Return the mean success of several trainings, with its 95 % interval over seeds and episodes.
 
-    A resample draws training seeds, and for each of them a binomial number of successes in as many
-    episodes as it played.  Drawing seeds alone would give ten trainings that all succeed in 499 of
-    500 episodes an interval without width, though other episodes may show more failures.  A single
-    training has no interval, because nothing is known of other trainings.
+    A resample draws training seeds, and for each of them a binomial number of successes in the
+    given number of `episodes`.  Drawing seeds alone would give ten trainings that all succeed in
+    499 of 500 episodes an interval without width, though other episodes may show more failures.  A
+    single training has no interval, because nothing is known of other trainings.
 
     Args:
         successes: fraction of the episodes of each training that succeeded, (seeds,); NaNs are
@@ -434,31 +432,21 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
             with several trainings need a column "training_seed", and the same order of episodes in
             each training.
         measures: columns to summarize.
-        seed: of the resampling.
+        seed: seed of the resampling.
 
     Returns:
         A row per agent and measure: agent, measure, unit, statistic, and the fields of `Interval`.
     """
-    rows = [
-        {
-            "agent": agent,
-            "measure": measure.name,
-            "unit": measure.unit,
-            "statistic": measure.statistic,
-            **vars(_interval(group, measure, seed)),
-        }
-        for agent, group in episodes.groupby("agent", sort=False)
-        for measure in measures
-    ]
+    rows = []
+    for agent, group in episodes.groupby("agent", sort=False):
+        trainings = group["training_seed"].nunique() if "training_seed" in group else 1
+        for measure in measures:
+            values = group[measure.name].to_numpy(np.float64)
+            table = values.reshape(trainings, -1) if trainings > 1 else values
+            found = bootstrap_interval(table, measure.statistic, seed)
+            facts = {"measure": measure.name, "unit": measure.unit, "statistic": measure.statistic}
+            rows.append({"agent": agent, **facts, **vars(found)})
     return pd.DataFrame(rows)
-
-
-def _interval(group: pd.DataFrame, measure: Measure, seed: int) -> Interval:
-    """Return the interval of a measure over the episodes of one agent, and over its trainings."""
-    values = group[measure.name].to_numpy(np.float64)
-    trainings = group["training_seed"].nunique() if "training_seed" in group else 1
-    table = values.reshape(trainings, -1) if trainings > 1 else values
-    return bootstrap_interval(table, measure.statistic, seed)
 
 
 def percentile_interval(resampled: Floats) -> tuple[float, float]:

@@ -43,10 +43,10 @@ Direction: TypeAlias = Literal["high", "low", "neither"]
 OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
 OfEpisodes = TypeVar("OfEpisodes", bound=Callable[[Sequence[Episode]], float])
 
-# These stand in place of a unit, and say how a number without a unit was computed.
+# Shown where a unit would stand: how a number without a unit is computed.
 METHODS = ("correlation", "SPARC", "log dimensionless jerk")
 
-# Other columns of the data, which no measure may have as its name.
+# Names of other columns of the data; no measure may use them.
 _COLUMNS = (
     *("agent", "training_seed", "training_steps", "environment", "episode", "instance", "seed"),
     *("start_x", "start_y", "target_x", "target_y", "duration", "measure"),
@@ -59,7 +59,7 @@ def _not_here(episode: object) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A number that tables show; its name is its column in the data, see `measure`."""
+    """A number that tables show; its name is that of its column in the data, see `measure`."""
 
     name: str
     label: str
@@ -100,7 +100,7 @@ class Quantity:
         return f"{text} {self.shown_unit}" if has_unit and text != "–" else text
 
     def interval(self, low: float, high: float) -> str:
-        """Write the ends of an interval in brackets; return "" if it has none."""
+        """Write the ends of an interval in brackets; return "" if they are NaN."""
         return f"[{self.number(low)}, {self.number(high)}]" if math.isfinite(low) else ""
 
 
@@ -145,7 +145,7 @@ def measure(
         label: heading in tables.
         unit: of the values; "fraction" is shown in percent, "" is a plain number.
         best: "high" or "low" if such values are good, else "neither".
-        statistic: that tables show for many episodes: "mean" or "median".
+        statistic: what tables show for many episodes, "mean" or "median".
         decimals: number of decimals shown; a fraction always has one, in percent.
         shown: whether tables show it; files hold all measures.
         successes_only: whether it is reported only for episodes that ended at the target.
@@ -223,15 +223,15 @@ def digest(known: Measure | SetMeasure) -> str:
 
 
 def measures_of(facts: Mapping[str, Any]) -> dict[str, Measure]:
-    """Return all measures by name, and those that only a store knows, from their `facts`."""
-    others = {name: Measure(**kept) for name, kept in facts.items() if name not in MEASURES}
-    return {**MEASURES, **others}
+    """Return all registered measures by name, then those that only a store has `facts` of."""
+    return MEASURES | {key: Measure(**facts[key]) for key in facts if key not in MEASURES}
 
 
 def set_measures_of(facts: Mapping[str, Any]) -> dict[str, SetMeasure]:
     """Return all measures of sets by name, as `measures_of` does."""
-    others = {name: SetMeasure(**kept) for name, kept in facts.items() if name not in SET_MEASURES}
-    return {**SET_MEASURES, **others}
+    return SET_MEASURES | {
+        key: SetMeasure(**facts[key]) for key in facts if key not in SET_MEASURES
+    }
 
 
 def shown_measures() -> tuple[Measure, ...]:
@@ -247,11 +247,11 @@ def measure_all(episode: Episode) -> dict[str, float]:
 def leave_out_failures(
     episodes: pd.DataFrame, measures: Iterable[Measure] | None = None
 ) -> pd.DataFrame:
-    """Return episodes with NaN in the columns of `successes_only` measures where success is not 1.
+    """Set the columns of `successes_only` measures to NaN where success is not 1.
 
     Args:
         episodes: a row each, with a column for each measure, "success" among them.
-        measures: measures to consider; `MEASURES` by default.
+        measures: the measures of these columns; `MEASURES` by default.
     """
     known = MEASURES.values() if measures is None else measures
     names = [one.name for one in known if one.successes_only and one.name in episodes]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 
-MOVING = 0.05  # of the peak speed: a slower hand counts as resting
+MOVING = 0.05  # of the peak speed; a slower hand counts as resting
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -21,7 +21,7 @@ class Episode:
     Values that an environment does not report are NaN.
 
     Attributes:
-        seed: with which the environment was reset.
+        seed: given to the environment's reset.
         hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
         distances: from hand (or cursor) to target, segment lengths, (n + 1,).
         targets: positions of the target, segment lengths, (n + 1, 2).
@@ -33,8 +33,8 @@ class Episode:
         control_step: duration of a step, seconds.
         tolerance: distance within which the environment counts the target as reached.
         reach: of the arm as agents are given it, segment lengths.
-        cursors: positions of the cursor under a visuomotor rotation, (n + 1, 2), of which distances
-            and success are taken; None where agents see the hand itself.
+        cursors: positions of the cursor under a visuomotor rotation, (n + 1, 2); distances and
+            success are the cursor's.  None where agents see the hand itself.
     """
 
     seed: int
@@ -67,7 +67,7 @@ class Episode:
 
     @property
     def target_stands(self) -> bool:
-        """True if the target does not move, and no other one follows."""
+        """True if the target neither moves nor is replaced by another."""
         return bool((self.targets == self.targets[0]).all())
 
     @cached_property
@@ -77,7 +77,7 @@ class Episode:
 
     @cached_property
     def movement(self) -> slice:
-        """The steps of the `moving_part`; none if the hand stays within ε of its start."""
+        """Steps of the `moving_part`; empty if the hand never leaves the tolerance of its start."""
         away = np.linalg.norm(self.hands - self.hands[0], axis=-1)
         return moving_part(self.speeds) if away.max() > self.tolerance else slice(0, 0)
 
@@ -110,7 +110,7 @@ def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
 def moving_part(speeds: ArrayLike) -> slice:
     """Return the steps from the first to the last with at least 5 % of the peak speed.
 
-    None at rest.
+    The slice is empty at rest.
 
     Example:
         >>> moving_part([0.01, 0.2, 1.0, 0.02, 0.1, 0.04])

@@ -1,4 +1,4 @@
-"""Measures of the path: its length, its straightness, and the space in which it is straighter."""
+"""Measures of the path: length, straightness, and whether hand or joints move straighter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def straightness(points: ArrayLike) -> float:
     |x_n − x_0| / Σ|x_{k+1} − x_k|, between 0 and 1; NaN for a path without length.
 
     Args:
-        points: of the hand, or of the joints, (points, dimensions).
+        points: positions of the hand, or joint angles, (points, dimensions).
 
     Example:
         >>> straightness([[0, 0], [3, 0], [3, 4]])  # 5 on the line, 7 on the path
@@ -64,7 +64,7 @@ def path_ratio(episode: Episode) -> float:
 
     Σ|p_{k+1} − p_k| / |target − p_0|, over the whole episode, with corrections and tremor at the
     target.  Below 1 only if the hand stops short.  Under a visuomotor rotation both lengths are the
-    cursor's, because the cursor is to reach the target.  NaN where the target moves, and where the
+    cursor's, because the cursor must reach the target.  NaN where the target moves, and where the
     line is shorter than ε, because the ratio would grow without bound.
     """
     line = float(np.linalg.norm(episode.target - episode.seen_hands[0]))
@@ -83,8 +83,8 @@ def path_efficiency(episode: Episode) -> float:
 def maximal_deviation(episode: Episode) -> float:
     """Return the `linearity_index` of the hand's path while it moves.
 
-    It is about the line between the path's ends, not the line to the target, which under a
-    visuomotor rotation the cursor is to reach.  NaN if the ends are closer than ε.
+    The line joins the ends of the path.  It is not the line to the target, because under a
+    visuomotor rotation the cursor aims there.  NaN if the ends are closer than ε.
     """
     part = moving_part(episode.speeds)
     hands = episode.hands[part.start : part.stop + 1]
@@ -104,7 +104,7 @@ def hand_over_joint_straightness(episode: Episode) -> float:
     """Return how much straighter the movement is in hand space (1) than in joint space (−1).
 
     (d_joints − d_hand) / (d_joints + d_hand), where d is the `linearity_index` of the path in
-    either space while the hand moves.  0 if both are equally bent; NaN if the hand or the joints
+    each space while the hand moves.  0 if both are equally bent; NaN if the hand or the joints
     end where they began, and without joints.
 
     Source:

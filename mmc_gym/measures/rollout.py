@@ -82,13 +82,13 @@ def run_episodes(
     depends on its own seed only.  PyTorch, if loaded, computes on one thread.
 
     Args:
-        agent: that chooses the actions; its memory is in the state that `predict` returns.
-        env: a reaching environment that ends its episodes, single and wrapped or not; or a native
-            vector environment with an arm for each seed.
+        agent: chooses the actions; its memory is in the state that `predict` returns.
+        env: a reaching environment with a time limit, wrapped or not; or a native vector
+            environment with one arm per seed.
         seeds: one per episode, see `episode_seeds`.
         on_episode: called with each episode at its end, to show progress.
-        options: of the environment's reset for each episode, such as `{"trial": 3}`.
-        records_effort: whether the arm records the effort of its servos; otherwise it is NaN.
+        options: given to the environment's reset, one mapping per episode, such as `{"trial": 3}`.
+        records_effort: whether to record the effort of the servos; NaN otherwise.
 
     Returns:
         The episodes, in the order of the seeds.  A vector environment gives the same as a single
@@ -202,7 +202,7 @@ def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> Any:
 
 
 def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> tuple[Any, Any]:
-    """Reset each arm with its own seed and options; those with the same options together."""
+    """Reset each arm with its own seed and options, all arms with equal options in one call."""
     alike: dict[str, list[int]] = {}
     for number, option in enumerate(options):
         alike.setdefault(repr(sorted(option.items())), []).append(number)
@@ -222,7 +222,7 @@ def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) 
 
 @contextmanager
 def _effort(arm: Any, records: bool) -> Iterator[None]:
-    """Let an arm, or several, record the effort of their servos; leave anything else alone."""
+    """Switch the recording of effort on or off, if the environment's arm has such a switch."""
     if not hasattr(arm, "records_effort"):
         yield
         return
@@ -234,7 +234,7 @@ def _effort(arm: Any, records: bool) -> Iterator[None]:
 
 
 def _check_vector(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MMCReachVectorEnv:
-    """Return the native environment; raise a `UserError` if there is none."""
+    """Return the native vector environment; raise a `UserError` if `env` cannot be played."""
     native = env.unwrapped
     if not isinstance(native, MMCReachVectorEnv) or native.max_episode_steps is None:
         raise UserError(

@@ -17,8 +17,8 @@ from mmc_gym.measures.reaching import arrival_time, success
 
 FITTS_WIDTHS = (0.02, 0.05, 0.1, 0.2)  # diameters of the target, segment lengths
 
-# The power law is fitted to those samples of a path that have a curvature.
-WARM_UP = 1.0  # s until a hand has found a moving target; left out
+# The power law is fitted where the hand moves on a bent path.
+WARM_UP = 1.0  # s; left out, because the hand must first catch the moving target
 SLOWEST = 0.05  # of the highest speed; slower samples are left out
 STILLEST = 0.01  # segment lengths / s; slower counts as rest, whatever the highest speed
 STRAIGHTEST = 0.1  # 1 / segment length; a smaller curvature counts as straight
@@ -77,8 +77,8 @@ def posture_spread(joint_angles: ArrayLike) -> float:
 def posture_variability(episodes: Sequence[Episode]) -> float:
     """Return the mean over targets of the `posture_spread` at the end of successful episodes.
 
-    Episodes that end elsewhere are left out: the posture would differ for that reason alone.  So
-    are targets that were reached fewer than twice.
+    Failed episodes are left out, because the posture differs where the hand is elsewhere.  Targets
+    that were reached fewer than twice are left out too.
     """
     postures = defaultdict(list)
     for episode in episodes:

@@ -148,28 +148,20 @@ def minimum_jerk_correlation(episode: Episode) -> float:
     return correlation_with_minimum_jerk(episode.movement_speeds, MINIMUM_JERK_SPAN)
 
 
-def difference_from_minimum_jerk(
-    speeds: ArrayLike, span: tuple[float, float] = (0.0, 1.0)
-) -> float:
-    """Return the root mean square difference from minimum jerk, as a share of the mean speed.
-
-    √(mean (s_k/s̄ − m_k/m̄)²), where m is minimum jerk of the same duration and distance, and s̄ and m̄
-    are the means.  0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.  For the
-    arguments see `correlation_with_minimum_jerk`.
-    """
-    profile = np.asarray(speeds, dtype=np.float64)
-    if profile.size < 3 or highest_speed(profile) == 0.0:
-        return math.nan
-    wanted = _minimum_jerk_profile(profile.size, span)
-    return float(np.sqrt(np.mean((profile / profile.mean() - wanted / wanted.mean()) ** 2)))
-
-
 @measure(
     label="unlike minimum jerk", unit="mean speeds", best="low", decimals=3, successes_only=True
 )
 def minimum_jerk_rmse(episode: Episode) -> float:
-    """Return the `difference_from_minimum_jerk` of the movement."""
-    return difference_from_minimum_jerk(episode.movement_speeds, MINIMUM_JERK_SPAN)
+    """Return the root mean square difference from minimum jerk, as a share of the mean speed.
+
+    √(mean (s_k/s̄ − m_k/m̄)²), where m is minimum jerk of the same duration and distance, and s̄ and m̄
+    are the means.  0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.
+    """
+    profile = episode.movement_speeds
+    if profile.size < 3:
+        return math.nan
+    wanted = _minimum_jerk_profile(profile.size, MINIMUM_JERK_SPAN)
+    return float(np.sqrt(np.mean((profile / profile.mean() - wanted / wanted.mean()) ** 2)))
 
 
 @lru_cache(maxsize=1024)
@@ -220,7 +212,8 @@ def sparc(episode: Episode) -> float:
     return spectral_arc_length(episode.movement_speeds, episode.control_step)
 
 
-def smoothness_by_jerk(speeds: ArrayLike) -> float:
+@measure(label="smoothness", unit="log dimensionless jerk", best="high", successes_only=True)
+def log_dimensionless_jerk(episode: Episode) -> float:
     """Return minus the log of a profile's jerk, whatever its size and duration; high is smooth.
 
     −ln(D³/s_p² ∫₀^D (d²s/dt²)² dt), where s_p is the peak and D the duration; −ln 204.8 for minimum
@@ -231,19 +224,13 @@ def smoothness_by_jerk(speeds: ArrayLike) -> float:
     Source:
         Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), see `spectral_arc_length`.
     """
-    profile = np.asarray(speeds, dtype=np.float64)
+    profile = episode.movement_speeds
     highest = highest_speed(profile)
     if profile.size < 3 or highest == 0.0:
         return math.nan
     # T cancels: D⁴ / T⁴ · mean (Δ²s)² / s_p², with D = n T.
     jerk = profile.size**4 * float(np.mean(np.diff(profile / highest, 2) ** 2))
     return -math.log(jerk) if jerk > 0.0 else math.nan
-
-
-@measure(label="smoothness", unit="log dimensionless jerk", best="high", successes_only=True)
-def log_dimensionless_jerk(episode: Episode) -> float:
-    """Return the `smoothness_by_jerk` of the movement."""
-    return smoothness_by_jerk(episode.movement_speeds)
 
 
 @measure(label="joint effort", unit="mass len²/s", best="low", decimals=1, successes_only=True)

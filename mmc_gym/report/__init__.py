@@ -29,7 +29,7 @@ def write_report(store: Path | str, out: Path | str, resamples: int = RESAMPLES)
     Args:
         store: folder of the benchmark.
         out: the HTML file.
-        resamples: of the ranking's intervals; those of all measures have at most 500.
+        resamples: number for the ranking's intervals; the other tables use at most 500.
 
     Raises:
         UserError: if there is no store, it is damaged or has no episodes, or `out` is a folder.
@@ -46,7 +46,7 @@ def _render(results: Results, resamples: int) -> str:
     """Return the report as HTML."""
     pages = Environment(
         loader=PackageLoader("mmc_gym.report"),
-        autoescape=True,  # agents are called what users like
+        autoescape=True,  # users choose the names of agents
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -56,7 +56,8 @@ def _render(results: Results, resamples: int) -> str:
     shown: dict[str, Any] = {
         "results": results,
         "manifest": results.manifest,
-        "scope": _scope(results),
+        "policies": results.episodes[["agent", "training_seed"]].drop_duplicates(),
+        "count": count,
         "ranking": tables.ranking_table(results),
         "heat": tables.heat_table(results),
         "given": tables.given_table(results),
@@ -73,13 +74,3 @@ def _render(results: Results, resamples: int) -> str:
         "version": version("mmc-gym"),
     }
     return pages.get_template("report.html.j2").render(shown)
-
-
-def _scope(results: Results) -> str:
-    """Return how much was played."""
-    policies = results.episodes[["agent", "training_seed"]].drop_duplicates()
-    return (
-        f"{count(len(results.agents), 'agent')}, {len(policies):,} policies "
-        f"with all training seeds, {count(len(results.environments), 'environment')}, "
-        f"{count(len(results.episodes), 'episode')}."
-    )

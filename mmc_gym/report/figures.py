@@ -28,12 +28,12 @@ from mmc_gym.measures.episode import hand_speed
 from mmc_gym.report.results import Results, count, listed
 from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves
 
-_STYLE = {**STYLE, "text.parse_math": False}  # agents are called what users like
+_STYLE = {**STYLE, "text.parse_math": False}  # users choose the names of agents
 _MOVEMENT_SIZE = (2.6, 4.3)  # inches
 
 
 class Image(NamedTuple):
-    """A picture: its title, what it shows for those who do not see it, and its address."""
+    """An image: its title, a description for screen readers, and its data URL."""
 
     title: str
     description: str
@@ -69,7 +69,7 @@ def movements(results: Results) -> ImageGroup | None:
         Image(
             agent,
             f"Hand paths of {agent} to the first targets, and its hand speed over time",
-            _address(_draw_movements(mine, results, fastest)),
+            _data_url(_draw_movements(mine, results, fastest)),
         )
         for agent, mine in shown.items()
     )
@@ -122,14 +122,14 @@ def learning(results: Results) -> ImageGroup | None:
     image = Image(
         "Learning curves",
         "Success during training against environment steps, and against time",
-        _address(figure),
+        _data_url(figure),
     )
     counts = "; ".join(f"{name} {len(cards)}" for name, cards in results.curves.items())
     return ImageGroup((image,), f"Instances: the same for all agents. Training seeds: {counts}.")
 
 
-def _address(figure: Figure) -> str:
-    """Return a figure as the address of an image that needs no file."""
+def _data_url(figure: Figure) -> str:
+    """Return a figure as a data URL."""
     buffer = io.BytesIO()
     with rc_context(_STYLE):
         figure.savefig(buffer, format="svg", metadata={"Date": None})

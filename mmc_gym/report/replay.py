@@ -22,7 +22,7 @@ from mmc_gym.report.results import Results
 INSTANCES = 6
 ENVIRONMENTS = 5
 
-_SIDE_BY_SIDE = 4  # agents, to begin with
+_SIDE_BY_SIDE = 4  # agents shown at first
 _COLOURS = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "TRACE", "TARGET")
 _FITS = 0.02  # largest distance between an arm's end and its hand, segment lengths
 _SEEN_APART = 0.001  # segment lengths between a hand and a cursor
@@ -32,7 +32,7 @@ _COARSE, _FINE = 1_000, 10_000  # parts of one
 def replay(results: Results) -> dict[str, Any]:
     """Return movements of the main agents by environment, instance and agent.
 
-    Of trained agents the first training seed is shown.
+    Trained agents are shown by their first training seed.
     """
     agents = results.main_agents
     scenes = {
@@ -53,7 +53,7 @@ def replay(results: Results) -> dict[str, Any]:
 
 
 def _shown_environments(results: Results) -> list[str]:
-    """Return the base, another environment without perturbation, the strongest of each family."""
+    """Return the base, another unperturbed environment, and the strongest of each family."""
     if results.paths.empty:
         return []
     recorded = set(results.paths["environment"])
@@ -118,7 +118,7 @@ def _movement(steps: pd.DataFrame, given: Sequence[float]) -> dict[str, Any]:
 def _lengths(
     angles: NDArray[np.float64], hand: NDArray[np.float64], given: Sequence[float]
 ) -> list[float]:
-    """Return the segment lengths that lead from the postures to the hand, nearest to the given.
+    """Return the segment lengths, nearest to the given, that put the end of the arm at the hand.
 
     The body may have other segment lengths than agents are given.
     """

@@ -1,9 +1,10 @@
-"""Read a benchmark's store: episodes, paths, environments, and who the agents are."""
+"""Read a benchmark's store: episodes, paths, environments, and the identity of agents."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -32,7 +33,6 @@ from mmc_gym.measures.catalogue import measures_of, set_measures_of
 _KINDS: tuple[Kind, ...] = get_args(Kind)
 """In the order of the report, the reader's own agents first."""
 
-
 _SHOWN_AT_MOST = 7
 
 _USED = ("success", "time_to_target", "duration")
@@ -46,8 +46,8 @@ class AgentIdentity:
     Attributes:
         name: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
         knowledge: its kind, what it is given, and what it senses.
-        cards: of all its trainings in the benchmark; empty if one of them is missing.
-        damaged: why a card cannot be read, a line each.
+        cards: one for each of its trainings in the benchmark; empty if a card is missing.
+        damaged: for each card that cannot be read, the reason.
     """
 
     name: str = ""
@@ -57,12 +57,12 @@ class AgentIdentity:
 
     @property
     def description(self) -> str:
-        """A line; empty if the agent does not ship with the package."""
+        """One line of description; empty if the agent does not ship with the package."""
         return AGENTS[self.name].description if self.name in AGENTS else ""
 
 
 def identify(sources: Iterable[str]) -> AgentIdentity:
-    """Return who an agent is, from the sources of its trainings in the manifest."""
+    """Identify an agent by the sources of its trainings in the manifest."""
     found = [_identify(source) for source in sources]
     damaged = tuple(line for one in found for line in one.damaged)
     if len({(one.name, one.knowledge) for one in found}) != 1:
@@ -75,7 +75,7 @@ def _identify(source: str) -> AgentIdentity:
     try:
         agent = resolve(source)
     except UserError:
-        return AgentIdentity()  # its file or module was there when it was played
+        return AgentIdentity()  # its file or module has gone since it was played
     try:
         return AgentIdentity(agent.name, agent.knowledge, (agent.card,) if agent.card else ())
     except (FileNotFoundError, UserError) as error:
@@ -105,15 +105,15 @@ class Results:
 
     Attributes:
         manifest: how they were made, and which cells could not be played.
-        episodes: as `read_episodes` returns them, without measures that tables do not show; NaN
-            where `leave_out_failures` says so.
+        episodes: as `read_episodes` returns them, with the measures that tables show, after
+            `leave_out_failures`.
         paths: of the `main_agents`, as `read_paths` returns them.
         environments: by key, in the order of the manifest.
         identities: who each agent is.
         agents: by kind, and within a kind as `AGENTS` lists them.
-        measures: that tables show, and some episode has a value of.
-        set_measures: of all episodes of a policy together, by name.
-        sets: their values, as `read_sets` returns them.
+        measures: those that tables show and that have a value in some episode.
+        set_measures: measures of all episodes of a policy together, by name.
+        sets: values of the `set_measures`, as `read_sets` returns them.
         ranking: as `rank_agents` returns it; empty if no environment was attempted by all agents.
     """
 
@@ -129,18 +129,18 @@ class Results:
     ranking: pd.DataFrame
 
     def kind(self, agent: str) -> Kind:
-        """Return what sort of agent it is."""
+        """Return the kind of an agent."""
         return self.identities[agent].knowledge.kind
 
     @property
     def ranked(self) -> list[str]:
-        """All agents but the ideal hand, the best first, then those that are not ranked."""
+        """All agents except the ideal hand: the ranked ones, best first, then the others."""
         best_first = [] if self.ranking.empty else map(str, self.ranking["agent"])
         return [one for one in dict.fromkeys([*best_first, *self.agents]) if one != REFERENCE]
 
     @property
     def main_agents(self) -> tuple[str, ...]:
-        """The few agents that figures show: yours, the best of each kind, then the next best."""
+        """Agents that figures show: yours, the best of each kind, then the next best."""
         played = set(self.episodes["agent"])
         shown = [one for one in self.ranked if one in played and self.kind(one) != "baseline"]
         yours = [one for one in shown if self.kind(one) == "yours"]
@@ -151,12 +151,12 @@ class Results:
 
     @property
     def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
-        """Cards of the policies that took part, by agent; only of agents whose cards are known."""
+        """Cards of the policies that took part, by agent, for agents whose cards are known."""
         return {agent: one.cards for agent, one in self.identities.items() if one.cards}
 
     @property
     def curves(self) -> dict[str, tuple[PolicyCard, ...]]:
-        """The cards of those agents whose learning curves are known."""
+        """Cards by agent, for agents whose learning curves are known."""
         return {
             agent: cards
             for agent, cards in self.cards.items()
@@ -165,14 +165,14 @@ class Results:
 
     @property
     def damaged(self) -> list[str]:
-        """Why cards cannot be read, a line each."""
+        """A line for each card that cannot be read: the agent and the reason."""
         return [
             f"{agent}: {line}" for agent, one in self.identities.items() for line in one.damaged
         ]
 
     @property
     def base(self) -> str:
-        """The environment without perturbation, or another task without any, or else the first."""
+        """The baseline environment, else another without perturbation, else the first."""
         plain = [key for key, one in self.environments.items() if not one.family]
         return BASELINE if BASELINE in plain else next(iter([*plain, *self.environments]))
 
@@ -190,7 +190,7 @@ class Results:
 
     @property
     def cells_not_played(self) -> list[CellKey]:
-        """Cells without episodes, but for those of the hand without an arm."""
+        """Cells without episodes, except those of the ideal hand."""
         return [one.key for one in self.manifest.not_played if one.agent != REFERENCE]
 
     def sample_sizes(self, agents: Iterable[str], environments: Iterable[str]) -> str:
@@ -277,15 +277,10 @@ def read_results(store: Path, resamples: int = RESAMPLES) -> Results:
         sets=_plain_seeds(read_sets(store)),
         ranking=pd.DataFrame(),
     )
-    results = replace(results, ranking=_rank(results, resamples))
+    with suppress(UserError):  # no environment was attempted by all
+        ranking = rank_agents(results.episodes, results.cells_not_played, resamples=resamples)
+        results = replace(results, ranking=ranking)
     return replace(results, paths=_paths(store, results))
-
-
-def _rank(results: Results, resamples: int) -> pd.DataFrame:
-    try:
-        return rank_agents(results.episodes, results.cells_not_played, resamples=resamples)
-    except UserError:
-        return pd.DataFrame()  # no environment was attempted by all
 
 
 def _ordered(identities: Mapping[str, AgentIdentity]) -> tuple[str, ...]:
@@ -305,15 +300,13 @@ def _environment(settings: Mapping[str, Any]) -> Environment:
 
 
 def _paths(store: Path, results: Results) -> pd.DataFrame:
-    paths = read_paths(
-        store,
-        [
-            CellKey(agent, policy.training_seed, environment)
-            for agent in results.main_agents
-            for policy in results.manifest.agents.get(agent, ())
-            for environment in results.environments
-        ],
-    )
+    keys = [
+        CellKey(agent, policy.training_seed, environment)
+        for agent in results.main_agents
+        for policy in results.manifest.agents.get(agent, ())
+        for environment in results.environments
+    ]
+    paths = read_paths(store, keys)
     if paths.empty:
         return paths  # the report can do without
     # Categories are quick to compare.

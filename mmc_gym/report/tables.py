@@ -16,10 +16,10 @@ from mmc_gym.measures import MEASURES, Measure, SetMeasure
 from mmc_gym.report.results import Results, count
 
 PRESENT = 0.5
-"""Part of its episodes in which an agent must have a value to be marked as the best."""
+"""Share of its episodes in which an agent needs a value to be marked as the best."""
 
 SCORE_RESAMPLES = 500
-"""Resamples of an interval in the tables of all measures, of which there are thousands."""
+"""Number of resamples for each of the thousands of intervals in the tables of all measures."""
 
 _BETTER = {"high": "more is better", "low": "less is better", "neither": ""}
 _SHADES = 10
@@ -34,10 +34,10 @@ class Heading(NamedTuple):
 
 
 class TableCell(NamedTuple):
-    """A cell of a table: a text, and smaller notes below it.
+    """A cell of a table: its text, and notes in small print below.
 
     Attributes:
-        best: whether it is the best of its column, or row.
+        best: whether it is the best in its column, or in its row.
         look: its CSS class; empty for none.
     """
 
@@ -57,7 +57,7 @@ class TableRow(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A table: its title for those who do not see it, its CSS class, its cells and its caption."""
+    """A table: its title for screen readers, its CSS class, its cells and its caption."""
 
     title: str
     look: str
@@ -164,7 +164,7 @@ def _shade(share: float) -> str:
 
 
 def given_table(results: Results) -> Table:
-    """Return what each agent is, what it is given and senses, and what it has learned from."""
+    """Return what each agent is, what it is given, what it senses, and how long it trained."""
     rows = []
     for agent in results.agents:
         one = results.identities[agent]
@@ -214,8 +214,8 @@ def _column(
 ) -> dict[str, TableCell]:
     """Return the cell of each agent that has played an environment, by name.
 
-    An agent takes part in the contest for the best value if enough of its episodes have one: who
-    hardly ever arrives beats nobody by how little it moved.
+    An agent can be the best only if enough of its episodes have a value.  Otherwise one that hardly
+    ever arrives could win with a few short movements.
     """
     bootstrap = Bootstrap.of(episodes, measure.name, resamples)
     found = {
@@ -246,9 +246,9 @@ def _column(
 
 
 def _present(episodes: pd.DataFrame, measure: str) -> dict[str, float]:
-    """Return the part of its episodes in which each agent has a value, by name.
+    """Return the share of its episodes in which each agent has a value, by name.
 
-    Only instances count where any agent has one: few episodes record the time per action.
+    Count only instances where some agent has a value, because few record the time per action.
     """
     known = episodes[measure].notna()
     anyone = known.groupby(episodes["instance"]).transform("any")
@@ -277,7 +277,7 @@ LAWS = (
 
 
 def law_table(results: Results) -> Table | None:
-    """Return how agents keep the laws, and other measures of sets; None if none was taken."""
+    """Return how well agents follow the laws, and other set measures; None without any values."""
     known = results.sets[results.sets["value"].notna()] if len(results.sets) else results.sets
     listed = {name for law in LAWS for name in (law.measure, law.explained)}
     others = [Law(name) for name in results.set_measures if name not in listed]
