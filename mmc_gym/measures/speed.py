@@ -158,7 +158,7 @@ def minimum_jerk_rmse(episode: Episode) -> float:
     are the means.  0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.
     """
     profile = episode.movement_speeds
-    if profile.size < 3:
+    if profile.size < 3 or highest_speed(profile) == 0.0:
         return math.nan
     wanted = _minimum_jerk_profile(profile.size, MINIMUM_JERK_SPAN)
     return float(np.sqrt(np.mean((profile / profile.mean() - wanted / wanted.mean()) ** 2)))

@@ -90,14 +90,3 @@ def test_workers_take_the_measures_of_modules_and_scripts(run_script, tmp_path, 
         changed = MODULE.replace("float((episode.speeds > 0).argmax())", "-1.0")
         (tmp_path / "my_measures.py").write_text(changed)
         assert read_episodes(run_script())["steps_to_move"].eq(-1).all()  # it is taken anew
-
-
-@pytest.mark.slow
-def test_the_command_line_imports_modules_of_measures(run_script, tmp_path):
-    command = [sys.executable, "-m", "mmc_gym.cli", "compare", "--agents", "random"]
-    for module, status in (("my_measures", 0), ("nobody", 2)):
-        arguments = ["--episodes", "1", "--out", str(tmp_path / "out"), "--import", module]
-        done = subprocess.run([*command, *arguments], cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == status, done.stderr
-    assert "mmc-gym: module 'nobody' cannot be imported" in done.stderr
-    assert "steps_to_move" in pd.read_csv(tmp_path / "out" / "episodes.csv")

@@ -53,12 +53,6 @@ def test_there_is_a_time_to_target_exactly_where_there_is_success():
         assert math.isnan(arrival_time(distances, 0.05, 0.02)) != stays_within(distances, 0.05)
 
 
-def test_staying_is_to_be_there_throughout_the_last_steps():
-    distances = [1, 0.01, 0.2, 0.03, 0.03, 0.02]
-    assert [stays_within(distances, 0.03, steps) for steps in range(5)] == [1, 1, 1, 0, 0]
-    assert stays_within([0.01, 0.02], 0.03, 50)
-
-
 def test_success_with_dwell_is_within_parts_of_the_reach_for_the_last_fifth_of_a_second(
     make_episode,
 ):

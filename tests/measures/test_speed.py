@@ -34,12 +34,12 @@ def unlike_minimum_jerk(speeds):
     return minimum_jerk_rmse(moving(speeds))
 
 
-def jerk(speeds):
+def smoothness_by_jerk(speeds):
     return log_dimensionless_jerk(moving(speeds))
 
 
 SHAPES = (peakedness, phase_of_peak, correlation_with_minimum_jerk, unlike_minimum_jerk)
-SMOOTHNESS = (sparc, jerk)
+SMOOTHNESS = (sparc, smoothness_by_jerk)
 
 
 def bell(steps):
@@ -114,7 +114,7 @@ def test_the_moving_part_of_minimum_jerk_is_its_span_whatever_rest_surrounds_it(
     assert unlike_minimum_jerk(speeds) == pytest.approx(0, abs=2e-3)
     # The numbers in the module's docstring.
     assert peakedness(speeds) == pytest.approx(1.658, abs=5e-4)
-    assert jerk(speeds) == pytest.approx(-4.41, abs=5e-3)
+    assert smoothness_by_jerk(speeds) == pytest.approx(-4.41, abs=5e-3)
 
 
 TIME = (np.arange(50) + 0.5) / 50
@@ -130,7 +130,7 @@ TIME = (np.arange(50) + 0.5) / 50
     ],
 )
 def test_the_log_dimensionless_jerk_is_that_of_the_integral(speeds, jerk, error):
-    assert jerk(speeds) == pytest.approx(-math.log(jerk), abs=error)
+    assert smoothness_by_jerk(speeds) == pytest.approx(-math.log(jerk), abs=error)
 
 
 def test_sparc_is_that_of_the_authors_own_example():
@@ -139,7 +139,7 @@ def test_sparc_is_that_of_the_authors_own_example():
     assert found == pytest.approx(-1.41403, abs=5e-6)
 
 
-@pytest.mark.parametrize(("measure", "close"), [(sparc, 0.02), (jerk, 0.1)])
+@pytest.mark.parametrize(("measure", "close"), [(sparc, 0.02), (smoothness_by_jerk, 0.1)])
 def test_smoothness_ignores_duration_and_punishes_a_second_submovement(measure, close):
     assert measure(bell(120)) == pytest.approx(measure(bell(60)), abs=close)
     assert measure(np.concatenate([bell(60), 0.5 * bell(60)])) < measure(bell(60)) - 0.1

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from mmc_gym.agents.inverse_kinematics import hand_position
 from mmc_gym.agents.policy import PRETRAINED
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.store import (
@@ -30,11 +31,13 @@ from mmc_gym.benchmark.store import (
 from mmc_gym.benchmark.suite import SCENARIOS, minimum_jerk_episodes
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
 from mmc_gym.report import write_report
+from mmc_gym.report.results import read_results
 
 HOSTILE = "<script>alert(1)</script>"
 KEYS = ("random", "centre-out", "rotation-15", "rotation-60", "delay-100", "locked-1", "locked-2")
 INSTANCES = 14
 STEPS, CONTROL_STEP = 60, 0.02
+LENGTHS = (1.0, 1.0, 1.0)
 
 
 class Mover(NamedTuple):
@@ -57,11 +60,6 @@ AGENTS = {
 }
 
 
-def hand_of(joint_angles):
-    turned = np.cumsum(joint_angles, axis=-1)
-    return np.stack([np.cos(turned).sum(-1), np.sin(turned).sum(-1)], axis=-1)
-
-
 def episode(instance, duration, trembling, error, seed=0):
     random = np.random.default_rng([instance, 7])
     start, end = random.uniform(-1.2, 1.2, (2, 3))
@@ -70,9 +68,8 @@ def episode(instance, duration, trembling, error, seed=0):
     shake = trembling * np.sin(2.1 * np.arange(STEPS + 1)) * (part < 1)
     joints = start + bell[:, None] * (end + error - start) + shake[:, None]
     joints[0] = start
-    noise = np.random.default_rng([instance, seed]).normal(0, 2e-4, (STEPS + 1, 3))
-    joints = joints + noise
-    hands, target = hand_of(joints), hand_of(end)
+    joints += np.random.default_rng([instance, seed]).normal(0, 2e-4, (STEPS + 1, 3))
+    hands, target = hand_position(joints, LENGTHS), hand_position(end, LENGTHS)
     return Episode(
         seed=instance,
         hands=hands,
@@ -116,7 +113,7 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
         episodes=instances,
         seed=0,
         control_step=CONTROL_STEP,
-        segment_lengths=(1.0, 1.0, 1.0),
+        segment_lengths=LENGTHS,
         tolerance=0.05,
         measures={name: one.facts for name, one in MEASURES.items()},
         set_measures={name: one.facts for name, one in SET_MEASURES.items()},
@@ -149,6 +146,11 @@ def benchmark_store(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benchmark")
     write_store(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def results(benchmark_store):
+    return read_results(benchmark_store, resamples=200)
 
 
 @pytest.fixture(scope="session")

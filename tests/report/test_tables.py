@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import pandas as pd
-import pytest
 
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.ranking import rank_agents
@@ -17,11 +16,6 @@ from mmc_gym.report import write_report
 from mmc_gym.report.figures import movements
 from mmc_gym.report.results import read_results
 from mmc_gym.report.tables import LAWS, heat_table, law_table, ranking_table, score_table
-
-
-@pytest.fixture(scope="module")
-def results(benchmark_store):
-    return read_results(benchmark_store, resamples=200)
 
 
 def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
