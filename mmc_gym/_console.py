@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.measure import Measurement
 from rich.padding import Padding
 from rich.progress import (
     BarColumn,
@@ -22,7 +21,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-WIDTH = 120  # columns, where there is no terminal to ask and COLUMNS is not set
+WIDTH = 120  # columns, without a terminal and without COLUMNS
 _GAP = 2
 _NAME_WIDTH = 16  # of a column's heading; longer ones continue on the next line
 _ASCII = str.maketrans(
@@ -42,8 +41,8 @@ def progress_bar(*, auto_refresh: bool = True) -> Progress:
     """Return a bar on stderr: task, progress, elapsed and remaining time; none without a terminal.
 
     Args:
-        auto_refresh: draw from a thread, ten times a second.  Without it the caller refreshes, so
-            that no thread disturbs timings.
+        auto_refresh: draw from a thread, ten times a second.  Without it the caller draws, and no
+            thread disturbs timings.
     """
     console = Console(stderr=True)
     return Progress(
@@ -60,7 +59,7 @@ def progress_bar(*, auto_refresh: bool = True) -> Progress:
 
 
 def number(value: float, decimals: int) -> str:
-    """Return a number with a true minus sign; "–" for NaN; "<0.01" if its digits would hide it.
+    """Return a number with a true minus sign; "–" for NaN; "<0.01" if it would be rounded to 0.
 
     >>> number(0.75, 1), number(-0.25, 2), number(-0.001, 2), number(0.001, 2)
     ('0.8', '−0.25', '0.00', '<0.01')
@@ -91,11 +90,11 @@ def _digits(value: float, decimals: int) -> str:
 
 
 def cell(row: Mapping[Any, Any], decimals: int) -> str:
-    """Return a statistic, its interval below, and how many episodes have one, if not all.
+    """Return a statistic, its interval below, and the number of episodes with a value, if not all.
 
     Args:
         row: estimate, low, high, count, missing.
-        decimals: the most; fewer if the estimate has three digits without them.
+        decimals: at most; fewer if three digits are reached without them.
 
     >>> print(cell(dict(estimate=0.5, low=0.4, high=0.61, count=9, missing=1), 2))
     0.50
@@ -116,48 +115,17 @@ def _three_digits(estimate: float, at_most: int) -> int:
     return max(0, min(at_most, 3 - digits_before_point))
 
 
-def print_rows(console: Console, rows: Sequence[Mapping[str, str]], left: str) -> None:
-    """Print a table with a row for each mapping, headed by its keys.
-
-    The column `left` is text, and its lines are not broken; the others are numbers, aligned at the
-    right.  Columns move closer together if the console is narrow.
-    """
-    unbounded = console.options.update_width(10 * console.width)
-    for gap in (_GAP, 1):
-        table = _table(gap)
-        for heading in rows[0]:
-            table.add_column(
-                text_for(console, heading),
-                justify="left" if heading == left else "right",
-                no_wrap=heading == left,
-                overflow="fold",
-                vertical="top",
-            )
-        for row in rows:
-            table.add_row(*(text_for(console, content) for content in row.values()))
-        if Measurement.get(console, unbounded, table).maximum <= console.width:
-            break
-    console.print(Padding(table, (1, 0)))
-
-
 def print_list(
     console: Console, rows: Iterable[Sequence[str]], headings: Sequence[str] = ()
 ) -> None:
-    """Print rows of text, as wide as the console, without breaking the first text of a row.
-
-    Keep signs such as µ wherever they can be encoded, also in a pipe.
-    """
+    """Print rows of text, as wide as the console, without breaking the first text of a row."""
     table = _table()
     table.show_header = bool(headings)
     for number, row in enumerate(rows):
         for column, heading in enumerate(headings or row) if number == 0 else ():
-            table.add_column(_encodable(console, heading), no_wrap=column == 0, overflow="fold")
-        table.add_row(*(_encodable(console, content) for content in row))
+            table.add_column(heading, no_wrap=column == 0, overflow="fold")
+        table.add_row(*(Text(_encodable(console, content)) for content in row))
     console.print(table)
-
-
-def _encodable(console: Console, content: str) -> Text:
-    return Text(content if _knows_signs(console) else _to_ascii(content))
 
 
 def print_columns(
@@ -166,18 +134,19 @@ def print_columns(
     columns: Mapping[str, Sequence[str]],
     note: str,
 ) -> None:
-    """Print a column of cells for each agent, and `note` below.
+    """Print columns of text and columns of numbers, and `note` below.
 
     Columns that do not fit side by side continue in a further table.
 
     Args:
         console: where to.
-        labels: of the rows, by the heading of their column; repeated in each further table.
-        columns: cells of each agent, as many as there are labels.
+        labels: texts of the rows by heading, aligned at the left; repeated in each further table.
+        columns: numbers of the rows by heading, aligned at the right.
         note: how to read the numbers.
     """
     widths = {
-        name: max(_width(cells), min(len(name), _NAME_WIDTH)) for name, cells in columns.items()
+        name: max(_width(cells), min(_width([name]), _NAME_WIDTH))
+        for name, cells in columns.items()
     }
     taken = sum(max(_width(cells), len(heading)) for heading, cells in labels.items())
     room = console.width - taken - _GAP * (len(labels) - 1)
@@ -200,33 +169,27 @@ def print_columns(
 
 
 def print_written(console: Console, paths: Iterable[Path]) -> None:
-    """Print the files that were written, a line each, unbroken so that they can be copied."""
+    """Print the written files, an unbroken line each, so that they can be copied."""
     for path in paths:
         name = str(path).encode(console.encoding, "replace").decode(console.encoding)
         console.print(f"wrote {name}", highlight=False, markup=False, soft_wrap=True)
 
 
 def text_for(console: Console, content: str) -> Text:
-    """Return a text with all lines but the first dimmed.
-
-    It is plain ASCII if the console is no terminal, or its encoding lacks the signs.
-    """
-    if not console.is_terminal or not _knows_signs(console):
-        content = _to_ascii(content)
-    first, line_break, rest = content.partition("\n")
+    """Return a text for the console, with all lines but the first dimmed."""
+    first, line_break, rest = _encodable(console, content).partition("\n")
     return Text.assemble(first, line_break, (rest, "dim"))
 
 
-def _knows_signs(console: Console) -> bool:
-    return console.encoding.lower().startswith("utf")
-
-
-def _to_ascii(content: str) -> str:
+def _encodable(console: Console, content: str) -> str:
+    """Return a text, in plain ASCII if the console is no terminal or its encoding lacks signs."""
+    if console.is_terminal and console.encoding.lower().startswith("utf"):
+        return content
     return content.translate(_ASCII).encode("ascii", "replace").decode()
 
 
-def _table(gap: int = _GAP) -> Table:
-    return Table(box=None, padding=(0, gap, 0, 0), pad_edge=False, header_style="bold")
+def _table() -> Table:
+    return Table(box=None, padding=(0, _GAP, 0, 0), pad_edge=False, header_style="bold")
 
 
 def _side_by_side(widths: Mapping[str, int], room: int) -> Iterator[list[str]]:

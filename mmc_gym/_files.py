@@ -17,7 +17,7 @@ from mmc_gym._errors import UserError, require
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
     """Write `content` to a temporary file beside `path`, flush it to disk, and rename it.
 
-    Make missing parent folders.  Write text as UTF-8.
+    Missing parent folders are made.  A text is written as UTF-8.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -36,25 +36,21 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
 
 
 def check_folder(path: Path | str, name: str) -> Path:
-    """Return the path; raise a `UserError` that names the argument if it cannot be a folder.
+    """Return the path of a folder, which need not exist but must not be a file or lie in one.
 
-    A folder need not exist, but must not be a file, nor lie in one.
+    Raises:
+        UserError: if it cannot be a folder; it names the argument.
     """
     require(isinstance(path, str | Path), name, path, "the path of a folder")
     path = Path(path)
-    for part in (path, *path.parents):
-        if part.exists():
-            if not part.is_dir():
-                raise UserError(f"{name} must be a folder, got the file {str(part)!r}")
-            break
+    existing = next((part for part in (path, *path.parents) if part.exists()), Path())
+    if not existing.is_dir():
+        raise UserError(f"{name} must be a folder, got the file {str(existing)!r}")
     return path
 
 
-# Modules of users
-
-
 def look_here() -> None:
-    """Let modules in the working directory be found, as `python -m` does but no console script."""
+    """Let modules in the working directory be imported, as under `python -m`."""
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)
@@ -76,10 +72,10 @@ def import_modules(names: Iterable[str]) -> None:
 
 
 def import_object(path: str, what: str) -> Any:
-    """Return the object that `path`, "module:name", stands for.
+    """Return the object that is named by `path`, "module:name".
 
     Raises:
-        UserError: if the module cannot be imported or has no such name; it says `what` it is.
+        UserError: if the module cannot be imported or has no such name; it begins with `what`.
     """
     look_here()
     try:

@@ -3,8 +3,8 @@
     mmc-gym compare | benchmark | report | train | tune | curves
             | play | record | list | show
 
-A mistake of the user's ends with one line on stderr and status 2, a cell of a grid that failed with
-one line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
+A mistake of the user ends with one line on stderr and status 2, a failed cell of a grid with one
+line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
 environment each ends with the traceback instead.
 """
 
@@ -13,9 +13,9 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -31,7 +31,6 @@ from mmc_gym._grid import CellError
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
-    from mmc_gym.benchmark.runner import Progress as BenchmarkProgress
     from mmc_gym.training.hyperparameters import Recipe
     from mmc_gym.training.training import TrainingProgress
 
@@ -47,10 +46,10 @@ _app = tyro.extras.SubcommandApp()
 
 @dataclass(frozen=True)
 class Imports:
-    """The option of commands that know things by name."""
+    """The option of commands that look things up by name."""
 
     imports: Annotated[tuple[str, ...], tyro.conf.arg(name="import")] = ()
-    """Modules of yours to import first, which register environments, tasks, perturbations or
+    """Your own modules to import first, which register environments, tasks, perturbations or
     measures."""
 
     def load(self) -> None:
@@ -151,7 +150,7 @@ def benchmark(
     Args:
         agents: Names (ppo: all its training seeds; ppo-3: one), and everything else that compare
             accepts (default: most that ship).
-        environments: Names of scenarios, such as random or delay-100, or environments of yours, by
+        environments: Names of scenarios, such as random or delay-100, or your own environments, by
             id, module:Id or module:function (default: all scenarios).
         episodes: Episodes in each scenario; numbered trials are played once each.
         seed: Seed of the starts and targets.
@@ -164,10 +163,6 @@ def benchmark(
     given.load()
     with progress_bar() as bar:
         task = bar.add_task("cells")
-
-        def report(progress: BenchmarkProgress) -> None:
-            bar.update(task, completed=progress.done, total=progress.total)
-
         runner.benchmark(
             agents or suite.default_agents(),
             out,
@@ -178,7 +173,7 @@ def benchmark(
             cluster=cluster,
             env_kwargs=given.arguments,
             allow_pickle=given.allow_pickle,
-            on_progress=report,
+            on_progress=lambda cells: bar.update(task, completed=cells.done, total=cells.total),
         )
     ranking.print_ranking(make_console(), out)
 
@@ -302,9 +297,6 @@ def _train_all(
                 f"{card.training_steps:>10,} steps  {card.training_seconds:6.0f} s"
             )
 
-        def on_note(note: str) -> None:
-            bar.console.print(note, markup=False, highlight=False)
-
         training.train_all(
             policies,
             out,
@@ -313,7 +305,7 @@ def _train_all(
             jobs=jobs,
             cluster=cluster,
             on_policy=on_policy,
-            on_note=on_note,
+            on_note=lambda note: bar.console.print(note, markup=False, highlight=False),
         )
 
 
@@ -324,7 +316,7 @@ def tune(
     steps: int = 200_000,
     out: Path = Path("runs/tune"),
 ) -> None:
-    """Let Optuna look for better constants; resumes where it stopped.
+    """Let Optuna search for better constants; resume where it stopped.
 
     Args:
         name: mmc, or a name or file that train accepts.
@@ -456,8 +448,9 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"mmc-gym {version('mmc-gym')}")
         return
     try:
-        with _warnings_in_one_line():
-            config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --given.env-kwargs
+        config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --given.env-kwargs
+        with warnings.catch_warnings():
+            warnings.showwarning = partial(_show_warning, warnings.showwarning)
             _app.cli(prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config)
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -478,27 +471,17 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(status) from error
 
 
-@contextmanager
-def _warnings_in_one_line() -> Iterator[None]:
-    """Print a `MismatchWarning` as errors are printed: without the place in the code."""
-    usual = warnings.formatwarning
-
-    def in_one_line(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        line: str | None = None,
-    ) -> str:
-        if issubclass(category, MismatchWarning):
-            return f"mmc-gym: {message}\n"
-        return usual(message, category, filename, lineno, line)
-
-    warnings.formatwarning = in_one_line
-    try:
-        yield
-    finally:
-        warnings.formatwarning = usual
+def _show_warning(
+    usual: Callable[..., None],
+    message: Warning | str,
+    category: type[Warning],
+    *place: Any,
+) -> None:
+    """Print a `MismatchWarning` as errors are printed: without its place in the code."""
+    if issubclass(category, MismatchWarning):
+        print(f"mmc-gym: {message}", file=sys.stderr)
+    else:
+        usual(message, category, *place)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Lists of what is available, a line each; and one scenario in detail."""
+"""List what is available, a line each, and describe one scenario in detail."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
-from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Listed(NamedTuple):
-    """A line of a list: the name of a thing, its description, and what it needs or its unit."""
+    """A line of a list: a name, its description, and what it needs or its unit."""
 
     name: str
     what: str
@@ -50,12 +49,9 @@ class Listing(list[str]):
         super().__init__(row.name for row in self.rows)
 
     def _repr_html_(self) -> str:
-        heading = "".join(f"<th>{name}</th>" for name in self.headings)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
-            for row in self.rows
-        )
-        return f"<table><tr>{heading}</tr>{body}</table>"
+        import pandas as pd
+
+        return pd.DataFrame(self.rows, columns=self.headings).to_html(index=False, border=0)
 
 
 def list_agents() -> Listing:
@@ -105,7 +101,7 @@ def _strength(family: Family) -> str:
 
 
 def list_scenarios() -> Listing:
-    """Return the names of the benchmark's scenarios; others differ in strength."""
+    """Return the names of the benchmark's scenarios; any other strength works, too."""
     from mmc_gym.benchmark.suite import SCENARIOS
 
     rows = (
@@ -216,9 +212,9 @@ def _short(value: Any) -> str:
 def picture(
     name: str, steps: int = 11, options: dict[str, Any] | None = None, seed: int = 6
 ) -> NDArray[np.uint8]:
-    """Return a picture (height, width, 3) of a scenario: an arm that the MMC network moves.
+    """Return a picture (height, width, 3) of an arm that the MMC network moves in a scenario.
 
-    The thin arm is the posture of the network, ahead of the body.
+    The thin arm is the posture of the network, which is ahead of the body.
 
     Args:
         name: as in `describe`.

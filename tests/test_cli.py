@@ -1,6 +1,5 @@
 """The commands, as a user types them."""
 
-import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -80,26 +79,16 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
         (["train", "dqn"], "name 'dqn' is not accepted. It may be ppo, "),
         (["train"], "or else give --all"),
         (["train", "ppo", "--all"], "or else give --all"),
-        (
-            ["train", "ppo", "--env", "MMCReachGoal-v0"],
-            "env for ppo 'MMCReachGoal-v0' is not",
-        ),
+        (["train", "ppo", "--env", "MMCReachGoal-v0"], "env for ppo 'MMCReachGoal-v0' is not"),
         (["train", "--all", "--cluster", "slurm"], "cluster must be 'ray'"),
         (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
         (["train", "ppo", "--steps", "0"], "n_timesteps must be at least 1, got 0"),
-        (["train", "ppo", "--steps", "-5"], "n_timesteps must be at least 1, got -5"),
         (["train", "ppo", "--device", "foo"], "device must be one that PyTorch can use here"),
         (["train", "ppo", "--out", __file__], "out must be a folder, got the file"),
         (["train", "ppo", "--cluster", "ray"], "--cluster is for --all only, got ray"),
-        (["train", "ppo", "--jobs", "-3"], "--jobs is for --all only, got -3"),
         (["train", "--all", "--jobs", "-3"], "jobs must be a whole number of at least 1, got -3"),
-        (["train", "--all", "--steps", "0"], "steps must be at least 1, got 0"),
-        (["train", "--all", "--out", __file__], "out must be a folder, got the file"),
         (["train", "--all", "--seed", "3"], "--seed is for a single training only, got 3"),
-        (["train", "--all", "--env", "MMCReach-v0"], "--env is for a single training only"),
-        (["train", "--all", "--tensorboard", "logs"], "--tensorboard is for a single training"),
         (["tune", "mmc", "--trials", "0"], "trials must be a whole number of at least 1"),
-        (["play", "--agent", "mcc"], "mcc"),
     ],
 )
 def test_mistakes_end_with_one_line_that_names_them(arguments, message, capsys):
@@ -119,21 +108,11 @@ def test_the_version_is_printed_and_help_says_so(capsys):
     assert "--version" in capsys.readouterr().out
 
 
-@pytest.mark.skipif(not shutil.which("bash"), reason="no bash")
-def test_bash_completes_commands_and_options(tmp_path, capsys):
+def test_a_shell_completes_commands_and_options(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--tyro-print-completion", "bash"])
-    assert not stop.value.code
-    script = tmp_path / "completion.bash"
-    script.write_text(capsys.readouterr().out)
-    ask = (
-        f"source {script}; COMP_WORDS=(mmc-gym {{}}); COMP_CWORD={{}}; "
-        "$(complete -p mmc-gym | sed 's/.* -F \\([^ ]*\\) .*/\\1/'); echo ${{COMPREPLY[*]}}"
-    )
-    for words, expected in (("rec", "record"), ("record --epi", "--episodes")):
-        command = ask.format(words, len(words.split()))
-        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
-        assert done.stdout.split() == [expected], done.stderr
+    script = capsys.readouterr().out
+    assert not stop.value.code and "record" in script and "--episodes" in script
 
 
 def test_help_does_not_import_torch():

@@ -1,8 +1,8 @@
-"""Policies trained by reinforcement learning: kept as safetensors and JSON, run as agents.
+"""Policies trained by reinforcement learning: saved as safetensors and JSON, run as agents.
 
-A policy is two files.  NAME-SEED.safetensors holds the weights; NAME-SEED.json, its card, says what
-they are weights of, how they were trained, and which weights they are (SHA-256).  Neither holds
-code: names on a card are looked up here, never imported or evaluated.
+A policy is two files.  NAME-SEED.safetensors holds the weights.  NAME-SEED.json, its card,
+describes the network and its training, and has the SHA-256 of the weights.  Neither holds code:
+names on a card are looked up here, never imported or evaluated.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ from mmc_gym.interface import (
 )
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
-FINAL_EPISODES = 500  # of the one after it, whose scores stand on the card
+FINAL_EPISODES = 500  # of the evaluation after a training; its scores are on the card
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
-SUFFIXES = (".json", ".safetensors")
+SUFFIXES = (".json", ".safetensors")  # of a policy's two files
 CURVE_COLUMNS = ("steps", "seconds", "cpu_seconds", "success")
 """Entries of every row of a learning curve."""
 
@@ -70,12 +70,7 @@ Seconds = Annotated[float, Ge(0), Lt(math.inf)]
 if TYPE_CHECKING:
     Row = dict[str, float]
 else:
-    Row = dict[str, int | float | None]  # whole numbers stay so; None where there is no value
-
-
-def is_policy_path(name: str) -> bool:
-    """Return whether a name is the path of one of a policy's two files."""
-    return name.endswith(SUFFIXES)
+    Row = dict[str, int | float | None]  # whole numbers stay whole; None where there is no value
 
 
 def file_stem(name: str, seed: int) -> str:
@@ -90,7 +85,7 @@ def shipped_file(name: str, seed: int) -> Path:
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True))
 class PolicyCard:
-    """The card of a trained policy: what it is, and how it came about.
+    """The card of a trained policy: what it is, and how it was trained.
 
     Attributes:
         name: of the hyperparameters, such as "ppo".
@@ -100,7 +95,7 @@ class PolicyCard:
         activation: see `PolicyNetwork`.
         distribution: see `PolicyNetwork`.
         base_agent: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none.
-        hyperparameters: as in the YAML file.
+        hyperparameters: the entries of the YAML file.
         training_steps: environment steps.
         training_seconds: wall time.
         training_cpu_seconds: time of all cores, of this process alone.
@@ -108,8 +103,8 @@ class PolicyCard:
         scores: of the evaluation after training.
         learning_curve: one row per evaluation during training, with `CURVE_COLUMNS` and more.
         sha256: of the weights file.
-        engine: that it was trained on; None if the card does not say.
-        body: the arm that it was trained with, without perturbations; None if it does not say.
+        engine: the physics engine of its training; None if unknown.
+        body: the arm that it was trained with, without perturbations; None if unknown.
         blocks: steps in each block of its memory, see `History`; empty if it has none.
     """
 
@@ -176,7 +171,7 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
 
     Raises:
         FileNotFoundError: if one of them is missing.
-        UserError: if one is damaged, or they do not belong together; for a folder, too.
+        UserError: if one is damaged, they do not belong together, or it is another path.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
@@ -215,8 +210,8 @@ def load_agent(path: str | Path, env: Any) -> PolicyAgent:
 
     Raises:
         FileNotFoundError: if one of the files is missing.
-        UserError: if they hold no policy, or `env` is none of this package's; as `CannotActError`,
-            if the policy cannot act in it.
+        UserError: if they hold no policy, or `env` is no environment of this package; as
+            `CannotActError`, if the policy cannot act in it.
     """
     network, card = load_policy(path)
     agent = PolicyAgent(network, card, ReachInterface.of(env))
@@ -233,10 +228,10 @@ class PolicyAgent(Agent[Any]):
     def __init__(
         self, network: PolicyNetwork, card: PolicyCard, interface: ReachInterface, seed: int = 0
     ) -> None:
-        """Make an agent; the seed is that of its exploration, where it is not deterministic.
+        """Make an agent; `seed` is for its exploration, where it is not deterministic.
 
-        A policy that gives joint deltas also acts in an environment with position control,
-        where the same servo is handed the same joint target.
+        A policy that gives joint deltas also acts under position control, where it hands the same
+        joint targets to the same servo.
 
         Raises:
             CannotActError: if the arm has another number of joints than the policy's, or the
@@ -273,16 +268,13 @@ class PolicyAgent(Agent[Any]):
     @override
     def facts(self) -> dict[str, str]:
         card = self.card
-        success = card.scores.get("success")
-        facts = {
+        return {
             "policy": card.file_stem,
             "algorithm": card.algorithm,
             "control": card.control,
             "trained in": card.env_id,
             "training": f"{card.training_steps:,} steps in {card.training_seconds:.0f} s",
-            "success after it": "unknown" if success is None else f"{success:.1%}",
         }
-        return facts | ({"corrects": card.base_agent} if card.base_agent else {})
 
     def save(self, folder: Path | str) -> Path:
         """Write the policy's two files, NAME-SEED, into `folder`; return the path of its card."""
@@ -319,17 +311,15 @@ class PolicyAgent(Agent[Any]):
             action = corrected(proposal, self._network.act(seen, random))
         if self._convert:
             sensed = self._interface.sense(observation)
-            ahead = self._interface.max_joint_delta * action
             now = sensed.joint_angles
-            action = self._interface.act(
-                self._interface.within_limits_from(now, now + ahead), sensed
-            )
+            ahead = now + self._interface.max_joint_delta * action
+            action = self._interface.act(self._interface.within_limits_from(now, ahead), sensed)
         return action, state
 
     def _remembered(
         self, history: History, observation: Observation, state: Any, episode_start: Started
     ) -> Float32:
-        """Return the memory to continue from, made anew where an episode starts."""
+        """Return the memory to resume from, made anew where an episode starts."""
         start = history.start(observation)
         if state is None:
             return start
@@ -339,9 +329,7 @@ class PolicyAgent(Agent[Any]):
         return np.asarray(state, np.float32) if starts is None else where(starts, start, state)
 
 
-BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {
-    "mmc": dynamic_mmc,
-}
+BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {"mmc": dynamic_mmc}
 
 
 def corrected(proposal: Float32, correction: Float32) -> Float32:

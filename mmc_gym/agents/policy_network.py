@@ -20,10 +20,10 @@ The network is a small MLP that gives the mean of an action, and its spread.
     gaussian (PPO):            action = clip(mean + σ ε, −1, 1)
     squashed (SAC and TQC):    action = tanh(mean + σ ε)
 
-with ε = 0 for the deterministic action.  It does what the policy of stable-baselines3 that the
-weights are from does, to rounding errors, without PyTorch, and for one arm several times faster.
+with ε = 0 for the deterministic action.  It gives the actions of the stable-baselines3 policy that
+the weights are from, to rounding errors, without PyTorch, and for one arm several times faster.
 
-A policy with a memory also sees a `History` of what it observed and did.
+A policy with a memory also sees its `History` of observations and actions.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def turned_actions(
 
 
 class PolicyNetwork:
-    """The network: `input_size` features, layers of `hidden_units`, an action of `action_size`."""
+    """A network from `input_size` features through layers of `hidden_units` to an action."""
 
     def __init__(self, tensors: Tensors, activation: Activation, distribution: Distribution):
         """Make a network of its weights.
@@ -115,25 +115,23 @@ class PolicyNetwork:
         hidden = [f"hidden.{index}" for index in range(depth)]
         spread_is_constant = "log_std" in tensors
         heads = ["mean"] if spread_is_constant else ["mean", "log_std"]
-        names = {f"{layer}.{part}" for layer in hidden + heads for part in ("weight", "bias")}
-        names |= {"log_std"} if spread_is_constant else set()
-        if depth == 0 or set(tensors) != names:
-            raise ValueError(f"tensors must be {sorted(names)}, got {sorted(tensors)}")
-        sizes = [tensors["hidden.0.weight"].shape[-1]]
-        sizes += [len(tensors[f"{layer}.bias"]) for layer in hidden]
-        action_size = len(tensors["mean.bias"])
-        shapes: dict[str, tuple[int, ...]] = {"log_std": (action_size,)}
+        try:
+            sizes = [tensors["hidden.0.weight"].shape[-1]]
+            sizes += [len(tensors[f"{layer}.bias"]) for layer in hidden]
+            action_size = len(tensors["mean.bias"])
+        except KeyError as error:
+            raise ValueError(f"tensors must have {error}, got {sorted(tensors)}") from None
+        shapes: dict[str, tuple[int, ...]] = {}
+        if spread_is_constant:
+            shapes["log_std"] = (action_size,)
         for layer, inputs, outputs in (
             *zip(hidden, sizes, sizes[1:]),
             *((head, sizes[-1], action_size) for head in heads),
         ):
             shapes |= {f"{layer}.weight": (outputs, inputs), f"{layer}.bias": (outputs,)}
-        for name, tensor in tensors.items():
-            if tensor.shape != shapes[name] or tensor.dtype != np.float32:
-                raise ValueError(
-                    f"{name} must be float32 of shape {shapes[name]}, "
-                    f"got {tensor.dtype} of shape {tensor.shape}"
-                )
+        found = {name: one.shape for name, one in tensors.items() if one.dtype == np.float32}
+        if found != shapes:
+            raise ValueError(f"tensors must be float32 of shapes {shapes}, got {found}")
         self.tensors = dict(tensors)
         self.activation: Activation = activation
         self.distribution: Distribution = distribution
@@ -174,16 +172,16 @@ class PolicyNetwork:
 
 @dataclass(frozen=True)
 class History:
-    """A policy's memory: what it observed and did in its last steps, from now backwards.
+    """A policy's memory: observations and actions of its last steps, the latest first.
 
     The steps are cut into blocks, the latest one first.  Of each block the policy sees the mean of
 
         joint angles, hand and target, each minus the present observation; actions
 
     where hand and target are turned into the present frame of the first segment.  So an arm and a
-    target at rest are seen as zeros under any view of the world, a mean over a block filters noise,
-    and a difference between blocks is a velocity.  A memory starts filled with the first
-    observation of the episode and without actions.
+    target at rest are zeros however the world is turned, a mean over a block filters noise, and a
+    difference between blocks is a velocity.  At the start of an episode the memory is filled with
+    its first observation and with actions of zero.
 
     Attributes:
         layout: of the observations.

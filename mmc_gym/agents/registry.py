@@ -1,4 +1,4 @@
-"""The agents of this package, with all that is known of each.  A new agent is one new entry."""
+"""The agents of this package and what is known of each.  A new agent is one new entry."""
 
 from __future__ import annotations
 
@@ -83,16 +83,16 @@ def learned_knowledge(
 
 @dataclass(frozen=True)
 class AgentEntry:
-    """An agent of this package, with all that is known of it.
+    """An agent of this package, and what is known of it.
 
     Attributes:
-        description: a line.
-        build: makes it from what it is given; of trained agents, the one of training seed 0.
+        description: what it is, in a line.
+        build: makes it from what it is given; for a trained agent, its training of seed 0.
         knowledge: its kind, what it is given, and what it senses.
         control: the control mode in which it is compared.  Agents that give joint targets act in
             every mode that has a servo; only joint positions do not depend on late senses.
-        training_seeds: how many trainings of it ship with the package; 0: it is not trained.
-        by_default: whether a benchmark plays it unless it is given others.
+        training_seeds: how many trainings of it ship with the package; 0 if it is not trained.
+        by_default: whether it takes part in a benchmark that is given no agents.
     """
 
     description: str

@@ -1,4 +1,4 @@
-"""Resolve agents: the one grammar for them, and all that is known of each.
+"""Resolve agents: the grammar of their names, and what is known of each.
 
     mmc                            an agent of this package
     ppo-3, ppo                     a trained one: its training of seed 3; all of them, or seed 0
@@ -9,7 +9,7 @@
     LABEL=...                      any of these under another name
 
 In Python functions, classes, models of stable-baselines3 and other objects with `predict` are
-agents, too.  Nothing else in the package takes an agent's name apart.
+agents, too.  No other module parses the name of an agent.
 """
 
 from __future__ import annotations
@@ -45,14 +45,7 @@ from mmc_gym.agents.registry import (
     Knowledge,
     learned_knowledge,
 )
-from mmc_gym.agents.sb3 import (
-    SUFFIX,
-    ModelAgent,
-    SavedModel,
-    agent_of_model,
-    find_model,
-    is_model,
-)
+from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, find_model
 from mmc_gym.interface import CONTROLS, CannotActError, Control
 
 if TYPE_CHECKING:
@@ -68,8 +61,8 @@ Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequen
 class ResolvedAgent:
     """An agent, or one of its trainings.
 
-    Its files are read and its module is imported on demand; `check` does both.  A process that it
-    is sent to does so again.
+    Its files are read and its module is imported when they are first needed, again in each process
+    that it is sent to.
 
     Attributes:
         label: the agent's name in tables and data.
@@ -77,24 +70,22 @@ class ResolvedAgent:
             "module:function"; empty for functions and objects.
         name: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship with the package.
         policy: the path of its policy; None if it has none.
-        model: its file of stable-baselines3; None if it has none.
-        given: the function or object itself; None for a name.
+        model: its model of stable-baselines3, or the file of one; None if it has none.
+        given: the function or object itself; None for a name or a model.
         number: the place of this training among several whose files do not tell their seeds.
-        allow_pickle: whether its pickles may be loaded.
     """
 
     label: str
     source: str
     name: str = ""
     policy: Path | None = None
-    model: SavedModel | None = None
+    model: SavedModel | ModelAgent | None = None
     given: Any = None
     number: int | None = None
-    allow_pickle: bool = False
 
     @cached_property
     def factory(self) -> Factory:
-        """The function that makes it for an environment.
+        """The function that makes the agent for an environment.
 
         Raises:
             FileNotFoundError: if a file is missing.
@@ -105,7 +96,8 @@ class ResolvedAgent:
 
             return partial(load_agent, self.policy)
         if self.model is not None:
-            return self.model.load().acting_in
+            loaded = self.model.load() if isinstance(self.model, SavedModel) else self.model
+            return loaded.acting_in
         if self.is_reference:
             return _refuse_reference
         if self.name:
@@ -114,7 +106,7 @@ class ResolvedAgent:
 
     @cached_property
     def _thing(self) -> Any:
-        """The function or object that was handed in, or is imported by its name."""
+        """The function or object that was given, or is imported by its name."""
         return _imported(self.source) if self.given is None else self.given
 
     @cached_property
@@ -136,9 +128,9 @@ class ResolvedAgent:
         """The seed of its training, from its files or counted; None if untrained or unknown."""
         if self.number is not None:
             return self.number
-        if self.model is not None:
-            return self.model.training_seed
-        return None if self.card is None else self.card.seed
+        if self.card is not None:
+            return self.card.seed
+        return None if self.model is None else self.model.training_seed
 
     @property
     def source_name(self) -> str:
@@ -162,20 +154,14 @@ class ResolvedAgent:
 
     @property
     def own_control(self) -> Control | None:
-        """The only control mode that it acts by; None if it acts by several or does not tell.
+        """The only control mode that it acts by; None if it acts by several, or it is not known.
 
-        An object may tell it by an attribute `control`.
+        An object may have an attribute `control` that says so.
         """
-        if self.card is not None:
-            return self.card.control
-        if self.model is not None:
-            return self.model.trained_in.control
-        if self.name:
+        if self.name and self.card is None:
             return None
-        if isinstance(self._thing, ModelAgent):
-            return self._thing.trained_in.control
-        said = getattr(self._thing, "control", None)
-        return said if isinstance(said, str) and said in CONTROLS else None
+        known = getattr(self.card or self.model or self._thing, "control", None)
+        return known if isinstance(known, str) and known in CONTROLS else None
 
     @property
     def knowledge(self) -> Knowledge:
@@ -184,29 +170,20 @@ class ResolvedAgent:
             kind: Kind = "learned" if self.name else "yours"
             card, memory = self.card, sum(self.card.blocks)
             return learned_knowledge(card.view, card.base_agent, kind, memory=memory)
-        if self._is_model:
+        if self.model is not None:
             return learned_knowledge("arm", kind="yours")
         if self.is_reference:
             return IDEAL
         return self.entry.knowledge if self.entry else UNKNOWN
 
-    @property
-    def acts_on_batches(self) -> bool:
-        """Whether it is known to act on batches: agents of this package, policies and models do."""
-        return bool(self.name) or self.policy is not None or self._is_model
-
-    @property
-    def _is_model(self) -> bool:
-        return self.model is not None or isinstance(self.given, ModelAgent)
-
     @cached_property
     def fingerprint(self) -> str:
         """A digest (SHA-256) of what it is made of; another one is another agent.
 
-        Of a policy these are its weights, together with the code if it corrects another agent; of
-        a model its weights and statistics; of an agent without a policy the code of all agents and
-        of the network; of "module:function" the module's file, and of an object its pickle.  What
-        that imports or reads may change unnoticed.  Empty where nothing is known.
+        A policy is made of its weights, and of the code if it corrects another agent; a model of
+        its weights and statistics; an agent without a policy of the code of all agents and of the
+        network; "module:function" of the module's file, and an object of its pickle.  A change of
+        what these import or read goes unnoticed.  Empty where nothing is known.
         """
         if self.card is not None:
             if not self.card.base_agent:
@@ -216,12 +193,10 @@ class ResolvedAgent:
             return self.model.digest
         if self.name:
             return "" if self.is_reference else code_digest()
-        if isinstance(self.given, ModelAgent):
-            return self.given.digest
         return _digest_of_module(self.source) if self.source else _digest_of_pickle(self.given)
 
     def check(self) -> None:
-        """Import its module, or read its policy or model, which raises what `factory` does."""
+        """Import its module or read its files; raise what `factory` and `card` raise."""
         if not self.is_reference:
             _ = self.factory, self.card
 
@@ -232,16 +207,16 @@ class ResolvedAgent:
 
 
 def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
-    """Identify an agent; of several trainings, the first.
+    """Return the agent of a name, path, function or object; of several trainings, the first.
 
     Args:
-        agent: a name or path as above.  "ppo" is its training of seed 0; folders are those that
-            `mmc-gym train` and rl_zoo3 write; modules in the working directory are found.  Or a
-            model of stable-baselines3, or another object with `predict`.  Or a function or class:
-            it is called with the environment and returns such an object; or, if it does not, it is
-            called with observations and returns actions.
-        allow_pickle: whether files that hold pickles may be loaded, which runs whatever code they
-            name: those of stable-baselines3 do.
+        agent: a name or path as above, a model of stable-baselines3, or another object with
+            `predict`.  Or a function or class: called with the environment it returns such an
+            object, or else called with an observation it returns an action.  "ppo" is its training
+            of seed 0.  Folders are those that `mmc-gym train` and rl_zoo3 write.  Modules are found
+            in the working directory, too.
+        allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
+            That runs whatever code they name.
 
     Raises:
         UserError: if it is none of these.
@@ -266,8 +241,8 @@ def resolve_all(
             all its trainings; or else for that of seed 0.
 
     Raises:
-        UserError: if there is none, an unknown one, or two of one label and training seed; or a
-            file holds no policy, or pickles that may not be loaded.
+        UserError: if there is none, an unknown one, or two of the same label and training seed; if
+            a file holds no policy, or pickles that may not be loaded.
         FileNotFoundError: if a file is missing.
 
     >>> [(one.label, one.training_seed) for one in resolve_all(["mmc", "mine=ppo-3"])]
@@ -276,14 +251,12 @@ def resolve_all(
     fine = isinstance(agents, Iterable)
     require(fine, "agents", agents, "a list of agents, such as ['mmc', 'ppo'], or a mapping")
     found = []
-    if isinstance(agents, Mapping):
-        for label, given in agents.items():
-            require(isinstance(label, str), "the label of an agent", label, "a text")
-            several: Any = given if isinstance(given, (list, tuple)) else [given]
-            found += _trainings(several, label, allow_pickle, every_training)
-    else:
-        for agent in [agents] if isinstance(agents, str) else agents:
-            found += _trainings([agent], "", allow_pickle, every_training)
+    listed = [agents] if isinstance(agents, str) else agents
+    pairs: Any = agents.items() if isinstance(agents, Mapping) else (("", one) for one in listed)
+    for label, given in pairs:
+        require(isinstance(label, str), "the label of an agent", label, "a text")
+        several = given if isinstance(given, (list, tuple)) else [given]
+        found += _trainings(several, label, allow_pickle, every_training)
     if not found:
         raise UserError("agents must be one or more, such as mmc and ppo, got none")
     seen = set()
@@ -323,9 +296,9 @@ def _trainings(
 
 
 def _labelled(text: str) -> tuple[str, str]:
-    """Take `LABEL=SOURCE` apart; the label is "" where there is none."""
+    """Split `LABEL=SOURCE`; without a label it is ""."""
     label, sign, source = text.partition("=")
-    # Folders and files may have an = in them.
+    # An = may also be part of a path.
     if not sign or "/" in label or "\\" in label or Path(text).exists() or glob(text):
         return "", text
     if not label:
@@ -334,7 +307,7 @@ def _labelled(text: str) -> tuple[str, str]:
 
 
 def _expanded(source: str, every_training: bool) -> tuple[str, list[AgentLike]]:
-    """Return the trainings that a name or pattern stands for, and a label for several."""
+    """Return a label for all trainings of a name or pattern, and their sources."""
     name = source.removesuffix("-*")
     trained = name in AGENTS and AGENTS[name].training_seeds > 0
     if trained and (every_training or name != source):
@@ -343,16 +316,11 @@ def _expanded(source: str, every_training: bool) -> tuple[str, list[AgentLike]]:
         return "", [source]
     # Of a policy's two files one is enough.
     suffixes = (".safetensors",) if source.endswith(".safetensors") else (".json", SUFFIX)
-    paths = sorted(glob(source), key=_numbers)
+    paths = sorted(glob(source))
     found = [path for path in paths if path.endswith(suffixes) or Path(path).is_dir()]
     if not found:
         raise UserError(f"agents must match a file or a folder, got {source!r}")
     return _common_label(source), list(found)
-
-
-def _numbers(path: str) -> list[Any]:
-    """Return a key that sorts mine-2 before mine-10."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path)]
 
 
 def _common_label(pattern: str) -> str:
@@ -366,10 +334,9 @@ def _resolved(agent: AgentLike, allow_pickle: bool) -> ResolvedAgent:
     """Return the agent of a name without label, or of a function or object."""
     if isinstance(agent, (str, Path)):
         return _resolve_name(str(agent), allow_pickle)
-    if is_model(agent):
-        agent = agent_of_model(agent)
+    agent = as_agent(agent)
     if isinstance(agent, ModelAgent):
-        return ResolvedAgent(agent.label, "", given=agent)
+        return ResolvedAgent(agent.label, "", model=agent)
     if hasattr(agent, "predict") or callable(agent):
         label = cast(str, getattr(agent, "__name__", type(agent).__name__))
         return ResolvedAgent(label, "", given=agent)
@@ -379,19 +346,19 @@ def _resolved(agent: AgentLike, allow_pickle: bool) -> ResolvedAgent:
 def _resolve_name(name: str, allow_pickle: bool) -> ResolvedAgent:
     if name == REFERENCE or (name in AGENTS and not AGENTS[name].training_seeds):
         return ResolvedAgent(name, name, name)
-    from mmc_gym.agents.policy import is_policy_path, shipped_file
+    from mmc_gym.agents.policy import SUFFIXES, shipped_file
 
-    if is_policy_path(name):
+    if name.endswith(SUFFIXES):
         return ResolvedAgent(Path(name).stem, name, policy=Path(name))
     if name.endswith(SUFFIX):
-        return _of_model(Path(name).stem, name, Path(name), allow_pickle)
+        return ResolvedAgent(Path(name).stem, name, model=SavedModel(Path(name), allow_pickle))
     kind, _, seed = (name, "", "0") if name in AGENTS else name.rpartition("-")
     if kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds)):
         path = shipped_file(kind, int(seed))
         return ResolvedAgent(name, path.stem, kind, path)
     if name and Path(name).is_dir():
         return _resolve_folder(Path(name), name, allow_pickle)
-    if ":" in name and not name.startswith("."):  # a relative import is none from here
+    if ":" in name and not name.startswith("."):  # relative imports are not accepted
         return ResolvedAgent(name, name)
     raise _unknown(name)
 
@@ -410,12 +377,7 @@ def _resolve_folder(folder: Path, name: str, allow_pickle: bool) -> ResolvedAgen
             f"agent {name!r} must be a folder with one policy, or with a zip file of "
             f"stable-baselines3, got {names}"
         )
-    return _of_model(label, name, path, allow_pickle)
-
-
-def _of_model(label: str, source: str, path: Path, allow_pickle: bool) -> ResolvedAgent:
-    model = SavedModel(path, allow_pickle)
-    return ResolvedAgent(label, source, model=model, allow_pickle=allow_pickle)
+    return ResolvedAgent(label, name, model=SavedModel(path, allow_pickle))
 
 
 def _unknown(agent: object) -> UserError:
@@ -440,24 +402,24 @@ def _imported(path: str) -> Any:
     found = import_object(path, "agent")
     if not callable(found) and not hasattr(found, "predict"):
         raise UserError(f"agent {path!r} must be a function of the environment, got {found!r}")
-    return agent_of_model(found) if is_model(found) else found
+    return as_agent(found)
 
 
 def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
-    """Return the agent that a function, a class or an object stands for in an environment."""
+    """Make the agent of a function, a class or an object for an environment."""
     if isinstance(given, ModelAgent):
         return given.acting_in(env)
     if hasattr(given, "predict") and not isinstance(given, type):
         return _with_whole_signature(given)
     made, failure = None, None
     try:
-        made = given(env)
+        made = as_agent(given(env))
     except CannotActError:
         raise
     except Exception as error:  # it may be a function of observations
         failure = error
-    if is_model(made):
-        return agent_of_model(made).acting_in(env)
+    if isinstance(made, ModelAgent):
+        return made.acting_in(env)
     if hasattr(made, "predict"):
         return _with_whole_signature(made)
     if not isinstance(given, type) and _gives_actions(given, env):
@@ -476,13 +438,13 @@ def _gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bo
     space.seed(0)
     try:
         action = np.asarray(function(space.sample()))
-    except Exception:  # whatever it raises, it is no such function
+    except Exception:  # whatever it raises, it takes no observations
         return False
     return action.shape == env.action_space.shape and action.dtype.kind in "fiub"
 
 
 def _function_agent(function: Callable[[Any], Any]) -> Predictor:
-    """Return the agent of a function of observations that returns actions, or action and state."""
+    """Return the agent of a function of observations that returns an action, or it and a state."""
 
     def predict(
         observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -494,12 +456,12 @@ def _function_agent(function: Callable[[Any], Any]) -> Predictor:
 
 
 def _with_whole_signature(agent: Any) -> Predictor:
-    """Return the agent itself; or one that leaves out what its `predict` does not take."""
+    """Return the agent; or one that calls its `predict` with the observation alone."""
     try:
         inspect.signature(agent.predict).bind(None, None, None, deterministic=True)
     except TypeError:
         return _function_agent(agent.predict)
-    except ValueError:  # it has no signature that Python knows
+    except ValueError:  # Python does not know its signature
         pass
     return cast(Predictor, agent)
 
@@ -517,13 +479,13 @@ def _digest_of_module(source: str) -> str:
 def _digest_of_pickle(thing: Any) -> str:
     try:
         return hashlib.sha256(cloudpickle.dumps(thing)).hexdigest()
-    except Exception:  # whatever stands against it; a worker will say so
+    except Exception:  # it cannot be pickled; a worker raises the same error
         return ""
 
 
 @cache
 def code_digest() -> str:
-    """Return the SHA-256 of the code and the weights that agents without a policy are made of."""
+    """Return the SHA-256 of the code and weights of all agents that have no policy."""
     package = Path(str(files("mmc_gym")))
     parts = [package / "interface.py"]
     for folder in ("agents", "network"):

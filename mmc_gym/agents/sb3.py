@@ -19,6 +19,7 @@ import sys
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
 
 SUFFIX = ".zip"
-# What a policy is made of; nothing else in a zip file is unpickled.
+# Entries that a policy is made of; no others in a zip file are unpickled.
 _NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde")
 
 
@@ -55,8 +56,7 @@ class World(NamedTuple):
     Attributes:
         control: its control mode.
         body: its arm, without perturbations.
-        wrappers: those around it that change observations or actions, by the names of their
-            classes.
+        wrappers: class names of the wrappers that change observations or actions.
     """
 
     control: Control | None = None
@@ -67,24 +67,21 @@ class World(NamedTuple):
 class ModelAgent(Agent[Any]):
     """The policy of a model, with the statistics that its observations are normalized by.
 
-    Of a model that is trained further, both are always the present ones.
+    If the model is trained further, the agent acts with its present weights and statistics.
 
     Attributes:
         label: of the model, for messages.
         trained_in: the environment that it was trained in.
     """
 
+    training_seed = None
+
     def __init__(
-        self,
-        policy: Any,
-        normalizer: Any = None,
-        *,
-        label: str,
-        training_steps: int,
-        trained_in: World = World(),  # noqa: B008  (it is immutable)
+        self, policy: Any, normalizer: Any, *, label: str, training_steps: int, trained_in: World
     ) -> None:
         """Make the agent of a stable-baselines3 policy; the normalizer is a `VecNormalize`."""
         self.label, self.training_steps, self.trained_in = label, training_steps, trained_in
+        self.control = trained_in.control
         self._policy, self._normalizer = policy, normalizer
 
     @override
@@ -119,10 +116,9 @@ class ModelAgent(Agent[Any]):
                     f"{name} must be of shape {_shape(mine)} for {self.label}, got {_shape(here)}"
                 )
         control = read_attribute(env, "control")
-        if None not in (self.trained_in.control, control) and control != self.trained_in.control:
+        if self.control and control and control != self.control:
             raise ControlError(
-                f"control must be {self.trained_in.control!r} for {self.label}, got {control!r}",
-                str(self.trained_in.control),
+                f"control must be {self.control!r} for {self.label}, got {control!r}", self.control
             )
         warn_of_another_arm(self.label, self.trained_in.body, env)
         missing = [one for one in self.trained_in.wrappers if one not in _wrappers(env)]
@@ -136,20 +132,15 @@ class ModelAgent(Agent[Any]):
         digest = hashlib.sha256()
         for name, tensor in self._policy.state_dict().items():
             digest.update(name.encode() + tensor.detach().cpu().numpy().tobytes())
-        for rms in _statistics(self._normalizer):
+        statistics = getattr(self._normalizer, "obs_rms", None) or {}
+        for rms in statistics.values() if isinstance(statistics, Mapping) else [statistics]:
             digest.update(rms.mean.tobytes() + rms.var.tobytes())
         return digest.hexdigest()
 
 
-def _statistics(normalizer: Any) -> list[Any]:
-    rms = getattr(normalizer, "obs_rms", None)
-    return list(rms.values()) if isinstance(rms, Mapping) else [] if rms is None else [rms]
-
-
 def _shape(space: Any) -> Any:
-    inside = getattr(space, "spaces", None)
-    if isinstance(inside, Mapping):
-        return {name: one.shape for name, one in inside.items()}
+    if isinstance(space, gym.spaces.Dict):
+        return {name: one.shape for name, one in space.items()}
     return space.shape
 
 
@@ -157,22 +148,19 @@ def _warn(message: str) -> None:
     warnings.warn(message, MismatchWarning, stacklevel=4)
 
 
-def is_model(thing: object) -> bool:
-    """Return whether it is a model or a policy of stable-baselines3, without importing that."""
-    if "stable_baselines3" not in sys.modules:
-        return False
+def as_agent(thing: Any) -> Any:
+    """Return the agent of a model or a policy of stable-baselines3; anything else as it is."""
+    if "stable_baselines3" not in sys.modules:  # nothing can be of a module that is not imported
+        return thing
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.policies import BasePolicy
 
-    return isinstance(thing, (BaseAlgorithm, BasePolicy))
-
-
-def agent_of_model(model: Any) -> ModelAgent:
-    """Return the agent of a model or a policy, and what its environment tells, if it has one."""
-    env = getattr(model, "env", None)
+    if not isinstance(thing, (BaseAlgorithm, BasePolicy)):
+        return thing
+    model: Any = thing
+    env = getattr(model, "env", None)  # a pickled model has none
     return ModelAgent(
         getattr(model, "policy", model),
-        # It drops its environment when it is pickled.
         None if env is None else model.get_vec_normalize_env(),
         label=type(model).__name__,
         training_steps=int(getattr(model, "num_timesteps", 0)),
@@ -215,7 +203,7 @@ class SavedModel:
 
     Attributes:
         path: of the file.
-        allow_pickle: whether its pickles may be loaded, and modules imported that files name.
+        allow_pickle: whether its pickles may be loaded.
     """
 
     path: Path
@@ -223,11 +211,11 @@ class SavedModel:
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:
-        """All entries of the file, those that are pickled unread.
+        """All entries of the file; pickled ones are not unpickled.
 
         Raises:
             FileNotFoundError: if there is no such file.
-            UserError: if it is none of stable-baselines3.
+            UserError: if it is no file of stable-baselines3.
         """
         try:
             with zipfile.ZipFile(self.path) as archive:
@@ -243,12 +231,12 @@ class SavedModel:
     @cached_property
     def config(self) -> Mapping[str, Any]:
         """The hyperparameters that rl_zoo3 wrote; empty without."""
-        return _read_yaml(self._beside("config.yml"))
+        return self._read_yaml("config.yml")
 
     @cached_property
     def arguments(self) -> Mapping[str, Any]:
         """The arguments that rl_zoo3 was called with; empty without."""
-        return _read_yaml(self._beside("args.yml"))
+        return self._read_yaml("args.yml")
 
     @property
     def training_seed(self) -> int | None:
@@ -256,42 +244,42 @@ class SavedModel:
         seed = self.arguments.get("seed", self.facts.get("seed"))
         return seed if isinstance(seed, int) and seed >= 0 else None
 
+    @property
+    def control(self) -> Control | None:
+        """The control mode that it was trained in; None if it is not known."""
+        return self.trained_in.control
+
     @cached_property
     def trained_in(self) -> World:
         """The environment as rl_zoo3's files describe it; unknown without them.
 
-        To know its defaults and its arm, it is made.  That imports a module unless it is an
-        environment of this package; so without `allow_pickle` others tell a control mode only
-        where the files have it.
+        One of this package is made, to read its default control mode and its arm.  Others are not:
+        that might import any module.  Of them only a control mode in the files is known.
         """
-        env_id = self.arguments.get("env")
         given: dict[str, Any] = {}
         for entries in (self.config, self.arguments):
             found = entries.get("env_kwargs")
             given |= found if isinstance(found, dict) else {}
         control = given.get("control")
         known = World(control if control in CONTROLS else None)
-        spec = gym.registry.get(str(env_id))
-        is_ours = spec is not None and str(spec.entry_point).startswith("mmc_gym.")
-        if not isinstance(env_id, str) or not (is_ours or self.allow_pickle):
+        spec = gym.registry.get(str(self.arguments.get("env")))
+        if spec is None or not str(spec.entry_point).startswith("mmc_gym."):
             return known
         try:
-            env: gym.Env[Any, Any] = gym.make(env_id, **given)
-        except (gym.error.Error, ImportError, TypeError, ValueError):  # it is not there any more
+            with closing(gym.make(spec, **given)) as env:
+                return World(read_attribute(env, "control"), read_attribute(env, "unperturbed"))
+        except (TypeError, ValueError):  # another version took these arguments
             return known
-        found = World(read_attribute(env, "control"), read_attribute(env, "unperturbed"))
-        env.close()
-        return found
 
     @cached_property
     def statistics(self) -> Path | None:
         """The file with the statistics of its `VecNormalize`; None if it has none.
 
         Raises:
-            UserError: if there are several, or rl_zoo3's config.yml asks for one that is missing.
+            UserError: if there are several, or config.yml of rl_zoo3 needs one that is missing.
         """
         asked = self.config.get("normalize")
-        # Set at the start of a training behind VecNormalize, and in any off-policy one.
+        # This entry is set by a training behind VecNormalize, and by every off-policy training.
         unused = self.facts.get("_last_original_obs") is None and self.facts.get("num_timesteps")
         if asked is False or (asked is None and (self.config or unused)):
             return None
@@ -317,18 +305,18 @@ class SavedModel:
     @cached_property
     def digest(self) -> str:
         """The SHA-256 of its file and its statistics."""
-        files = [self.path, *([self.statistics] if self.statistics else [])]
-        return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+        statistics = b"" if self.statistics is None else self.statistics.read_bytes()
+        return hashlib.sha256(self.path.read_bytes() + statistics).hexdigest()
 
     def load(self) -> ModelAgent:
         """Load the model, which runs the code that its pickles name.
 
         Raises:
             FileNotFoundError: if there is no such file.
-            UserError: if that is not allowed, it cannot be loaded, or it acts behind wrappers of
-                rl_zoo3.
+            UserError: if pickles are not allowed, it cannot be loaded, or rl_zoo3 trained it behind
+                wrappers.
         """
-        _ = self.facts  # a file that is missing, or no model, is said first
+        steps = self.facts.get("num_timesteps")  # read first: it names a missing or wrong file
         if not self.allow_pickle:
             raise UserError(
                 f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
@@ -340,9 +328,9 @@ class SavedModel:
                     f"{self.path} was trained behind {name}: {self.config[name]}, which is missing "
                     "here: give a function of the environment that returns an object with predict"
                 )
-        steps = self.facts.get("num_timesteps")
         normalizer = None if self.statistics is None else _load_statistics(self.statistics)
-        if normalizer is None and "gae_lambda" in self.facts and self._was_normalized:
+        was_normalized = self.facts.get("_last_original_obs") is not None
+        if normalizer is None and "gae_lambda" in self.facts and was_normalized:
             _warn(
                 f"{self.path} was trained behind VecNormalize, but no statistics lie beside it: "
                 "env.save('vecnormalize.pkl') writes them"
@@ -355,15 +343,11 @@ class SavedModel:
             trained_in=self.trained_in,
         )
 
-    @property
-    def _was_normalized(self) -> bool:
-        return self.facts.get("_last_original_obs") is not None
-
     def _load_policy(self) -> Any:
         try:
             from stable_baselines3.common.save_util import load_from_zip_file
 
-            # What stands in `custom_objects` is not unpickled.
+            # Entries in `custom_objects` are not unpickled.
             others = {name: None for name in self.facts if name not in _NEEDED}
             content = io.BytesIO(self.path.read_bytes())
             data, weights, _ = load_from_zip_file(content, custom_objects=others, device="cpu")
@@ -372,10 +356,8 @@ class SavedModel:
             if data.get("use_sde") and "use_sde" in inspect.signature(kind).parameters:
                 options.setdefault("use_sde", True)
             spaces = data["observation_space"], data["action_space"]
-            policy = kind(*spaces, lr_schedule=_no_learning, **options)
+            policy = kind(*spaces, lr_schedule=lambda progress: 0.0, **options)
             policy.load_state_dict(weights["policy"])
-        except FileNotFoundError:
-            raise
         except Exception as error:  # whatever unpickled code raises
             raise UserError(f"{self.path} cannot be loaded: {error}") from error
         return policy
@@ -386,21 +368,22 @@ class SavedModel:
         inside = [one.parent for one in folder.glob("*/args.yml")]
         return [file for one in (folder, *inside) for file in one.glob("*") if file.is_file()]
 
-    def _beside(self, name: str) -> Path | None:
-        return next((file for file in self._near() if file.name == name), None)
-
-
-def _no_learning(progress_remaining: float) -> float:
-    return 0.0
+    def _read_yaml(self, name: str) -> Mapping[str, Any]:
+        """Return the entries of the file of this name beside it; none without one."""
+        path = next((file for file in self._near() if file.name == name), None)
+        if path is None:
+            return {}
+        try:
+            found = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
+        except (yaml.YAMLError, ValueError, TypeError, IndexError) as error:
+            raise UserError(f"{path} must be a file of rl_zoo3: {error}") from error
+        return found if isinstance(found, dict) else {}
 
 
 def _load_statistics(path: Path) -> Any:
-    from stable_baselines3.common.vec_env import VecNormalize
-
     try:
-        with path.open("rb") as file:
-            found = pickle.load(file)
-        if not isinstance(found, VecNormalize):
+        found = pickle.loads(path.read_bytes())
+        if not hasattr(found, "normalize_obs"):
             raise TypeError(f"it holds {type(found).__name__}")
     except Exception as error:  # whatever unpickled code raises
         raise UserError(f"{path} must hold VecNormalize's statistics: {error}") from error
@@ -408,7 +391,7 @@ def _load_statistics(path: Path) -> Any:
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Read rl_zoo3's files: ordered mappings as plain ones, and other objects as None, unmade."""
+    """Read files of rl_zoo3: ordered mappings as plain ones; other objects are None, never made."""
 
 
 def _ordered(loader: yaml.SafeLoader, suffix: str, node: yaml.Node) -> Any:
@@ -422,20 +405,10 @@ def _ordered(loader: yaml.SafeLoader, suffix: str, node: yaml.Node) -> Any:
 _PlainLoader.add_multi_constructor("tag:yaml.org,2002:python/", _ordered)
 
 
-def _read_yaml(path: Path | None) -> Mapping[str, Any]:
-    if path is None:
-        return {}
-    try:
-        found = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
-    except (yaml.YAMLError, ValueError, TypeError, IndexError) as error:
-        raise UserError(f"{path} must be a file of rl_zoo3: {error}") from error
-    return found if isinstance(found, dict) else {}
-
-
 def find_model(folder: Path) -> Path | None:
-    """Return the zip file that a folder stands for; None if there is none.
+    """Return the zip file of the model in a folder; None if there is none.
 
-    rl_zoo3's best_model.zip, or else the model at the end of its training; or the only zip file.
+    It is best_model.zip of rl_zoo3, or its model at the end of training, or the only zip file.
 
     Raises:
         UserError: if there are several.

@@ -5,9 +5,8 @@ from __future__ import annotations
 import io
 import json
 import platform
-import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from html import escape
 from importlib.metadata import version
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
-_REFRESH = 0.1  # seconds between two drawings of the progress bar
+_REFRESH = 10  # episodes between two drawings of the progress bar
 
 
 def compare(
@@ -65,18 +64,18 @@ def compare(
 
     Args:
         agents: names, paths of files, functions, classes, models of stable-baselines3, or other
-            objects with `predict`, see `mmc_gym.agents.resolve`.  A mapping gives them labels; a
-            list in it is several trainings of one agent, and so is a pattern, "runs/mine-*".
+            objects with `predict`, see `mmc_gym.agents.resolve`.  A mapping gives them labels.  A
+            list in it holds several trainings of one agent; so does a pattern, "runs/mine-*".
         env: id of a reaching environment, "module:Id", "module:function", or a function or class
             that returns one.
         episodes: how many each agent plays.
-        seed: of the starts and targets, see `episode_seeds`, and of the resampling.
+        seed: of the starts and targets, see `episode_seeds`, and of the bootstrap.
         out: folder for data and figure; None writes none.
         console: to print the table to; None prints nothing.  `print(comparison)` does, too.
         env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
             several control modes, or do not tell theirs.
-        allow_pickle: whether files that hold pickles may be loaded, which runs whatever code they
-            name: those of stable-baselines3 do.
+        allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
+            That runs whatever code they name.
 
     Raises:
         UserError: if an argument is outside what it accepts.
@@ -99,17 +98,15 @@ def compare(
         check_environment(made)
     envs: list[gym.Env[Any, Any]] = []
     players: list[Predictor] = []
-    try:
-        # All are made before the first one plays: a missing file should not cost the others' work.
+    with ExitStack() as stack:
+        # All are made before the first one plays, so that a missing file is noticed at once.
         for agent in found:
             made, player = make_player(agent, env, given)
+            stack.callback(made.close)
             envs.append(made)
             players.append(player)
         played = _play(found, players, envs, seeds)
         reach = float(envs[0].get_wrapper_attr("reach"))
-    finally:
-        for made in envs:
-            made.close()
     steps = {
         agent.label: getattr(player, "training_steps", None)
         for agent, player in zip(found, players)
@@ -136,7 +133,8 @@ def compare(
             agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
         },
     )
-    written = comparison.write(out) if out is not None else []  # safe before anything is printed
+    # Files first: an error in printing should not lose them.
+    written = comparison.write(out) if out is not None else []
     if console is not None:
         comparison.print(console)
         print_written(console, written)
@@ -203,11 +201,7 @@ class Comparison:
         one, shown = next(iter(self.recorded.values())), shown_measures()
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         of_all = ", ".join(measure.label for measure in shown if not measure.successes_only)
-        reference = (
-            f"{REFERENCE}: a hand without an arm, through the same measures. "
-            if REFERENCE in self.recorded
-            else ""
-        )
+        reference = f"{REFERENCE}: a hand without an arm, through the same measures. "
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         where = f"{self.env} with {arguments}" if arguments else self.env
         return (
@@ -215,7 +209,8 @@ class Comparison:
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
             f"segment lengths; at the target: within {one[0].tolerance:g}. "
             f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
-            f"{self._episodes} have a value (none where the hand started there). {reference}"
+            f"{self._episodes} have a value (none where the hand started there). "
+            f"{reference if REFERENCE in self.recorded else ''}"
             f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
             f"{self._replication}"
         )
@@ -223,31 +218,29 @@ class Comparison:
     @property
     def _replication(self) -> str:
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
-        over_both = (
-            f"The intervals of {', '.join(several)} replicate over trainings (so many) and "
-            "episodes. "
-            if several
-            else ""
+        over_one = (
+            "replicate over episodes (starts and targets), NOT over training seeds: each agent is "
+            "the result of one training, or of none."
         )
-        others = "The intervals of the others" if several else "The intervals"
+        if not several:
+            return f"The intervals {over_one}"
         return (
-            f"{over_both}{others} replicate over episodes (starts and targets), NOT over training "
-            "seeds: each agent is the result of one training, or of none."
+            f"The intervals of {', '.join(several)} replicate over trainings (so many) and "
+            f"episodes. The intervals of the others {over_one}"
         )
 
     @property
     def settings(self) -> dict[str, Any]:
         """Everything that the comparison was made with, ready for JSON."""
         one = next(iter(self.recorded.values()))
-        agents = [agent for agent in self.recorded if agent != REFERENCE]
         return {
             "environment": self.env,
             "env_kwargs": json.loads(json.dumps(dict(self.env_kwargs), default=repr)),
             "controls": dict(self.controls),
-            "agents": agents,
+            "agents": self.agents,
             "reference": REFERENCE if REFERENCE in self.recorded else None,
-            "training_steps": {agent: self.training_steps[agent] for agent in agents},
-            "trainings": {agent: self.trainings[agent] for agent in agents},
+            "training_steps": {agent: self.training_steps[agent] for agent in self.agents},
+            "trainings": {agent: self.trainings[agent] for agent in self.agents},
             "episodes": self._episodes,
             "seed": self.seed,
             "control_step": one[0].control_step,
@@ -310,7 +303,7 @@ class Comparison:
         summary = self.summary.assign(
             training_steps=self.summary["agent"].map(self.training_steps).astype("Int64")
         )
-        # Of an interrupted run, either the old file or the new one is left, never half of it.
+        # An interrupted run leaves the old file or the new one, never half of it.
         written = [
             write_atomically(out / "episodes.csv", _csv(self.episodes)),
             write_atomically(out / "summary.csv", _csv(summary)),
@@ -323,10 +316,9 @@ class Comparison:
         return f"<Comparison of {', '.join(self.agents)} in {self.env}, {count}>"
 
     def __str__(self) -> str:
-        console = Console(file=io.StringIO(), width=make_console().width)
-        self.print(console)
-        text: str = console.file.getvalue()  # type: ignore[attr-defined]
-        return text.rstrip()
+        text = io.StringIO()
+        self.print(Console(file=text, width=make_console().width))
+        return text.getvalue().rstrip()
 
     def _repr_html_(self) -> str:
         table = self._table().to_html(border=0)
@@ -368,17 +360,14 @@ def _play(
     envs: Sequence[gym.Env[Any, Any]],
     seeds: Sequence[int],
 ) -> list[tuple[Episode, ...]]:
-    # Drawn between episodes only: a drawing thread would disturb the times of the actions.
+    # The bar is drawn between episodes: a drawing thread would disturb the times of the actions.
     with progress_bar(auto_refresh=False) as progress:
         task = progress.add_task("", total=len(players) * len(seeds))
-        drawn = 0.0
 
         def advance(_: Episode) -> None:
-            nonlocal drawn
             progress.advance(task)
-            if time.monotonic() - drawn > _REFRESH:
+            if progress.tasks[0].completed % _REFRESH == 0:
                 progress.refresh()
-                drawn = time.monotonic()
 
         played = []
         for agent, player, env in zip(agents, players, envs):

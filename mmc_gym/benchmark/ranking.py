@@ -27,7 +27,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from mmc_gym._console import interval, number, print_rows, text_for
+from mmc_gym._console import interval, number, print_columns, text_for
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.registry import REFERENCE
@@ -194,20 +194,22 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
     shows_lost = bool(ranking["not_played"].any())
     rows = [_cells(row, shows_lost) for row in ranking.to_dict("records")]
-    print_rows(console, rows, left="agent")
-    for line in (_note(manifest, ranking), *_reasons(manifest)):
+    columns = {heading: [row[heading] for row in rows] for heading in rows[0]}
+    labels = {heading: columns.pop(heading) for heading in ("#", "agent")}
+    print_columns(console, labels, columns, _note(manifest, ranking))
+    for line in _reasons(manifest):
         console.print(text_for(console, line))
     return ranking
 
 
 def _cells(row: Mapping[Hashable, Any], shows_lost: bool) -> dict[str, str]:
     return {
-        "rank": str(row["rank"]),
+        "#": str(row["rank"]),
         "agent": str(row["agent"]),
         "success": _with_interval(row, "success"),
         "settled": _with_interval(row, "settled"),
         f"better\nthan {BASELINE_AGENT}": _with_interval(row, "improvement"),
-        "time to\ntarget\n[s]": number(row["time_to_target"], 2),
+        "time\n[s]": number(row["time_to_target"], 2),
         "seeds": str(row["training_seeds"] or "–"),
         **({"not\nplayed": str(row["not_played"] or "–")} if shows_lost else {}),
     }

@@ -3,9 +3,9 @@
     cells of the grid  ->  run_grid  ->  store  ->  ranking
 
 Cells that are in the store already, made with the same settings, are not played again: so an
-interrupted run resumes, and agents and environments can be added.  An agent whose weights, or whose
-module's file, have changed is another one.  Other versions of libraries are no reason to play
-again: the manifest names all of them.
+interrupted run resumes, and agents and environments can be added.  If the weights of an agent or
+the file of its module change, its cells are played again.  If versions of libraries change, they
+are not: the manifest names all versions.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ import time
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
-
-import numpy as np
+from typing import Any, Literal
 
 from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
-from mmc_gym.agents.base import RandomAgent
+from mmc_gym.agents.base import Agent, RandomAgent
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.store import (
     EPISODES,
@@ -53,7 +52,7 @@ from mmc_gym.benchmark.suite import (
 )
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.envs.scenarios import scenario as find_scenario
-from mmc_gym.interface import CannotActError
+from mmc_gym.interface import CannotActError, read_attribute
 from mmc_gym.measures import (
     MEASURES,
     SET_MEASURES,
@@ -66,19 +65,15 @@ from mmc_gym.measures import (
 from mmc_gym.measures.catalogue import digest, own_measures, register
 
 TIMED = 1
-"""Episodes that are played one by one as well, to time single actions."""
-
-COMPARED = 3
-"""The same for agents that may not act on batches: they must do the same alone and together."""
+"""Number of episodes that agents play one by one as well as in a batch, to time single actions."""
 
 PATHS_KEPT = 12
-"""Instances whose paths are kept, of the lowest training seed that takes part."""
+"""Number of instances whose paths are kept, of the lowest training seed that takes part."""
 
 RECORDING = 3
-"""Version of recordings and measures: another one plays all cells again."""
+"""Version of recordings and measures; when it changes, all cells are played again."""
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
-_SAME = 1e-3  # segment lengths between two rollouts of one episode
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,8 @@ class BenchmarkCell:
     Attributes:
         episodes: how many, where the scenario does not number its trials.
         seed: that the seeds of the episodes are derived from, the same for all cells.
-        control: that the user asks for, see `make_player`.
+        control: the control mode that the user asks for, see `make_player`.
+        keeps_paths: whether the paths of its first episodes are written, too.
         measures: the user's own, which a worker does not know.
     """
 
@@ -105,9 +101,13 @@ class BenchmarkCell:
         """Name of the cell."""
         return CellKey(self.agent.label, self.agent.training_seed, self.scenario.name)
 
+    def not_played(self, status: Literal["skipped", "failed"], reason: str) -> NotPlayed:
+        """Return the entry of the manifest if it has no episodes."""
+        return NotPlayed(**self.key._asdict(), status=status, reason=reason)
+
     @property
     def settings(self) -> dict[str, Any]:
-        """Everything that its results depend on, as far as is known; ready for JSON."""
+        """Everything that its results are known to depend on, ready for JSON."""
         return {
             "recording": RECORDING,
             "source": self.agent.source_name,
@@ -125,34 +125,18 @@ class Outcome:
     """The result of a cell.
 
     Attributes:
-        status: "skipped" if the agent cannot act in the scenario, "failed" if it raised.
-        reason: why it was skipped or failed.
+        not_played: why it was skipped or failed; None if it was played.
         files: its files, see `write_cell`; none unless played.
         warned: texts of its `MismatchWarning`s, which a worker's terminal would not show.
     """
 
-    status: Literal["played", "skipped", "failed"]
-    reason: str = ""
+    not_played: NotPlayed | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
     warned: tuple[str, ...] = ()
 
 
-class _Recorded(NamedTuple):
-    """The episodes of a cell.
-
-    Attributes:
-        control: the control mode, "" of the ideal hand.
-        together: whether all episodes were played at once.
-    """
-
-    episodes: Sequence[Episode]
-    control: str
-    together: bool
-    joint_count: int
-
-
 def run_cell(cell: BenchmarkCell) -> Outcome:
-    """Play a cell.  An error of the agent is a result, and ends nothing."""
+    """Play a cell.  An error of the agent is a result, and does not end the benchmark."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MismatchWarning)
         outcome = _outcome(cell)
@@ -168,34 +152,32 @@ def run_cell(cell: BenchmarkCell) -> Outcome:
 def _outcome(cell: BenchmarkCell) -> Outcome:
     for measure in cell.measures:
         register(measure)
-    begin, processor_begin = time.perf_counter(), time.process_time()
+    begin = time.process_time()
     try:
-        recorded = _play(cell)
+        episodes, control = _play(cell)
     except CannotActError as error:
-        return Outcome("skipped", str(error))
+        return Outcome(cell.not_played("skipped", str(error)))
     except (Exception, SystemExit) as error:
-        return Outcome("failed", f"{type(error).__name__}: {error}")
+        return Outcome(cell.not_played("failed", f"{type(error).__name__}: {error}"))
     files = {}
     if cell.keeps_paths:
-        files[PATHS] = paths_file(cell.key, recorded.episodes[:PATHS_KEPT], recorded.joint_count)
-    if (sets := sets_file(cell.key, recorded.episodes)) is not None:
+        files[PATHS] = paths_file(cell.key, episodes[:PATHS_KEPT])
+    if (sets := sets_file(cell.key, episodes)) is not None:
         files[SETS] = sets
     facts = {
-        "wall_seconds": round(time.perf_counter() - begin, 3),
-        "cpu_seconds": round(time.process_time() - processor_begin, 3),
-        "control": recorded.control,
-        "together": recorded.together,
+        "cpu_seconds": round(time.process_time() - begin, 3),
+        "control": control,
         "has_paths": PATHS in files,
         "has_sets": SETS in files,
         "software": software(),
     }
-    files[EPISODES] = episodes_file(cell.key, recorded.episodes, cell.settings, facts)
-    return Outcome("played", files=files)
+    files[EPISODES] = episodes_file(cell.key, episodes, cell.settings, facts)
+    return Outcome(files=files)
 
 
 @cache
 def software() -> dict[str, str]:
-    """Return versions and machine by name: results may depend on them."""
+    """Return the versions and the machine, by name, that results may depend on."""
     return {
         **{package: version(package) for package in _PACKAGES},
         "python": platform.python_version(),
@@ -203,61 +185,40 @@ def software() -> dict[str, str]:
     }
 
 
-def _play(cell: BenchmarkCell) -> _Recorded:
+def _play(cell: BenchmarkCell) -> tuple[Sequence[Episode], str]:
+    """Return the episodes of a cell and its control mode.
+
+    An `Agent` plays all episodes together, where there is a vector environment; anything else with
+    `predict` may take no batches, and plays them one by one.
+    """
     instances = cell.scenario.instances(cell.episodes)
     seeds = episode_seeds(cell.seed, len(instances))
     if cell.agent.is_reference:
-        return _play_reference(cell, seeds, instances)
-    factory = cell.agent.factory
+        return _play_reference(cell, seeds, instances), ""
     env, agent = make_player(cell.agent, cell.scenario, {"control": cell.control})
-    world: Any = env.unwrapped
-    control, joints = world.control, len(world.parameters.segment_lengths)
-    vector = cell.scenario.make_vec(len(seeds), control)
-    acts_on_batches = cell.agent.acts_on_batches and vector is not None
-    alone_first = TIMED if acts_on_batches else COMPARED
-    timed = run_episodes(agent, env, seeds[:alone_first], options=instances[:alone_first])
-    together: tuple[Episode, ...] = ()
-    if vector is not None:
-        try:
-            together = run_episodes(factory(env), vector, seeds, options=instances)
-        except Exception:
-            if acts_on_batches:
-                raise
-        finally:
-            vector.close()
-    if not acts_on_batches and not _are_same(timed, together):
-        agent = factory(env)  # a new one: it may remember what it should not
-        alone = run_episodes(agent, env, seeds, options=instances)
-        return _Recorded(alone, control, False, joints)
+    control = str(read_attribute(env, "control"))
+    vector = cell.scenario.make_vec(len(seeds), control) if isinstance(agent, Agent) else None
+    if vector is None:
+        return run_episodes(agent, env, seeds, options=instances), control
+    timed = run_episodes(agent, env, seeds[:TIMED], options=instances[:TIMED])
+    with closing(vector):
+        together = run_episodes(cell.agent.factory(env), vector, seeds, options=instances)
     times = [
         replace(episode, action_times=one.action_times) for episode, one in zip(together, timed)
     ]
-    return _Recorded([*times, *together[len(times) :]], control, True, joints)
-
-
-def _are_same(alone: Sequence[Episode], together: Sequence[Episode]) -> bool:
-    """Return whether an agent plays together as it does alone.
-
-    An agent does not if it takes no batches, or keeps in itself what belongs in its state.
-    """
-    return len(together) >= len(alone) and all(
-        np.allclose(one.hands, other.hands, rtol=0.0, atol=_SAME)
-        for one, other in zip(alone, together)
-    )
+    return [*times, *together[TIMED:]], control
 
 
 def _play_reference(
     cell: BenchmarkCell, seeds: Sequence[int], instances: Sequence[Mapping[str, Any]]
-) -> _Recorded:
+) -> tuple[Episode, ...]:
     """Play the ideal hand, which no perturbation touches, with the starts and targets of all."""
-    env = cell.scenario.make()
+    env: Any = cell.scenario.make()
     if cell.scenario.family or not has_reference(env):
         raise CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
-    joints = len(env.unwrapped.parameters.segment_lengths)  # type: ignore[attr-defined]
-    vector = cell.scenario.make_vec(len(seeds))
-    anybody = run_episodes(RandomAgent(joints), vector or env, seeds, options=instances)
-    (vector or env).close()
-    return _Recorded(minimum_jerk_episodes(anybody), "", True, joints)
+    anybody = RandomAgent(len(env.unwrapped.parameters.segment_lengths))
+    with closing(cell.scenario.make_vec(len(seeds)) or env) as played:
+        return minimum_jerk_episodes(run_episodes(anybody, played, seeds, options=instances))
 
 
 @dataclass(frozen=True)
@@ -292,7 +253,7 @@ def benchmark(
 
     Args:
         agents: names, functions, classes and objects, see `mmc_gym.agents.resolver`.
-        out: folder of the store; one that is there is added to, also by several benchmarks at once.
+        out: folder of the store; an existing one is added to, also by several benchmarks at once.
         environments: names of scenarios or of your own environments; or a mapping of names to
             environments, which may be functions or classes; all of the benchmark's by default.
         episodes: in each environment; where trials are numbered each is played once instead.
@@ -315,8 +276,23 @@ def benchmark(
     check_workers(jobs, cluster)
     store = check_folder(out, "out")
     begun = update_manifest(store, partial(_joined, store, scenarios, found, episodes, seed))
-    cells = [replace(one, control=asked) for one in _cells(scenarios, found, episodes, seed)]
-    begin = time.perf_counter()
+    first: dict[str, int | None] = {}  # of each agent the first training keeps paths
+    for one in sorted(found, key=lambda one: one.training_seed or 0):
+        first.setdefault(one.label, one.training_seed)
+    cells = [
+        BenchmarkCell(
+            agent=one,
+            scenario=scenario,
+            episodes=episodes,
+            seed=seed,
+            control=asked,
+            keeps_paths=one.training_seed == first[one.label],
+            measures=own_measures(),
+        )
+        for one in found
+        for scenario in scenarios.values()
+        if not (one.is_reference and scenario.family)  # no perturbation touches it
+    ]
     missing: list[BenchmarkCell] = []
     finished: dict[CellKey, NotPlayed | None] = {}
     for cell in cells:
@@ -330,51 +306,26 @@ def benchmark(
     def keep(index: int, outcome: Outcome) -> None:
         key = missing[index].key
         write_cell(store, key, outcome.files)  # or remove it, if it was played by a former agent
-        finished[key] = None
-        if outcome.status != "played":
-            finished[key] = NotPlayed.of(key, outcome.status, outcome.reason)
+        finished[key] = outcome.not_played
         for text in outcome.warned:
             warnings.warn(text, MismatchWarning, stacklevel=1)
         on_progress(Progress(len(finished), len(cells), key))
 
     def bury(index: int, error: CellError) -> None:
-        keep(index, Outcome("failed", str(error.__cause__)))
+        keep(index, Outcome(missing[index].not_played("failed", str(error.__cause__))))
 
     def updated(manifest: Manifest | None) -> Manifest:
         manifest = manifest or begun  # it may have been removed meanwhile
         not_played = [one for one in manifest.not_played if one.key not in finished]
         not_played += [one for one in finished.values() if one is not None]
-        seconds = manifest.elapsed_seconds + round(time.perf_counter() - begin, 1)
-        known = {"not_played": not_played, "elapsed_seconds": seconds, "reused": reused}
-        return manifest.model_copy(update={**known, **_found(store)})
+        known = {"not_played": not_played, "reused": reused}
+        return manifest.model_copy(update=known | _found(store))
 
     try:
         run_grid(run_cell, missing, jobs=jobs, cluster=cluster, on_result=keep, on_failure=bury)
     finally:
         manifest = update_manifest(store, updated)
     return manifest
-
-
-def _cells(
-    scenarios: Mapping[str, Scenario], agents: Sequence[ResolvedAgent], episodes: int, seed: int
-) -> list[BenchmarkCell]:
-    """Return all cells; of each agent, the first of its trainings keeps paths."""
-    first: dict[str, int | None] = {}
-    for one in sorted(agents, key=lambda one: one.training_seed or 0):
-        first.setdefault(one.label, one.training_seed)
-    return [
-        BenchmarkCell(
-            agent=one,
-            scenario=scenario,
-            episodes=episodes,
-            seed=seed,
-            keeps_paths=one.training_seed == first[one.label],
-            measures=own_measures(),
-        )
-        for one in agents
-        for scenario in scenarios.values()
-        if not (one.is_reference and scenario.family)  # no perturbation touches it
-    ]
 
 
 def _joined(
@@ -394,7 +345,6 @@ def _joined(
             control_step=plain.parameters.control_step,
             segment_lengths=plain.parameters.segment_lengths,
             tolerance=plain.success_distance,
-            control=plain.control,
         )
     _require_same(out, "episodes", manifest.episodes, episodes)
     _require_same(out, "seed", manifest.seed, seed)
@@ -410,7 +360,7 @@ def _joined(
         policies += [] if same else [asked]
         for kept in same:
             _require_same(out, f"agent {one.label}", kept.source, asked.source)
-    # A measure that only another run knew keeps its columns, and so its facts.
+    # Measures that only earlier runs knew keep their columns, and so their facts.
     measures = {name: one.facts for name, one in MEASURES.items()}
     set_measures = {name: one.facts for name, one in SET_MEASURES.items()}
     return manifest.model_copy(
@@ -434,15 +384,14 @@ def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
 def _found(out: Path) -> dict[str, Any]:
     """Return the fields of `Manifest` that follow from all cells of a store, of other runs, too."""
     versions, fingerprints = defaultdict(set), defaultdict(set)
-    seconds: dict[str, dict[str, float]] = {"wall_seconds": {}, "cpu_seconds": {}}
+    seconds = {}
     for stem, (settings, facts) in kept_cells(out).items():
         for name, one in facts["software"].items():
             versions[name].add(one)
         fingerprints[settings["source"]].add(settings["fingerprint"])
-        for name, by_cell in seconds.items():
-            by_cell[stem] = facts[name]
+        seconds[stem] = facts["cpu_seconds"]
     return {
-        **seconds,
+        "cpu_seconds": seconds,
         "versions": {name: ", ".join(sorted(found)) for name, found in versions.items()},
         "changed": [source for source, found in fingerprints.items() if len(found) > 1],
     }

@@ -103,8 +103,8 @@ def episodes_file(
     Args:
         key: name of the cell.
         episodes: of its instances, in order.
-        settings: all that it was made with, ready for JSON; `cell_facts` compares them.
-        facts: more to be kept about the cell, ready for JSON.
+        settings: everything that it was made with, ready for JSON; `cell_facts` compares them.
+        facts: other facts about the cell, ready for JSON.
     """
     columns = {
         **_key_columns(key, len(episodes)),
@@ -114,24 +114,22 @@ def episodes_file(
     return _parquet(columns, Kept(settings, facts))
 
 
-def paths_file(key: CellKey, episodes: Sequence[Episode], joint_count: int) -> bytes:
+def paths_file(key: CellKey, episodes: Sequence[Episode]) -> bytes:
     """Return the content of a cell's file of paths: all steps of its first instances.
 
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
-    joint_angle_N (radians, not wrapped; NaN for a hand without an arm), hand_x, hand_y, target_x,
-    target_y (segment lengths); all but the first five float32.  Under a visuomotor rotation also
-    cursor_x, cursor_y: distance and success are the cursor's.  Elsewhere it is the hand itself and
-    not written twice; `read_paths` repeats it.
+    joint_angle_N (radians, not wrapped; missing for a hand without an arm), hand_x, hand_y,
+    target_x, target_y (segment lengths); all but the first five float32.  Under a visuomotor
+    rotation also cursor_x, cursor_y: distance and success are the cursor's.  Elsewhere it is the
+    hand itself and not written twice; `read_paths` repeats it.
     """
     hands = np.concatenate([episode.hands for episode in episodes])
     targets = np.concatenate([episode.targets for episode in episodes])
-    postures = np.full((len(hands), joint_count), np.nan)
-    if all(episode.joint_angles.shape[-1] == joint_count for episode in episodes):
-        postures = np.concatenate([episode.joint_angles for episode in episodes])
+    postures = np.concatenate([episode.joint_angles for episode in episodes])
     cursors = [episode.cursors for episode in episodes if episode.cursors is not None]
     counts = [len(episode.hands) for episode in episodes]
     numbers = {
-        **{f"joint_angle_{joint + 1}": postures[:, joint] for joint in range(joint_count)},
+        **{f"joint_angle_{joint}": angles for joint, angles in enumerate(postures.T, start=1)},
         **dict(zip(("hand_x", "hand_y"), hands.T)),
         **dict(zip(("target_x", "target_y"), targets.T)),
         **dict(zip(_CURSOR, np.concatenate(cursors).T if cursors else ())),
@@ -219,7 +217,7 @@ def _kept(schema: pa.Schema) -> Kept:
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
-    """Write a cell's files, and remove those that it had and that are not given.
+    """Write the files of a cell, and remove its former files of other kinds.
 
     Args:
         folder: of the store.
@@ -262,7 +260,7 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
 
     Args:
         folder: of the store.
-        columns: that are read, and agent, training_seed, environment, instance; all if None.
+        columns: to read besides agent, training_seed, environment and instance; all if None.
 
     Raises:
         UserError: if there are none, or a file is damaged.
@@ -281,7 +279,7 @@ def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd
 
     Args:
         folder: of the store.
-        cells: whose paths are read, if they were kept; of all cells if None.
+        cells: to read, where paths were kept; all if None.
 
     Raises:
         UserError: if a file is damaged.
@@ -320,18 +318,18 @@ def _read_all(files: Iterable[Path], columns: Sequence[str] | None = None) -> pd
     return frame.astype({"training_seed": "Int64"})
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True)
 
 
-class Policy(_Strict):
+class Policy(_Frozen):
     """A training of an agent, or the agent if it was not trained, and its source."""
 
     training_seed: int | None
     source: str
 
 
-class NotPlayed(_Strict):
+class NotPlayed(_Frozen):
     """A cell without episodes, and why: the agent cannot act there, or it failed."""
 
     agent: str
@@ -340,18 +338,13 @@ class NotPlayed(_Strict):
     status: Literal["skipped", "failed"]
     reason: str
 
-    @classmethod
-    def of(cls, key: CellKey, status: Literal["skipped", "failed"], reason: str) -> NotPlayed:
-        """Return the entry of a cell."""
-        return cls(**key._asdict(), status=status, reason=reason)
-
     @property
     def key(self) -> CellKey:
         """Name of the cell."""
         return CellKey(self.agent, self.training_seed, self.environment)
 
 
-class Manifest(_Strict):
+class Manifest(_Frozen):
     """Everything that a store was made with.
 
     Attributes:
@@ -360,14 +353,11 @@ class Manifest(_Strict):
         control_step: seconds.
         segment_lengths: of the arm that agents are given.
         tolerance: distance that counts as reached, segment lengths.
-        control: the control mode of environments, unless an agent has its own.
         measures: facts of the measures of episodes by name, see `Quantity.facts`.
         set_measures: facts of those of sets of episodes.
         environments: settings by name.
         agents: policies by name.
-        wall_seconds: time that each cell took, by the stem of its files.
-        cpu_seconds: processor time of each.
-        elapsed_seconds: sum over all runs.
+        cpu_seconds: processor time of each cell, by the stem of its files.
         reused: number of cells that the last run did not have to play.
         versions: of libraries, several of one separated by commas.
         changed: sources of agents whose cells are of different weights or code.
@@ -379,22 +369,19 @@ class Manifest(_Strict):
     control_step: float
     segment_lengths: tuple[float, ...]
     tolerance: float
-    control: str = ""
     measures: dict[str, dict[str, Any]] = {}
     set_measures: dict[str, dict[str, Any]] = {}
     environments: dict[str, dict[str, Any]] = {}
     agents: dict[str, list[Policy]] = {}
     not_played: list[NotPlayed] = []
-    wall_seconds: dict[str, float] = {}
     cpu_seconds: dict[str, float] = {}
-    elapsed_seconds: float = 0.0
     reused: int = 0
     versions: dict[str, str] = {}
     changed: list[str] = []
 
 
 def reasons(not_played: Iterable[NotPlayed]) -> list[str]:
-    """Return a line for each agent and reason, with the environments that were not played."""
+    """Return a line for each agent and reason, with the environments it did not play."""
     groups: dict[tuple[str, str], dict[str, None]] = {}
     for cell in not_played:
         groups.setdefault((cell.agent, cell.reason), {})[cell.environment] = None

@@ -1,4 +1,4 @@
-"""Who plays what: the benchmark's scenarios, agents in their control mode, and the ideal hand."""
+"""The benchmark's scenarios, agents with environments in their control mode, and the ideal hand."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SCENARIOS: dict[str, Scenario] = {
 """The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
 
 Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
-"""Names of scenarios and of your own environments; or these by names of yours."""
+"""Names of scenarios and of your own environments; or a mapping of names to environments."""
 
 
 def find_scenarios(
@@ -52,8 +52,8 @@ def find_scenarios(
     """Return scenarios by name: the benchmark's if none are given.
 
     Args:
-        environments: names, see `mmc_gym.envs.scenarios.scenario`; a mapping gives names to
-            environments of yours, see `mmc_gym.envs.scenarios.make_environment`.
+        environments: names, see `mmc_gym.envs.scenarios.scenario`; or a mapping of names to your
+            own environments, see `mmc_gym.envs.scenarios.make_environment`.
         env_kwargs: arguments of all of them.
 
     Raises:
@@ -87,31 +87,27 @@ def make_player(
         agent: the agent.
         env: a scenario, or an environment as `make_environment` takes it.
         env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
-            several control modes, or do not tell theirs.
+            several control modes, or whose control mode is not known.
 
     Raises:
         UserError: if either cannot be made; as `CannotActError`, if the agent cannot act in the
             environment.
     """
     given = dict(env_kwargs or {})
-    asked = agent.own_control or given.pop("control", None)
-    given.pop("control", None)
+    wanted = given.pop("control", None)
+    asked = agent.own_control or wanted
     if isinstance(env, Scenario):
         make = replace(env, env_kwargs={**env.env_kwargs, **given}).make
     else:
         make = partial(make_environment, env, **given)
     made = make(asked or agent.control)
     try:
-        try:
-            player = agent.factory(made)
-        except ControlError as refusal:
-            made.close()
-            made = make(refusal.control)
-            player = agent.factory(made)
-    except BaseException:
+        player = agent.factory(made)
+    except ControlError as refusal:
         made.close()
-        raise
-    if not asked and isinstance(player, ModelAgent) and player.trained_in.control is None:
+        made = make(refusal.control)
+        player = agent.factory(made)
+    if not asked and isinstance(player, ModelAgent) and player.control is None:
         warnings.warn(
             f"{agent.label} does not tell the control mode that it was trained in, and acts by "
             f"{read_attribute(made, 'control')}, the environment's default; --env-kwargs "
@@ -128,8 +124,8 @@ def make_player(
 #
 # from the start x₀ to the target g at the distance d, and then rest.  T is that of the agents that
 # plan (`mmc_gym.agents.planners`: 0.2 s and a second for each 4 segment lengths), so that they
-# differ from it in shape alone.  Where the target moves, the hand follows by the rest of a
-# minimum-jerk movement from its present state, as they do.  Measures that need an arm are NaN.
+# differ from it in shape alone.  If the target moves, the hand continues from its present state
+# with the rest of a minimum-jerk movement, as they do.  Measures that need an arm are NaN.
 
 
 def has_reference(env: gym.Env[Any, Any]) -> bool:

@@ -31,7 +31,6 @@ SHIPPED = [(name, seed) for name, entry in AGENTS.items() for seed in range(entr
 BY_DAY = [pytest.param(*cell, marks=[pytest.mark.slow] if cell[1] else []) for cell in SHIPPED]
 """The first training of each agent; the others are slow."""
 SUFFIXES = ("json", "safetensors")
-ROW = {"steps": 100, "seconds": 1.0, "cpu_seconds": 1.0, "success": 0.5}
 KINDS = [name for name, entry in AGENTS.items() if entry.training_seeds]
 
 
@@ -97,23 +96,6 @@ def test_nothing_else_ships():
     assert sum(path.stat().st_size for path in PRETRAINED.iterdir()) < 10 * MEBIBYTE
 
 
-def test_an_agent_is_asked_for_by_name_and_seed():
-    env = gym.make("MMCReach-v0")
-    observation, _ = env.reset(seed=0)
-    agents = [make_agent(name, env) for name in ("ppo", "ppo-0", "ppo-3")]
-    steps = load_policy(PRETRAINED / "ppo-0.json")[1].training_steps
-    assert {agent.training_steps for agent in agents} == {steps}
-    actions = [agent.predict(observation, deterministic=True)[0] for agent in agents]
-    np.testing.assert_array_equal(actions[0], actions[1])
-    assert not np.array_equal(actions[0], actions[2])
-
-
-def test_a_missing_file_is_an_error(copy):
-    copy.with_suffix(".safetensors").unlink()
-    with pytest.raises(FileNotFoundError):
-        load_policy(copy)
-
-
 def test_damaged_weights_are_an_error(copy):
     weights = bytearray(copy.with_suffix(".safetensors").read_bytes())
     weights[-1] ^= 1
@@ -127,22 +109,10 @@ def test_damaged_weights_are_an_error(copy):
     [
         ({"activation": "os.system"}, "activation must be 'relu' or 'tanh', got 'os.sys"),
         ({"segment_count": 4}, "body must have 4 segments"),
-        ({"segment_count": "3"}, "segment_count must be a valid integer, got '3'"),
         ({"extra": 1}, "extra is not known"),
-        ({"sha256": ""}, "its weights are not those of its card"),
-        ({"training_seconds": float("nan")}, "training_seconds must be less than inf"),
-        (
-            {"learning_curve": [{"steps": 100, "success": 0.5}]},
-            "learning_curve must have .* in e",
-        ),
-        (
-            {"learning_curve": [ROW, {**ROW, "success": None}]},
-            "learning_curve must have .* in e",
-        ),
+        ({"learning_curve": [{"steps": 100, "success": None}]}, "learning_curve must have .* in e"),
         ({"base_agent": "pmp"}, "base_agent must be one of \\['mmc'\\] or empty"),
-        ({"control": "thought"}, "control must be 'joint_position', 'joint_delta', "),
         ({"distribution": "squashed"}, "distribution must be that of 'ppo'"),
-        ({"body": {"gravitas": [0, 1]}}, "body.gravitas is not known"),
         ({"body": {"segment_lengths": [1, -1, 1]}}, "body segment_lengths must be positive"),
         ({"body": {"segment_lengths": [1, 1]}}, "body must have 3 segments"),
     ],
@@ -159,11 +129,6 @@ def test_weights_that_are_no_numbers_are_an_error(copy, tmp_path):
     save_policy(network, card, tmp_path)
     with pytest.raises(ValueError, match="its weights must be finite"):
         load_policy(copy)
-
-
-def test_a_folder_is_no_policy(copy):
-    with pytest.raises(ValueError, match="path must be that of a policy's file"):
-        load_policy(str(copy.parent))
 
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe", b"[" * 100_000])
@@ -202,7 +167,6 @@ def with_body(copy):
             {"segment_lengths": (1, 1, 2)},
             r"lengths \(1.0, 1.0, 1.0\) in training, \(1.0, 1.0, 2.0\)",
         ),
-        ({"segment_masses": (1, 1, 2)}, "masses .* in training, .* here"),
         ({"gravity": (0, -9), "hand_mass": 1}, "gravity .* here; hand_mass 0.0 in training, 1.0"),
         ({"substeps": 8}, "control_step 0.02 in training, 0.04 here"),
     ],
@@ -218,7 +182,6 @@ def test_a_policy_warns_of_another_arm_than_in_training(with_body, arguments, me
     [
         {"engine": "analytic"},
         {"substep": 0.0025, "substeps": 8},
-        {"segment_masses": (1, 1, 1)},
         {"perturbations": ["longer-20-told", "hand-mass"]},
     ],
 )

@@ -1,6 +1,6 @@
 """The plain network acts as the stable-baselines3 policy that its weights are from."""
 
-from typing import Any, get_args
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -74,16 +74,11 @@ def test_it_acts_as_the_policy_it_is_exported_from(name, env_id, activation):
     assert actual.dtype == np.float32
 
 
-@pytest.mark.parametrize(("name", "env_id"), ENV_IDS.items())
-def test_exploring_it_draws_from_the_same_distribution(name, env_id):
-    policy = make_policy(name, env_id)
+@pytest.mark.parametrize("name", ["PPOTargetPolicy", "SACPolicy"])
+def test_exploring_it_draws_from_the_same_distribution(name):
+    policy = make_policy(name, "MMCReach-v0")
     network, view = export_policy(policy)
-    observed = observations(env_id, 1)
-    many = (
-        {key: np.repeat(value, 20_000, axis=0) for key, value in observed.items()}
-        if isinstance(observed, dict)
-        else np.repeat(observed, 20_000, axis=0)
-    )
+    many = np.repeat(observations("MMCReach-v0", 1), 20_000, axis=0)
     torch.manual_seed(0)
     expected, _ = policy.predict(many, deterministic=False)
     actual = act(network, view, many, np.random.default_rng(0))
@@ -101,13 +96,6 @@ def test_turning_arm_and_target_about_the_base_changes_nothing_in_the_targets_vi
     other, _ = env.reset(options=turned)
     np.testing.assert_allclose(seen(one, "target"), seen(other, "target"), atol=1e-6)
     assert not np.allclose(one, other, atol=0.1)
-
-
-def test_a_goal_observation_shows_the_same_as_a_plain_one():
-    plain = gym.make("MMCReach-v0").reset(seed=3)[0]
-    goal = gym.make("MMCReachGoal-v0").reset(seed=3)[0]
-    for view in get_args(View):
-        np.testing.assert_allclose(seen(plain, view), seen(goal, view), atol=1e-6)
 
 
 def test_in_the_targets_view_the_posture_0_points_at_the_target():
@@ -157,21 +145,14 @@ def test_a_policy_that_sees_something_else_is_refused():
         export_policy(policy)
 
 
-def test_the_layer_refuses_observations_of_another_arm():
-    env = gym.make("MMCReach-v0", segment_lengths=(1.0,))
-    two = gym.spaces.Box(-1, 1, (3,), np.float32)
-    with pytest.raises(ValueError, match="with 3 joints"):
-        KINDS["PPOTargetPolicy"](env.observation_space, two, lambda _: 1)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"mean.weight": None}, "tensors must be"),
-        ({"hidden.1.weight": np.zeros((8, 9), np.float32)}, r"hidden.1.weight must be float32 of"),
-        ({"log_std": np.zeros(2, np.float32)}, r"log_std must be float32 of shape \(3,\)"),
-        ({"mean.bias": np.zeros(3)}, "mean.bias must be float32"),
-        ({"surplus": np.zeros(3, np.float32)}, "tensors must be"),
+        ({"mean.bias": None}, "tensors must have 'mean.bias'"),
+        ({"hidden.1.weight": np.zeros((8, 9), np.float32)}, r"got .*'hidden.1.weight': \(8, 9\)"),
+        ({"log_std": np.zeros(2, np.float32)}, r"shapes {'log_std': \(3,\).*got .*\(2,\)"),
+        ({"mean.bias": np.zeros(3)}, "tensors must be float32"),
+        ({"surplus": np.zeros(3, np.float32)}, "tensors must be float32"),
     ],
 )
 def test_tensors_that_do_not_fit_are_errors(change, message):

@@ -58,15 +58,6 @@ def test_beside_the_agents_stands_an_ideal_hand_where_it_meets_the_same_targets(
     assert "without an arm" not in via.note
 
 
-def test_the_success_measured_is_the_success_the_environment_told(oracle, env):
-    comparison = compare({"oracle": oracle}, episodes=5, console=console())
-    for _, row in comparison.episodes.query("agent == 'oracle'").iterrows():
-        observation, info = env.reset(seed=int(row["seed"]))
-        for _ in range(100):
-            observation, _, _, _, info = env.step(oracle.predict(observation)[0])
-        assert info["is_success"] == row["success"]
-
-
 def test_the_same_seed_gives_the_same_files_but_for_the_times(tmp_path):
     for folder in ("a", "b"):
         compare(["mmc", "random"], episodes=4, seed=5, out=tmp_path / folder, console=console())
@@ -95,19 +86,6 @@ def test_the_files_hold_what_was_found_and_no_temporary_file_stays(tmp_path, fro
     assert settings["training_steps"] == {"oracle": None, "frozen": None}
 
 
-def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path, frozen, monkeypatch):
-    compare({"frozen": frozen}, episodes=2, out=tmp_path, console=console())
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-
-    def full(descriptor):
-        raise OSError("disk full")
-
-    monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(OSError, match="disk full"):
-        compare({"frozen": frozen}, episodes=3, out=tmp_path, console=console())
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
 @pytest.mark.parametrize("columns", [None, 80])
 def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(capsys, monkeypatch, columns):
     if columns:
@@ -129,11 +107,6 @@ def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(capsys, monkeypa
     assert "NOT" in out and "training seeds" in out.replace("\n", " ")
 
 
-def test_the_headline_is_the_success_of_each_agent(oracle, frozen):
-    found = compare({"ideal": oracle, "frozen": frozen}, episodes=3)
-    assert found.headline == "success at the end: ideal 100.0 %, frozen 0.0 %"
-
-
 def test_a_comparison_is_short_in_a_shell_and_a_table_in_a_notebook(frozen):
     found = compare({"mmc": "mmc", "50 % <b>_still": frozen}, episodes=3)
     assert len(repr(found)) < 100
@@ -145,6 +118,7 @@ def test_a_comparison_is_short_in_a_shell_and_a_table_in_a_notebook(frozen):
 
 def test_its_frame_has_a_row_for_each_agent_and_its_figure_a_column(oracle, frozen):
     found = compare({"oracle": oracle, "frozen": frozen}, episodes=4)
+    assert found.headline == "success at the end: oracle 100.0 %, frozen 0.0 %"
     frame = found.to_frame()
     assert list(frame.index) == ["oracle", "frozen", REFERENCE]
     assert list(frame.columns) == list(MEASURES)
@@ -190,14 +164,10 @@ def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
     ("arguments", "message"),
     [
         ({"agents": ["mmc", "nobody"]}, "'nobody' is not accepted"),
-        (
-            {"agents": ["mmc"], "episodes": 0},
-            "episodes must be a whole number of .*, got 0",
-        ),
+        ({"agents": ["mmc"], "episodes": 0}, "episodes must be a whole number of .*, got 0"),
         ({"agents": ["mmc"], "out": __file__}, "out must be a folder"),
         ({"agents": ["mmc"], "seed": -1}, "seed must be a whole number of at least 0, got -1"),
         ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
-        ({"agents": ["mmc"], "env": "no_such_module:Env-v0"}, "env must be .*no_such_module"),
         ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be a reaching .*'CartPole-v1'"),
         ({"agents": {"mine": len}, "env": "CartPole-v1"}, r"info\['end_effector'\]"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -21,48 +22,6 @@ from mmc_gym.envs.perturbations import FAMILIES, Perturbation
 from mmc_gym.envs.scenarios import TASK_SCENARIOS, scenario
 from mmc_gym.envs.tasks import TASKS, RandomTarget, Trial
 from mmc_gym.report import write_report
-
-MODULE = """
-from dataclasses import dataclass, replace
-import gymnasium as gym
-import numpy as np
-from mmc_gym.envs import Family, register_perturbation, register_task
-from mmc_gym.envs.perturbations import Perturbation
-from mmc_gym.envs.tasks import RandomTarget
-from mmc_gym.measures import measure
-
-def still(observation):
-    return np.zeros(3)
-
-class Flat(gym.Wrapper):
-    def step(self, action):
-        observation, _, *ends, info = self.env.step(action)
-        return observation, 1.0, *ends, info
-
-def flat(**arguments):
-    return Flat(gym.make("MMCReach-v0", **arguments))
-
-gym.register("MyArm-v0", "mmc_gym.envs.reach:MMCReachEnv", max_episode_steps=7,
-             kwargs={"segment_lengths": (1, 1, 0.5), "control": "joint_velocity"})
-
-@dataclass(frozen=True)
-class Short(RandomTarget):
-    episode_steps = 5
-
-register_task("short", Short(), "short episodes")
-
-@dataclass(frozen=True)
-class Weak(Perturbation):
-    percent: float = 50.0
-    def change_body(self, body):
-        return replace(body, torque_limit=body.torque_limit * self.percent / 100)
-
-register_perturbation(Family("weak", "%", "servos give {} %", 50.0, Weak))
-
-@measure(label="steps", shown=True)
-def number_of_steps(episode):
-    return float(len(episode.rewards))
-"""
 
 
 @dataclass(frozen=True)
@@ -93,6 +52,31 @@ class Flat(gym.Wrapper):
     def step(self, action):
         observation, _, *ends, info = self.env.step(action)
         return observation, 1.0, *ends, info
+
+
+MODULE = f"""
+from dataclasses import dataclass, replace
+import gymnasium as gym
+import numpy as np
+from mmc_gym.envs import Family, register_perturbation, register_task
+from mmc_gym.envs.perturbations import Perturbation
+from mmc_gym.envs.tasks import RandomTarget, Trial
+from mmc_gym.measures import measure
+
+{"".join(map(inspect.getsource, (Here, Heavy, Flat)))}
+
+def still(observation):
+    return np.zeros(3)
+
+gym.register("MyArm-v0", "mmc_gym.envs.reach:MMCReachEnv", max_episode_steps=7,
+             kwargs={{"segment_lengths": (1, 1, 0.5), "control": "joint_velocity"}})
+register_task("short", Here(), "short episodes")
+register_perturbation(Family("heavy", "segment masses", "{{}} masses at the hand", 2.0, Heavy))
+
+@measure(label="steps", shown=True)
+def number_of_steps(episode):
+    return float(len(episode.rewards))
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -213,14 +197,14 @@ def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
 
     mine = ("--import", "my_things")
     agents = ("--agents", "mmc", "still=my_things:still", "--episodes", "3")
-    names = ("--environments", "short", "weak-30", "my_things:flat", "my_things:MyArm-v0")
+    names = ("--environments", "short", "heavy-3", "my_things:Flat", "my_things:MyArm-v0")
     run("benchmark", *mine, *agents, *names, "--jobs", "2")
     frame = read_episodes(tmp_path / "runs/benchmark")
     steps = frame.groupby("environment")["number_of_steps"].first().to_dict()
-    assert steps == dict(zip(names[1:], (5.0, 100.0, 100.0, 7.0)))
+    assert steps == dict(zip(names[1:], (4.0, 100.0, 100.0, 7.0)))
     assert len(frame) == 2 * 4 * 3
     run("report")
     run("compare", *agents, "--env", "my_things:MyArm-v0")
     run("record", "film.gif", "--agent", "my_things:still", "--env", "MMCReachShort-v0", *mine)
     assert "short episodes" in run("list", "tasks", *mine).stdout
-    assert "servos give 7 %" in run("show", "weak-7", *mine).stdout
+    assert "7 masses at the hand" in run("show", "heavy-7", *mine).stdout

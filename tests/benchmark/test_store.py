@@ -46,7 +46,7 @@ def episodes(make_episode):
 def write(folder, key, episodes, facts):
     files = {EPISODES: episodes_file(key, episodes, SETTINGS, facts)}
     if facts.get("has_paths"):
-        files[PATHS] = paths_file(key, episodes[:1], 3)
+        files[PATHS] = paths_file(key, episodes[:1])
     write_cell(folder, key, files)
 
 
@@ -97,10 +97,10 @@ def test_a_cursor_is_read_back_beside_hands_without_one(store, make_episode):
     np.testing.assert_array_equal(away, np.repeat([0.0, 1.0], [41, 5])[:, None] * [1.0, 1.0])
 
 
-def test_a_hand_without_an_arm_has_no_joint_angles(tmp_path, make_episode):
+def test_a_hand_without_an_arm_has_no_joint_angles(store, make_episode):
     hand = make_episode(np.zeros((5, 2)), [1.0, 0.0], joint_angles=np.zeros((5, 0)))
-    write(tmp_path, KEY, [hand], FACTS)
-    frame = read_paths(tmp_path)
+    write(store, KEY._replace(agent="hand"), [hand], FACTS)
+    frame = read_paths(store).query("agent == 'hand'")
     assert frame[["joint_angle_1", "joint_angle_2", "joint_angle_3"]].isna().all(axis=None)
 
 
@@ -120,15 +120,14 @@ def test_a_cell_is_known_by_its_settings(store):
 
 
 @pytest.mark.parametrize("kind", READ)
-@pytest.mark.parametrize("damage", ["cut", "changed", "empty", "missing"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "missing"])
 def test_damage_is_noticed(store, kind, damage):
     path = store / kind / KEY.file_name
-    content = bytearray(path.read_bytes())
+    content = path.read_bytes()
     if damage == "missing":
         path.unlink()
     else:
-        content[100] ^= 1
-        path.write_bytes({"cut": content[:-50], "changed": content, "empty": b""}[damage])
+        path.write_bytes({"cut": content[:-50], "empty": b""}[damage])
         with pytest.raises(ValueError, match="is damaged"):
             READ[kind](store)
     assert cell_facts(store, KEY, SETTINGS) is None
@@ -140,19 +139,7 @@ def test_a_file_that_the_benchmark_has_not_made_is_no_cell(store):
 
 
 def test_file_names_are_different_and_safe():
-    names = [
-        "a:b",
-        "a-b",
-        "A-b",
-        "a--b",
-        "a/b",
-        "a.b",
-        ".a",
-        "../a",
-        "",
-        "é",
-        "minimum jerk (ideal)",
-    ]
+    names = ["a:b", "a-b", "A-b", "a--b", "a/b", "a.b", ".a", "../a", "", "é", "an (ideal)"]
     files = {CellKey(name, seed, "random").file_name for name in names for seed in (None, 0)}
     assert len({name.lower() for name in files}) == 2 * len(names)
     assert all("/" not in name and not name.startswith(".") for name in files)
@@ -175,7 +162,6 @@ def test_stores_that_are_none_are_refused(tmp_path):
         ("{", "cannot be read: Invalid JSON"),
         ('"episodes":"many"', "cannot be read: episodes must be a valid integer"),
         ('"agents":{"mmc":{}}', "agents.mmc must be a valid array"),
-        ('"agent":{}', "agent is not known"),
     ],
 )
 def test_a_damaged_manifest_is_told(tmp_path, change, message):

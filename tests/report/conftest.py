@@ -108,7 +108,13 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
     if "random" in keys:
         like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
         write(folder, CellKey(REFERENCE, None, "random"), minimum_jerk_episodes(like))
-    skipped = NotPlayed.of(CellKey("mmc", None, "pursuit"), "skipped", "<b>no</b>")
+    skipped = NotPlayed(
+        agent="mmc",
+        training_seed=None,
+        environment="pursuit",
+        status="skipped",
+        reason="<b>no</b>",
+    )
     manifest = Manifest(
         episodes=instances,
         seed=0,
@@ -120,7 +126,6 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
         environments=environments,
         agents=policies,
         not_played=[skipped] if "mmc" in movers else [],
-        wall_seconds={"a cell": 60.0},
         versions={"mmc-gym": "0.1.0"},
     )
     update_manifest(folder, lambda before: manifest)
@@ -129,7 +134,7 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
 def write(folder, key, episodes, keeps_paths=True):
     files = {EPISODES: episodes_file(key, episodes, {}, {})}
     if keeps_paths:
-        files[PATHS] = paths_file(key, episodes[:12], 3)
+        files[PATHS] = paths_file(key, episodes[:12])
     write_cell(folder, key, files)
 
 

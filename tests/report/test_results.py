@@ -125,7 +125,8 @@ def test_a_store_without_paths_has_no_replay_and_an_agent_may_lack_in_the_manife
 def test_where_nothing_could_be_played_the_reasons_are_named(small):
     for file in (small / "episodes").iterdir():
         file.unlink()
-    failed = NotPlayed.of(CellKey("mmc", None, "random"), "failed", "ValueError: no")
+    key = CellKey("mmc", None, "random")
+    failed = NotPlayed(**key._asdict(), status="failed", reason="ValueError: no")
     change_manifest(small, not_played=[failed.model_dump()])
     with pytest.raises(UserError, match="mmc in random: ValueError: no"):
         read_results(small)
@@ -133,7 +134,8 @@ def test_where_nothing_could_be_played_the_reasons_are_named(small):
 
 def test_an_agent_that_failed_everywhere_stands_beside_the_others(small, tmp_path):
     next((small / "episodes").glob("ik-dls*")).unlink()
-    failed = NotPlayed.of(CellKey("ik-dls", None, "random"), "failed", "ValueError: no")
+    key = CellKey("ik-dls", None, "random")
+    failed = NotPlayed(**key._asdict(), status="failed", reason="ValueError: no")
     change_manifest(small, not_played=[failed.model_dump()])
     results = read_results(small, resamples=20)
     ranking = ranking_table(results)
