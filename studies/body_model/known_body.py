@@ -59,7 +59,7 @@ class KnownBody(BodyAgent):
 
     def _true_locks(self, state: BodyState) -> Locks:
         """Return the locks in this control step; delayed senses show the locked angles later."""
-        since = state.looks[:, 0] - 1 - (self.setup.lock_step or 0)
+        since = state.looks - 1 - (self.setup.lock_step or 0)
         by_now = state.delay.run_forward(self.interface, state.posture.joint_angles)
         late, seen = self.setup.delay, state.posture.joint_angles
         place = state.locks.place

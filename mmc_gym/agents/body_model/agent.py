@@ -31,10 +31,10 @@ from mmc_gym.agents.body_model.body import PUSH, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import Drive, in_proportion
 from mmc_gym.agents.body_model.imagination import (
     Imagination,
-    LeastSquaresSolver,
     NetworkSolver,
     ReachProblem,
     Solver,
+    least_squares,
     within_reach,
 )
 from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
@@ -45,7 +45,7 @@ from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import Floats
 
 LAG = 1.5  # control steps until the joints are where a command takes them
-FARTHER = 0.3  # a target that moved by more since it was imagined is imagined anew, segment lengths
+FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
 CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
 
 
@@ -57,7 +57,8 @@ class Parts:
     Attributes:
         filters: whether noise is filtered, and moving targets are predicted.
         bridges_delay: whether the delay of the senses is estimated and bridged.
-        identifies_body: whether lengths and a turned cursor are identified; else those given hold.
+        identifies_body: whether lengths and a turned cursor are identified; else the given ones
+            are used.
         finds_locks: whether locked joints are found.
         imagines: whether several models settle; else one, from the present posture.
         drives: whether the servos are inverted; else their target is the imagined posture.
@@ -85,7 +86,7 @@ class Parts:
 class BodyState(NamedTuple):
     """State of the agent: the number of observations so far, and the memory of each part."""
 
-    looks: Floats  # (n, 1)
+    looks: Floats  # (n,)
     posture: PostureTrack
     target: TargetTrack
     delay: Delay
@@ -115,7 +116,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         joint_angles, target = sensed.joint_angles, _points(sensed.target)
         arms, joints = joint_angles.shape
         return BodyState(
-            looks=np.zeros((arms, 1)),
+            looks=np.zeros(arms),
             posture=PostureTrack.start(joint_angles, np.zeros_like(joint_angles)),
             target=TargetTrack.start(target),
             delay=Delay.start(command_of(self.interface, joint_angles, joint_angles)),
@@ -145,8 +146,8 @@ class BodyAgent(InternalModelAgent[BodyState]):
         return action.reshape(*batch, -1), state
 
     def _sense(self, state: BodyState, seen: Seen) -> BodyState:
-        """Return the state after an observation; the first one is what the state began with."""
-        is_first = state.looks[:, 0] == 0
+        """Update the state; posture and target are those of the first observation already."""
+        is_first = state.looks == 0
         state = state._replace(looks=state.looks + 1)
         if not every(is_first):
             after = self._feel(self._look(state, seen), state.posture)
@@ -157,7 +158,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         return state
 
     def _look(self, state: BodyState, seen: Seen) -> BodyState:
-        """Return the state after posture and target are seen once more."""
+        """Update the estimates of posture, target and delay."""
         posture, target = state.posture, state.target
         if self.parts.filters:
             step = self.interface.control_step
@@ -167,12 +168,12 @@ class BodyAgent(InternalModelAgent[BodyState]):
             posture = posture.unfiltered(seen.joint_angles, seen.joint_speeds)
             target = target.unfiltered(_points(seen.target))
         delay = state.delay.observed(state.posture, posture)
-        if not self.parts.bridges_delay:  # locks need to know nevertheless when a movement is felt
+        if not self.parts.bridges_delay:  # locks still need to know when a movement is felt
             delay = delay._replace(late=state.delay.late)
         return state._replace(posture=posture, target=target, delay=delay)
 
     def _feel(self, state: BodyState, before: PostureTrack) -> BodyState:
-        """Return the state after the movement is compared with the last command.
+        """Compare the movement with the last command.
 
         Joints that do not turn are locked, those that turn slowly bear a load, and obstacles stop
         some point of the arm.
@@ -190,12 +191,12 @@ class BodyAgent(InternalModelAgent[BodyState]):
             counts = is_clear & ~locks.is_locked.any(axis=-1)
             lengths = state.evidence.body.lengths
             contacts = contacts.observed(before, posture, asked, lengths, counts)
-            if some(contacts.is_new):  # what slowed the joints is no load
+            if some(contacts.is_new):  # an obstacle slowed the joints, not a load
                 drive = drive.recovered(contacts.is_new)
         return state._replace(locks=locks, drive=drive, contacts=contacts)
 
     def _forecast(self, state: BodyState) -> ReachProblem:
-        """Return where the joints are now, and where the hand should be when a command acts."""
+        """Predict where the joints are now, and where the hand should be when a command acts."""
         now, locks, late = state.posture.joint_angles, state.locks, state.delay.late
         if some(late):
             now = state.delay.run_forward(self.interface, now)
@@ -207,8 +208,8 @@ class BodyAgent(InternalModelAgent[BodyState]):
         return ReachProblem(now, aim, body.lengths, held)
 
     def _plan(self, state: BodyState, problem: ReachProblem) -> Plan:
-        """Return where arms should go: on as planned, or to a newly imagined posture."""
-        begins = state.target.has_jumped | (state.looks[:, 0] == 1) | state.contacts.is_new
+        """Return where arms should go: as planned before, or to a newly imagined posture."""
+        begins = state.target.has_jumped | (state.looks == 1) | state.contacts.is_new
         begins |= np.abs(problem.aim - state.plan.aim) > FARTHER
         is_new = begins | state.locks.has_changed.any(axis=-1)
         goal = self.imagination.followed(state.plan.goal, problem)
@@ -299,4 +300,4 @@ def network_of_body(
 
 def ik_body(interface: ReachInterface, parts: Parts = Parts()) -> BodyAgent:
     """Return the agent whose internal model is damped least squares."""
-    return BodyAgent(interface, LeastSquaresSolver(), parts)
+    return BodyAgent(interface, least_squares, parts)

@@ -2,8 +2,8 @@
 
 In this folder all arrays lead with n arms, each of N joints.  Joint angles and turns are in radians
 and segment lengths in lengths, both (n, N); speeds are in rad/s, (n, N).  Points and vectors of the
-plane are complex numbers x + iy, (n,), because to turn them is to multiply.  Time is in control
-steps.  Other shapes and units are named.
+plane are complex numbers x + iy, (n,), because multiplication rotates them.  Time is in control
+steps.  Exceptions are stated.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: F
     """Return the command that the servos get.
 
     Under position control it is the target.  Under delta and velocity control it is the turn from
-    the angle at which the joint was believed to be, so where the joint ends depends on where it is.
+    the angle at which the joint was believed to be, so where the joint ends depends on where it is
+    in fact.
     """
     if interface.control == "joint_position":
         return joint_targets
@@ -52,7 +53,7 @@ def commanded_turn(interface: ReachInterface, joint_angles: Floats, commands: Fl
 
         Δq = clip((1 − exp(−gain Δt)) (c − q), ±speed_limit Δt).
 
-    Joints turn the short way round, or the way that joint limits leave.  The model leaves out
+    Joints turn the short way round, or the way that joint limits allow.  The model leaves out
     inertia and torque limits, so a heavy or loaded arm lags behind it.  Under `joint_delta` a
     target is never far ahead, so joints stay below full speed.  Under `joint_velocity` a joint
     keeps one speed during the step.

@@ -62,7 +62,7 @@ ASKED = 0.4  # turn that is asked of a joint until it is taken as locked, radian
 ASKED_IF_GIVEN = 0.15  # the same of a joint that is given as lockable
 SLOWLY = 0.25  # share of that turn which is enough at a vigour of 0
 ASKED_PER_NOISE = 10.0  # what noise of the joint angles adds to that turn
-WRONGLY = 4.0  # factor of that turn for a joint that was taken as locked, and then turned
+WRONGLY = 4.0  # factor of that turn for a joint that was once wrongly taken as locked
 STILL = 0.004  # a joint that turns by less rests, radians
 STILL_PER_ASKED = 0.12  # and so does one that turns by a smaller share of what was asked
 SLOW = 0.25  # a faster joint does not rest, rad/s
@@ -228,7 +228,7 @@ class Locks(NamedTuple):
     asked: Floats  # sum of the turns asked of it there
     is_locked: Bools  # whether it is taken as locked
     has_changed: Bools  # whether that changed with the last observation
-    was_wrong: Bools  # whether it was taken as locked, and then turned
+    was_wrong: Bools  # whether it was ever taken as locked, but turned
 
     @classmethod
     def start(cls, joint_angles: Floats) -> Locks:
@@ -244,11 +244,11 @@ class Locks(NamedTuple):
         lockable: tuple[int, ...] = (),
         vigour: float = 1.0,
     ) -> Locks:
-        """Return the locks after one more observation, in which joints should turn as `expected`.
+        """Return the locks after one more observation.
 
-        `is_felt`: whether the arm has been felt to move, (n,).  `lockable`: the only joints that
-        can lock, if these are given.  With less vigour less turn is asked before a joint is taken
-        as locked.
+        `expected`: how far joints should have turned.  `is_felt`: whether the arm has been felt to
+        move, (n,).  `lockable`: the only joints that can lock, if these are given.  At a lower
+        `vigour` a smaller turn is enough.
         """
         noise, seen = posture.deviation, posture.joint_angles
         tolerance = STILL + 3 * noise

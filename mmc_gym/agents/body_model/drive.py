@@ -35,8 +35,8 @@ STRONGEST, WEAKEST = 60.0, 2.0  # first and least estimate of the acceleration o
 SHORT = 0.3  # a joint that lacks more of the speed asked of it does what it can, rad/s
 LEARNED, RISEN = 0.4, 0.1  # rates of the estimate: falling, and rising (others may have helped)
 RECOVERED = 0.03  # rate at which it recovers
-FULL = 0.8  # a target that is so far ahead keeps a joint at full speed for a control step, radians
-LONGEST = 3.0  # no target is farther ahead, radians: half a turn ahead is half a turn back
+FULL = 0.8  # a target this far ahead keeps a joint at full speed for a control step, radians
+LONGEST = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
 RETURN = 0.3  # rate at which a posture returns to the straight way that it left
 
 SHORTEST = 0.2  # duration of a human movement of no length, s
@@ -69,8 +69,8 @@ class Drive(NamedTuple):
     ) -> Drive:
         """Estimate the acceleration from a control step between two postures.
 
-        Only joints that are seen in time and without noise count (`is_clear`, (n,)).  Those that
-        are not at their limit recover the first estimate if `recovers`, (n,).
+        Only joints that are seen in time and without noise count (`is_clear`, (n,)).  For
+        joints below their limit the estimate returns to the first one if `recovers`, (n,).
         """
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
         lacked = bounded(gain * self.lead, limit) - before.speeds
@@ -152,7 +152,7 @@ class Drive(NamedTuple):
         """Return joint targets that turn joints as wanted, and the memory.
 
         Where the angle left may be mere noise (of this standard deviation, (n, 1)), the target is
-        the goal itself: to undo noise within a control step would be to follow it.
+        the goal itself, because a servo that undoes noise in a control step follows the noise.
         """
         full = 0.97 * interface.speed_limit * interface.control_step
         lead = np.where(np.abs(turn) > full, np.sign(turn) * FULL, turn / turn_share(interface))

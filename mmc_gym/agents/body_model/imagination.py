@@ -3,7 +3,7 @@
 Several copies of the model start from different postures about the present one, and settle with
 their hand at the target.  The nearest posture is chosen: the one whose joints turn least, above all
 the joint that turns farthest.  A redundant arm has many postures for a target, and a single model
-settles in whichever is near in its own dynamics.  MMC networks have been used for planning by
+settles in the one to which its own dynamics lead.  MMC networks have been used for planning by
 internal simulation before (Schilling and Cruse 2017).
 
 Joints that are locked, or would go beyond a limit, are held.
@@ -45,6 +45,8 @@ TOTAL = 0.05  # weight of the sum of all turns, beside that of the joint that tu
 ALLOWED = 0.01  # a posture may miss the target by so much without a cost, segment lengths
 MISSED = 20.0  # cost of what it misses beyond that, radians per segment length
 BEYOND = 1e-6  # a joint that is farther beyond a limit is held there, radians
+DAMPING = 0.1  # λ of damped least squares, segment lengths
+LONGEST_ERROR = 0.5  # longest error that counts in damped least squares, segment lengths
 
 
 class ReachProblem(NamedTuple):
@@ -69,7 +71,7 @@ class ReachProblem(NamedTuple):
 
 
 Solver: TypeAlias = Callable[[ReachProblem, int], Floats]
-"""An internal model: it returns the postures (..., N) in which arms settle in some iterations."""
+"""An internal model: given a number of iterations, it returns the postures (..., N) reached."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class NetworkSolver:
         joint_angles, aim, lengths, held = problem
         iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
         network = self.network
-        # Single precision is that of the senses, and four times as quick.
+        # Single precision is as precise as the senses, and four times as fast.
         start = network.state_from_segments(_vectors(lengths * unit_vectors(joint_angles)))
         clamps = network.inverse(_vectors(aim))
         if held is None and every(lengths == network.segment_lengths):
@@ -104,42 +106,34 @@ def _vectors(points: Points) -> Floats:
     return np.stack([points.real, points.imag], axis=-1).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class LeastSquaresSolver:
-    """Damped least squares as internal model: Δq = Jᵀ(JJᵀ + λ²I)⁻¹e, the error shortened.
+def least_squares(problem: ReachProblem, iterations: int) -> Floats:
+    """Iterate damped least squares, the other internal model.
 
-    Attributes:
-        damping: λ, segment lengths.
-        longest: longest error that counts, segment lengths.
+    In each iteration Δq = Jᵀ(JJᵀ + λ²I)⁻¹e, with the error e shortened to `LONGEST_ERROR`.  They
+    are half as many as given, because one costs more than an iteration of the network.
     """
-
-    damping: float = 0.1
-    longest: float = 0.5
-
-    def __call__(self, problem: ReachProblem, iterations: int) -> Floats:
-        """Iterate half as often, because an iteration costs more than the network's."""
-        joint_angles, aim, lengths, held = problem
-        for _ in range((iterations + 1) // 2):
-            segments = lengths * unit_vectors(joint_angles)
-            to_hand = np.cumsum(segments[..., ::-1], axis=-1)[..., ::-1]  # from each joint
-            error = aim - to_hand[..., 0]
-            error = error * np.minimum(1, self.longest / np.maximum(np.abs(error), 1e-9))
-            jacobian = 1j * to_hand if held is None else np.where(held, 0, 1j * to_hand)
-            xx = (jacobian.real**2).sum(axis=-1) + self.damping**2
-            yy = (jacobian.imag**2).sum(axis=-1) + self.damping**2
-            xy = (jacobian.real * jacobian.imag).sum(axis=-1)
-            pull_x = yy * error.real - xy * error.imag
-            pull_y = xx * error.imag - xy * error.real
-            pull = (pull_x - 1j * pull_y) / (xx * yy - xy * xy)
-            joint_angles = joint_angles + (jacobian * pull[..., None]).real
-        return wrap_angle(joint_angles)
+    joint_angles, aim, lengths, held = problem
+    for _ in range((iterations + 1) // 2):
+        segments = lengths * unit_vectors(joint_angles)
+        to_hand = np.cumsum(segments[..., ::-1], axis=-1)[..., ::-1]  # from each joint
+        error = aim - to_hand[..., 0]
+        error = error * np.minimum(1, LONGEST_ERROR / np.maximum(np.abs(error), 1e-9))
+        jacobian = 1j * to_hand if held is None else np.where(held, 0, 1j * to_hand)
+        xx = (jacobian.real**2).sum(axis=-1) + DAMPING**2
+        yy = (jacobian.imag**2).sum(axis=-1) + DAMPING**2
+        xy = (jacobian.real * jacobian.imag).sum(axis=-1)
+        pull_x = yy * error.real - xy * error.imag
+        pull_y = xx * error.imag - xy * error.real
+        pull = (pull_x - 1j * pull_y) / (xx * yy - xy * xy)
+        joint_angles = joint_angles + (jacobian * pull[..., None]).real
+    return wrap_angle(joint_angles)
 
 
 class Imagination:
     """Finds postures with the hand at a target."""
 
     def __init__(self, interface: ReachInterface, solver: Solver, is_broad: bool) -> None:
-        """Make the imagination of an arm, from several starts or (not `is_broad`) from one."""
+        """Make the imagination of an arm, which starts from several postures if `is_broad`."""
         self.interface, self.solver = interface, solver
         joints = len(interface.segment_lengths)
         self.offsets = start_offsets(joints) if is_broad else np.zeros((1, joints))
@@ -157,7 +151,7 @@ class Imagination:
         return self.interface.within_limits(within)
 
     def followed(self, goal: Floats, problem: ReachProblem) -> Floats:
-        """Return the goal postures, moved on where their hand is not at the target, (n, N)."""
+        """Return the goal postures, improved where the hand misses the target, (n, N)."""
         if problem.held is not None:
             goal = np.where(problem.held, problem.joint_angles, goal)
         misses = np.abs(hand(goal, problem.lengths) - problem.aim) > NEAR
@@ -186,7 +180,7 @@ class Imagination:
         return postures, self.cost(problem, postures)
 
     def cost(self, problem: ReachProblem, postures: Floats) -> Floats:
-        """Return what it costs to turn to postures (..., n, N), radians, (..., n)."""
+        """Return the cost of turning to postures (..., n, N), radians, (..., n)."""
         turns = np.abs(self.interface.turn(problem.joint_angles, postures))
         missed = np.abs(hand(postures, problem.lengths) - problem.aim)
         cost: Floats = turns.max(axis=-1) + TOTAL * turns.sum(axis=-1)
@@ -199,11 +193,9 @@ def start_offsets(joints: int) -> Floats:
     Each third of the arm is bent by −`SPREAD`, 0 or `SPREAD`, in all combinations; the first start
     is the present posture.
     """
-    parts = np.array_split(np.arange(joints), min(joints, 3))
-    offsets = np.zeros((3 ** len(parts), joints))
-    for row, bends in zip(offsets, product((0.0, -SPREAD, SPREAD), repeat=len(parts)), strict=True):
-        for part, bend in zip(parts, bends, strict=True):
-            row[part] = bend / len(part)
+    parts = [len(part) for part in np.array_split(np.arange(joints), min(joints, 3))]
+    bends = np.array(list(product((0.0, -SPREAD, SPREAD), repeat=len(parts))))
+    offsets: Floats = np.repeat(bends / parts, parts, axis=-1)
     return offsets
 
 

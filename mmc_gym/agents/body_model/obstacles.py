@@ -9,8 +9,8 @@ Over the last control steps,
     r = Σ |a·n| / Σ |w·n|
 
 is nearly 0 at the point of contact.  A load that gathers speed looks similar, but no point of it
-loses speed in a blow.  So a point that lost speed is in contact after a few control steps of small
-r, and one that did not only after many.  If all joints rest although they are asked to turn, the
+loses speed in a blow.  So a point that lost speed counts as in contact after a few control steps of
+small r, any other point only after many.  If all joints rest although they are asked to turn, the
 point that should move farthest is in contact.  There a disc of `RADIUS` is remembered, on the side
 to which the point should move.
 
@@ -56,9 +56,9 @@ NOWHERE = 1e6 + 0j  # place of a disc that is free to be used
 
 MARGIN = 0.02  # distance kept from a disc, segment lengths
 COMFORT = 0.15  # a leg costs more if it is nearer to a disc, segment lengths
-DISCOMFORT = 6.0  # by so much, radians per segment length
+DISCOMFORT = 6.0  # weight of what it is nearer, radians per segment length
 STAGES = np.arange(1, 17) / 16  # shares of a leg at which it is checked
-EVERYWHERE = 64  # number of postures in the map that are anywhere
+EVERYWHERE = 64  # number of postures in the map that are drawn anywhere
 NEARBY = 96  # number of those beside the straight ways to the target
 BESIDE = 1.5  # how far beside, radians
 NEIGHBOURS = 8  # number of legs from each posture of the map
@@ -128,7 +128,7 @@ class Contacts(NamedTuple):
         return where(is_new, self._remember(disc)._released()._replace(is_new=is_new), after)
 
     def _released(self) -> Contacts:
-        """Return the memory of arms that nothing holds back."""
+        """Return the memory of obstacles with new sums, for arms that nothing holds back."""
         arms, points = self.wanted.shape
         start = self.start(arms, points // len(POINTS))
         return start._replace(discs=self.discs, met=self.met)
@@ -181,7 +181,7 @@ def _places(units: Points, lengths: Floats) -> Points:
 
 
 def _across(units: Points, lengths: Floats, turn: Floats) -> Floats:
-    """Return how far the points move across their segment if joints turn so, (n, N · points)."""
+    """Return how far the points move across their segment in a turn, (n, N · points)."""
     rotation = np.cumsum(turn, axis=-1)
     moved = 1j * lengths * units * rotation  # the end of each segment, relative to its begin
     begin = np.cumsum(moved, axis=-1) - moved
@@ -218,7 +218,7 @@ class Plan(NamedTuple):
         return following
 
     def arrived(self, interface: ReachInterface, joint_angles: Floats) -> Plan:
-        """Return the plan of arms in these postures, with the next leg where one is over."""
+        """Return the plan, with the next leg for arms whose posture ends one."""
         if not some(self.ahead):
             return self
         end = self.next
@@ -245,7 +245,7 @@ def clearance(joint_angles: Floats, lengths: Floats, discs: Points) -> Floats:
 def room(
     interface: ReachInterface, start: Floats, end: Floats, lengths: Floats, discs: Points
 ) -> tuple[Floats, Floats]:
-    """Return how free straight movements between postures (..., N) are.
+    """Measure the free space along straight movements between postures (..., N).
 
     A movement that begins in contact has to lead away from it.
 
@@ -266,7 +266,7 @@ class Ways:
     """Plans movements round the contacts that are remembered."""
 
     def __init__(self, imagination: Imagination) -> None:
-        """Make it for the arm of an imagination."""
+        """Draw the map for the arm of an imagination."""
         self.imagination, self.interface = imagination, imagination.interface
         joints = len(self.interface.segment_lengths)
         random = np.random.default_rng(0)  # always the same map
@@ -276,7 +276,7 @@ class Ways:
         self.beside = random.uniform(-BESIDE, BESIDE, (NEARBY, joints))
 
     def planned(self, plan: Plan, contacts: Contacts, problem: ReachProblem, begins: Bools) -> Plan:
-        """Return the plans, made anew where a movement begins, round the contacts if there are."""
+        """Return the plans, new where a movement begins, and round the known contacts."""
         plan = plan._replace(
             begin=np.where(begins[:, None], problem.joint_angles, plan.begin),
             ahead=np.where(begins, 0, plan.ahead),
@@ -295,7 +295,7 @@ class Ways:
         return plan
 
     def _way_round(self, problem: ReachProblem, discs: Points) -> Floats | None:
-        """Return the postures to go to one after the other, (legs, N); None if no way is found."""
+        """Return the ends of the legs in order, (legs, N); None if no way is found."""
         start, lengths = problem.joint_angles[0], problem.lengths[0]
         goals, costs = (values[:, 0] for values in self.imagination.all(problem))
         goals = goals[np.argsort(costs)[:GOALS]]
@@ -309,7 +309,7 @@ class Ways:
             vias = np.where(problem.held[0], start, vias)
         vias = vias[clearance(vias, lengths, discs) > RADIUS]
         nodes, first_via = np.concatenate([start[None], goals, vias]), 1 + len(goals)
-        one, other = self._legs(nodes, first_via).T
+        one, other = self._legs(nodes, first_via)
         cost = np.full((len(nodes), len(nodes)), np.inf)
         cost[one, other] = cost[other, one] = self._cost(nodes[one], nodes[other], lengths, discs)
         chosen = _shortest(cost, np.arange(1, first_via))
@@ -320,23 +320,21 @@ class Ways:
             self._tighten(way, lengths, discs)
         return way[1:]
 
-    def _legs(self, nodes: Floats, first_via: int) -> NDArray[np.intp]:
-        """Return the legs of a map, pairs of nodes, (legs, 2).
+    def _legs(self, nodes: Floats, first_via: int) -> tuple[NDArray[np.intp], ...]:
+        """Return the legs of a map, as the indices of the nodes at their two ends, (legs,) each.
 
         They lead from the first node, where the arm is, to all others; from each of those to its
-        neighbours; and to the goals, the nodes before `first_via`, from more of them.
+        neighbours; and from each goal, a node before `first_via`, to three times as many.
         """
         far = np.abs(self.interface.turn(nodes[1:, None], nodes[1:])).max(axis=-1)
-        near = np.argsort(far, axis=-1)[:, 1 : NEIGHBOURS + 1] + 1
         goals, others = np.arange(1, first_via), np.arange(1, len(nodes))
+        near = far.argsort(axis=-1)[:, 1 : NEIGHBOURS + 1] + 1
         to_goal = far[: len(goals), len(goals) :].argsort(axis=-1)[:, : 3 * NEIGHBOURS] + first_via
-        legs = [
-            np.stack(np.broadcast_arrays(ends[:, None], begins), axis=-1).reshape(-1, 2)
-            for ends, begins in ((others, near), (goals, to_goal))
-        ]
-        between = np.unique(np.sort(np.concatenate(legs), axis=-1), axis=0)
-        from_start = np.stack([np.zeros_like(others), others], axis=-1)
-        return np.concatenate([from_start, between])
+        is_leg = np.zeros((len(nodes), len(nodes)), bool)
+        is_leg[0, others] = True
+        is_leg[others[:, None], near] = True
+        is_leg[goals[:, None], to_goal] = True
+        return np.nonzero(np.triu(is_leg | is_leg.T))
 
     def _cost(self, start: Floats, end: Floats, lengths: Floats, discs: Points) -> Floats:
         """Return the cost of legs, radians, infinite for those that are not free, (...)."""

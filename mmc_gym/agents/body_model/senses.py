@@ -58,7 +58,7 @@ LONGEST_DELAY = 25  # the longest delay that is bridged, control steps
 ONSET = 0.02  # a joint that is faster moves, rad/s
 ONSET_PER_NOISE = 60.0  # what noise of the joint angles adds to that, 1/s
 FAST = 2.5  # a joint that is faster moves, whatever the noise, rad/s
-CLEARLY = 5.0  # commands should be felt if they ask for a speed of so many times the onset
+CLEARLY = 5.0  # commands that ask for this many times the onset should be felt
 EARLY = 6  # observations in which noise may still be taken for a movement
 
 
@@ -103,7 +103,7 @@ class PostureTrack(NamedTuple):
         return self._turned(wrap_angle(joint_angles - self.joint_angles), joint_angles, speeds)
 
     def _turned(self, turn: Floats, seen: Floats, speeds: Floats) -> PostureTrack:
-        """Return the estimate after the joints turned so."""
+        """Return the estimate after the joints turned by `turn` and were seen at `seen`."""
         joint_angles, age = self.joint_angles + turn, self.age + 1
         return self._replace(
             joint_angles=joint_angles, turn=turn, seen=seen, speeds=speeds, age=age
@@ -164,8 +164,8 @@ class TargetTrack(NamedTuple):
         is_settled = (age >= SETTLED) & ~jumps
         noise = np.where(is_settled, self._noise_after(target), self.noise)
 
-        # The mean of a target at rest.  Its gain is at least that of a plain mean: noise that
-        # seemed small at first would keep it small for long.
+        # The mean of a target at rest.  Its gain is at least that of a plain mean; otherwise
+        # noise that seemed small at first would keep it small for long.
         doubt = np.where(age <= SETTLED, noise / self.age, self.doubt) + SAME**2
         gain = np.maximum(np.where(seen <= SETTLED, 0.0, doubt / (doubt + noise)), 1 / age)
 
@@ -199,7 +199,7 @@ class TargetTrack(NamedTuple):
         return where(jumps, fresh, after)
 
     def _jumps(self, error: Points, stray: Points) -> Bools:
-        """Return whether targets jump that miss their moving and their resting prediction so."""
+        """Return which targets jump, from their errors to the moving and the resting prediction."""
         is_moving = self.is_moving
         usual = 6 * np.sqrt(self.noise) + 3 * np.sqrt(np.where(is_moving, self.error_moving, 0.0))
         far = np.abs(np.where(is_moving, error, stray))
@@ -251,14 +251,14 @@ class Delay(NamedTuple):
     def observed(self, before: PostureTrack, posture: PostureTrack) -> Delay:
         """Return the estimate after one more observation of the posture.
 
-        Values that are exactly those of before show no movement: even noise would change them.
+        Values that repeat exactly show no movement, because even noise would change them.
         """
         if every(self.is_felt) and every(posture.age > EARLY):
             return self
         moves = np.abs(posture.speeds).max(axis=-1) > np.minimum(_onset(posture), FAST)
         moves &= (posture.seen != before.seen).any(axis=-1)
         late = np.where(self.is_felt, self.late, np.clip(self.due - 1, 0, LONGEST_DELAY))
-        # The first observations may mistake noise for movement, so they must be confirmed.
+        # In the first observations noise may look like movement, so it must be confirmed.
         keeps = (posture.age[:, 0] > EARLY) | (posture.noise[:, 0] < SAME**2)
         is_felt = moves | (self.is_felt & keeps)
         due = self.due + (self.due > 0)
