@@ -14,7 +14,6 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.body_model.agent import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_least_squares
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, network_of_arm, out_of_line
-from mmc_gym.body import ArmParameters
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.measures import run_episodes
 from mmc_gym.network import MMCNetwork
@@ -58,16 +57,6 @@ def test_actions_lie_in_the_action_space_single_and_batched(name):
         assert envs.action_space.contains(actions)
 
 
-def played(name: str, count: int, steps: int) -> tuple:
-    """The agent, and observations and state of `count` arms after some steps."""
-    envs = gym.make_vec("MMCReach-v0", num_envs=count, **TROUBLES)
-    (observations, _), state, agent = envs.reset(seed=60_000), None, make_agent(name, envs)
-    for _ in range(steps):
-        actions, state = agent.predict(observations, state)
-        observations, *_ = envs.step(actions)
-    return agent, observations, state
-
-
 @pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
 def test_a_batch_acts_as_its_members_do_alone(name):
     envs = gym.make_vec("MMCReach-v0", num_envs=4, **TROUBLES)
@@ -83,25 +72,21 @@ def test_a_batch_acts_as_its_members_do_alone(name):
 
 @pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
 def test_a_new_episode_knows_nothing_of_the_last_and_changes_no_other(name):
-    agent, observations, state = played(name, 3, 9)
+    envs = gym.make_vec("MMCReach-v0", num_envs=3, **TROUBLES)
+    (observations, _), state, agent = envs.reset(seed=60_000), None, make_agent(name, envs)
+    for _ in range(9):
+        actions, state = agent.predict(observations, state)
+        observations, *_ = envs.step(actions)
+    resumed, _ = agent.predict(observations, state)
     fresh, fresh_state = agent.predict(observations)
-    going_on, _ = agent.predict(observations, state)
     if name != "ik-closed-form":  # done after one step, and would restart from the same posture
-        assert not np.array_equal(fresh[1], going_on[1])
+        assert not np.array_equal(fresh[1], resumed[1])
     restarted, _ = agent.predict(observations, state, [False, True, False])
     np.testing.assert_array_equal(restarted[1], fresh[1])
-    np.testing.assert_array_equal(restarted[[0, 2]], going_on[[0, 2]])
+    np.testing.assert_array_equal(restarted[[0, 2]], resumed[[0, 2]])
     _, state = agent.predict(observations, state, [True, True, True])
     after = [agent.predict(observations, one)[0] for one in (state, fresh_state)]
     np.testing.assert_array_equal(*after)
-
-
-@pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS))
-def test_an_agent_remembers_nothing_but_its_state(name):
-    agent, observations, state = played(name, 2, 10)
-    actions, _ = agent.predict(observations, state)
-    agent.predict(np.zeros_like(observations))
-    np.testing.assert_array_equal(agent.predict(observations, state)[0], actions)
 
 
 @pytest.mark.parametrize("bearing", [0.7, pytest.param(0.0, marks=pytest.mark.slow)])
@@ -122,19 +107,6 @@ def test_an_arm_in_one_line_with_its_target_gets_there(name, count, bearing):
     for episode in run_episodes(make_agent(name, envs), envs, range(len(options)), options=options):
         start, end = episode.distances[[0, -1]]
         assert end <= (0.9 * start if is_slow else 0.02)
-
-
-@pytest.mark.parametrize("name", ["mmc", "mmc-bell", "mmc-body"])
-def test_a_target_that_jumps_into_the_line_of_a_stretched_arm_is_reached(name):
-    env = gym.make("MMCReach-v0")
-    agent, state = make_agent(name, env), None
-    observation, _ = env.reset(options={"joint_angles": [0.0, 0.0, 0.0], "target": (3.0, 0.0)})
-    for step in range(150):
-        if step == 20:
-            env.unwrapped.set_target((1.5, 0.0))
-        action, state = agent.predict(observation, state)
-        observation, _, _, _, info = env.unwrapped.step(action)
-    assert info["distance"] < 0.02
 
 
 def test_of_a_batch_of_networks_only_those_that_are_stuck_are_bent():
@@ -184,19 +156,6 @@ def test_delta_control_goes_the_way_that_limits_leave():
     assert 0 < interface.act(np.array([2.9, 0.0, 2.5]), sensed)[2] < 0.2  # to 2, no farther
 
 
-def test_wide_limits_change_nothing_for_an_arm_that_stays_within():
-    start = {"joint_angles": [0.3, 0.4, 0.4], "target": [1.0, 1.5]}
-    actions = []
-    for limits in (None, ((-np.pi, np.pi),) * 3):
-        env = gym.make("MMCReach-v0", joint_limits=limits)
-        (observation, _), state, agent = env.reset(options=start), None, make_agent("mmc", env)
-        for _ in range(20):
-            action, state = agent.predict(observation, state)
-            actions.append(action)
-            observation, *_ = env.step(action)
-    np.testing.assert_allclose(actions[:20], actions[20:], atol=1e-6)
-
-
 @pytest.mark.parametrize("name", ["mmc", "mmc-bell", "mmc-body", "ik-dls", "minimum-jerk"])
 def test_a_state_of_other_arms_is_an_error(name):
     agent = make_agent(name, gym.make("MMCReach-v0"))
@@ -231,7 +190,8 @@ def test_a_state_of_another_agent_is_an_error(name):
 @pytest.mark.parametrize("name", by_night(JOINT_TARGET_AGENTS, ("mmc", "ik-dls")))
 def test_nearly_all_targets_are_reached_by_joint_targets_of_every_kind(name, control):
     least = {"mmc": 1.0, "ik-dls": 1.0, "mmc-classical": 0.7}.get(name, 0.97)
-    assert success_rate(name, 40, control=control) >= least
+    env_id = "MMCReachGoal-v0" if control == "joint_velocity" else "MMCReach-v0"
+    assert success_rate(name, 40, env_id, control=control) >= least
 
 
 @pytest.mark.parametrize(
@@ -260,16 +220,9 @@ def test_nearly_all_targets_are_reached_with_other_arms(name, lengths):
         ("ppo", {"segment_lengths": (1.0,) * 2}, "env must have 3 segments for this policy, got 2"),
     ],
 )
-def test_an_environment_that_an_agent_cannot_act_in_is_told_apart_from_other_errors(
-    name, options, message
-):
+def test_an_environment_that_an_agent_cannot_act_in_is_an_error_of_its_own(name, options, message):
     with pytest.raises(CannotActError, match=message):
         make_agent(name, gym.make("MMCReach-v0", **options))
-
-
-@pytest.mark.parametrize(("name", "least"), [("mmc", 0.99), ("ik-dls", 0.99), ("ppo", 0.98)])
-def test_nearly_all_random_targets_are_reached(name, least):
-    assert success_rate(name, 100, "MMCReachGoal-v0" if name == "mmc" else "MMCReach-v0") >= least
 
 
 def test_stable_baselines3_evaluates_them():
@@ -291,13 +244,13 @@ def test_what_is_drawn_at_random_is_the_same_at_every_run(name):
     assert not np.array_equal(drawn[0], drawn[1])
 
 
-@pytest.mark.parametrize("env", [None, "MMCReach-v0", 3, gym.make("Pendulum-v1")])
-def test_what_is_no_reaching_environment_is_an_error(env):
+@pytest.mark.parametrize("make", [str, gym.make, make_vec_env])
+def test_what_is_no_reaching_environment_is_an_error(make):
     with pytest.raises(UserError, match="env must be a reaching environment of mmc_gym, got"):
-        make_agent("mmc", env)
+        make_agent("mmc", make("Pendulum-v1"))
 
 
-def test_vectors_of_any_kind_tell_what_their_environments_do():
+def test_vectors_of_any_kind_have_the_interface_of_their_environments():
     interface = ReachInterface.of(gym.make("MMCReach-v0"))
     native = gym.make_vec("MMCReach-v0", 2, autoreset_mode="SameStep")
     for envs in (
@@ -308,69 +261,25 @@ def test_vectors_of_any_kind_tell_what_their_environments_do():
     ):
         assert ReachInterface.of(envs) == interface
         assert make_agent("mmc-body", envs).interface == interface
-    with pytest.raises(ValueError, match="env must be a reaching environment of mmc_gym"):
-        ReachInterface.of(make_vec_env("Pendulum-v1"))
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda it: MMCAgent("env", MMCNetwork()), "interface must be a ReachInterface, .*'env'"),
+        (lambda it: MMCAgent(it, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
+        (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
+        (lambda it: MMCAgent(it, MMCNetwork(), 1.5), "iterations_per_step must be .*, got 1.5"),
+        (lambda it: TimedMMCAgent(it, MMCNetwork(), 0), "iterations_per_step must be a whole"),
         (
-            lambda given: MMCAgent("env", MMCNetwork()),
-            "interface must be a ReachInterface, .*'env'",
-        ),
-        (lambda given: MMCAgent(given, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
-        (lambda given: MMCAgent(given, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
-        (
-            lambda given: MMCAgent(given, MMCNetwork(), 1.5),
-            "iterations_per_step must be .*, got 1.5",
-        ),
-        (
-            lambda given: TimedMMCAgent(given, MMCNetwork(), 0),
+            lambda it: InverseKinematicsAgent(it, damped_least_squares, 0),
             "iterations_per_step must be a whole",
         ),
-        (
-            lambda given: InverseKinematicsAgent(given, damped_least_squares, 0),
-            "iterations_per_step must be a whole",
-        ),
-        (lambda given: network_of_arm(given, dampening=4), "'dampening'; did you mean 'damping'"),
-        (lambda given: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
+        (lambda it: network_of_arm(it, dampening=4), "'dampening'; did you mean 'damping'"),
+        (lambda it: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
+        (lambda it: Parts(vigour=1.5), "vigour must be a number between 0 and 1, got 1.5"),
     ],
 )
 def test_wrong_arguments_of_agents_are_refused(make, message):
     with pytest.raises(UserError, match=message):
         make(ReachInterface.of(gym.make("MMCReach-v0")))
-
-
-def servo_demand(network: MMCNetwork) -> tuple[float, float]:
-    """Largest joint-target speed of the paper's example movement, and torque in its first step.
-
-    The torque is the mean over the control step.  Later on, the arm takes the servos to their limit
-    whatever the network.
-    """
-    env = gym.make("MMCReach-v0", control="joint_position")
-    agent = MMCAgent(ReachInterface.of(env), network)
-    start = np.array([[0.99, 0.15], [0.707, 0.7071], [0.15, 0.99]])
-    posture = network.state_from_segments(start).joint_angles
-    options = {"joint_angles": posture, "target": (-1.8, 1.8)}
-    observation, _ = env.reset(seed=0, options=options)
-    arm, state, target = env.unwrapped.arm, None, posture
-    arm.records_effort = True
-    fastest, torques = 0.0, []
-    for _ in range(100):
-        action, state = agent.predict(observation, state)
-        fastest = max(fastest, np.abs(np.pi * action - target).max() / 0.02)
-        target = np.pi * action
-        observation, *_ = env.step(action)
-        torques.append(max(arm.servo_impulses) / 0.02)
-    return fastest, torques[0]
-
-
-def test_the_classical_networks_first_peak_saturates_the_servo_and_the_dynamic_ones_does_not():
-    body = ArmParameters()
-    classical_speed, classical_torque = servo_demand(MMCNetwork())
-    dynamic_speed, dynamic_torque = servo_demand(MMCNetwork(dynamics="paper"))
-    assert classical_speed > 2.5 * body.speed_limit
-    assert classical_torque > 0.8 * body.torque_limit  # over the step: all of it, but at its end
-    assert dynamic_speed < 1.1 * body.speed_limit
-    assert dynamic_torque < 0.25 * body.torque_limit
