@@ -2,18 +2,16 @@
 
 A cell is any argument that can be pickled.  Results come back to the calling process, which alone
 keeps anything: the nodes of a cluster may share no file system.  Every worker computes on one
-thread, so that results do not depend on the number of processors.  Where a worker or a node dies,
-its cells are computed again.
+thread, so that results do not depend on the number of processors.  If a worker or a node dies, its
+cells are computed again.
 """
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import logging
 import os
 import pickle
-import platform
 import re
 import sys
 import threading
@@ -24,8 +22,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from functools import cache
-from pathlib import Path
 from typing import Any, TypeVar
 
 import cloudpickle
@@ -36,9 +32,9 @@ from mmc_gym._errors import missing, require, require_whole, shown
 CellT = TypeVar("CellT")
 Value = TypeVar("Value")
 
-ATTEMPTS = 5  # of a cell on Ray, each time that it begins: nodes and workers may die under it
+ATTEMPTS = 5  # of a cell on Ray, whose node or worker may die
 _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-_GROWTH_SECONDS = 5.0  # after which a cluster may have got more nodes
+_GROWTH_SECONDS = 5.0  # after which we look whether the cluster has more nodes
 
 
 class CellError(RuntimeError):
@@ -75,27 +71,27 @@ def run_grid(
     """Compute `function` of every cell, in many processes at once.
 
     Args:
-        function: takes one cell.  It can be pickled, depends on its cell only, and leaves nothing
-            behind but its result: where a worker dies, its cell is computed again.
-        cells: arguments, which can be pickled.
-        jobs: how many cells are computed at once; 1 computes in this process.  By default as many
-            as this machine, or the cluster, has processors.
+        function: takes one cell.  It must be picklable, depend on its cell only, and have no
+            effect but its result, since it is called again if a worker dies.
+        cells: arguments, which must be picklable.
+        jobs: how many cells are computed at once; 1 computes in this process.  The default is the
+            number of processors of this machine, or of the cluster.
         cluster: None for this machine; "ray" for the Ray cluster that `RAY_ADDRESS` names or this
             machine belongs to, or a local one if there is none; "ray://HOST:PORT" for the one
-            whose client server listens there.  Every node needs the same sources of `mmc_gym` as
-            this machine, and refuses work if it has others.
+            whose client server listens there.  Every node needs this machine's version of
+            `mmc_gym`.
         on_result: called here with (index, result) as soon as a cell is finished.
         on_failure: called here with (index, error) for a cell whose worker dies twice; the grid
-            continues without it.  So even a single cell gets a process of its own, unless `jobs`
-            is 1.  By default such a death ends the grid as any error does.
+            continues without it.  Then even a single cell is computed in another process, unless
+            `jobs` is 1.  By default such a death ends the grid, as any error does.
 
     Returns:
-        The results in the order of the cells; None for those that `on_failure` took.
+        The results in the order of the cells; None for each that was given to `on_failure`.
 
     Raises:
         UserError: if `jobs` or `cluster` is not accepted, or Ray is not installed.
-        CellError: if `function` raised.  It is raised last: no further cells begin, but those that
-            have begun are finished and handed to `on_result`.
+        CellError: if `function` raised.  Before it is raised, the cells that have begun are
+            finished and given to `on_result`; no others begin.
 
     >>> run_grid(abs, [-1, 2, -3], jobs=1)
     [1, 2, 3]
@@ -154,7 +150,7 @@ def run_grid(
 
 
 def check_workers(jobs: int | None, cluster: str | None) -> None:
-    """Raise a `UserError` unless `run_grid` takes these, as far as this machine knows."""
+    """Raise a `UserError` unless `run_grid` accepts these; do not connect to the cluster."""
     if jobs is not None:
         require_whole("jobs", jobs)
     if cluster is None:
@@ -169,17 +165,18 @@ def check_workers(jobs: int | None, cluster: str | None) -> None:
 def one_torch_thread() -> Iterator[None]:
     """Keep torch on one thread, if it is loaded.
 
-    Small networks run faster so, and give the same numbers on any number of cores.
+    Small networks are faster on one thread, and give the same numbers on any number of cores.
     """
     torch: Any = sys.modules.get("torch")
-    before = torch.get_num_threads() if torch else None
-    if torch:
-        torch.set_num_threads(1)
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
     try:
         yield
     finally:
-        if torch:
-            torch.set_num_threads(before)
+        torch.set_num_threads(before)
 
 
 def _failure(index: int, cell: object, error: BaseException) -> CellError:
@@ -212,10 +209,9 @@ class _Processes:
         """Wait for calls, and return those that are finished."""
         return wait(calls, return_when=FIRST_COMPLETED).done
 
-    def result(self, call: Any) -> bytes:
+    def result(self, call: Any) -> Any:
         """Return the result of a finished call; raise whatever ended its worker."""
-        packed: bytes = call.result()
-        return packed
+        return call.result()
 
     def close(self, calls: Collection[Any]) -> None:
         """End the processes."""
@@ -223,7 +219,7 @@ class _Processes:
 
 
 def _end_with(parent: int) -> None:
-    """In a worker: watch the parent process, and end when it is gone, even if it was killed."""
+    """End this worker when its parent process has ended, even if that was killed."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -237,8 +233,8 @@ def _end_with(parent: int) -> None:
 class _Ray:
     """A Ray cluster, with the methods of `_Processes`.
 
-    Ray itself begins a call again where its node or worker dies, and makes a result anew that was
-    lost with its node.
+    If a node or worker dies, Ray itself begins its calls again, and makes the results anew that
+    were lost with the node.
     """
 
     def __init__(self, cluster: str, jobs: int | None) -> None:
@@ -254,32 +250,31 @@ class _Ray:
 
     @property
     def room(self) -> int:
-        # One cell more than there are processors, so that a cluster that can grow has reason to.
+        # One call more than there are processors, so that a cluster that can grow does.
         return self._jobs or int(self._ray.cluster_resources().get("CPU", 0)) + 1
 
     def submit(self, packed: bytes) -> Any:
-        return self._work.remote(packed, _machine_and_sources())
+        return self._work.remote(packed)
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         ready: Collection[Any] = self._ray.wait(list(calls), timeout=_GROWTH_SECONDS)[0]
         return ready
 
-    def result(self, call: Any) -> bytes:
-        packed: bytes = self._ray.get(call)
-        return packed
+    def result(self, call: Any) -> Any:
+        return self._ray.get(call)
 
     def close(self, calls: Collection[Any]) -> None:
         for call in calls:
-            with suppress(Exception):  # whatever ended the grid is what is to be seen
+            with suppress(Exception):  # the error that ended the grid is the one to show
                 self._ray.cancel(call, force=True)
         if self._is_ours:
             self._ray.shutdown()  # ends a cluster only if it was begun here
 
 
 def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
-    """Pickle a call; unlike pickle itself, also of functions of scripts and notebooks.
+    """Pickle a call, even if its function is defined in a script or notebook.
 
-    Bytes, because Ray hands large arrays over as read-only views of shared memory.
+    As bytes, because arrays that Ray hands over are read-only views of shared memory.
     """
     try:
         return bytes(cloudpickle.dumps((function, cell)))
@@ -287,13 +282,9 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
         raise _failure(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
 
 
-def _work(packed: bytes, origin: tuple[str, str] | None = None) -> bytes:
+def _work(packed: bytes) -> bytes:
     """In a worker: return the value of a packed call and None, or None and its error, packed."""
     try:
-        here = _machine_and_sources() if origin else None
-        # One machine's sources differ from its own only where they are edited meanwhile.
-        if origin and here and here[0] != origin[0] and here[1] != origin[1]:
-            raise RuntimeError(f"node {here[0]} has other sources of mmc_gym than {origin[0]}")
         function, cell = pickle.loads(packed)
         with one_torch_thread():
             return bytes(cloudpickle.dumps((function(cell), None)))
@@ -303,7 +294,7 @@ def _work(packed: bytes, origin: tuple[str, str] | None = None) -> bytes:
             failure = bytes(cloudpickle.dumps((None, error)))
             pickle.loads(failure)
             return failure
-        except Exception:  # not every error survives
+        except Exception:  # not every error can be pickled and read again
             return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
 
 
@@ -311,21 +302,10 @@ def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException 
     """Return the value of a finished call and None, or None and its error."""
     try:
         packed = workers.result(call)
-    except Exception as error:  # a call that raises has a result: here its worker died
+    except Exception as error:  # the worker died: an error of the function is in the result
         return None, WorkerDied(f"its process died, twice ({type(error).__name__})")
     try:
         value, failure = pickle.loads(packed)
     except Exception as error:
         return None, error
     return value, failure
-
-
-@cache
-def _machine_and_sources() -> tuple[str, str]:
-    """Return this machine's name, and a digest of all in this package that results depend on."""
-    folder = Path(__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.suffix in (".py", ".json", ".safetensors", ".yml"):
-            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-    return platform.node(), digest.hexdigest()

@@ -305,7 +305,6 @@ def _train_all(
             jobs=jobs,
             cluster=cluster,
             on_policy=on_policy,
-            on_note=lambda note: bar.console.print(note, markup=False, highlight=False),
         )
 
 

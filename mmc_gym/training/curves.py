@@ -5,11 +5,11 @@ episodes.  At a point x the curve of a name, such as "ppo", is the mean over its
 
     mean_s success_s(max {x_e ≤ x}),
 
-where e is the last evaluation up to x.  It begins where all seeds have been evaluated, and ends
-where the shortest training does.
+where x_e are the points of the evaluations of s.  The curve begins where all seeds have been
+evaluated, and ends with the shortest training.
 
-Time is the CPU time of the training process, since its wall time depends on what else the machine
-does.  A training runs on one thread, so that this is its wall time with a core to itself.
+Time is the CPU time of the training process, because wall time depends on what else the machine
+does.  A training runs on one thread: on an idle core its wall time is the same.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ from mmc_gym.benchmark.statistics import (
     bootstrap_interval,
     success_interval,
 )
-from mmc_gym.measures.catalogue import Direction, Statistic
+from mmc_gym.measures.catalogue import Statistic
 
 LEVELS = (0.95, 0.98)
 
 NOTE = (
     "Means (success, final distance) and medians (the others) over training seeds, with "
-    f"{CONFIDENCE:.0%} bootstrap intervals over the seeds, which are rather too narrow for so few; "
+    f"{CONFIDENCE:.0%} bootstrap intervals over the seeds, which are too narrow for few seeds; "
     "none for a single seed. The interval of success also covers other episodes. Success, final "
     f"distance, time to target: {FINAL_EPISODES} fixed episodes of the trained policy, the same "
     "for all. Steps and time to 95 % (98 %): of the first evaluation in the training, "
     f"{EVALUATION_EPISODES} fixed episodes each, with at least that success; k of n: only k seeds "
-    "got there, the others count as later (–: half of them or more did not). Time: CPU time of a "
+    "reached it, the others count as later (–: half of them or more did not). Time: CPU time of a "
     "training on one thread, evaluations included."
 )
 
@@ -76,16 +76,15 @@ class TrainingQuantity(NamedTuple):
     Attributes:
         name: its column in the data.
         label: its heading in tables.
-        decimals: at most so many are shown.
-        statistic: of many training seeds.
-        varies: seeds can differ in it, so that it has an interval.
+        decimals: the largest number that is shown.
+        statistic: over training seeds.
+        varies: whether seeds can differ in it; only then it has an interval.
     """
 
     name: str
     label: str
     unit: str
     decimals: int
-    best: Direction = "low"
     statistic: Statistic = "median"
     varies: bool = True
 
@@ -94,8 +93,8 @@ _STEPS, _MINUTES = "1,000 env steps", "min, one core"
 _PERCENTS = {f"{100 * level:.0f}": level for level in LEVELS}
 
 QUANTITIES = (
-    TrainingQuantity("success", "success at the end", "fraction", 3, "high", "mean"),
-    TrainingQuantity("final_distance", "final distance", "lengths", 4, statistic="mean"),
+    TrainingQuantity("success", "success at the end", "fraction", 3, "mean"),
+    TrainingQuantity("final_distance", "final distance", "lengths", 4, "mean"),
     TrainingQuantity("time_to_target", "time to target", "s", 2),
     *(
         quantity
@@ -111,7 +110,7 @@ QUANTITIES = (
 
 
 def _numbers(card: PolicyCard) -> dict[str, float]:
-    """Return the `QUANTITIES` of a training by name; infinite for a level never reached."""
+    """Return the `QUANTITIES` of a training by name; infinite if a level is never reached."""
     scores = ("success", "final_distance", "time_to_target")
     numbers = {name: card.scores.get(name, math.nan) for name in scores}
     for percent, level in _PERCENTS.items():
@@ -123,7 +122,7 @@ def _numbers(card: PolicyCard) -> dict[str, float]:
 
 
 def first_reached(card: PolicyCard, level: float, column: str) -> float:
-    """Return `column` of the first evaluation with at least that success; infinite if none has."""
+    """Return `column` of the first evaluation with success ≥ `level`; infinite if there is none."""
     reached = (row[column] for row in card.learning_curve if row["success"] >= level)
     return next(reached, math.inf)
 
@@ -131,8 +130,8 @@ def first_reached(card: PolicyCard, level: float, column: str) -> float:
 def learning_curves(folder: Path | None, out: Path) -> None:
     """Print a table of trainings, and write it, their learning curves and a figure.
 
-    Writes curves.csv (a row for each evaluation), trainings.csv (for each training), table.csv and
-    table.md (over training seeds), and learning_curves.png and .svg.
+    Writes curves.csv (a row for each evaluation), trainings.csv (for each training), table.csv
+    (over training seeds), and learning_curves.png and .svg.
 
     Args:
         folder: of trained policies, see `read_cards`; None for those that ship with the package.
@@ -150,7 +149,6 @@ def learning_curves(folder: Path | None, out: Path) -> None:
         write_atomically(out / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))
         for name, table in tables.items()
     ]
-    written.append(write_atomically(out / "table.md", to_markdown(rows, summary)))
     figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
     written += save_figure(figure, out / "learning_curves")
     console = make_console()
@@ -161,14 +159,14 @@ def learning_curves(folder: Path | None, out: Path) -> None:
 def read_cards(folder: Path | str = PRETRAINED) -> dict[str, list[PolicyCard]]:
     """Read the cards of all policies in a folder: by name, in the order of their seeds.
 
-    By default those that ship with the package.  Policies are the files NAME-SEED.json in the
-    folder, each with its NAME-SEED.safetensors, or, if there are none, those in the folders right
-    below it, where single trainings put them.
+    The default is those that ship with the package.  A policy is a file NAME-SEED.json with its
+    NAME-SEED.safetensors.  If the folder has none, the folders in it are searched, since single
+    trainings write into such.
 
     Raises:
-        FileNotFoundError: if one lacks its weights.
-        UserError: if there are none, one is damaged, or policies of the same name are of the
-            same seed, or of different environments or hyperparameters.
+        FileNotFoundError: if a policy lacks its weights.
+        UserError: if there are no policies, one is damaged, or policies of the same name have the
+            same seed, or different environments or hyperparameters.
     """
     folder, cards = Path(folder), dict[str, list[PolicyCard]]()
     for path in _card_files(folder):
@@ -193,7 +191,7 @@ def _card_files(folder: Path) -> list[Path]:
 
 
 def _check_alike(folder: Path, card: PolicyCard, other: PolicyCard) -> None:
-    """Raise a `UserError` unless two cards differ in the seed, and in no hyperparameter."""
+    """Raise a `UserError` unless two cards differ in their seeds only."""
     if card.seed == other.seed:
         raise UserError(f"{folder} must hold one policy {card.file_stem}, got two")
     one, another = ({"environment": each.env_id, **each.hyperparameters} for each in (card, other))
@@ -233,16 +231,16 @@ Axis = Literal["steps", "cpu_seconds"]
 def mean_curves(curves: pd.DataFrame, against: Axis) -> pd.DataFrame:
     """Return the mean success of each name over its training seeds, with 95 % intervals.
 
-    Its points are the evaluations of the longest training, from where all seeds have been
-    evaluated up to the end of the shortest, and that end.  With one seed there are no intervals.
+    Its points are the evaluations of the longest training between the last seed's first evaluation
+    and the end of the shortest training, and that end.  One seed has no interval.
 
     Args:
         curves: of `curve_rows`.
-        against: its column that the curves run along.
+        against: the column of the horizontal axis.
 
     Returns:
-        Columns agent, `against`, success, low, high, seeds; names whose seeds have no stretch in
-        common are missing.
+        Columns agent, `against`, success, low, high, seeds; names whose seeds do not overlap are
+        missing.
     """
     rows = []
     for agent, group in curves.groupby("agent", sort=False):
@@ -297,30 +295,18 @@ def _over_seeds(values: NDArray[np.float64], quantity: TrainingQuantity) -> Inte
     reached = ~np.isinf(values)
     if quantity.varies and reached.all():
         return bootstrap_interval(values, quantity.statistic)
-    middle = float(np.median(values))  # also where some are infinite, if most are not
+    middle = float(np.median(values))  # finite if most of the values are
     estimate = middle if math.isfinite(middle) else math.nan
     count = int(reached.sum())
     return Interval(estimate, math.nan, math.nan, count, len(values) - count)
 
 
-def to_markdown(rows: pd.DataFrame, summary: pd.DataFrame) -> str:
-    """Return the table of `trainings` and `summarize_trainings` as Markdown."""
-    labels, columns = _columns(rows, summary)
-    lines = [[*labels, *columns], ["---"] * len(labels) + ["---:"] * len(columns)]
-    lines += map(list, zip(*labels.values(), *columns.values(), strict=True))
-    cells = [[text.replace("|", "\\|").replace("\n", " ") for text in line] for line in lines]
-    return "\n".join("| " + " | ".join(line) + " |" for line in cells) + f"\n\n{NOTE}\n"
-
-
 def _columns(
     rows: pd.DataFrame, summary: pd.DataFrame
 ) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return the cells of the columns on the left, and of a column for each name."""
-    labels = {
-        "": ["environment\ncontrol", "training seeds"]
-        + [f"{quantity.label}\n[{quantity.unit}]" for quantity in QUANTITIES],
-        "best": ["", "", *(quantity.best for quantity in QUANTITIES)],
-    }
+    """Return the cells of the table: a column of labels, and a column for each name."""
+    quantities = [f"{quantity.label}\n[{quantity.unit}]" for quantity in QUANTITIES]
+    labels = {"": ["environment\ncontrol", "training seeds", *quantities]}
     found = {(row["agent"], row["measure"]): row for row in summary.to_dict("records")}
     columns = {}
     for agent, group in rows.groupby("agent", sort=False):
@@ -333,7 +319,7 @@ def _columns(
     return labels, columns
 
 
-# Okabe and Ito's but yellow: with four kinds of lines no two curves look alike.
+# Okabe and Ito's colours without yellow; with four kinds of lines no two curves look alike.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _MARKERS = "osD^vPX<*"
 _BETWEEN_MARKERS = 0.09  # of the panel's diagonal

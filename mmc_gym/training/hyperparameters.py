@@ -113,7 +113,7 @@ class Recipe:
             if key not in fields:
                 raise unknown(f"{self.name}: hyperparameter", key, fields)
         try:
-            # stable-baselines3 adds to what it is given.
+            # A copy, because stable-baselines3 changes its arguments.
             given = {key: self._read(key, deepcopy(v)) for key, v in self.hyperparameters.items()}
             config = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
             checked = create_model(self.name, __config__=config, **fields).model_validate(given)
@@ -122,7 +122,10 @@ class Recipe:
         return dict(checked)
 
     def steps_per_leg(self, evaluations: int) -> int:
-        """Return the environment steps between two of about so many evaluations: whole rollouts.
+        """Return the environment steps of a leg: whole rollouts, between two evaluations.
+
+        Args:
+            evaluations: approximate number of evaluations in a training.
 
         Raises:
             UserError: if a hyperparameter or the environment is not accepted.
@@ -132,14 +135,14 @@ class Recipe:
             episode_steps = gym.spec(self.env_id).max_episode_steps or 1
         except gym.error.Error as error:
             raise UserError(f"env must be the id of an environment: {error}") from error
-        # Without an end of episodes an evaluation would not end either.
+        # If episodes never ended, evaluations would not either.
         episode_steps = settings["env_kwargs"].get("max_episode_steps", episode_steps)
         steps = require_whole("max_episode_steps", episode_steps)
         if issubclass(self.algorithm_class, OffPolicyAlgorithm):
             frequency = settings["train_freq"]
             count, unit = frequency if isinstance(frequency, tuple) else (frequency, "step")
             rollout = require_whole("train_freq", count) * (steps if unit == "episode" else 1)
-            # Hindsight learns from whole episodes only: a leg must not end amid one.
+            # Hindsight learns from whole episodes: a leg must not end within one.
             rollout = math.lcm(rollout, steps) if settings["replay_buffer_class"] else rollout
         else:
             rollout = require_whole("n_steps", settings["n_steps"])
@@ -152,13 +155,13 @@ class Recipe:
     ) -> BaseAlgorithm:
         """Return an untrained model, which logs to the folder `tensorboard`.
 
-        The wrappers come around the environment in the order that they are listed in.
+        Each wrapper in the list is put around those before it.
 
         Raises:
             UserError: if a wrapper, the algorithm or the policy does not take its arguments.
         """
         settings = self.settings
-        # Only what the file gives: the other keys have the constructor's defaults.
+        # The constructor itself has the defaults of the keys that are not in the file.
         options = {key: settings[key] for key in self.hyperparameters if key not in _OWN}
         try:
             for wrap in settings["vec_env_wrapper"] or ():
@@ -180,7 +183,7 @@ class Recipe:
             ) from error
 
     def _read(self, key: str, value: Any) -> Any:
-        """Return a value of the file in the form that Python code would give it."""
+        """Convert a value of the file to what Python code would give to the constructor."""
         if isinstance(value, str):
             with suppress(ValueError):  # a number; to YAML 1e-3 is a text
                 number = float(value.removeprefix("lin_"))
@@ -226,13 +229,11 @@ class Recipe:
 
 
 def _parameters(kind: type) -> dict[str, inspect.Parameter]:
-    """Return the parameters of a constructor, those that it hands to its base class included."""
+    """Return the parameters of a constructor, with those of the base class that it accepts."""
     own = inspect.signature(kind.__init__, eval_str=True).parameters  # type: ignore[misc]
-    named = {name: one for name, one in own.items() if one.kind == one.POSITIONAL_OR_KEYWORD}
-    named |= {name: one for name, one in own.items() if one.kind == one.KEYWORD_ONLY}
-    inherited = {}
-    if len(named) < len(own):  # *arguments, **options
-        inherited = _parameters(kind.__base__ or object)
+    unnamed = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    named = {name: one for name, one in own.items() if one.kind not in unnamed}
+    inherited = _parameters(kind.__base__ or object) if len(named) < len(own) else {}
     return {name: one for name, one in (inherited | named).items() if name not in _OURS}
 
 

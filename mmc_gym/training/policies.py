@@ -1,11 +1,11 @@
 """Policies of stable-baselines3 and sb3-contrib; their networks and checkpoints as plain arrays.
 
-Most policies are "MlpPolicy", as everyone else's.  Those with one of our views have full names in
+Most recipes use stable-baselines3's "MlpPolicy".  Policies with one of our views have full names in
 YAML files, so that rl_zoo3 finds them too.
 
-A checkpoint is the state of a model as safetensors, all that a training needs to continue: weights
-and optimizers, the entropy coefficient if it is learned, the step counts, and the filled part of
-the replay buffer.
+A checkpoint is the state of a model as safetensors, from which a training resumes: weights and
+optimizers, the entropy coefficient if it is learned, the step counts, and the filled part of the
+replay buffer.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ViewLayer(BaseFeaturesExtractor):
         """Make the layer for an arm with `joint_count` joints.
 
         Raises:
-            ValueError: if the observations are not those of such an arm.
+            ValueError: if the observations do not belong to such an arm.
         """
         layout = ObservationLayout(joint_count, reach=1.0)  # features do not depend on the reach
         additions = layout.additions(observation_space)
@@ -71,7 +71,7 @@ class ViewLayer(BaseFeaturesExtractor):
 
 
 class _HasView(BasePolicy):
-    """A policy with `view` before its first layer."""
+    """A policy whose first layer is preceded by the features of `view`."""
 
     view: View = "arm"
 
@@ -92,8 +92,8 @@ class _HasView(BasePolicy):
 class PPOTargetPolicy(_HasView, ActorCriticPolicy):
     """`ActorCriticPolicy` with the target's view, for joint positions.
 
-    Its distribution is over actions in this view.  They are turned into the world's frame as they
-    leave the policy, and turned back to compute their probability.
+    Its distribution is over actions in this view.  They leave the policy turned into the world's
+    frame, and are turned back to compute their probability.
     """
 
     view = "target"
@@ -124,7 +124,7 @@ class PPOTargetPolicy(_HasView, ActorCriticPolicy):
 
 
 class TQCGoalPolicy(_HasView, TQCPolicy):
-    """`TQCPolicy` that sees observations of a goal environment in the form of `MMCReach-v0`."""
+    """`TQCPolicy` that sees a goal environment's observations in the form of `MMCReach-v0`."""
 
 
 POLICIES: dict[str, type[BasePolicy]] = {
@@ -133,10 +133,10 @@ POLICIES: dict[str, type[BasePolicy]] = {
 
 
 def export_policy(policy: BasePolicy) -> tuple[PolicyNetwork, View]:
-    """Return a copy of the network of a policy that PPO, SAC or TQC trains, and its view.
+    """Return a copy of the network of a policy of PPO, SAC or TQC, and the policy's view.
 
     Raises:
-        ValueError: if the policy has other layers, or none of our views.
+        ValueError: if the policy has layers or a features extractor that we cannot copy.
     """
     actor: Any
     distribution: Distribution = "gaussian"
@@ -165,7 +165,7 @@ def export_network(
         distribution: see `PolicyNetwork`.
 
     Raises:
-        ValueError: if there are other layers.
+        ValueError: if there is another activation.
     """
     hidden = list(hidden)
     linear = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)]
@@ -179,11 +179,8 @@ def export_network(
     for name, part in parts.items():
         if isinstance(part, torch.nn.Linear):
             tensors |= {f"{name}.weight": _array(part.weight), f"{name}.bias": _array(part.bias)}
-        elif isinstance(part, torch.nn.Parameter):
-            tensors[name] = _array(part)
         else:
-            kind = type(part).__name__
-            raise ValueError(f"policy must have linear layers, got {kind} for {name}")
+            tensors[name] = _array(part)
     return PolicyNetwork(tensors, activation, distribution)
 
 
@@ -196,7 +193,7 @@ Tensors = dict[str, torch.Tensor]
 
 
 def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> None:
-    """Write the model's state, and `head`, which must be JSON, to `path`, all or nothing."""
+    """Write the model's state and `head` (anything JSON can hold) to `path`, all or nothing."""
     tensors: Tensors = {}
     for name, part in model.get_parameters().items():
         if "state" in part and "param_groups" in part:
@@ -207,7 +204,7 @@ def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
             tensors |= {f"module/{name}/{key}": value for key, value in part.items()}
     tensors |= {f"variable/{name}": tensor for name, tensor in _variables(model).items()}
     counts = {"steps": model.num_timesteps, "updates": model._n_updates}
-    buffer = _replay_buffer(model)
+    buffer = getattr(model, "replay_buffer", None)
     if buffer is not None:
         counts |= {"position": buffer.pos, "full": bool(buffer.full)}
         for name, array in _arrays(buffer).items():
@@ -234,11 +231,15 @@ def read_head(path: Path) -> dict[str, Any]:
 
 
 def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
-    """Bring a model, made with the same arguments, to the state in the checkpoint with that head.
+    """Restore the state of a model that was made with the same arguments as the checkpoint's.
+
+    Args:
+        model: it is changed; in part only, if an error is raised.
+        head: of the checkpoint, see `read_head`.
+        path: of the checkpoint.
 
     Raises:
-        UserError: if the file is not a checkpoint, or that of another model, which may then have
-            been changed in part.
+        UserError: if the file is not a checkpoint, or belongs to another model.
     """
     try:
         counts = head["model"]
@@ -246,7 +247,7 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
             name: {**part, "state": {}} if "param_groups" in part else {}
             for name, part in model.get_parameters().items()
         }
-        variables, buffer = _variables(model), _replay_buffer(model)
+        variables, buffer = _variables(model), getattr(model, "replay_buffer", None)
         arrays = _arrays(buffer) if buffer is not None else {}
         for key, tensor in safetensors.torch.load_file(path).items():
             kind, name, *rest = key.split("/")
@@ -270,13 +271,9 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:
-    """Return what is learned outside of modules: the logarithm of the entropy coefficient."""
+    """Return the parameters outside of modules: the logarithm of a learned entropy coefficient."""
     _, names = model._get_torch_save_params()
     return {name: getattr(model, name) for name in names if name == "log_ent_coef"}
-
-
-def _replay_buffer(model: Any) -> ReplayBuffer | None:
-    return getattr(model, "replay_buffer", None)
 
 
 def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:

@@ -58,7 +58,7 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """Progress of a training, and the last row of its learning curve if it was just evaluated."""
+    """Progress of a training; `evaluation` is its latest scores, if they are new."""
 
     steps: int
     total_steps: int
@@ -75,11 +75,11 @@ class Training:
         seed: of everything random.
         folder: where the checkpoint and the trained policy are written.
         report: called after every rollout and every evaluation.
-        evaluations: about how often the policy is evaluated and a checkpoint written.
-        device: that torch computes on.
+        evaluations: approximate number of evaluations, each followed by a checkpoint.
+        device: the device of torch, such as "cpu".
         tensorboard: folder for TensorBoard's logs; None for none.
-        curve: a row for each evaluation.
-        interface: of the environment; set once it runs.
+        curve: the learning curve, a row for each evaluation.
+        interface: of the environment; set by `run`.
     """
 
     recipe: Recipe
@@ -92,7 +92,7 @@ class Training:
     curve: list[dict[str, float]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        """Check all that can be checked before anything is trained.
+        """Check the arguments, before anything is trained.
 
         Raises:
             UserError: if a hyperparameter, the environment or the device is not accepted, or an
@@ -125,7 +125,7 @@ class Training:
         Raises:
             FileExistsError: if there is a checkpoint or the policy, and `resume` is not set.
             UserError: if the folder is a file, the environment or a hyperparameter is not accepted,
-                or the checkpoint is damaged or that of another training.
+                or the checkpoint is damaged or belongs to another training.
         """
         head = self._prepare(resume)
         with one_torch_thread():
@@ -169,10 +169,10 @@ class Training:
         return self.recipe.make_model(env, self.seed, self.device, logs)
 
     def export(self, model: BaseAlgorithm) -> tuple[PolicyNetwork, dict[str, Any]]:
-        """Return the network that acts, as it is now, and what its card says about its inputs.
+        """Return the policy's network as it is now, and the fields of its card about its inputs.
 
         Raises:
-            ValueError: if the policy has layers that a `PolicyNetwork` does not have.
+            ValueError: if the policy has layers that a `PolicyNetwork` cannot have.
         """
         network, view = export_policy(model.policy)
         residual = unwrap_vec_wrapper(_env_of(model), Residual)
@@ -182,7 +182,7 @@ class Training:
         """Return the head of the checkpoint; None if there is no checkpoint.
 
         Raises:
-            UserError: if the checkpoint is damaged or that of another training.
+            UserError: if the checkpoint is damaged or belongs to another training.
         """
         if not self.checkpoint.exists():
             return None
@@ -196,8 +196,8 @@ class Training:
         ]
         if differences:
             raise UserError(
-                f"{self.checkpoint} is that of another training, with {', '.join(differences)}: "
-                f"resume it with what it had, delete {self.folder}, or choose another folder"
+                f"{self.checkpoint} is of another training, with {', '.join(differences)}: "
+                f"resume it with its own arguments, delete {self.folder}, or choose another folder"
             )
         return head
 
@@ -223,7 +223,7 @@ class Training:
         model._last_obs = env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         buffer = getattr(model, "replay_buffer", None)
-        if isinstance(buffer, HerReplayBuffer):  # it finds goals in episodes, and new ones begin
+        if isinstance(buffer, HerReplayBuffer):  # it has to know where episodes begin
             buffer._current_ep_start[:] = buffer.pos
 
     def _prepare(self, resume: bool) -> dict[str, Any] | None:
@@ -297,12 +297,12 @@ def train(
         name: of hyperparameters that ship, such as "ppo"; or the path of your own YAML file.
         env: id of one of the environments in the file; the first if None.
         seed: of everything random.
-        steps: environment steps, in place of those in the file.
+        steps: environment steps, instead of those in the file.
         out: folder for checkpoint and policy; None writes none, and `agent.save` does later.
         resume: whether to continue from the checkpoint in the folder.
         tensorboard: folder for TensorBoard's logs.
-        device: that torch computes on.
-        env_kwargs: arguments of the environment, beside those in the file.
+        device: of torch, such as "cpu".
+        env_kwargs: arguments of the environment, in addition to those in the file.
         on_progress: called after every rollout and every evaluation.
 
     Returns:
@@ -331,7 +331,7 @@ def _env_of(model: BaseAlgorithm) -> VecEnv:
 
 
 class _Legs(BaseCallback):
-    """A checkpoint and a fresh start between one leg and the next."""
+    """Write a checkpoint at the end of each leg, and begin the next one."""
 
     def __init__(self, training: Training) -> None:
         super().__init__()
@@ -357,7 +357,7 @@ def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> Gymnasiu
     """Return the native vector environment of `count` arms, for stable-baselines3.
 
     Raises:
-        UserError: if it is no reaching environment, or does not take the arguments.
+        UserError: if it is not a reaching environment, or does not accept the arguments.
     """
     try:
         env = gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments)
@@ -369,7 +369,7 @@ def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> Gymnasiu
 
 
 def usable_device(name: str) -> str:
-    """Return the name of a device that torch can use here; "auto" for the best one.
+    """Return the name of a device that torch can use here; of the best one for "auto".
 
     Raises:
         UserError: if torch has no such device here.
@@ -387,7 +387,7 @@ def usable_device(name: str) -> str:
 
 
 def _flat(head: dict[str, Any]) -> dict[str, Any]:
-    """Return the entries of a checkpoint's head, those of its mappings included."""
+    """Return a mapping whose nested mappings are replaced by their own entries."""
     found: dict[str, Any] = {}
     for name, value in head.items():
         found |= value if isinstance(value, dict) else {name: value}
@@ -395,13 +395,13 @@ def _flat(head: dict[str, Any]) -> dict[str, Any]:
 
 
 def library_versions() -> dict[str, str]:
-    """Return the versions of what a trained policy depends on, for its card."""
+    """Return the versions of the packages that a training depends on."""
     names = ("mmc-gym", "gymnasium", "numpy", "pymunk", "stable-baselines3", "sb3-contrib", "torch")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
 
 def evaluate_policy(network: PolicyNetwork, card: PolicyCard, episodes: int) -> dict[str, float]:
-    """Evaluate a policy in the environment of its training, but always on pymunk."""
+    """Evaluate a policy in the environment of its training, on the default engine (pymunk)."""
     given = card.hyperparameters.get("env_kwargs", {})
     arguments = {name: value for name, value in given.items() if name != "engine"}
     return evaluate(partial(PolicyAgent, network, card), card.env_id, arguments, episodes)
@@ -414,21 +414,8 @@ class PolicyName(NamedTuple):
     seed: int
 
 
-class TrainingCell(NamedTuple):
-    """One training of a grid, with the arguments of `Training`.
-
-    `folder` is that of the checkpoint, on this machine.  It is None on a cluster: where a node is
-    lost, its training starts again, and ends with the same policy.
-    """
-
-    recipe: Recipe
-    seed: int
-    device: str
-    folder: Path | None
-
-
 def shipped_policies() -> list[PolicyName]:
-    """Return every policy that ships and is trained by the package."""
+    """Return every policy that ships, except those that a study trains."""
     counts = {name: AGENTS[name].training_seeds for name in names() if name in AGENTS}
     return [PolicyName(name, seed) for name, count in counts.items() for seed in range(count)]
 
@@ -442,72 +429,66 @@ def train_all(
     jobs: int | None = None,
     cluster: str | None = None,
     on_policy: Callable[[PolicyCard], None] = lambda card: None,
-    on_note: Callable[[str], None] = lambda note: None,
 ) -> list[PolicyCard]:
     """Train policies, many at once, write their files into `out`, and return their cards.
 
-    A policy in `out` that was trained with the same hyperparameters is not trained again.
-    Interrupted trainings resume from their checkpoints.
+    A policy that is in `out`, with the same hyperparameters, is not trained again.  Interrupted
+    trainings resume from their checkpoints.
 
     Args:
         policies: to train.
         out: folder for the files.
         steps: environment steps, instead of those of the hyperparameters.
-        device: that torch computes on.
+        device: of torch, such as "cpu".
         jobs: how many are trained at once, see `run_grid`.
-        cluster: where, see `run_grid`.
+        cluster: see `run_grid`.
         on_policy: called with the card of each policy that is ready.
-        on_note: called when a checkpoint is discarded, with the reason.
 
     Raises:
-        UserError: if `out` is a file, or the steps, the hyperparameters or the device are not
-            accepted.
+        UserError: if `out` is a file, the steps, the hyperparameters or the device are not
+            accepted, or a checkpoint is damaged or belongs to another training.
         CellError: if a training failed.
     """
     check_folder(out, "out")
     cards: dict[PolicyName, PolicyCard] = {}
-    cells = []
+    cells: list[Training] = []
     for policy in policies:
         recipe, stem = read_recipe(policy.name, steps=steps), file_stem(*policy)
         if (card := _finished(recipe, out / f"{stem}.json")) is not None:
             cards[policy] = card
             on_policy(card)
             continue
-        folder = None if cluster else out / "checkpoints" / stem
-        cells.append(TrainingCell(recipe, policy.seed, device, folder))
-        if folder is not None:
-            training = Training(recipe, policy.seed, folder, device=device)
-            try:
-                training.find_checkpoint()
-            except UserError as error:
-                on_note(f"{stem} begins anew: {error}")
-                training.checkpoint.unlink()
+        cells.append(Training(recipe, policy.seed, out / "checkpoints" / stem, device=device))
+        cells[-1].find_checkpoint()  # a mistake is named here rather than in a worker
 
     def keep(index: int, contents: dict[str, bytes]) -> None:
-        cell = cells[index]
+        training = cells[index]
         for file, content in contents.items():
             write_atomically(out / file, content)
-        if cell.folder is not None:  # replay buffers are large
-            shutil.rmtree(cell.folder)
-        policy = PolicyName(cell.recipe.name, cell.seed)
+        shutil.rmtree(training.folder, ignore_errors=True)  # replay buffers are large
+        policy = PolicyName(training.recipe.name, training.seed)
         _, cards[policy] = load_policy(out / f"{file_stem(*policy)}.json")
         on_policy(cards[policy])
 
-    run_grid(train_cell, cells, jobs=jobs, cluster=cluster, on_result=keep)
+    function = train_cell if cluster is None else train_anywhere
+    run_grid(function, cells, jobs=jobs, cluster=cluster, on_result=keep)
     return [cards[policy] for policy in policies]
 
 
-def train_cell(cell: TrainingCell) -> dict[str, bytes]:
-    """Train a policy; return the contents of its files by their names."""
+def train_cell(training: Training) -> dict[str, bytes]:
+    """Run or resume a training; return the contents of the policy's files by their names."""
+    training.run(resume=True)
+    return {file.name: file.read_bytes() for file in training.policy_files}
+
+
+def train_anywhere(training: Training) -> dict[str, bytes]:
+    """Run a training on a node of a cluster, where checkpoints would be of no use."""
     with tempfile.TemporaryDirectory() as nowhere:
-        folder = cell.folder or Path(nowhere)
-        training = Training(cell.recipe, cell.seed, folder, device=cell.device)
-        training.run(resume=True)
-        return {file.name: file.read_bytes() for file in training.policy_files}
+        return train_cell(replace(training, folder=Path(nowhere)))
 
 
 def _finished(recipe: Recipe, path: Path) -> PolicyCard | None:
-    """Return the card at the path, if it is of a training with these hyperparameters."""
+    """Return the card at the path if its training had the recipe's hyperparameters, or None."""
     try:
         _, card = load_policy(path)
     except (FileNotFoundError, UserError):

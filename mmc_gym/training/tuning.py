@@ -1,7 +1,7 @@
 """`mmc-gym tune`: let Optuna look for the constants of a network, or of a training.
 
-`tune` keeps every trial in a journal.  A trial depends only on the complete trials before it, and
-is seeded by their number: interrupted tuning, however often, gives the same trials.
+`tune` keeps every trial in a journal.  A trial depends only on the complete trials before it and is
+seeded by their number.  So interrupted tuning gives the same trials as tuning at once.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mmc_gym._errors import UserError, missing, require_whole, unknown
+from mmc_gym._errors import missing, require_whole, unknown
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.mmc import MMCAgent
@@ -28,7 +28,6 @@ from mmc_gym.training.hyperparameters import SUFFIXES, Recipe, names, read_recip
 from mmc_gym.training.training import Training
 
 if TYPE_CHECKING:
-    import optuna
     from optuna.trial import BaseTrial
 
 TUNING_SEED = 2_000_000  # of episodes and trainings: far from all others
@@ -49,9 +48,9 @@ class Target(NamedTuple):
     """Constants to tune, and how they are judged.
 
     Attributes:
-        in_use: the constants in use; others beside those of the space are ignored.
+        in_use: the constants in use; those that are not in the space are ignored.
         space: lets a trial suggest constants.
-        judge: returns the part of the time at the target with constants, after so many
+        judge: returns the part of the time at the target with these constants and that number of
             environment steps.
     """
 
@@ -120,7 +119,7 @@ def _suggest_network(trial: BaseTrial) -> Constants:
 
 
 def _suggest_learning(in_use: Constants, falls: bool, trial: BaseTrial) -> Constants:
-    """Suggest hyperparameters; the space includes those in use, wherever they are."""
+    """Suggest hyperparameters, from a space that includes those in use."""
 
     def around(name: str, low: float, high: float) -> float:
         own = in_use[name]
@@ -138,7 +137,7 @@ def _suggest_learning(in_use: Constants, falls: bool, trial: BaseTrial) -> Const
         epochs = in_use["n_epochs"]
         return {
             **constants,
-            # Without a bonus there is no order of magnitude to look in.
+            # If there is no entropy bonus, we cannot know its order of magnitude.
             "ent_coef": around("ent_coef", 1e-3, 0.1) if in_use["ent_coef"] > 0 else 0.0,
             "gamma": among("gamma", 0.8, 0.9, 0.95),
             "gae_lambda": among("gae_lambda", 0.8, 0.9, 0.95),
@@ -165,15 +164,16 @@ def tune(
     out: Path | str,
     on_trial: Callable[[int, float], None] = lambda number, value: None,
 ) -> dict[str, Any]:
-    """Look for constants; resume where an earlier call with the same folder stopped.
+    """Look for constants; resume where an earlier call with the same arguments stopped.
 
     The first trial has the constants in use.  Trials and their values are kept in
-    `out/NAME.journal`, the best in `out/NAME.json`.  Two processes must not tune the same name in
-    the same folder at the same time.
+    `out/NAME.journal`, the best in `out/NAME.json`.  Trials of other steps, or from when other
+    constants were in use, are not comparable: they stay in the journal and are ignored.  Two
+    processes must not tune the same name in the same folder at the same time.
 
     Args:
         name: "mmc", the name of hyperparameters that ship, or the path of your own.
-        trials: how many, those of earlier calls included.
+        trials: their number, those of earlier calls included.
         steps: environment steps of each trial.
         out: folder.
         on_trial: called with the number and the value of each trial.
@@ -182,8 +182,7 @@ def tune(
         The content of `out/NAME.json`.
 
     Raises:
-        UserError: if there is no such name, the trials in the folder have another number of steps
-            or other constants in use, or Optuna is not installed.
+        UserError: if there is no such name, or Optuna is not installed.
     """
     require_whole("trials", trials)
     require_whole("steps", steps)
@@ -191,14 +190,23 @@ def tune(
     target, name = find_target(name), Path(name).stem
     if find_spec("optuna") is None:
         raise missing("tune", "Optuna", "training")
+    import optuna
     from optuna.samplers import TPESampler
+    from optuna.storages.journal import JournalFileBackend, JournalStorage
     from optuna.trial import FixedTrial, TrialState
 
     reference = FixedTrial(target.in_use)
     target.space(reference)
-    study = _open_study(name, {"steps": steps, "constants in use": reference.params}, out)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    out.mkdir(parents=True, exist_ok=True)
+    study = optuna.create_study(
+        storage=JournalStorage(JournalFileBackend(str(out / f"{name}.journal"))),
+        study_name=json.dumps({"steps": steps, "in use": reference.params}),
+        direction="maximize",
+        load_if_exists=True,
+    )
     for killed in study.get_trials(states=[TrialState.RUNNING]):
-        study.tell(killed.number, state=TrialState.FAIL)  # and run it again
+        study.tell(killed.number, state=TrialState.FAIL)  # it runs again
     while len(complete := study.get_trials(states=[TrialState.COMPLETE])) < trials:
         if not complete and not study.get_trials(states=[TrialState.WAITING]):
             study.enqueue_trial(reference.params)
@@ -223,28 +231,3 @@ def tune(
     }
     write_atomically(out / f"{name}.json", json.dumps(result, indent=1) + "\n")
     return result
-
-
-def _open_study(name: str, identity: dict[str, Any], out: Path) -> optuna.Study:
-    """Open the study of that name in the folder, or begin it."""
-    import optuna
-    from optuna.storages.journal import JournalFileBackend
-
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    out.mkdir(parents=True, exist_ok=True)
-    journal = out / f"{name}.journal"
-    study = optuna.create_study(
-        storage=optuna.storages.JournalStorage(JournalFileBackend(str(journal))),
-        study_name=name,
-        direction="maximize",
-        load_if_exists=True,
-    )
-    for key, value in identity.items():
-        if not study.trials:
-            study.set_user_attr(key, value)
-        if (known := study.user_attrs.get(key)) != value:
-            raise UserError(
-                f"{key} must be those of the trials in {journal}, {known}, for their values to be "
-                f"comparable, got {value}: choose another folder"
-            )
-    return study

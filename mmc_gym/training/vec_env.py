@@ -1,7 +1,7 @@
-"""Vector environments for stable-baselines3: one step of arrays for many arms.
+"""Vector environments for stable-baselines3, which step many arms at once.
 
-`GymnasiumVecEnv` adapts Gymnasium's; `RandomScenarios` draws a perturbation for each episode, and
-with `Residual` a policy corrects the actions of another agent.
+`GymnasiumVecEnv` adapts Gymnasium's vector environments.  `RandomScenarios` draws a perturbation
+for each episode.  With `Residual`, a policy corrects the actions of another agent.
 """
 
 from __future__ import annotations
@@ -37,17 +37,15 @@ VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]
 Info = dict[str, Any]
 
 _SINGLE = {name: f"single_{name}" for name in ("action_space", "observation_space")}
-_OF_EACH = ("np_random", "np_random_seed")  # a vector environment has a tuple of them
-_OF_ALL = ("close", "render", "reset", "step")  # one call for all environments
 
 
 class GymnasiumVecEnv(VecEnv):
     """A native vector environment, of `gym.make_vec`, as a stable-baselines3 `VecEnv`.
 
-    It does what `DummyVecEnv` does with the same environments, seeds and actions, except that infos
-    are empty where no episode has ended: to make them would take longer than the step itself.
-    Where one has ended they are complete, with `terminal_observation` and `TimeLimit.truncated`,
-    which is all that stable-baselines3 reads.  `info_keys` asks for more.
+    It does what `DummyVecEnv` does with the same environments, seeds and actions, except that an
+    info is empty unless its episode has just ended: making all of them would take longer than the
+    step itself.  At the end of an episode the info is complete, with `terminal_observation` and
+    `TimeLimit.truncated`; stable-baselines3 reads no others.
 
     Attributes:
         vector_env: the environment inside.
@@ -59,15 +57,11 @@ class GymnasiumVecEnv(VecEnv):
     >>> model = PPO("MlpPolicy", env, n_steps=64, device="cpu").learn(4096)
     """
 
-    def __init__(self, vector_env: VectorEnv, info_keys: Sequence[str] = ()) -> None:
+    def __init__(self, vector_env: VectorEnv) -> None:
         """Adapt an environment that restarts in the step that ends an episode.
 
-        Args:
-            vector_env: with the autoreset mode "SameStep".
-            info_keys: names of infos to give in every step.
-
         Raises:
-            UserError: if the environment has another autoreset mode.
+            UserError: if its autoreset mode is not "SameStep".
         """
         mode = vector_env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
@@ -76,31 +70,25 @@ class GymnasiumVecEnv(VecEnv):
                 f"gym.make_vec(..., autoreset_mode='SameStep') does, got autoreset_mode={mode}"
             )
         self.vector_env = vector_env
-        self.info_keys = tuple(info_keys)
         super().__init__(
             vector_env.num_envs,
             vector_env.single_observation_space,
             vector_env.single_action_space,
         )
         self.metadata = vector_env.metadata
-        self._was_reset = False
 
     def reset(self) -> VecEnvObs:
-        """Start an episode in every environment, with the seeds and options set for it."""
-        seed, options = self._seeds[0], self._options
-        if all(data_equivalence(options[0], one) for one in options[1:]):
-            observation, infos = self.vector_env.reset(seed=seed, options=dict(options[0]) or None)
-            self.reset_infos = [_row(infos, index) for index in range(self.num_envs)]
-        else:
-            if not self._was_reset:
-                self.vector_env.reset()
-            for index, own in enumerate(options):
-                mask = np.arange(self.num_envs) == index
-                observation, infos = self.vector_env.reset(
-                    seed=seed, options={**own, "reset_mask": mask}
-                )
-                self.reset_infos[index] = _row(infos, index)
-        self._was_reset = True
+        """Start an episode in every environment, with the seeds and options set for it.
+
+        Raises:
+            UserError: if the options of the environments differ.
+        """
+        options = self._options
+        are_equal = all(data_equivalence(options[0], one) for one in options[1:])
+        require(are_equal, "options", options, "the same for all environments")
+        chosen = dict(options[0]) or None
+        observation, infos = self.vector_env.reset(seed=self._seeds[0], options=chosen)
+        self.reset_infos = [_row(infos, index) for index in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
         return observation  # type: ignore[no-any-return]
@@ -114,13 +102,9 @@ class GymnasiumVecEnv(VecEnv):
         observation, rewards, terminated, truncated, infos = self.vector_env.step(self._actions)
         dones = terminated | truncated
         rows: list[Info] = [{} for _ in range(self.num_envs)]
-        if self.info_keys:
-            names = {name for key in self.info_keys for name in (key, f"_{key}")}
-            chosen = {name: infos[name] for name in sorted(names & infos.keys())}
-            rows = [_row(chosen, index) for index in range(self.num_envs)]
         for index in np.flatnonzero(dones).tolist():
             begun = _row(infos, index)
-            rows[index] |= begun.pop("final_info")
+            rows[index] = begun.pop("final_info")
             rows[index]["terminal_observation"] = begun.pop("final_obs")
             rows[index]["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
             self.reset_infos[index] = begun
@@ -130,21 +114,15 @@ class GymnasiumVecEnv(VecEnv):
     def close(self) -> None:
         self.vector_env.close()
 
+    @override
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return a picture of each environment, if its render mode is "rgb_array"."""
-        if self.render_mode != "rgb_array":
-            warnings.warn(
-                f"render_mode must be 'rgb_array' for pictures, got {self.render_mode!r}",
-                stacklevel=2,
-            )
-            return [None] * self.num_envs
         pictures: Any = self.vector_env.render()
-        return list(pictures)
+        return [None] * self.num_envs if pictures is None else list(pictures)
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return the attribute of each chosen environment; native arms share one value."""
-        values = self._values(attr_name)
-        return [values[index] for index in self._chosen(indices)]
+        """Return the attribute, which all environments share, once for each chosen one."""
+        value = getattr(self.vector_env, _SINGLE.get(attr_name, attr_name))
+        return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of all environments, which are one object.
@@ -152,40 +130,21 @@ class GymnasiumVecEnv(VecEnv):
         Raises:
             UserError: if only some are chosen.
         """
-        chosen = self._chosen(indices)
-        accepted = f"those of all {self.num_envs} environments, to set {attr_name!r}"
-        require(set(chosen) == set(range(self.num_envs)), "indices", chosen, accepted)
+        require(indices is None, "indices", indices, f"None, to set {attr_name!r} of all")
         setattr(self.vector_env.unwrapped, attr_name, value)
 
     def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method once for each chosen environment; return the results.
-
-        Raises:
-            UserError: if it is one call for all environments.
-        """
-        accepted = f"none of {', '.join(_OF_ALL)}, each one call for all environments"
-        require(method_name not in _OF_ALL, "method_name", method_name, accepted)
+        """Call a method of the vector environment once for each chosen environment."""
         method = getattr(self.vector_env, method_name)
-        return [method(*method_args, **method_kwargs) for _ in self._chosen(indices)]
+        return [method(*args, **kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
         """Return False for each chosen environment: an arm in a vector has no wrapper."""
-        return [False for _ in self._chosen(indices)]
-
-    def _chosen(self, indices: VecEnvIndices) -> list[int]:
-        return [int(index) for index in self._get_indices(indices)]
-
-    def _values(self, name: str) -> list[Any]:
-        value = getattr(self.vector_env, _SINGLE.get(name, name))
-        return list(value) if name in _OF_EACH else [value] * self.num_envs
+        return [False for _ in self._get_indices(indices)]
 
 
 def _row(infos: Info, index: int) -> Info:
@@ -203,14 +162,14 @@ def _row(infos: Info, index: int) -> Info:
 class RandomScenarios(VecEnvWrapper):
     """Arms in groups; each group draws a scenario for every episode (domain randomisation).
 
-    A scenario is one of `names`, or a perturbation of one of the `ranges`, all equally likely, with
-    a strength that is uniform in its range.  With the probability `twice` a second perturbation is
-    added, if it is of another kind and of no second task.  The wrapped environment gives number,
-    control mode, engine and other arguments of the arms, and never moves.  Groups with obstacles
-    move in pymunk, because the analytic engine knows no collisions.
+    Each of the `names` and of the `ranges` is equally likely to be drawn; a strength is uniform in
+    its range.  With probability `twice` a second scenario is drawn and joined to the first, if
+    its perturbation is of another kind and they do not both have a task.  The wrapped environment
+    gives number, control mode, engine and other arguments of the arms, and never moves.  Groups
+    with obstacles move in pymunk, because the analytic engine knows no collisions.
 
-    The first episodes of the groups are cut to different lengths, so that later ones end at
-    different steps.
+    The first episodes of the groups have different lengths, so that later ones do not all end at
+    the same step.
 
     Source: Peng, Andrychowicz, Zaremba & Abbeel (2018), Sim-to-real transfer of robotic control
     with dynamics randomization, ICRA, https://arxiv.org/abs/1710.06537.
@@ -229,10 +188,10 @@ class RandomScenarios(VecEnvWrapper):
         Args:
             venv: of a multiple of `groups` arms.
             names: of scenarios, see `mmc_gym.envs.scenarios.scenario`.
-            ranges: lowest and highest strength of families of perturbations, by name; both are
-                drawn, and whole numbers only where strengths are whole.
+            ranges: lowest and highest strength, both included, of families of perturbations by
+                name; where strengths are whole numbers, only those are drawn.
             groups: number of groups.
-            twice: probability of a second perturbation, a task's included.
+            twice: probability of a second scenario.
 
         Raises:
             UserError: if a name, a strength or the number of groups is not accepted.
@@ -277,7 +236,7 @@ class RandomScenarios(VecEnvWrapper):
         for group, actions in enumerate(self._actions):
             env = cast(VectorEnv, self._groups[group])
             observation, reward, _, over, _ = env.step(actions)
-            if over.all():  # all of a group end at once
+            if over.all():  # the episodes of a group end together
                 for row, last in zip(infos[group * self._size :], observation.copy()):
                     row |= {"terminal_observation": last, "TimeLimit.truncated": True}
                 observation = self._begin(group)
@@ -295,7 +254,7 @@ class RandomScenarios(VecEnvWrapper):
         self.venv.close()
 
     def make_group(self, drawn: Scenario, share: float = 1.0) -> VectorEnv:
-        """Make the arms of a group for an episode of this share of the usual length."""
+        """Make the arms of a group; their episode has `share` of the usual length."""
         arguments = {**self._arguments, **drawn.arguments, "autoreset_mode": "Disabled"}
         if any(isinstance(one, Obstacles) for one in drawn.perturbations):
             arguments["engine"] = "pymunk"
@@ -304,7 +263,7 @@ class RandomScenarios(VecEnvWrapper):
         return gym.make_vec(drawn.env_id, self._size, copy=False, **arguments)
 
     def draw(self) -> Scenario:
-        """Return a scenario, with a second perturbation at times."""
+        """Return a random scenario, sometimes two that are joined."""
         first = self._draw_one()
         if self._random.random() >= self._twice:
             return first
@@ -329,7 +288,7 @@ class RandomScenarios(VecEnvWrapper):
         return perturbed(family, float(self._random.uniform(low, high)))
 
     def _begin(self, group: int, share: float = 1.0) -> Float32:
-        """Give a group a scenario, and return its first observations."""
+        """Draw a scenario for a group, and return its first observations."""
         if (old := self._groups[group]) is not None:
             old.close()
         made = None
@@ -348,7 +307,7 @@ class RandomScenarios(VecEnvWrapper):
 
 
 def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:
-    """Return a range of strengths, checked."""
+    """Check and return a range of strengths."""
     accepted = "the lowest and the highest strength"
     require(len(ends) == 2 and ends[0] <= ends[1], f"ranges[{name!r}]", ends, accepted)
     low, high = float(ends[0]), float(ends[1])
@@ -397,7 +356,7 @@ class Residual(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:
         observation, rewards, dones, infos = self.venv.step_wait()
         assert isinstance(observation, np.ndarray)
-        if dones.any():  # what the base agent would have proposed next
+        if dones.any():  # at the last observation the base agent would have proposed this
             last, ended = observation.copy(), np.flatnonzero(dones)
             last[ended] = [infos[index]["terminal_observation"] for index in ended]
             proposal, _ = self._base.predict(last, self._state)
