@@ -57,6 +57,8 @@ def test_unknown_names_and_environments_are_errors():
         read_recipe("ppo", "Pendulum-v1")
     with pytest.raises(UserError, match="name must begin with one of ppo, sac, tqc, got 'dqn'"):
         _ = Recipe("dqn", "MMCReach-v0", {}).settings
+    with pytest.raises(UserError, match="policy must be given; n_timesteps must be given"):
+        _ = Recipe("ppo", "MMCReach-v0", {}).settings
 
 
 def test_your_own_file_is_read_by_its_path(tmp_path):
@@ -86,12 +88,6 @@ def test_a_file_that_holds_something_else_is_an_error(tmp_path, content, message
         read_recipe(str(path))
     with pytest.raises(FileNotFoundError):
         read_recipe("there/is/no/ppo.yml")
-
-
-def test_what_is_left_out_is_the_algorithms_default():
-    settings, model = recipe().settings, make(recipe())
-    assert (settings["n_steps"], settings["gamma"], settings["clip_range"]) == (2048, 0.99, 0.2)
-    assert (settings["n_envs"], model.n_steps, model.gamma) == (1, 2048, 0.99)
 
 
 @pytest.mark.parametrize(
@@ -155,26 +151,17 @@ def test_all_that_an_entry_names_is_made():
             "ppo-mine: policy 'os.system' is not accepted. It may be MlpPolicy or ",
         ),
         ({"policy": f"{POLICIES}.TQCGoalPolicy"}, "may be MlpPolicy or .*PPOTargetPolicy"),
-        ({"policy": ["MlpPolicy"]}, r"policy \['MlpPolicy'\] is not accepted"),
         ({"rollout_buffer_class": "os.system"}, "rollout_buffer_class must be .*, got 'os.system'"),
-        ({"vec_env_wrapper": "os.system"}, "vec_env_wrapper 'os.system' is not accepted"),
         ({"vec_env_wrapper": [RESIDUAL, "os.system"]}, "'os.system' is not accepted"),
         ({"vec_env_wrapper": {RESIDUAL: 3}}, "Residual must be a mapping, got 3"),
         ({"policy_kwargs": "dict(net_arch=os.system('ls'))"}, "must be a valid dictionary"),
-        ({"policy_kwargs": "__import__('os')"}, "policy_kwargs must be a valid dictionary"),
         ({"policy_kwargs": "!!python/name:os.system"}, "must be a valid dictionary"),
-        ({"policy_kwargs": [64]}, r"policy_kwargs must be a valid dictionary, got \[64\]"),
         ({"policy_kwargs": {"activation_fn": "nn.ELU"}}, "activation_fn 'nn.ELU' is not accepted"),
         ({"env_kwargs": "control"}, "env_kwargs must be a valid dictionary, got 'control'"),
         ({"n_timesteps": 0}, "n_timesteps must be at least 1, got 0"),
-        ({"n_envs": 0}, "n_envs must be at least 1"),
         ({"n_steps": 1.5}, "hyperparameters of ppo-mine: n_steps must be .* integer, .*, got 1.5"),
         ({"gamma": "high"}, "gamma must be a valid number, .*, got 'high'"),
         ({"gamma": float("nan")}, "gamma must be a finite number, got nan"),
-        (
-            {"learning_rate": "lin_fast"},
-            "learning_rate.* must be a valid number, .*, got 'lin_fast'",
-        ),
         ({"learning_rate": "cosine"}, "learning_rate.* must be a valid number, .*, got 'cosine'"),
         ({"use_sde": "maybe"}, "use_sde must be a valid boolean, .*, got 'maybe'"),
         ({**SAC, "replay_buffer_class": "Pickle"}, f"'Pickle' is not accepted. It may be {HER}"),
@@ -214,11 +201,6 @@ def test_a_leg_that_would_never_end_is_refused(changes, message):
 def test_what_only_the_constructor_can_refuse_is_said_in_its_words(changes, message):
     with pytest.raises(UserError, match=r"hyperparameters of \w+-mine must be .*" + message):
         make(recipe(**changes))
-
-
-def test_what_must_be_there_is_named():
-    with pytest.raises(UserError, match="policy must be given; n_timesteps must be given"):
-        _ = Recipe("ppo", "MMCReach-v0", {}).settings
 
 
 def test_a_rate_is_constant_or_falls_to_zero():

@@ -41,7 +41,7 @@ MANY = {
 
 
 def test_the_same_seed_draws_the_same_and_another_seed_others():
-    one, same, other = (played(seed, 120, **MANY) for seed in (0, 0, 1))
+    one, same, other = (played(seed, 30, **MANY) for seed in (0, 0, 1))
     for ours, theirs in zip(one, same, strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert not np.array_equal(one[0], other[0])
@@ -79,19 +79,11 @@ def test_every_scenario_is_met_and_two_at_once():
     assert min(turns) < -30 and max(turns) > 30
 
 
-@pytest.mark.parametrize("family", ["locked", "locks", "obstacles"])
+@pytest.mark.parametrize("family", ["locked", "obstacles"])
 def test_whole_strengths_are_drawn_whole(family):
     env = scenarios(names=(), ranges={family: [1, 3]})
     assert {env.draw().strength for _ in range(50)} == {1.0, 2.0, 3.0}
     assert env.reset().shape == (ARMS, 15)
-
-
-def test_whole_strengths_are_met_beside_others():
-    env = scenarios(names=(), ranges={"locked": [1, 3], "rotation": [-60, 60]}, twice=1.0)
-    kinds = {
-        tuple(sorted(type(each).__name__ for each in env.draw().perturbations)) for _ in range(50)
-    }
-    assert ("LockedJoint", "VisuomotorRotation") in kinds
 
 
 def test_scenarios_that_do_not_go_together_are_named_and_others_are_drawn(monkeypatch):
@@ -114,12 +106,10 @@ def test_scenarios_that_do_not_go_together_are_named_and_others_are_drawn(monkey
         ({"groups": 3}, "groups must be a divisor of the 8 environments, got 3"),
         ({"twice": 2}, "twice must be a probability, got 2"),
         ({"names": ["randon"]}, "scenario 'randon' is not accepted; did you mean 'random'"),
-        ({"names": ["locked-4"]}, "joint"),
         ({"ranges": {"rotatio": [0, 1]}}, "did you mean 'rotation"),
         ({"ranges": {"rotation": [5, 1]}}, "must be the lowest and the highest strength"),
         ({"ranges": {"locked": [1, 2.5]}}, "a whole number from 1"),
         ({"ranges": {"locked": [1, 4]}}, "joint"),
-        ({"ranges": {"obstacles": [1, 9]}}, "a whole number from 1 to 4"),
         ({"names": []}, "names must be one at least"),
     ],
 )

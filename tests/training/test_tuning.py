@@ -20,53 +20,53 @@ STEPS = 200
 IN_USE = {"damping": 4.0, "velocity_damping": 5.0, "velocity_decay": 0.92, "iterations_per_step": 3}
 
 
-def complete(folder, name="mmc"):
-    """Parameters and values of the trials that are complete."""
-    journal = JournalFileBackend(str(folder / f"{name}.journal"))
-    study = optuna.load_study(study_name=name, storage=optuna.storages.JournalStorage(journal))
+def complete(folder):
+    """Parameters and values of the complete trials of the network, of STEPS each."""
+    journal = JournalFileBackend(str(folder / "mmc.journal"))
+    storage = optuna.storages.JournalStorage(journal)
+    name = json.dumps({"steps": STEPS, "in use": IN_USE})
+    study = optuna.load_study(study_name=name, storage=storage)
     found = study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
     return [(trial.params, trial.value) for trial in found]
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The folder of a tuning of 13 trials at once; from the 11th on they are not random."""
-    folder = tmp_path_factory.mktemp("whole")
-    tune("mmc", 13, STEPS, folder)
-    return folder
-
-
-def test_tuning_in_parts_gives_the_same_as_at_once(whole, tmp_path):
+def test_tuning_in_parts_and_interrupted_gives_the_same_as_at_once(tmp_path, monkeypatch):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    tune("mmc", 12, STEPS, whole)  # the 11th and later trials are not random
     seen: list[int] = []
-    for trials in (2, 5, 12, 13):
-        result = tune("mmc", trials, STEPS, tmp_path, lambda number, _: seen.append(number))
-    assert result == json.loads((tmp_path / "mmc.json").read_text())
-    assert (tmp_path / "mmc.json").read_bytes() == (whole / "mmc.json").read_bytes()
-    assert seen == list(range(13))
+    calls = itertools.count()
+
+    def interrupt(*arguments):
+        if next(calls) in (0, 11):
+            raise KeyboardInterrupt
+        return evaluate(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(tuning, "evaluate", interrupt)
+        for expected in (0, 10):
+            with pytest.raises(KeyboardInterrupt):
+                tune("mmc", 12, STEPS, parts, lambda number, _: seen.append(number))
+            assert len(complete(parts)) == expected
+    for trials in (11, 12):
+        result = tune("mmc", trials, STEPS, parts, lambda number, _: seen.append(number))
+    assert result == json.loads((parts / "mmc.json").read_text())
+    assert (parts / "mmc.json").read_bytes() == (whole / "mmc.json").read_bytes()
+    assert seen == list(range(12))
     trials = complete(whole)
-    assert complete(tmp_path) == trials
+    assert complete(parts) == trials
     parameters = [parameters for parameters, _ in trials]
     assert not any(one == other for one, other in itertools.combinations(parameters, 2))
 
 
-@pytest.mark.parametrize("trial", [0, 11])
-def test_tuning_interrupted_in_a_trial_gives_the_same_as_at_once(
-    trial, whole, tmp_path, monkeypatch
-):
-    calls = itertools.count()
-
-    def interrupt(*arguments):
-        if next(calls) == trial:
-            raise KeyboardInterrupt
-        return evaluate(*arguments)
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(tuning, "evaluate", interrupt)
-        tune("mmc", 13, STEPS, tmp_path)
-    assert len(complete(tmp_path)) == trial
-    tune("mmc", 13, STEPS, tmp_path)
-    assert (tmp_path / "mmc.json").read_bytes() == (whole / "mmc.json").read_bytes()
-    assert complete(tmp_path) == complete(whole)
+def test_trials_of_other_steps_or_constants_in_use_are_ignored(tmp_path, monkeypatch):
+    tune("mmc", 1, STEPS, tmp_path)
+    first = complete(tmp_path)
+    assert tune("mmc", 1, 100, tmp_path)["steps_per_trial"] == 100
+    monkeypatch.setitem(tuning.NETWORK_IN_USE, "iterations_per_step", 5)
+    assert tune("mmc", 1, STEPS, tmp_path)["best"]["iterations_per_step"] == 5
+    monkeypatch.undo()
+    assert tune("mmc", 1, STEPS, tmp_path)["best_value"] == first[0][1]
+    assert complete(tmp_path) == first
 
 
 def test_the_first_trial_has_the_constants_in_use(tmp_path):
@@ -76,27 +76,12 @@ def test_the_first_trial_has_the_constants_in_use(tmp_path):
     assert 0.5 < result["best_value"] < 0.9  # arriving takes half a second of two
 
 
-def test_no_trial_of_other_constants_in_use_comes_into_a_tuning(tmp_path, monkeypatch):
-    tune("mmc", 1, STEPS, tmp_path)
-    monkeypatch.setitem(tuning.NETWORK_IN_USE, "iterations_per_step", 5)
-    with pytest.raises(UserError, match=r"constants in use must be those of the trials in .*mmc"):
-        tune("mmc", 2, STEPS, tmp_path)
-
-
 def test_constants_in_use_are_those_of_the_agent():
     target = find_target("mmc")
     constants = target.space(optuna.trial.FixedTrial(target.in_use))
     where = ("MMCReach-v0", {"perturbations": ["rotation-30"]}, 20, 5)
     expected = evaluate(lambda interface: make_agent("mmc", gym.make("MMCReach-v0")), *where)
     assert evaluate(partial(tuning.make_network_agent, constants), *where) == expected
-
-
-def test_no_trial_of_other_steps_comes_into_a_tuning(tmp_path):
-    tune("mmc", 1, STEPS, tmp_path)
-    before = (tmp_path / "mmc.json").read_bytes(), complete(tmp_path)
-    with pytest.raises(UserError, match=r"steps must be those of the trials in .*, 200, .* got 50"):
-        tune("mmc", 2, 50, tmp_path)
-    assert ((tmp_path / "mmc.json").read_bytes(), complete(tmp_path)) == before
 
 
 @pytest.fixture
@@ -113,9 +98,9 @@ def tried(monkeypatch):
     return tried
 
 
-@pytest.mark.parametrize("name", ["ppo", "ppo-position", "sac", "tqc-her"])
+@pytest.mark.parametrize("name", ["ppo", "tqc-her"])
 def test_what_is_printed_is_what_was_trained(name, tmp_path, tried):
-    result = tune(name, 12, 1_000, tmp_path)
+    result = tune(name, 3, 1_000, tmp_path)
     assert result["best"] == tried[-1]
     assert result["in_use"] == tried[0]
     assert all(one["learning_rate"].startswith("lin_") for one in tried)
@@ -143,7 +128,7 @@ def test_what_is_printed_is_what_was_trained(name, tmp_path, tried):
 def test_your_own_file_is_tuned_around_what_it_has(name, keys, in_use, tmp_path, tried):
     path = tmp_path / f"{name}-x.yml"
     path.write_text(f"MMCReach-v0: {{n_timesteps: 9, policy: MlpPolicy, {keys}}}\n")
-    result = tune(str(path), 12, 1_000, tmp_path / "out")
+    result = tune(str(path), 2, 1_000, tmp_path / "out")
     assert result["name"] == f"{name}-x"
     assert in_use.items() <= result["in_use"].items()
     assert result["in_use"] == tried[0]
@@ -165,10 +150,9 @@ def test_a_training_is_tuned(name, steps, tmp_path):
         (("mmc", 1, 0), "steps must be a whole number of at least 1, got 0"),
         (("ik-dls", 1, 100), "name 'ik-dls' is not accepted"),
         (("ppo-best", 1, 100), "name 'ppo-best' is not accepted; did you"),
-        (("./x/ppo.yml", 1, 100), "No such file"),
     ],
 )
 def test_bad_input_is_an_error(arguments, message, tmp_path):
-    with pytest.raises((UserError, FileNotFoundError), match=message):
+    with pytest.raises(UserError, match=message):
         tune(*arguments, tmp_path / "out")
     assert not (tmp_path / "out").exists()
