@@ -303,7 +303,7 @@ def test_logs_name_the_extra_that_is_missing(tmp_path, monkeypatch):
     [
         ({"gamma": "high"}, "hyperparameters of ppo: gamma must be a valid number, .* got 'high'"),
         ({"env_kwargs": {"max_episode_steps": None}}, "max_episode_steps"),  # hung when evaluated
-        ({"use_sde": True}, "must give a policy that acts: log_std must be"),
+        ({"use_sde": True}, "must give a policy that acts: tensors must be"),
         ({"vec_env_wrapper": {RESIDUAL: {"base_agent": "ik"}}}, "base_agent must be one of"),
         ({"env_id": "MMCReach-v99"}, "env must be the id of an environment"),
         ({"env_id": "Pendulum-v1"}, "env must be a reaching environment"),
