@@ -414,6 +414,15 @@ class GoalEnvironment(ReachEnvironment):
             return (distance <= setup.success_distance) - 1.0
         return -distance + precision(setup, distance)
 
+    def compute_terminated(
+        self, achieved_goal: NDArray[np.floating], desired_goal: NDArray[np.floating], info: Any
+    ) -> Any:
+        """Return False for every transition, shape (...): the hand must stay at the target."""
+        del desired_goal, info
+        return np.zeros(np.shape(achieved_goal)[:-1], dtype=bool)[()]
+
+    compute_truncated = compute_terminated  # only the time limit truncates
+
 
 class MMCReachGoalEnv(GoalEnvironment, MMCReachEnv):
     """`MMCReachEnv` as a goal environment, for hindsight experience replay.

@@ -342,6 +342,9 @@ def test_relabelled_transitions_have_the_reward_of_the_step_and_no_end(reward_ty
         assert achieved[-1].tolist() == info["end_effector"].tolist()
         assert desired[-1].tolist() == info["target"].tolist()
     batch = env.compute_reward(np.array(achieved), np.array(desired), [{}] * 200)
+    for ends in (env.compute_terminated, env.compute_truncated):  # as GoalEnv has them
+        assert not ends(achieved[-1], desired[-1], {})
+        assert ends(np.array(achieved), np.array(desired), {}).tolist() == [False] * 200
     assert batch.shape == (200,)
     assert batch.tolist() == rewards
     grid = env.compute_reward(np.reshape(achieved, (4, 50, 2)), np.array(desired[0]), {})
