@@ -127,7 +127,7 @@ class Outcome:
     Attributes:
         not_played: why it was skipped or failed; None if it was played.
         files: its files, see `write_cell`; none unless played.
-        warned: texts of its `MismatchWarning`s, which a worker's terminal would not show.
+        warned: texts of each `MismatchWarning`, which a worker's terminal would not show.
     """
 
     not_played: NotPlayed | None = None
