@@ -13,12 +13,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
-from mmc_gym.network.fitting import PAPER, train_normalizers
 from mmc_gym.network.normalizers import angle_errors
+from studies.network.fitting import PAPER, train_normalizers
 
 # %%
 # One normalizer has sixteen hidden units and a few epochs of the paper's recipe. The one that ships
-# has two layers of sixteen units and a more careful training.
+# has two layers of sixteen units and a more careful training. `studies`, which trains them, comes
+# with a clone of the project.
 
 (trained,) = train_normalizers((16,), replace(PAPER, epochs=40), seed=1)
 normalizers = {"16 units, 40 epochs": trained.normalizer, "shipped": LearnedNormalizer.shipped()}

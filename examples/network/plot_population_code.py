@@ -11,7 +11,10 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mmc_gym.network.fitting import PAPER, train_normalizers
+from studies.network.fitting import PAPER, train_normalizers
+
+# %%
+# Train eight hidden units by the paper's recipe. `studies` comes with a clone of the project.
 
 (trained,) = train_normalizers((8,), replace(PAPER, epochs=100), seed=1)
 

@@ -1,1 +1,1 @@
-"""What the network does beyond reaching, and what its normalizers cost to train."""
+"""What the network does beyond reaching; how its normalizers are trained, and at what cost."""

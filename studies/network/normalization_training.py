@@ -13,7 +13,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from mmc_gym.network.fitting import PAPER, train_normalizers
+from studies.network.fitting import PAPER, train_normalizers
 from studies.paper.networks import ARCHITECTURES, RUNS, Units, architecture_name
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
-from mmc_gym.network.fitting import PAPER
+from studies.network.fitting import PAPER
 from studies.paper import experiment, networks, protocol
 from studies.paper.experiment import ExperimentSettings
 from studies.paper.experiments import bettered, forward_and_mixed, movements, normalization

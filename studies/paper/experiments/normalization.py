@@ -25,9 +25,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.fitting import PAPER
 from mmc_gym.network.normalizers import LearnedNormalizer
 from studies.drawing import COLOURS, LINES
+from studies.network.fitting import PAPER
 from studies.paper.experiment import (
     Captioned,
     ExperimentSettings,

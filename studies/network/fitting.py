@@ -18,7 +18,7 @@ Runs stand on a leading axis: parameters are (runs, P), values (runs, units, sam
 
 This command trains the normalizers that ship with the package, in about a minute:
 
-    OMP_NUM_THREADS=1 python -m mmc_gym.network.fitting
+    OMP_NUM_THREADS=1 python -m studies.network.fitting
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mmc_gym._errors import require, require_not_negative, require_whole
-from mmc_gym._grid import one_torch_thread
+from mmc_gym import UserError
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.normalizers import (
     WEIGHTS,
@@ -80,9 +79,6 @@ class FittingSettings:
         biases: whether units have biases; without them the MLP is odd.
         precision: floating point type to train in.
         refinement_iterations: iterations of Levenberg and Marquardt's method after Adam.
-
-    Raises:
-        UserError: if a value is out of range.
     """
 
     name: str = "paper"
@@ -93,15 +89,6 @@ class FittingSettings:
     biases: bool = True
     precision: Literal["float32", "float64"] = "float32"
     refinement_iterations: int = 0
-
-    def __post_init__(self) -> None:
-        require_whole("samples", self.samples, least=3)
-        require_whole("epochs", self.epochs)
-        require_whole("refinement_iterations", self.refinement_iterations, least=0)
-        require_not_negative(weight_decay=self.weight_decay)
-        ranges = self.length_ranges
-        fine = bool(ranges) and all(0 <= low < high for low, high in ranges)
-        require(fine, "length_ranges", ranges, "pairs 0 <= low < high")
 
     @property
     def held_out(self) -> int:
@@ -162,19 +149,22 @@ def train_normalizers(
         One trained normalizer per run.
 
     Raises:
-        UserError: if `runs`, a layer size, or `seed` is out of range.
+        UserError: if `runs` or a layer size is out of range, or there is no layer.
     """
-    require_whole("runs", runs)
-    require_whole("seed", seed, least=0)
-    require(len(hidden_units) > 0, "hidden_units", hidden_units, "sizes of one layer or more")
-    for units in hidden_units:
-        require_whole("hidden_units", units)
+    if min(runs, *hidden_units, len(hidden_units)) < 1:
+        raise UserError(
+            f"runs and hidden_units must be at least 1, got {runs} and {tuple(hidden_units)}"
+        )
     widths = (2, *hidden_units, 2)
-    with one_torch_thread():
-        generators = [_generator(seed, run) for run in range(runs)]
-        samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
-        parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
+    generators = [_generator(seed, run) for run in range(runs)]
+    samples = torch.stack([_draw_samples(recipe, generator) for generator in generators])
+    parameters = torch.stack([_initial_parameters(widths, g) for g in generators])
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
         parameters, history = _adam(parameters, widths, samples, generators, recipe)
+    finally:
+        torch.set_num_threads(threads)
     trained = []
     for run in range(runs):
         validation, training = np.split(samples[run].numpy().T, [recipe.held_out])

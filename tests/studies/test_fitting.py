@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from mmc_gym._errors import UserError
-from mmc_gym.network import fitting
-from mmc_gym.network.fitting import (
-    ACCURATE,
-    PAPER,
-    FittingSettings,
-    train_normalizers,
-)
+from mmc_gym import UserError
 from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors
+from studies.network import fitting
+from studies.network.fitting import ACCURATE, PAPER, train_normalizers
 
 WIDTHS = (2, 5, 3, 2)
 SHORT = replace(PAPER, samples=400, epochs=8)
@@ -125,19 +120,7 @@ def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
         assert f"{name}-16x16.safetensors" in printed
 
 
-@pytest.mark.parametrize(
-    ("make", "settings", "message"),
-    [
-        (train_normalizers, {"runs": 0}, "runs must be a whole number of at least 1, got 0"),
-        (train_normalizers, {"seed": -1}, "seed must be a whole number of at least 0, got -1"),
-        (train_normalizers, {"hidden_units": (4, 0)}, "hidden_units must be .*, got 0"),
-        (train_normalizers, {"hidden_units": ()}, r"hidden_units must be .*, got \(\)"),
-        (FittingSettings, {"epochs": 0}, "epochs must be a whole number of at least 1, got 0"),
-        (FittingSettings, {"samples": 2}, "samples must be a whole number of at least 3, got 2"),
-        (FittingSettings, {"weight_decay": -0.1}, "weight_decay must be .*, got -0.1"),
-        (FittingSettings, {"length_ranges": ((1.0, 1.0),)}, "length_ranges must be pairs"),
-    ],
-)
-def test_impossible_trainings_are_refused(make, settings, message):
-    with pytest.raises(UserError, match=message):
-        make(**settings)
+@pytest.mark.parametrize("settings", [{"runs": 0}, {"hidden_units": (4, 0)}, {"hidden_units": ()}])
+def test_impossible_trainings_are_refused(settings):
+    with pytest.raises(UserError, match="runs and hidden_units must be at least 1, got"):
+        train_normalizers(**settings)
