@@ -1,7 +1,6 @@
 """The command line: one function for each command.
 
-    mmc-gym compare | benchmark | report | train | tune | curves
-            | play | record | list | show
+    mmc-gym compare | benchmark | report | train | curves | play | record | list | show
 
 A mistake of the user ends with one line on stderr and status 2, a failed cell of a grid with one
 line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
@@ -306,37 +305,6 @@ def _train_all(
             cluster=cluster,
             on_policy=on_policy,
         )
-
-
-@_app.command
-def tune(
-    name: Positional[str],
-    trials: int = 20,
-    steps: int = 200_000,
-    out: Path = Path("runs/tune"),
-) -> None:
-    """Let Optuna search for better constants; resume where it stopped.
-
-    Args:
-        name: mmc, or a name or file that train accepts.
-        trials: Number of trials, those of earlier calls included.
-        steps: Environment steps of each trial.
-        out: Folder for trials and result.
-    """
-    from mmc_gym.training import tuning
-
-    with progress_bar() as bar:
-        task = bar.add_task(f"trials of {name}", total=trials)
-
-        def on_trial(number: int, value: float) -> None:
-            bar.update(task, completed=number + 1)
-            bar.console.print(f"trial {number:>3}  time at target {value:6.2%}")
-
-        result = tuning.tune(name, trials, steps, out, on_trial)
-    print(
-        f"{result['name']}: time at target {result['best_value']:.2%} with {result['best']}; "
-        f"{result['value_of_those_in_use']:.2%} with the constants in use"
-    )
 
 
 @_app.command

@@ -88,7 +88,6 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
         (["train", "ppo", "--cluster", "ray"], "--cluster is for --all only, got ray"),
         (["train", "--all", "--jobs", "-3"], "jobs must be a whole number of at least 1, got -3"),
         (["train", "--all", "--seed", "3"], "--seed is for a single training only, got 3"),
-        (["tune", "mmc", "--trials", "0"], "trials must be a whole number of at least 1"),
     ],
 )
 def test_mistakes_end_with_one_line_that_names_them(arguments, message, capsys):

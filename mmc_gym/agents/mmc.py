@@ -160,10 +160,11 @@ def dynamic_mmc(interface: ReachInterface, normalizer: Normalizer | None = None)
 
 
 def tuned_mmc(interface: ReachInterface) -> MMCAgent:
-    """Return the network of `mmc` with constants from `mmc-gym tune mmc`: 20 trials, 200,000 steps.
+    """Return the network of `mmc` with constants that Optuna found: 20 trials of 200,000 steps.
 
-    The hand is at the target for 77.2 % of the time, with the constants of `mmc` for 75.5 %.  d is
-    just above (N + 1) / 2, the bound of convergence.
+    The hand is at the target for 77.2 % of the time, with the constants of `mmc` for 75.5 %
+    (`python -m studies.learners.tuning mmc`).  d is just above (N + 1) / 2, the bound of
+    convergence.
     """
     network = network_of_arm(
         interface,

@@ -178,7 +178,7 @@ AGENTS: dict[str, AgentEntry] = {
         "as mmc, with the learned normalizer",
         lambda interface: dynamic_mmc(interface, LearnedNormalizer.shipped()),
     ),
-    "mmc-tuned": _mmc("as mmc, with constants that Optuna found (`mmc-gym tune mmc`)", tuned_mmc),
+    "mmc-tuned": _mmc("as mmc, with constants that Optuna found", tuned_mmc),
     "ik-dls": _ik("inverse kinematics by damped least squares", damped_least_squares),
     "ppo": _trained("ppo", "PPO of stable-baselines3", training_seeds=10),
     "sac": _trained("sac", "SAC of stable-baselines3", training_seeds=5),

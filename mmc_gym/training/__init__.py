@@ -1,1 +1,1 @@
-"""Learned policies: hyperparameters, training with checkpoints, tuning, learning curves."""
+"""Learned policies: hyperparameters, training with checkpoints, learning curves."""

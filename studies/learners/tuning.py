@@ -1,7 +1,11 @@
-"""`mmc-gym tune`: let Optuna look for the constants of a network, or of a training.
+"""Let Optuna look for the constants of the network of `mmc`, or for hyperparameters of a training.
 
-`tune` keeps every trial in a journal.  A trial depends only on the complete trials before it and is
-seeded by their number.  So interrupted tuning gives the same trials as tuning at once.
+    python -m studies.learners.tuning mmc                   # 20 trials of 200,000 steps
+    python -m studies.learners.tuning ppo --trials 50       # or a YAML file: my/ppo-mine.yml
+
+Every trial is kept in a journal, and a further call resumes there.  A trial depends only on the
+complete trials before it and is seeded by their number.  So interrupted tuning gives the same
+trials as tuning at once.  Optuna comes with the extra `training`.
 """
 
 from __future__ import annotations
@@ -10,25 +14,26 @@ import json
 import tempfile
 from collections.abc import Callable
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import optuna
+import tyro
+from optuna.samplers import TPESampler
+from optuna.storages.journal import JournalFileBackend, JournalStorage
+from optuna.trial import BaseTrial, FixedTrial, TrialState
+from tyro.conf import Positional
 
-from mmc_gym._errors import missing, require_whole, unknown
-from mmc_gym._files import check_folder, write_atomically
+from mmc_gym import UserError
 from mmc_gym.agents.base import Agent
 from mmc_gym.agents.mmc import MMCAgent
 from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.interface import ReachInterface
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.network import MMCNetwork
-from mmc_gym.training.hyperparameters import SUFFIXES, Recipe, names, read_recipe
+from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import Training
-
-if TYPE_CHECKING:
-    from optuna.trial import BaseTrial
 
 TUNING_SEED = 2_000_000  # of episodes and trainings: far from all others
 TRAINED_EPISODES = 500
@@ -60,15 +65,9 @@ class Target(NamedTuple):
 
 
 def find_target(name: str) -> Target:
-    """Return the target "mmc", or that of hyperparameters (see `read_recipe`).
-
-    Raises:
-        UserError: for any other name, and for hyperparameters that are not accepted.
-    """
+    """Return the target "mmc", or that of the hyperparameters `name` (see `read_recipe`)."""
     if name == "mmc":
         return Target(NETWORK_IN_USE, _suggest_network, judge_network)
-    if name not in names() and Path(name).suffix not in SUFFIXES:
-        raise unknown("name", name, ("mmc", *names()), "the path of a YAML file")
     recipe = read_recipe(name)
     settings = recipe.settings
     rate = str(recipe.hyperparameters.get("learning_rate", settings["learning_rate"]))
@@ -182,19 +181,11 @@ def tune(
         The content of `out/NAME.json`.
 
     Raises:
-        UserError: if there is no such name, or Optuna is not installed.
+        UserError: if there is no such name, or nothing to try.
     """
-    require_whole("trials", trials)
-    require_whole("steps", steps)
-    out = check_folder(out, "out")
-    target, name = find_target(name), Path(name).stem
-    if find_spec("optuna") is None:
-        raise missing("tune", "Optuna", "training")
-    import optuna
-    from optuna.samplers import TPESampler
-    from optuna.storages.journal import JournalFileBackend, JournalStorage
-    from optuna.trial import FixedTrial, TrialState
-
+    if min(trials, steps) < 1:
+        raise UserError(f"trials and steps must be at least 1, got {trials} and {steps}")
+    target, name, out = find_target(name), Path(name).stem, Path(out)
     reference = FixedTrial(target.in_use)
     target.space(reference)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -229,5 +220,34 @@ def tune(
         "best_value": best.value,
         "best": best.user_attrs[_CONSTANTS],
     }
-    write_atomically(out / f"{name}.json", json.dumps(result, indent=1) + "\n")
+    (out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
+
+
+def main(
+    name: Positional[str],
+    trials: int = 20,
+    steps: int = 200_000,
+    out: Path = Path("runs/tune"),
+) -> None:
+    """Let Optuna search for better constants; resume where it stopped.
+
+    Args:
+        name: mmc, or a name or file that `mmc-gym train` accepts.
+        trials: Number of trials, those of earlier calls included.
+        steps: Environment steps of each trial.
+        out: Folder for trials and result.
+    """
+
+    def on_trial(number: int, value: float) -> None:
+        print(f"trial {number:>3}  time at target {value:6.2%}", flush=True)
+
+    result = tune(name, trials, steps, out, on_trial)
+    print(
+        f"{result['name']}: time at target {result['best_value']:.2%} with {result['best']}; "
+        f"{result['value_of_those_in_use']:.2%} with the constants in use"
+    )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -9,12 +9,11 @@ import optuna
 import pytest
 from optuna.storages.journal import JournalFileBackend
 
-from mmc_gym import make_agent
-from mmc_gym._errors import UserError
+from mmc_gym import UserError, make_agent
 from mmc_gym.measures.rollout import evaluate
-from mmc_gym.training import tuning
 from mmc_gym.training.hyperparameters import read_recipe
-from mmc_gym.training.tuning import find_target, tune
+from studies.learners import tuning
+from studies.learners.tuning import find_target, tune
 
 STEPS = 200
 IN_USE = {"damping": 4.0, "velocity_damping": 5.0, "velocity_decay": 0.92, "iterations_per_step": 3}
@@ -146,13 +145,19 @@ def test_a_training_is_tuned(name, steps, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("mmc", 0, 100), "trials must be a whole number of at least 1, got 0"),
-        (("mmc", 1, 0), "steps must be a whole number of at least 1, got 0"),
+        (("mmc", 0, 100), "trials and steps must be at least 1, got 0 and 100"),
+        (("mmc", 1, 0), "got 1 and 0"),
         (("ik-dls", 1, 100), "name 'ik-dls' is not accepted"),
-        (("ppo-best", 1, 100), "name 'ppo-best' is not accepted; did you"),
     ],
 )
 def test_bad_input_is_an_error(arguments, message, tmp_path):
     with pytest.raises(UserError, match=message):
         tune(*arguments, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_command_prints_trials_and_the_result(tmp_path, capsys):
+    tuning.main("mmc", 1, STEPS, tmp_path)
+    first, last = capsys.readouterr().out.splitlines()
+    assert first.startswith("trial   0  time at target ")
+    assert "'iterations_per_step': 3" in last and last.endswith("with the constants in use")
