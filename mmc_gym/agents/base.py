@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:  # `import mmc_gym` loads no physics
 
 State = TypeVar("State")
 Started = Sequence[bool] | NDArray[np.bool_] | None
+Layouts = dict[tuple[int, ...], Any]
+"""The layout of an agent's states, by their batch axes."""
 
 
 class Predictor(Protocol):
@@ -100,7 +102,7 @@ class InternalModelAgent(Agent[State]):
         require(isinstance(interface, ReachInterface), "interface", interface, accepted)
         interface.check_takes_joint_targets()
         self.interface = interface
-        self._layouts: dict[tuple[int, ...], Any] = {}  # of its states, by their batch axes
+        self._layouts: Layouts = {}
 
     @property
     @override
@@ -113,21 +115,9 @@ class InternalModelAgent(Agent[State]):
         """Return the state of internal models in the sensed postures."""
 
     def resumed(self, state: State | None, sensed: Sensed, episode_start: Started) -> State:
-        """Return the state to resume from: made anew where an episode starts.
-
-        Raises:
-            UserError: if the state comes from another agent or another number of arms, or
-                `episode_start` has other batch axes than the observations.
-        """
-        if state is None:
-            return self.start(sensed)
+        """Return the state to resume from; see the function `resumed`."""
         batch = sensed.joint_angles.shape[:-1]
-        if batch not in self._layouts:
-            self._layouts[batch] = layout_of(self.start(sensed))
-        if layout_of(state) != self._layouts[batch]:
-            raise wrong_state(state, self.start(sensed))
-        starts = starting(episode_start, batch)
-        return state if starts is None else where(starts, self.start(sensed), state)
+        return resumed(state, lambda: self.start(sensed), batch, episode_start, self._layouts)
 
 
 class JointTargetAgent(InternalModelAgent[State]):
@@ -151,32 +141,45 @@ class JointTargetAgent(InternalModelAgent[State]):
         return self.interface.act(joint_targets, sensed), state
 
 
-def starting(episode_start: Started, batch: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """Return for which arms an episode starts, of shape `batch`; None if it starts for no arm.
+def resumed(
+    state: State | None,
+    start: Callable[[], State],
+    batch: tuple[int, ...],
+    episode_start: Started,
+    layouts: Layouts,
+) -> State:
+    """Return the state to resume from: made anew by `start` where an episode starts.
 
     Raises:
-        UserError: if `episode_start` has other batch axes.
+        UserError: if the state comes from another agent or another number of arms, or
+            `episode_start` has other batch axes than the observations.
     """
+    if state is None:
+        return start()
+    if batch not in layouts:
+        layouts[batch] = _layout_of(start())
+    if _layout_of(state) != layouts[batch]:
+        raise UserError(
+            "state must be what predict returned for this agent and as many arms, "
+            f"here {_described(start())}, got {_described(state)}"
+        )
     if episode_start is None or not np.any(episode_start):
-        return None
-    given = np.asarray(episode_start, dtype=bool)
-    if not batch and given.size == 1:
-        given = given.reshape(())
-    try:
-        return np.broadcast_to(given, batch)
-    except ValueError as error:
-        accepted = f"of shape {batch}, as the observations are"
-        raise UserError(f"episode_start must be {accepted}, got {given.shape}") from error
+        return state
+    starts = np.asarray(episode_start, dtype=bool)
+    if not batch and starts.size == 1:
+        starts = starts.reshape(())
+    if starts.shape not in ((), batch):
+        raise UserError(
+            f"episode_start must be of shape {batch}, as the observations are, got {starts.shape}"
+        )
+    return where(np.broadcast_to(starts, batch), start(), state)
 
 
 # A state is an array with the batch in front, a network's state, or a named tuple of such.
 
 
-def layout_of(state: Any) -> list[Any]:
-    """Return the type of a state, and the shape of the first array in each of its fields.
-
-    They are the same for all states of one agent and the same number of arms.
-    """
+def _layout_of(state: Any) -> list[Any]:
+    """Return the type of a state, and the shape of the first array in each of its fields."""
     return [type(state), *map(_first_shape, state if isinstance(state, tuple) else (state,))]
 
 
@@ -186,15 +189,6 @@ def _first_shape(state: Any) -> tuple[int, ...] | None:
         state = state[0]
     array = state.values if isinstance(state, MMCState) else state
     return getattr(array, "shape", None)
-
-
-def wrong_state(state: Any, accepted: Any) -> UserError:
-    """Return the error about a state whose layout is not that of an accepted one."""
-    came, expected = map(_described, (state, accepted))
-    return UserError(
-        "state must be what predict returned for this agent and as many arms, "
-        f"here {expected}, got {came}"
-    )
 
 
 def _described(state: Any) -> str:

@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -27,15 +28,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import (
-    Agent,
-    Started,
-    layout_of,
-    starting,
-    warn_of_another_arm,
-    where,
-    wrong_state,
-)
+from mmc_gym.agents.base import Agent, Layouts, Started, resumed
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import (
     Activation,
@@ -134,11 +127,6 @@ class PolicyCard:
     def _check(self) -> Self:
         if self.base_agent not in ("", *BASE_AGENTS):
             raise ValueError(f"base_agent must be one of {list(BASE_AGENTS)} or empty")
-        if self.blocks and (self.base_agent or self.view != "arm"):
-            raise ValueError("blocks must be empty with a base_agent, or another view than 'arm'")
-        alone = self.control == "joint_position" and not self.base_agent
-        if self.view == "target" and not alone:
-            raise ValueError("view 'target' is for policies that act alone, by joint positions")
         if self.distribution != ("gaussian" if self.algorithm == "ppo" else "squashed"):
             raise ValueError(f"distribution must be that of {self.algorithm!r}")
         if self.body is not None and len(self.body.segment_lengths) != self.segment_count:
@@ -171,14 +159,9 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
 
     Raises:
         FileNotFoundError: if one of them is missing.
-        UserError: if one is damaged, they do not belong together, or it is another path.
+        UserError: if one is damaged, or they do not belong together.
     """
     path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise UserError(
-            "path must be that of a policy's file, NAME.json or NAME.safetensors, "
-            f"got {str(path)!r}"
-        )
     text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
     try:
@@ -189,34 +172,10 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
         network = PolicyNetwork(tensors, card.activation, card.distribution)
         if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
             raise ValueError("its weights must be finite")
-        if network.action_size != card.segment_count:
-            raise ValueError(
-                f"its card says {card.segment_count} joints, its weights {network.action_size}"
-            )
     except (ValueError, SafetensorError) as error:
         reason = f"its card: {explain(error)}" if isinstance(error, ValidationError) else error
         raise UserError(f"{path.with_suffix('')} does not hold a policy: {reason}") from error
     return network, card
-
-
-def load_agent(path: str | Path, env: Any) -> PolicyAgent:
-    """Make the agent of a policy for an environment, wrapped or not, or a vector of equal ones.
-
-    Warn, by a `MismatchWarning`, of an arm that differs from the one on the card.
-
-    Args:
-        path: of either of its two files.
-        env: a reaching environment.
-
-    Raises:
-        FileNotFoundError: if one of the files is missing.
-        UserError: if they hold no policy, or `env` is no environment of this package; as
-            `CannotActError`, if the policy cannot act in it.
-    """
-    network, card = load_policy(path)
-    agent = PolicyAgent(network, card, ReachInterface.of(env))
-    warn_of_another_arm(card.file_stem, card.body, env)
-    return agent
 
 
 class PolicyAgent(Agent[Any]):
@@ -257,6 +216,7 @@ class PolicyAgent(Agent[Any]):
         self.card = card
         self.training_steps = card.training_steps
         self._network = network
+        self._layouts: Layouts = {}
         self._interface = interface
         self._convert = not same
         self._random = np.random.default_rng(seed)
@@ -295,11 +255,13 @@ class PolicyAgent(Agent[Any]):
         seen = seen.astype(np.float32, copy=False)
         random = None if deterministic else self._random
         if self._history is not None:
-            state = self._remembered(self._history, observation, state, episode_start)
-            now = self._history.observed(observation, state)
-            recalled = self._history.recall(now, state)
+            history = self._history
+            start = partial(history.start, observation)
+            memory = resumed(state, start, seen.shape[:-1], episode_start, self._layouts)
+            now = history.observed(observation, memory)
+            recalled = history.recall(now, memory)
             action = self._network.act(np.concatenate((seen, recalled), axis=-1), random)
-            state = self._history.extended(now, action, state)
+            state = history.extended(now, action, memory)
         elif self._base is None:
             action = self._network.act(seen, random)
             if self.card.view == "target":
@@ -315,18 +277,6 @@ class PolicyAgent(Agent[Any]):
             ahead = now + self._interface.max_joint_delta * action
             action = self._interface.act(self._interface.within_limits_from(now, ahead), sensed)
         return action, state
-
-    def _remembered(
-        self, history: History, observation: Observation, state: Any, episode_start: Started
-    ) -> Float32:
-        """Return the memory to resume from, made anew where an episode starts."""
-        start = history.start(observation)
-        if state is None:
-            return start
-        if layout_of(state) != layout_of(start):
-            raise wrong_state(state, start)
-        starts = starting(episode_start, start.shape[:-2])
-        return np.asarray(state, np.float32) if starts is None else where(starts, start, state)
 
 
 BASE_AGENTS: dict[str, Callable[[ReachInterface], Agent[Any]]] = {"mmc": dynamic_mmc}

@@ -34,7 +34,7 @@ import numpy as np
 
 from mmc_gym._errors import UserError, nearest, require, unknown
 from mmc_gym._files import import_object, look_here
-from mmc_gym.agents.base import Agent, Predictor
+from mmc_gym.agents.base import Agent, Predictor, warn_of_another_arm
 from mmc_gym.agents.registry import (
     AGENTS,
     IDEAL,
@@ -45,8 +45,8 @@ from mmc_gym.agents.registry import (
     Knowledge,
     learned_knowledge,
 )
-from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, find_model
-from mmc_gym.interface import CONTROLS, CannotActError, Control
+from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, models_in
+from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -92,22 +92,23 @@ class ResolvedAgent:
             UserError: if it cannot be imported, or is pickled and that is not allowed.
         """
         if self.policy is not None:
-            from mmc_gym.agents.policy import load_agent
-
-            return partial(load_agent, self.policy)
+            return partial(_make_policy, self.policy)
         if self.model is not None:
             loaded = self.model.load() if isinstance(self.model, SavedModel) else self.model
             return loaded.acting_in
         if self.is_reference:
             return _refuse_reference
-        if self.name:
-            return AGENTS[self.name].make
-        return partial(_made, self._thing, self.label)
+        return AGENTS[self.name].make if self.name else partial(_made, self._thing, self.label)
 
     @cached_property
     def _thing(self) -> Any:
         """The function or object that was given, or is imported by its name."""
-        return _imported(self.source) if self.given is None else self.given
+        if self.given is not None:
+            return self.given
+        found = import_object(self.source, "agent")
+        fine = callable(found) or hasattr(found, "predict")
+        require(fine, f"agent {self.source!r}", found, "a function of the environment")
+        return as_agent(found)
 
     @cached_property
     def card(self) -> PolicyCard | None:
@@ -280,14 +281,13 @@ def _trainings(
         raise UserError(f"agents must be given with at least one training, got none of {label!r}")
     found = []
     for source in sources:
-        named = ""
-        several: list[AgentLike] = [source]
         if isinstance(source, (str, Path)):
-            named, name = _labelled(str(source))
-            common, several = _expanded(name, every_training)
-            named = named or common
-        label = label or named
-        found += [_resolved(one, allow_pickle) for one in several]
+            own_label, name = _labelled(str(source))
+            common_label, names = _expanded(name, every_training)
+            label = label or own_label or common_label
+            found += [_resolve_name(one, allow_pickle) for one in names]
+        else:
+            found.append(_resolve_object(source))
     if len(found) > 1:
         seeds = [one.training_seed for one in found]
         if None in seeds or len(set(seeds)) < len(seeds):
@@ -306,21 +306,29 @@ def _labelled(text: str) -> tuple[str, str]:
     return label, source
 
 
-def _expanded(source: str, every_training: bool) -> tuple[str, list[AgentLike]]:
-    """Return a label for all trainings of a name or pattern, and their sources."""
-    name = source.removesuffix("-*")
-    trained = name in AGENTS and AGENTS[name].training_seeds > 0
-    if trained and (every_training or name != source):
-        return name, [f"{name}-{seed}" for seed in range(AGENTS[name].training_seeds)]
-    if "*" not in source or Path(source).exists():
-        return "", [source]
+def _expanded(name: str, every_training: bool) -> tuple[str, list[str]]:
+    """Return the trainings that a name or pattern stands for, and before them a label for all."""
+    kind = name.removesuffix("-*")
+    seeds = range(AGENTS[kind].training_seeds if kind in AGENTS else 0)
+    if seeds and (every_training or kind != name):
+        return kind, [f"{kind}-{seed}" for seed in seeds]
+    if "*" in name and not Path(name).exists():
+        return _common_label(name), _matching(name)
+    return "", [name]
+
+
+def _matching(pattern: str) -> list[str]:
+    """Return the files and folders of agents that a pattern matches, mine-9 before mine-10."""
     # Of a policy's two files one is enough.
-    suffixes = (".safetensors",) if source.endswith(".safetensors") else (".json", SUFFIX)
-    paths = sorted(glob(source))
-    found = [path for path in paths if path.endswith(suffixes) or Path(path).is_dir()]
+    suffixes = (".safetensors",) if pattern.endswith(".safetensors") else (".json", SUFFIX)
+    found = [path for path in glob(pattern) if path.endswith(suffixes) or Path(path).is_dir()]
     if not found:
-        raise UserError(f"agents must match a file or a folder, got {source!r}")
-    return _common_label(source), list(found)
+        raise UserError(f"agents must match a file or a folder, got {pattern!r}")
+    return sorted(found, key=_with_equally_long_numbers)
+
+
+def _with_equally_long_numbers(path: str) -> str:
+    return re.sub(r"\d+", lambda number: number[0].zfill(20), path)
 
 
 def _common_label(pattern: str) -> str:
@@ -330,15 +338,12 @@ def _common_label(pattern: str) -> str:
     return re.sub(r"\.(zip|json|safetensors)$|\*", "", name).strip("-_.") or pattern
 
 
-def _resolved(agent: AgentLike, allow_pickle: bool) -> ResolvedAgent:
-    """Return the agent of a name without label, or of a function or object."""
-    if isinstance(agent, (str, Path)):
-        return _resolve_name(str(agent), allow_pickle)
+def _resolve_object(agent: Any) -> ResolvedAgent:
     agent = as_agent(agent)
     if isinstance(agent, ModelAgent):
         return ResolvedAgent(agent.label, "", model=agent)
     if hasattr(agent, "predict") or callable(agent):
-        label = cast(str, getattr(agent, "__name__", type(agent).__name__))
+        label = getattr(agent, "__name__", type(agent).__name__)
         return ResolvedAgent(label, "", given=agent)
     raise _unknown(agent)
 
@@ -348,47 +353,46 @@ def _resolve_name(name: str, allow_pickle: bool) -> ResolvedAgent:
         return ResolvedAgent(name, name, name)
     from mmc_gym.agents.policy import SUFFIXES, shipped_file
 
-    if name.endswith(SUFFIXES):
-        return ResolvedAgent(Path(name).stem, name, policy=Path(name))
-    if name.endswith(SUFFIX):
-        return ResolvedAgent(Path(name).stem, name, model=SavedModel(Path(name), allow_pickle))
     kind, _, seed = (name, "", "0") if name in AGENTS else name.rpartition("-")
     if kind in AGENTS and seed in map(str, range(AGENTS[kind].training_seeds)):
         path = shipped_file(kind, int(seed))
         return ResolvedAgent(name, path.stem, kind, path)
-    if name and Path(name).is_dir():
-        return _resolve_folder(Path(name), name, allow_pickle)
+    path, label = Path(name), Path(name).stem
+    if name and path.is_dir():
+        path, label = _agent_in(path), path.resolve().name
+    if path.suffix in SUFFIXES:
+        return ResolvedAgent(label, name, policy=path)
+    if path.suffix == SUFFIX:
+        return ResolvedAgent(label, name, model=SavedModel(path, allow_pickle))
     if ":" in name and not name.startswith("."):  # relative imports are not accepted
         return ResolvedAgent(name, name)
     raise _unknown(name)
 
 
-def _resolve_folder(folder: Path, name: str, allow_pickle: bool) -> ResolvedAgent:
-    label = folder.resolve().name
-    cards = [
-        one for one in sorted(folder.glob("*.json")) if one.with_suffix(".safetensors").is_file()
-    ]
-    if len(cards) == 1:
-        return ResolvedAgent(label, name, policy=cards[0])
-    path = None if cards else find_model(folder)
-    if path is None:
-        names = ", ".join(one.name for one in cards) or "none"
+def _agent_in(folder: Path) -> Path:
+    """Return the file of the only policy in a folder, or else of the only model."""
+    cards = sorted(folder.glob("*.json"))
+    policies = [one for one in cards if one.with_suffix(".safetensors").is_file()]
+    found = policies or models_in(folder)
+    if len(found) != 1:
         raise UserError(
-            f"agent {name!r} must be a folder with one policy, or with a zip file of "
-            f"stable-baselines3, got {names}"
+            f"agent '{folder}' must be a folder with one policy, with best_model.zip, or with one "
+            f"zip file of stable-baselines3, got {', '.join(one.name for one in found) or 'none'}"
         )
-    return ResolvedAgent(label, name, model=SavedModel(path, allow_pickle))
+    return found[0]
 
 
 def _unknown(agent: object) -> UserError:
     is_path = isinstance(agent, str) and ("/" in agent or "\\" in agent)
     if is_path and not Path(str(agent)).exists():
         return UserError(f"agent {agent!r} must be a name or a path, and there is no such file")
-    counts = {name: entry.training_seeds for name, entry in AGENTS.items()}
-    trained = [f"{name}-{seed}" for name, count in counts.items() for seed in range(count)]
+    seeds = {name: range(entry.training_seeds) for name, entry in AGENTS.items()}
+    trained = [f"{name}-{seed}" for name in AGENTS for seed in seeds[name]]
     return unknown(
-        *("agent", agent, AGENTS),
-        *("NAME-SEED of a trained one (ppo-3)", "'module:name'", "an object with predict"),
+        "agent",
+        agent,
+        AGENTS,
+        "NAME-SEED of a trained one (ppo-3), 'module:name', an object with predict",
         "the path of a policy's file or folder or of a model's .zip",
         guess=nearest(agent, [*AGENTS, *trained]),
     )
@@ -398,37 +402,37 @@ def _refuse_reference(env: object) -> Predictor:
     raise CannotActError(f"{REFERENCE!r} is a hand without an arm, which acts in no environment")
 
 
-def _imported(path: str) -> Any:
-    found = import_object(path, "agent")
-    if not callable(found) and not hasattr(found, "predict"):
-        raise UserError(f"agent {path!r} must be a function of the environment, got {found!r}")
-    return as_agent(found)
+def _make_policy(path: Path, env: gym.Env[Any, Any]) -> Predictor:
+    """Make the agent of a policy; warn of an arm that differs from the one on its card."""
+    from mmc_gym.agents.policy import PolicyAgent, load_policy
+
+    network, card = load_policy(path)
+    agent = PolicyAgent(network, card, ReachInterface.of(env))
+    warn_of_another_arm(card.file_stem, card.body, env)
+    return agent
 
 
 def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
     """Make the agent of a function, a class or an object for an environment."""
-    if isinstance(given, ModelAgent):
-        return given.acting_in(env)
-    if hasattr(given, "predict") and not isinstance(given, type):
-        return _with_whole_signature(given)
-    made, failure = None, None
-    try:
-        made = as_agent(given(env))
-    except CannotActError:
-        raise
-    except Exception as error:  # it may be a function of observations
-        failure = error
-    if isinstance(made, ModelAgent):
-        return made.acting_in(env)
-    if hasattr(made, "predict"):
-        return _with_whole_signature(made)
+    agent, failure = given, None
+    if isinstance(given, type) or not hasattr(given, "predict"):
+        try:
+            agent = as_agent(given(env))
+        except CannotActError:
+            raise
+        except Exception as error:  # it may be a function of observations
+            agent, failure = None, error
+    if isinstance(agent, ModelAgent):
+        return agent.acting_in(env)
+    if hasattr(agent, "predict"):
+        return _with_whole_signature(agent)
     if not isinstance(given, type) and _gives_actions(given, env):
         return _function_agent(given)
     if failure is not None:
         raise failure
     raise UserError(
         f"agent {label!r} must return an object with predict for an environment, or an action for "
-        f"an observation, got {made!r}"
+        f"an observation, got {agent!r}"
     )
 
 
@@ -487,11 +491,9 @@ def _digest_of_pickle(thing: Any) -> str:
 def code_digest() -> str:
     """Return the SHA-256 of the code and weights of all agents that have no policy."""
     package = Path(str(files("mmc_gym")))
-    parts = [package / "interface.py"]
-    for folder in ("agents", "network"):
-        parts += [*(package / folder).rglob("*.py"), *(package / folder / "weights").glob("*")]
+    patterns = ("interface.py", "agents/**/*.py", "network/**/*.py", "*/weights/*")
     digest = hashlib.sha256()
-    for part in sorted(parts):
+    for part in sorted(part for pattern in patterns for part in package.glob(pattern)):
         digest.update(part.relative_to(package).as_posix().encode() + b"\0")
         digest.update(hashlib.sha256(part.read_bytes()).digest())
     return digest.hexdigest()

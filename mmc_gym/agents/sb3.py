@@ -109,12 +109,10 @@ class ModelAgent(Agent[Any]):
             CannotActError: if its observations or actions have another shape.
         """
         for name in ("observation_space", "action_space"):
-            mine = getattr(self._policy, name)
-            here = getattr(env, f"single_{name}", getattr(env, name))
-            if _shape(mine) != _shape(here):
-                raise CannotActError(
-                    f"{name} must be of shape {_shape(mine)} for {self.label}, got {_shape(here)}"
-                )
+            own = _shape(getattr(self._policy, name))
+            here = _shape(getattr(env, f"single_{name}", getattr(env, name)))
+            if own != here:
+                raise CannotActError(f"{name} must be of shape {own} for {self.label}, got {here}")
         control = read_attribute(env, "control")
         if self.control and control and control != self.control:
             raise ControlError(
@@ -229,19 +227,22 @@ class SavedModel:
         return facts
 
     @cached_property
-    def config(self) -> Mapping[str, Any]:
-        """The hyperparameters that rl_zoo3 wrote; empty without."""
-        return self._read_yaml("config.yml")
-
-    @cached_property
-    def arguments(self) -> Mapping[str, Any]:
-        """The arguments that rl_zoo3 was called with; empty without."""
-        return self._read_yaml("args.yml")
+    def recipe(self) -> dict[str, Any]:
+        """The entries of rl_zoo3's config.yml and args.yml; no more than env_kwargs without."""
+        near = {path.name: path for path in self._near()}
+        found: dict[str, Any] = {}
+        env_kwargs: dict[str, Any] = {}
+        for name in ("config.yml", "args.yml"):
+            entries = _read_yaml(near[name]) if name in near else {}
+            found |= entries
+            if isinstance(entries.get("env_kwargs"), dict):
+                env_kwargs |= entries["env_kwargs"]
+        return found | {"env_kwargs": env_kwargs}
 
     @property
     def training_seed(self) -> int | None:
         """The seed of its training; None if it is not known."""
-        seed = self.arguments.get("seed", self.facts.get("seed"))
+        seed = self.recipe.get("seed", self.facts.get("seed"))
         return seed if isinstance(seed, int) and seed >= 0 else None
 
     @property
@@ -256,49 +257,38 @@ class SavedModel:
         One of this package is made, to read its default control mode and its arm.  Others are not:
         that might import any module.  Of them only a control mode in the files is known.
         """
-        given: dict[str, Any] = {}
-        for entries in (self.config, self.arguments):
-            found = entries.get("env_kwargs")
-            given |= found if isinstance(found, dict) else {}
-        control = given.get("control")
+        control = self.recipe["env_kwargs"].get("control")
         known = World(control if control in CONTROLS else None)
-        spec = gym.registry.get(str(self.arguments.get("env")))
-        if spec is None or not str(spec.entry_point).startswith("mmc_gym."):
-            return known
-        try:
-            with closing(gym.make(spec, **given)) as env:
-                return World(read_attribute(env, "control"), read_attribute(env, "unperturbed"))
-        except (TypeError, ValueError):  # another version took these arguments
-            return known
+        spec = gym.registry.get(str(self.recipe.get("env")))
+        if spec is not None and str(spec.entry_point).startswith("mmc_gym."):
+            try:
+                with closing(gym.make(spec, **self.recipe["env_kwargs"])) as env:
+                    known = _world(env)
+            except (TypeError, ValueError):  # another version took these arguments
+                pass
+        names = ("env_wrapper", "vec_env_wrapper", "frame_stack")
+        wrappers = [f"{name} {self.recipe[name]}" for name in names if self.recipe.get(name)]
+        return known._replace(wrappers=tuple(wrappers))
 
     @cached_property
     def statistics(self) -> Path | None:
         """The file with the statistics of its `VecNormalize`; None if it has none.
 
         Raises:
-            UserError: if there are several, or config.yml of rl_zoo3 needs one that is missing.
+            UserError: if there are several.
         """
-        asked = self.config.get("normalize")
-        # This entry is set by a training behind VecNormalize, and by every off-policy training.
-        unused = self.facts.get("_last_original_obs") is None and self.facts.get("num_timesteps")
-        if asked is False or (asked is None and (self.config or unused)):
+        # Set by a training behind VecNormalize, and by every off-policy training.
+        if self.facts.get("_last_original_obs") is None:
             return None
         pickles = [file for file in self._near() if file.suffix == ".pkl"]
         # model.pkl or model_vecnormalize.pkl; and of CheckpointCallback
         # model_vecnormalize_1000_steps.pkl of model_1000_steps.zip.
-        mine = [
-            file for file in pickles if file.stem.replace("_vecnormalize", "") == self.path.stem
-        ]
-        found = mine or [file for file in pickles if "norm" in file.name.lower()]
+        own = [one for one in pickles if one.stem.replace("_vecnormalize", "") == self.path.stem]
+        found = own or [one for one in pickles if "norm" in one.name.lower()]
         if len(found) > 1:
             raise UserError(
                 f"{self.path} must have one file of VecNormalize beside it, or one called "
                 f"{self.path.stem}_vecnormalize.pkl, got {', '.join(map(str, sorted(found)))}"
-            )
-        if not found and asked:
-            raise UserError(
-                f"{self.path} was trained with VecNormalize, as config.yml has it, but "
-                "vecnormalize.pkl is missing"
             )
         return found[0] if found else None
 
@@ -311,55 +301,53 @@ class SavedModel:
     def load(self) -> ModelAgent:
         """Load the model, which runs the code that its pickles name.
 
+        Warn, by a `MismatchWarning`, of missing statistics.
+
         Raises:
             FileNotFoundError: if there is no such file.
-            UserError: if pickles are not allowed, it cannot be loaded, or rl_zoo3 trained it behind
-                wrappers.
+            UserError: if pickles are not allowed, or it cannot be loaded.
         """
-        steps = self.facts.get("num_timesteps")  # read first: it names a missing or wrong file
+        facts = self.facts  # read first: it names a missing or wrong file
         if not self.allow_pickle:
             raise UserError(
                 f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
                 "name: if you trust the file, say --allow-pickle (in Python: allow_pickle=True)"
             )
-        for name in ("env_wrapper", "vec_env_wrapper", "frame_stack"):
-            if self.config.get(name):
-                raise UserError(
-                    f"{self.path} was trained behind {name}: {self.config[name]}, which is missing "
-                    "here: give a function of the environment that returns an object with predict"
-                )
-        normalizer = None if self.statistics is None else _load_statistics(self.statistics)
-        was_normalized = self.facts.get("_last_original_obs") is not None
-        if normalizer is None and "gae_lambda" in self.facts and was_normalized:
+        was_normalized = facts.get("_last_original_obs") is not None and "gae_lambda" in facts
+        if was_normalized and self.statistics is None:
             _warn(
                 f"{self.path} was trained behind VecNormalize, but no statistics lie beside it: "
                 "env.save('vecnormalize.pkl') writes them"
             )
+        try:
+            policy = self._load_policy()
+            normalizer = self.statistics and pickle.loads(self.statistics.read_bytes())
+            if not (normalizer is None or hasattr(normalizer, "normalize_obs")):
+                raise TypeError(f"{self.statistics} holds no VecNormalize")
+        except Exception as error:  # whatever unpickled code raises
+            raise UserError(f"{self.path} cannot be loaded: {error}") from error
         return ModelAgent(
-            self._load_policy(),
+            policy,
             normalizer,
             label=self.path.name,
-            training_steps=steps if isinstance(steps, int) else 0,
+            training_steps=facts.get("num_timesteps", 0),
             trained_in=self.trained_in,
         )
 
     def _load_policy(self) -> Any:
-        try:
-            from stable_baselines3.common.save_util import load_from_zip_file
+        from stable_baselines3.common.save_util import load_from_zip_file
 
-            # Entries in `custom_objects` are not unpickled.
-            others = {name: None for name in self.facts if name not in _NEEDED}
-            content = io.BytesIO(self.path.read_bytes())
-            data, weights, _ = load_from_zip_file(content, custom_objects=others, device="cpu")
-            assert data is not None
-            kind, options = data["policy_class"], dict(data.get("policy_kwargs") or {})
-            if data.get("use_sde") and "use_sde" in inspect.signature(kind).parameters:
-                options.setdefault("use_sde", True)
-            spaces = data["observation_space"], data["action_space"]
-            policy = kind(*spaces, lr_schedule=lambda progress: 0.0, **options)
-            policy.load_state_dict(weights["policy"])
-        except Exception as error:  # whatever unpickled code raises
-            raise UserError(f"{self.path} cannot be loaded: {error}") from error
+        # Entries in `custom_objects` are not unpickled.
+        others = {name: None for name in self.facts if name not in _NEEDED}
+        content = io.BytesIO(self.path.read_bytes())
+        data, weights, _ = load_from_zip_file(content, custom_objects=others, device="cpu")
+        assert data is not None
+        kind, options = data["policy_class"], dict(data.get("policy_kwargs") or {})
+        if data.get("use_sde") and "use_sde" in inspect.signature(kind).parameters:
+            options.setdefault("use_sde", True)
+        spaces = data["observation_space"], data["action_space"]
+        policy = kind(*spaces, lr_schedule=lambda progress: 0.0, **options)
+        policy.load_state_dict(weights["policy"])
         return policy
 
     def _near(self) -> list[Path]:
@@ -368,56 +356,33 @@ class SavedModel:
         inside = [one.parent for one in folder.glob("*/args.yml")]
         return [file for one in (folder, *inside) for file in one.glob("*") if file.is_file()]
 
-    def _read_yaml(self, name: str) -> Mapping[str, Any]:
-        """Return the entries of the file of this name beside it; none without one."""
-        path = next((file for file in self._near() if file.name == name), None)
-        if path is None:
-            return {}
-        try:
-            found = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
-        except (yaml.YAMLError, ValueError, TypeError, IndexError) as error:
-            raise UserError(f"{path} must be a file of rl_zoo3: {error}") from error
-        return found if isinstance(found, dict) else {}
-
-
-def _load_statistics(path: Path) -> Any:
-    try:
-        found = pickle.loads(path.read_bytes())
-        if not hasattr(found, "normalize_obs"):
-            raise TypeError(f"it holds {type(found).__name__}")
-    except Exception as error:  # whatever unpickled code raises
-        raise UserError(f"{path} must hold VecNormalize's statistics: {error}") from error
-    return found
-
 
 class _PlainLoader(yaml.SafeLoader):
     """Read files of rl_zoo3: ordered mappings as plain ones; other objects are None, never made."""
 
 
-def _ordered(loader: yaml.SafeLoader, suffix: str, node: yaml.Node) -> Any:
-    if suffix == "object/apply:collections.OrderedDict" and isinstance(node, yaml.SequenceNode):
-        return dict(loader.construct_sequence(node, deep=True)[0])
-    if suffix == "tuple" and isinstance(node, yaml.SequenceNode):
-        return loader.construct_sequence(node, deep=True)
-    return None
+def _plain(loader: yaml.SafeLoader, suffix: str, node: Any) -> Any:
+    if suffix == "object/apply:collections.OrderedDict":
+        return dict(*loader.construct_sequence(node, deep=True))
+    return loader.construct_sequence(node, deep=True) if suffix == "tuple" else None
 
 
-_PlainLoader.add_multi_constructor("tag:yaml.org,2002:python/", _ordered)
+_PlainLoader.add_multi_constructor("tag:yaml.org,2002:python/", _plain)
 
 
-def find_model(folder: Path) -> Path | None:
-    """Return the zip file of the model in a folder; None if there is none.
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        found = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
+    except (yaml.YAMLError, ValueError, TypeError) as error:
+        raise UserError(f"{path} must be a file of rl_zoo3: {error}") from error
+    return found if isinstance(found, dict) else {}
 
-    It is best_model.zip of rl_zoo3, or its model at the end of training, or the only zip file.
 
-    Raises:
-        UserError: if there are several.
+def models_in(folder: Path) -> list[Path]:
+    """Return the zip files of models in a folder.
+
+    Of those that rl_zoo3 writes it is best_model.zip or else the model at the end of training.
     """
     best = folder / "best_model.zip"
     found = [best] if best.is_file() else sorted(folder.glob(f"*{SUFFIX}"))
-    final = [one for one in found if (one.with_suffix("") / "args.yml").is_file()]
-    found = final or found
-    if len(found) > 1:
-        names = ", ".join(one.name for one in found)
-        raise UserError(f"folder {folder} must have one zip file, or best_model.zip, got {names}")
-    return found[0] if found else None
+    return [one for one in found if (one.with_suffix("") / "args.yml").is_file()] or found

@@ -94,10 +94,10 @@ def test_one_grammar_holds_for_several_trainings_and_labels(folder):
         *(("sac", seed, f"sac-{seed}") for seed in range(5)),
     ]
     assert read("sac", every_training=False) == [("sac", 0, "sac-0")]
-    mine = [("mine", 2, "runs/mine-10.json"), ("mine", 1, "runs/mine-9.json")]
-    assert read("runs/mine-*") == mine
-    assert read("x=runs/mine-*.safetensors")[1] == ("x", 1, "runs/mine-9.safetensors")
-    assert resolve("runs/mine-*").source == "runs/mine-10.json"
+    mine = [("mine", 1, "runs/mine-9.json"), ("mine", 2, "runs/mine-10.json")]
+    assert read("runs/mine-*") == mine  # 9 before 10
+    assert read("x=runs/mine-*.safetensors")[1] == ("x", 2, "runs/mine-10.safetensors")
+    assert resolve("runs/mine-*").source == "runs/mine-9.json"
     # Their files tell the same seed, so they are counted.
     assert [seed for _, seed, _ in read("runs/twice-*")] == [0, 1]
     assert [seed for _, seed, _ in read("lr=0.001/*")] == [3]
@@ -113,7 +113,7 @@ def test_a_mapping_gives_labels_and_several_trainings(folder, oracle, frozen):
     assert (made["Oracle"].factory(env), made["thaw"].factory(env)) == (oracle, frozen)
     found = resolve_all({"a": [oracle, frozen], "b": "runs/mine-*", "c": "mmc"})
     assert [(one.label, one.training_seed) for one in found] == [
-        *(("a", 0), ("a", 1), ("b", 2), ("b", 1), ("c", None)),
+        *(("a", 0), ("a", 1), ("b", 1), ("b", 2), ("c", None)),
     ]
 
 
