@@ -13,8 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from mmc_gym.network import LearnedNormalizer, MMCNetwork
-from mmc_gym.network.normalizers import angle_errors
-from studies.network.fitting import PAPER, train_normalizers
+from studies.network.fitting import PAPER, angle_errors, train_normalizers
 
 # %%
 # One normalizer has sixteen hidden units and a few epochs of the paper's recipe. The one that ships

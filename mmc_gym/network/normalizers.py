@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from safetensors import SafetensorError, safe_open
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require, require_array, require_choice, require_whole
+from mmc_gym._errors import UserError, require, require_array, require_choice
 from mmc_gym._files import write_atomically
 from mmc_gym.network.chain import Floats
 
@@ -195,46 +195,3 @@ class LearnedNormalizer(Normalizer):
 
     def __repr__(self) -> str:
         return f"LearnedNormalizer(hidden_units={self.hidden_units})"
-
-
-def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3600) -> Floats:
-    """Measure by how much a normalizer turns vectors; the ideal is 0.
-
-    Args:
-        normalizer: the normalizer to measure.
-        lengths: lengths of the vectors to normalize, shape (n,).
-        directions: number of directions, spread evenly over the circle.
-
-    Returns:
-        Absolute angles in radians between input and output, shape (n, directions).
-
-    >>> bool(angle_errors(EuclideanNormalizer(), [0.5, 1.0]).max() < 1e-15)
-    True
-    """
-    wanted = _directions(directions)
-    output = normalizer(np.asarray(lengths, dtype=np.float64)[:, None, None] * wanted)
-    x, y = wanted.T
-    across = x * output[..., 1] - y * output[..., 0]
-    along = x * output[..., 0] + y * output[..., 1]
-    errors: Floats = np.abs(np.arctan2(across, along))
-    return errors
-
-
-def mean_squared_error(normalizer: Normalizer, directions: int = 3600) -> float:
-    """Return the mean of |output − direction|²/2, the paper's loss, over an even grid of vectors.
-
-    Args:
-        normalizer: the normalizer to measure; its inputs have 1,000 lengths, spread evenly over the
-            paper's ]0, 2].
-        directions: number of directions, spread evenly over the circle.
-    """
-    wanted = _directions(directions)
-    lengths = np.arange(0.001, 2.0, 0.002)
-    return float(np.mean((normalizer(lengths[:, None, None] * wanted) - wanted) ** 2))
-
-
-def _directions(count: int) -> Floats:
-    """Return unit vectors spread evenly over the circle, (count, 2)."""
-    require_whole("directions", count)
-    angles = np.arange(count) * (2 * np.pi / count)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -32,17 +32,12 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from mmc_gym import UserError
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.normalizers import (
-    WEIGHTS,
-    LearnedNormalizer,
-    angle_errors,
-    mean_squared_error,
-)
+from mmc_gym.network.normalizers import WEIGHTS, LearnedNormalizer, Normalizer
 
 Array: TypeAlias = NDArray[np.float64]
 _Layers: TypeAlias = "list[tuple[Tensor, Tensor]]"
@@ -370,6 +365,45 @@ def _jacobian(normalizer: LearnedNormalizer, values: list[Floats], projection: A
         parts = [outer.reshape(len(delta), -1), delta, *parts]
         slope = delta @ normalizer.weights[index]
     return np.concatenate(parts, axis=1)
+
+
+def angle_errors(normalizer: Normalizer, lengths: ArrayLike, directions: int = 3600) -> Floats:
+    """Measure by how much a normalizer turns vectors; the ideal is 0.
+
+    Args:
+        normalizer: the normalizer to measure.
+        lengths: lengths of the vectors to normalize, shape (n,).
+        directions: number of directions, spread evenly over the circle.
+
+    Returns:
+        Absolute angles in radians between input and output, shape (n, directions).
+    """
+    wanted = _directions(directions)
+    output = normalizer(np.asarray(lengths, dtype=np.float64)[:, None, None] * wanted)
+    x, y = wanted.T
+    across = x * output[..., 1] - y * output[..., 0]
+    along = x * output[..., 0] + y * output[..., 1]
+    errors: Floats = np.abs(np.arctan2(across, along))
+    return errors
+
+
+def mean_squared_error(normalizer: Normalizer, directions: int = 3600) -> float:
+    """Return the mean of |output − direction|²/2, the paper's loss, over an even grid of vectors.
+
+    Args:
+        normalizer: the normalizer to measure; its inputs have 1,000 lengths, spread evenly over the
+            paper's ]0, 2].
+        directions: number of directions, spread evenly over the circle.
+    """
+    wanted = _directions(directions)
+    lengths = np.arange(0.001, 2.0, 0.002)
+    return float(np.mean((normalizer(lengths[:, None, None] * wanted) - wanted) ** 2))
+
+
+def _directions(count: int) -> Floats:
+    """Return unit vectors spread evenly over the circle, (count, 2)."""
+    angles = np.arange(count) * (2 * np.pi / count)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 def main(folder: Path = WEIGHTS) -> None:

@@ -19,8 +19,14 @@ import numpy as np
 
 from mmc_gym import __version__
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors, mean_squared_error
-from studies.network.fitting import PAPER, FittingSettings, train_normalizers
+from mmc_gym.network.normalizers import LearnedNormalizer
+from studies.network.fitting import (
+    PAPER,
+    FittingSettings,
+    angle_errors,
+    mean_squared_error,
+    train_normalizers,
+)
 from studies.paper.experiment import ExperimentSettings, tracked
 
 Units: TypeAlias = "tuple[int, ...]"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
-from mmc_gym.network.normalizers import angle_errors, mean_squared_error
+from studies.network.fitting import angle_errors, mean_squared_error
 
 lengths = st.floats(1e-6, 1e6)
 
@@ -93,25 +93,6 @@ def test_the_accurate_normalizer_gives_the_length():
         lengths = np.linspace(low, high, 30)[:, None, None]
         result = np.linalg.norm(normalizer(lengths * directions), axis=-1)
         assert np.abs(result - 1).max() < allowed
-
-
-# Measures
-
-
-def test_the_measures_find_a_known_error():
-    turn, shrink = 0.1, 0.8
-
-    class Turned(EuclideanNormalizer):
-        def normalize_rows(self, rows, lengths):
-            super().normalize_rows(rows, lengths)
-            x, y = rows[:, 0].copy(), rows[:, 1].copy()
-            rows[:, 0] = shrink * (np.cos(turn) * x - np.sin(turn) * y)
-            rows[:, 1] = shrink * (np.sin(turn) * x + np.cos(turn) * y)
-
-    errors = angle_errors(Turned(), [0.5, 1.0, 2.0], directions=12)
-    np.testing.assert_allclose(errors, np.full((3, 12), turn), atol=1e-14)
-    expected = (1 + shrink**2 - 2 * shrink * np.cos(turn)) / 2
-    assert mean_squared_error(Turned(), directions=60) == pytest.approx(expected)
 
 
 # Files

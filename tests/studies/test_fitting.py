@@ -7,9 +7,15 @@ import pytest
 import torch
 
 from mmc_gym import UserError
-from mmc_gym.network.normalizers import LearnedNormalizer, angle_errors
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
 from studies.network import fitting
-from studies.network.fitting import ACCURATE, PAPER, train_normalizers
+from studies.network.fitting import (
+    ACCURATE,
+    PAPER,
+    angle_errors,
+    mean_squared_error,
+    train_normalizers,
+)
 
 WIDTHS = (2, 5, 3, 2)
 SHORT = replace(PAPER, samples=400, epochs=8)
@@ -106,6 +112,22 @@ def test_refining_continues_where_nothing_is_left_to_gain(monkeypatch):
     refined = fitting._normalizer(fitting._refine(rough, (2, 2), vectors, 80), (2, 2))
     found = refined(vectors[0])
     assert found[0] * 0.8 == pytest.approx(found[1] * 0.6, rel=1e-12)
+
+
+def test_the_measures_find_a_known_error():
+    turn, shrink = 0.1, 0.8
+
+    class Turned(EuclideanNormalizer):
+        def normalize_rows(self, rows, lengths):
+            super().normalize_rows(rows, lengths)
+            x, y = rows[:, 0].copy(), rows[:, 1].copy()
+            rows[:, 0] = shrink * (np.cos(turn) * x - np.sin(turn) * y)
+            rows[:, 1] = shrink * (np.sin(turn) * x + np.cos(turn) * y)
+
+    errors = angle_errors(Turned(), [0.5, 1.0, 2.0], directions=12)
+    np.testing.assert_allclose(errors, np.full((3, 12), turn), atol=1e-14)
+    expected = (1 + shrink**2 - 2 * shrink * np.cos(turn)) / 2
+    assert mean_squared_error(Turned(), directions=60) == pytest.approx(expected)
 
 
 def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):

@@ -26,13 +26,9 @@ from matplotlib.figure import Figure
 
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.model import MMCNetwork
-from mmc_gym.network.normalizers import (
-    EuclideanNormalizer,
-    LearnedNormalizer,
-    Normalizer,
-    angle_errors,
-)
+from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 from mmc_gym.network.time_base import minimum_jerk, timed_trajectory
+from studies.network.fitting import angle_errors
 from studies.paper.experiment import (
     Captioned,
     ExperimentSettings,
