@@ -54,6 +54,12 @@ def triangle_incidence(segment_count: int) -> NDArray[np.float64]:
     return incidence
 
 
+def triangle_products(segment_count: int) -> NDArray[np.float64]:
+    """Return ∂₂∂₂ᵀ, shape (vectors, vectors): the triangles that two vectors share."""
+    incidence = triangle_incidence(segment_count)
+    return incidence @ incidence.T
+
+
 def chain_vectors(segments: Floats) -> Floats:
     """Return all vectors v_ij of the chain with the given segment vectors.
 

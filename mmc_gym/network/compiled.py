@@ -21,40 +21,30 @@ each N, in a few seconds, and caches the result on disk.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mmc_gym._compiling import compiled, inner
 from mmc_gym.network.chain import Floats
+from mmc_gym.network.iteration import check_clamped, velocity_rule
+
+if TYPE_CHECKING:
+    from mmc_gym.network.model import MMCNetwork
 
 LANES = 32  # arms in a block
 _NUDGE = 1e-100  # gives the zero vector a direction, as `EuclideanNormalizer` does
 _SHARED = 3  # segments share a division; more zero vectors would underflow together
 
 
-def prepare(
-    segment_lengths: tuple[float, ...],
-    damping: float,
-    velocity_rule: tuple[float, float],
-    is_late: bool,
-    clamped: tuple[int, ...],
+@lru_cache(maxsize=256)
+def compiled_iterations(
+    network: MMCNetwork, clamped: tuple[int, ...]
 ) -> Callable[[Floats, Floats, Floats, int], None]:
-    """Return the iterations of a network with some rows clamped.
-
-    Args:
-        segment_lengths: N lengths.
-        damping: d.
-        velocity_rule: factors of L̃ − L and of the old velocity in the new velocity; (1, 0) for a
-            kinematic network.
-        is_late: whether the schedule is "delayed".
-        clamped: the rows, see `Clamps.rows`.
-
-    Returns:
-        A function of the state (rows, 2, batch), the values of the clamped rows (n, 2, batch or 1),
-        the array that the new state is written into, and the number of iterations.
-    """
-    count, nodes = len(segment_lengths), len(segment_lengths) + 1
+    """Return `iterate` for a network and clamped rows, as a function of its last four arguments."""
+    check_clamped(network, clamped)
+    count, nodes = network.segment_count, network.segment_count + 1
     shapes = {
         # As `MMCState.values`, but always with pending segments and with velocities.
         "state": (nodes * count // 2 + 2 * count, 2),
@@ -64,9 +54,10 @@ def prepare(
         "others": (count,),
     }
     no_blocks = np.empty(0, [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()])
-    rule = np.array([1 / damping, *velocity_rule])
+    lengths, is_late = np.array(network.segment_lengths), network.schedule == "delayed"
+    rule = np.array([1 / network.damping, *velocity_rule(network)])
     rows = np.array(clamped, dtype=np.intp)
-    return partial(iterate, no_blocks, np.array(segment_lengths), rule, is_late, rows)
+    return partial(iterate, no_blocks, lengths, rule, is_late, rows)
 
 
 @compiled
@@ -76,8 +67,7 @@ def iterate(no_blocks, lengths, rule, is_late, clamped, values, held, result, ti
     Args:
         no_blocks: an empty array of blocks; its type says how many segments there are.
         lengths: of the segments, (N,).
-        rule: 1/d, and the factors of L̃ − L and of the old velocity in the new velocity; with 1
-            and 0 a dynamic network is a kinematic one.
+        rule: 1/d, and the factors of `velocity_rule`.
         is_late: whether the schedule is "delayed".
         clamped: rows that are held, (n,).
         values: the state, (rows, 2, batch); see `MMCState`.

@@ -18,7 +18,8 @@ from torch import Tensor
 from mmc_gym._errors import UserError, require, require_whole
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Pair
-from mmc_gym.network.model import MMCNetwork, held_rows, linear_operator, triangle_products
+from mmc_gym.network.iteration import held_rows, linear_operator
+from mmc_gym.network.model import MMCNetwork
 from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer
 
 _STRAIGHT = 64  # roundings within which vectors are in one line
@@ -125,7 +126,7 @@ class TorchNetwork(torch.nn.Module):
         for name in ("segment_lengths", "damping", "velocity_damping", "velocity_decay"):
             value = tensor(getattr(network, name))
             setattr(self, name, torch.nn.Parameter(value, requires_grad=False))
-        triangles = tensor(triangle_products(self.segment_count))
+        triangles = tensor(chain.triangle_products(self.segment_count))
         self.register_buffer("triangles", triangles, persistent=False)
         self.normalizer: torch.nn.Module
         if isinstance(network.normalizer, LearnedNormalizer):

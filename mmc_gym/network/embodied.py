@@ -35,15 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError, require, require_not_negative
-from mmc_gym.network.chain import Floats
-from mmc_gym.network.model import (
-    Clamps,
-    MMCNetwork,
-    MMCState,
-    compile_iteration,
-    triangle_products,
-    velocity_rule,
-)
+from mmc_gym.network.chain import Floats, triangle_products
+from mmc_gym.network.iteration import compile_iteration, velocity_rule
+from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import Normalizer
 
 SEGMENT_WEIGHT = 0.05
@@ -135,8 +129,7 @@ def _pull(
     mean = np.eye(len(triangles)) - triangles / network.damping
     to_mean = np.zeros((count, len(values)), dtype=values.dtype)  # makes L̃⁰ of the state
     to_mean[:, : len(mean)] = mean[:count]
-    gain = velocity_rule(network)[0] if is_dynamic else 1.0
-    factor = gain * (body.weight / (network.damping + body.weight))
+    factor = velocity_rule(network)[0] * (body.weight / (network.damping + body.weight))
 
     def pull(current: Floats, following: Floats) -> None:
         proposed = to_mean.dot(current.reshape(len(current), -1)).reshape(sensed.shape)

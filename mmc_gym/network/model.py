@@ -19,18 +19,14 @@ There are two rules for the velocity: the paper's Eq. 3, and the one behind its 
 and two schedules.  "synchronous" reads the newest values everywhere, as printed.  "delayed" is the
 one behind the published figures: the triangle terms read the normalized segments of one iteration
 ago, and only the self term and the velocity read the new ones.
-
-All of this but the normalization is linear.  So the whole state is one array with a row per
-variable, and an iteration is one matrix product and one normalization (`Iteration`).  A clamped
-variable is a row of the identity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,27 +40,23 @@ from mmc_gym._errors import (
     require_numbers,
     require_whole,
     spelt,
-    unknown,
 )
 from mmc_gym._notebook import facts_table
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Floats, Pair
+from mmc_gym.network.iteration import compile_iteration, held_rows
 from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
 
 if TYPE_CHECKING:  # numpy is all that the network needs
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Rows: TypeAlias = "slice | NDArray[np.intp]"
 Dynamics = Literal["kinematic", "paper", "reference"]
 Schedule = Literal["synchronous", "delayed"]
 NetworkEngine = Literal["numpy", "numba"]
 
 # Vectors are in one line within this angle, radians: some roundings of their dtype.
 _STRAIGHT = {"d": 1e-14, "f": 1e-5}
-
-# Arms iterated together: their rows, twice, fit the second-level cache of common processors.
-_BLOCK = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +78,13 @@ class MMCState:
     @property
     def vectors(self) -> Floats:
         """All vectors v_ij, shape (..., N(N+1)/2, 2), in the order of `chain.vector_pairs`."""
-        return self._rows(0, self.segment_count * (self.segment_count + 1) // 2)
+        rows = self.values[: self.segment_count * (self.segment_count + 1) // 2]
+        return np.moveaxis(rows, (0, 1), (-2, -1))
 
     @property
     def segments(self) -> Floats:
         """Segment vectors, normalized, shape (..., N, 2)."""
-        return self._rows(0, self.segment_count)
+        return self.vectors[..., : self.segment_count, :]
 
     @property
     def joint_angles(self) -> Floats:
@@ -112,9 +105,6 @@ class MMCState:
     def batch_shape(self) -> tuple[int, ...]:
         """Leading axes of the other properties."""
         return self.values.shape[2:]
-
-    def _rows(self, start: int, stop: int) -> Floats:
-        return np.moveaxis(self.values[start:stop], (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,15 +219,9 @@ class MMCNetwork:
         """N."""
         return len(self.segment_lengths)
 
-    @property
-    def facts(self) -> dict[str, str]:
-        """Facts about the network, by heading."""
-        return {one.name.replace("_", " "): str(getattr(self, one.name)) for one in fields(self)}
-
     def _repr_html_(self) -> str:
-        return facts_table(self, self.facts)
-
-    # States
+        names = [one.name for one in fields(self)]
+        return facts_table(self, {n.replace("_", " "): str(getattr(self, n)) for n in names})
 
     def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
         """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
@@ -263,8 +247,6 @@ class MMCNetwork:
             parts.append(np.zeros_like(segments))
         rows = np.moveaxis(np.concatenate(parts, axis=-2), (-2, -1), (0, 1))
         return MMCState(np.ascontiguousarray(rows), self.segment_count)
-
-    # Tasks
 
     def inverse(self, target: ArrayLike) -> Clamps:
         """Hold the end effector at `target` (..., 2): the inverse task."""
@@ -300,8 +282,6 @@ class MMCNetwork:
             raise UserError(f"vectors must have batch axes that fit, got {shapes}") from error
         return Clamps(rows, np.ascontiguousarray(np.moveaxis(values, -1, 1)), self.segment_count)
 
-    # Iterating
-
     def step(self, state: MMCState, clamps: Clamps = NO_CLAMPS) -> MMCState:
         """Return the state after one iteration."""
         return self.run(state, clamps, iterations=1)
@@ -335,26 +315,15 @@ class MMCNetwork:
         source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
         held = clamped.reshape(len(clamped), 2, clamped[0, 0].size if clamps.rows else 1)
         if self.engine == "numba":
+            from mmc_gym.network.compiled import compiled_iterations
+
             compiled_iterations(self, clamps.rows)(source, held, out, iterations)
-            return MMCState(result, self.segment_count)
-        iteration = compile_iteration(self, clamps.rows, values.dtype.char)
-        for start in range(0, size, _BLOCK):
-            block = slice(start, start + _BLOCK)
-            current = source[:, :, block].copy()
-            if clamps.rows:
-                current[iteration.clamped] = held if held.shape[2] == 1 else held[:, :, block]
-            out[:, :, block] = iteration.repeat(current, iterations)
+        else:
+            compile_iteration(self, clamps.rows, values.dtype.char)(source, held, out, iterations)
         return MMCState(result, self.segment_count)
 
     def trajectory(self, state: MMCState, clamps: Clamps, iterations: int) -> Trajectory:
         """Run the network and record the segments after every iteration.
-
-        Returns:
-            The last state, and the segments of all iterations, (iterations, ..., N, 2); its `plot`
-            draws them.
-
-        Raises:
-            UserError: as `run` does.
 
         >>> network = MMCNetwork()
         >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -426,163 +395,6 @@ class MMCNetwork:
         return np.where(is_stuck, self.state_from_joint_angles(bent).values, values)
 
 
-class Iteration:
-    """One iteration of a network, for a set of clamped rows and a dtype.
-
-    Attributes:
-        operator: its linear part, see `linear_operator`.
-        clamped: rows that hold clamp values.
-        normalized: rows to normalize, those of the free segments.
-        lengths: lengths to bring them to, (n, 1).
-    """
-
-    def __init__(self, network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> None:
-        """Prepare for clamped rows (`Clamps.rows`) and a dtype's character."""
-        free = [row for row in range(network.segment_count) if row not in clamped]
-        self._is_delayed = network.schedule == "delayed"
-        offset = len(chain.vector_pairs(network.segment_count)) if self._is_delayed else 0
-        self._normalizer = network.normalizer
-        self.operator: Floats = linear_operator(network, clamped).astype(dtype)
-        self.clamped = _as_slice(clamped)
-        self.normalized = _as_slice(tuple(offset + row for row in free))
-        self.lengths: Floats = np.array(network.segment_lengths, dtype=dtype)[free, None]
-
-    def repeat(self, values: Floats, iterations: int) -> Floats:
-        """Return the state (rows, 2, batch) after some iterations; `values` is overwritten."""
-        following = np.empty_like(values)
-        flat = (len(values), -1)
-        for _ in range(iterations):
-            if self._is_delayed:
-                self._normalize(values)
-            self.operator.dot(values.reshape(flat), following.reshape(flat))
-            if not self._is_delayed:
-                self._normalize(following)
-            values, following = following, values
-        return values
-
-    def _normalize(self, values: Floats) -> None:
-        segments = values[self.normalized]  # a view if they are neighbours, otherwise a copy
-        self._normalizer.normalize_rows(segments, self.lengths)
-        values[self.normalized] = segments
-
-
-compile_iteration = lru_cache(maxsize=256)(Iteration)
-
-
-@lru_cache(maxsize=256)
-def compiled_iterations(
-    network: MMCNetwork, clamped: tuple[int, ...]
-) -> Callable[[Floats, Floats, Floats, int], None]:
-    """Prepare the iterations of the engine "numba" for clamped rows, see `compiled.prepare`."""
-    from mmc_gym.network.compiled import prepare
-
-    check_clamped(network, clamped)
-    rule = (1.0, 0.0) if network.dynamics == "kinematic" else velocity_rule(network)
-    is_late = network.schedule == "delayed"
-    return prepare(network.segment_lengths, network.damping, rule, is_late, clamped)
-
-
-def linear_operator(
-    network: Any, clamped: Sequence[int] = (), triangles: Any = None, arrays: Any = np
-) -> Any:
-    """Return the linear part of an iteration, a matrix K over the rows of the state, (rows, rows).
-
-    The next state is normalize(K state) if the network is synchronous.  If it is delayed, it is
-    K normalize(state), and the pending segments are normalized.
-
-    Args:
-        network: an `MMCNetwork`; or a `TorchNetwork`, through whose parameters gradients flow.
-        clamped: rows that are held (`Clamps.rows`).
-        triangles: ∂₂∂₂ᵀ, see `triangle_products`; by default that of the network, in numpy.
-        arrays: the module that `triangles` is an array of, numpy or torch.
-    """
-    check_clamped(network, clamped)
-    if triangles is None:
-        triangles = triangle_products(network.segment_count)
-    count, size, vectors = network.segment_count, network.row_count, len(triangles)
-    delayed = network.schedule == "delayed"
-    dynamic = network.dynamics != "kinematic"
-    # Rows of the identity select rows of the old state.
-    identity = arrays.eye(size, dtype=triangles.dtype, device=triangles.device)
-    old, velocity = identity[:vectors], identity[size - count :]
-    new = identity[vectors : vectors + count] if delayed else old[:count]
-    mean = old - triangles @ old / network.damping
-    proposed = mean[:count]  # L̃
-    if delayed:  # the triangle terms read the old segments, the self term the new ones
-        proposed = proposed + (1 - (count - 1) / network.damping) * (new - old[:count])
-    if dynamic:
-        gain, memory = velocity_rule(network)
-        velocity = gain * (proposed - new) + memory * velocity
-        proposed = new + velocity  # L̂
-    parts = [new, mean[count:], proposed] if delayed else [proposed, mean[count:]]
-    operator = arrays.concat([*parts, velocity] if dynamic else parts)
-    for row in clamped:
-        operator[row] = identity[row]
-        if row < count and dynamic:
-            operator[size - count + row] = 0.0
-    return operator
-
-
-def held_rows(
-    network: Any, name: str, vectors: Any, read: Callable[[str, Any, tuple[int, ...]], Any]
-) -> dict[int, Any]:
-    """Return the values of all held rows of an `MMCNetwork` or `TorchNetwork`, by row.
-
-    Args:
-        network: the network.
-        name: name of the argument `vectors`.
-        vectors: a mapping from node pairs to vectors (..., 2).
-        read: makes an array of a name, a value and the value's last axes.
-
-    Raises:
-        UserError: for something else than a mapping, or a pair that is no vector of the chain.
-    """
-    accepted = "a mapping from pairs of nodes to vectors, such as {(0, 1): (1.0, 0.0)}"
-    require(isinstance(vectors, Mapping), name, vectors, accepted)
-    pairs = chain.vector_pairs(network.segment_count)
-    held = {}
-    for pair, value in vectors.items():
-        if pair not in pairs:
-            turned = pair[::-1] if isinstance(pair, tuple) else ()
-            guess = f"{turned} with the opposite sign" if turned in pairs else ""
-            raise unknown("clamp", pair, pairs, guess=guess)
-        held[pairs.index(pair)] = read(f"clamp {pair}", value, (2,))
-    if network.schedule == "delayed":  # the pending value of a clamped segment is held as well
-        segments = [row for row in held if row < network.segment_count]
-        held |= {len(pairs) + row: held[row] for row in segments}
-    return held
-
-
-def check_clamped(network: Any, clamped: Sequence[int]) -> None:
-    """Raise a `UserError` if clamps are those of another schedule."""
-    count = network.segment_count
-    vectors = count * (count + 1) // 2
-    held = [row for row in clamped if row < count and network.schedule == "delayed"]
-    if {row for row in clamped if row >= vectors} != {vectors + row for row in held}:
-        raise UserError(f"clamps must come from a network of schedule {network.schedule!r}")
-
-
-def triangle_products(segment_count: int) -> NDArray[np.float64]:
-    """Return ∂₂∂₂ᵀ, (vectors, vectors): the triangles that two vectors share."""
-    incidence = chain.triangle_incidence(segment_count)
-    return incidence @ incidence.T
-
-
-def velocity_rule(network: Any) -> tuple[Any, Any]:
-    """Return the factors of (L̃ − L) and of the old velocity in the new velocity."""
-    d_v, decay = network.velocity_damping, network.velocity_decay
-    if network.dynamics == "paper":
-        return 1 / d_v, decay * (d_v - 1) / d_v
-    return decay / (d_v + 1), decay * d_v / (d_v + 1)
-
-
-def _as_slice(rows: tuple[int, ...]) -> Rows:
-    """Return neighbouring rows as a slice, which numpy indexes without a copy."""
-    if rows and rows == tuple(range(rows[0], rows[-1] + 1)):
-        return slice(rows[0], rows[-1] + 1)
-    return np.array(rows, dtype=np.intp)
-
-
 def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
     """Broadcast the batch axes of values (rows, 2, ...) to `batch`."""
     rows, two, *own = values.shape
@@ -597,10 +409,7 @@ def _are_lengths(numbers: tuple[float, ...]) -> bool:
 def _as_floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
     """Return the value as a finite float array whose last axes are `trailing`."""
     array = require_array(name, value)
-    if array.shape[array.ndim - len(trailing) :] != trailing or array.ndim < len(trailing):
-        raise UserError(
-            f"{name} must have shape (..., {', '.join(map(str, trailing))}), got {array.shape}"
-        )
-    if not np.isfinite(array).all():
-        raise UserError(f"{name} must be finite, got {value!r}")
+    accepted = f"of shape (..., {', '.join(map(str, trailing))})"
+    require(array.shape[-len(trailing) :] == trailing, name, array.shape, accepted)
+    require(bool(np.isfinite(array).all()), name, value, "finite")
     return array

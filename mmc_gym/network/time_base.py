@@ -44,8 +44,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import UserError, require, require_array, require_positive, require_whole
-from mmc_gym.network.chain import Floats
-from mmc_gym.network.model import MMCNetwork, MMCState, triangle_products
+from mmc_gym.network.chain import Floats, triangle_products
+from mmc_gym.network.model import MMCNetwork, MMCState
 
 CORRECTIONS = 4
 """Secant steps that correct the gain of an iteration."""
