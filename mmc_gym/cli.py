@@ -309,11 +309,11 @@ def _train_all(
 
 @_app.command
 def curves(folder: Path | None = None, out: Path = Path("runs/curves")) -> None:
-    """Draw learning curves over training seeds; print a table, write it with data and figure.
+    """Draw learning curves over training seeds; write figure and data, print where they end.
 
     Args:
         folder: Folder of trained policies (default: those that ship with the package).
-        out: Folder for curves.csv, trainings.csv, the table and the figure.
+        out: Folder for curves.csv and the figure.
     """
     from mmc_gym.training.curves import learning_curves
 

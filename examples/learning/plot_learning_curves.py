@@ -13,7 +13,7 @@ from mmc_gym.training.curves import curve_rows, mean_curves, read_cards
 
 # %%
 # These are the policies that ship. ``read_cards("runs")`` reads your own, which ``mmc-gym train``
-# writes there; ``mmc-gym curves --folder runs`` draws them, with a table of steps and minutes.
+# writes there; ``mmc-gym curves --folder runs`` draws them.
 
 cards = read_cards()
 rows = curve_rows(cards)

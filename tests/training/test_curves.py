@@ -1,8 +1,7 @@
-"""Learning curves and the table of trainings: of which policies, and what they tell."""
+"""Learning curves: of which policies, and what they tell."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pandas as pd
@@ -10,21 +9,9 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.policy import (
-    PolicyCard,
-    load_policy,
-    save_policy,
-    shipped_file,
-)
+from mmc_gym.agents.policy import PolicyCard, load_policy, save_policy, shipped_file
 from mmc_gym.cli import main
-from mmc_gym.training.curves import (
-    curve_rows,
-    draw_learning_curves,
-    mean_curves,
-    read_cards,
-    summarize_trainings,
-    trainings,
-)
+from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
 
 RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
 NETWORK, CARD = load_policy(shipped_file("ppo", 0))
@@ -57,17 +44,6 @@ def write(folder, *cards):
     for card in cards:
         save_policy(NETWORK, card, folder)
     return folder
-
-
-def summary_of(*cards):
-    """Rows of the summary by measure."""
-    rows = trainings({"ppo": cards})
-    summary = summarize_trainings(rows)
-    return {row["measure"]: row for row in summary.to_dict("records")}
-
-
-def interval(row):
-    return row["estimate"], row["low"], row["high"]
 
 
 def test_the_policies_that_ship_are_read_unless_there_is_a_folder(tmp_path):
@@ -141,7 +117,7 @@ def test_one_seed_has_no_interval_and_none_no_curve():
     curve = mean_curves(curve_rows({"ppo": [training()]}), "cpu_seconds")
     assert list(curve["success"]) == list(RISE)
     assert curve[["low", "high"]].isna().all(axis=None)
-    with pytest.raises(UserError, match="learning_curve of ppo-0 must have evaluations, got none"):
+    with pytest.raises(UserError, match="learning_curve of ppo-0 must be of evaluations"):
         curve_rows({"ppo": [training(learning_curve=[])]})
 
 
@@ -153,38 +129,6 @@ def test_against_time_a_seed_counts_with_what_was_last_known_of_it():
     assert list(curve["cpu_seconds"]) == [15, 30, 40]
     expected = [(0.1 + 0.5) / 2, (0.3 + 0.7) / 2, (0.4 + 0.7) / 2]
     assert curve["success"].to_numpy() == pytest.approx(expected)
-
-
-def test_steps_and_minutes_to_a_level_are_the_median_over_seeds():
-    rises = [(1.0, 0.9, 1.0), (0.5, 1.0, 1.0), (0.5, 0.5, 1.0)]  # also where it is lost again
-    cards = [training(seed=seed, success=rise) for seed, rise in enumerate(rises)]
-    found = summary_of(*cards)
-    assert interval(found["steps_to_95"]) == (2.0, 1.0, 3.0)
-    assert interval(found["minutes_to_98"]) == (2.0, 1.0, 3.0)
-    assert found["training_minutes"]["estimate"] == found["training_steps"]["estimate"] == 3.0
-
-
-def test_seeds_that_never_reach_a_level_are_later_than_the_others():
-    reached, not_reached = (0.5, 1.0, 1.0), (0.5, 0.5, 0.5)
-    most = [training(seed=seed, success=reached) for seed in range(2)]
-    few = [training(seed=seed, success=not_reached) for seed in range(2, 5)]
-    row = summary_of(*most, few[0])["steps_to_95"]
-    assert (row["estimate"], row["count"], row["missing"]) == (2.0, 2, 1)
-    assert math.isnan(row["low"]) and math.isnan(row["high"])
-    row = summary_of(*most, *few)["steps_to_95"]
-    assert math.isnan(row["estimate"])
-    assert (row["count"], row["missing"]) == (2, 3)
-
-
-def test_the_final_success_has_an_interval_over_the_seeds():
-    scores = [{"success": value, "final_distance": 0.01} for value in (0.9, 0.95, 1.0)]
-    cards = [training(seed=seed, scores=scores[seed]) for seed in range(3)]
-    found = summary_of(*cards)
-    assert interval(found["success"]) == pytest.approx((0.95, 0.9, 1.0), abs=0.015)
-    assert interval(found["final_distance"]) == (0.01, 0.01, 0.01)
-    assert found["time_to_target"]["count"] == 0  # the scores lack it
-    estimate, low, high = interval(summary_of(*[cards[0]] * 4)["success"])
-    assert low < estimate - 0.01 and high > estimate + 0.01  # other episodes could fail
 
 
 def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
@@ -204,20 +148,16 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
     assert len(looks) == 2  # distinct without colour
 
 
-def test_the_command_writes_all_files_and_prints_the_table(tmp_path, capsys):
-    never = training("sac", success=(0.1, 0.2))
-    write(tmp_path / "in", *(training(seed=seed) for seed in range(3)), never)
+def test_the_command_draws_the_figure_writes_the_data_and_prints_where_curves_end(tmp_path, capsys):
+    single = training("sac", success=(0.1, 0.2))
+    write(tmp_path / "in", *(training(seed=seed) for seed in range(3)), single)
     out = tmp_path / "out"
     main(["curves", "--folder", str(tmp_path / "in"), "--out", str(out)])
-    tables = {"curves.csv", "trainings.csv", "table.csv"}
     figures = {"learning_curves.png", "learning_curves.svg"}
-    assert {path.name for path in out.iterdir()} == tables | figures
+    assert {path.name for path in out.iterdir()} == {"curves.csv", *figures}
     assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     assert len(pd.read_csv(out / "curves.csv")) == 3 * 5 + 2
-    assert len(pd.read_csv(out / "trainings.csv")) == 4
-    table = pd.read_csv(out / "table.csv").set_index(["agent", "measure"])
-    assert table.loc[("ppo", "steps_to_95"), "estimate"] == 3.0
-    printed = capsys.readouterr().out.replace(str(out), "out")
-    assert printed.isascii() and max(map(len, printed.splitlines())) <= 120
-    assert "training seeds" in printed and "wrote out/table.csv" in printed
-    assert "[5.00, 5.00]" in printed and "0 of 1" in printed
+    _, ppo, sac, *written = capsys.readouterr().out.replace(str(out), "out").splitlines()
+    assert ppo.split() == ["ppo", "3", "5,000", "0.990", *ppo.split()[-2:]]
+    assert sac.split() == ["sac", "1", "2,000", "0.200"]
+    assert "wrote out/curves.csv" in written
