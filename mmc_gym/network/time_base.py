@@ -48,7 +48,7 @@ from mmc_gym.network.chain import Floats, triangle_products
 from mmc_gym.network.model import MMCNetwork, MMCState
 
 CORRECTIONS = 4
-"""Secant steps that correct the gain of an iteration."""
+"""Steps that correct the gain of an iteration."""
 
 
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
@@ -173,25 +173,26 @@ def timed_trajectory(
 def _solve(
     function: Callable[[Floats], Floats], wanted: Floats, first: Floats, largest: float
 ) -> Floats:
-    """Find where in [0, largest] an increasing function, 0 at 0, has the wanted value.
+    """Return the argument in [0, largest] at which an increasing function has the wanted value.
 
-    Steps are proportional until the answer is bracketed, and then secants of the bracket.
+    The function is 0 at 0.  As long as all its values are too small, the next guess is proportional
+    to what is wanted.  Then it is on the line between the best points below and above.
     """
     tiny = np.finfo(wanted.dtype).tiny
-    low, low_value = np.zeros_like(wanted), np.zeros_like(wanted)
-    high, high_value = np.full_like(wanted, largest), np.full_like(wanted, np.inf)
+    below, value_below = np.zeros_like(wanted), np.zeros_like(wanted)
+    above, value_above = np.full_like(wanted, largest), np.full_like(wanted, np.inf)
     guess = first
     for _ in range(CORRECTIONS):
         value = function(guess)
-        below = value < wanted
-        bracketed = np.isfinite(high_value) | ~below
-        low, low_value = np.where(below, guess, low), np.where(below, value, low_value)
-        high, high_value = np.where(below, high, guess), np.where(below, high_value, value)
-        rise = np.where(bracketed, high_value - low_value, 1.0)
-        secant = low + (wanted - low_value) * (high - low) / np.maximum(rise, tiny)
+        is_small = value < wanted
+        below, value_below = np.where(is_small, [guess, value], [below, value_below])
+        above, value_above = np.where(is_small, [above, value_above], [guess, value])
+        is_bracketed = np.isfinite(value_above)
+        rise = np.maximum(np.where(is_bracketed, value_above - value_below, 1.0), tiny)
+        on_line = below + (wanted - value_below) * (above - below) / rise
         least = np.maximum(wanted * 1e-6, tiny)  # the quotient is 1e6 at most, and never 0/0
         proportional = guess * (wanted / np.maximum(value, least))
-        guess = np.clip(np.where(bracketed, secant, proportional), low, high)
+        guess = np.clip(np.where(is_bracketed, on_line, proportional), below, above)
     return guess
 
 
