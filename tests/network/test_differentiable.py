@@ -29,9 +29,6 @@ def doubles(*numbers):
     return torch.tensor(numbers, dtype=torch.float64, requires_grad=True)
 
 
-# Gradients
-
-
 @every_kind
 @every_normalizer
 @pytest.mark.parametrize("pairs", [[(0, 3)], [(0, 1), (1, 3)]], ids=["inverse", "mixed"])
@@ -64,9 +61,6 @@ def test_an_arm_that_was_bent_has_gradients_too():
     torch.testing.assert_close(state.end_effector, target.expand(2, 2), atol=0.02, rtol=0)
     state.end_effector.square().sum().backward()
     assert torch.isfinite(angles.grad).all() and torch.isfinite(target.grad).all()
-
-
-# Parameters
 
 
 @every_kind
@@ -110,9 +104,6 @@ def test_a_damping_that_was_learned_too_small_is_refused():
         network.to_numpy()
 
 
-# Devices
-
-
 class Devices(TorchDispatchMode):
     """Notes the devices of all tensors that are made."""
 
@@ -151,9 +142,6 @@ def test_what_is_given_is_brought_to_the_module():
     assert network.double().state_from_joint_angles([0.3, 0.6, 0.6]).values.dtype == torch.float64
 
 
-# Errors
-
-
 def at_rest(network):
     return network.state_from_joint_angles([0.1, 0.2, 0.3])
 
@@ -166,6 +154,7 @@ def at_rest(network):
         (lambda n: n(at_rest(twin(dynamics="paper")[1])), "state must be a TorchState"),
         (lambda n: n(at_rest(n), {(0, 3): [1.0]}), r"clamp \(0, 3\) must be of shape \(\.+, 2\)"),
         (lambda n: n(at_rest(n), {}, -1), "iterations must be a whole number of at least 0"),
+        (lambda n: setattr(n, "normalizer", torch.nn.Tanh()) or n.to_numpy(), "the original one"),
         (
             lambda n: n(n.state_from_joint_angles(torch.ones(2, 3)), {(0, 3): torch.ones(3, 2)}),
             r"clamps must have batch axes that fit, got .*\[2\].*\[3\]",

@@ -5,12 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mmc_gym._errors import UserError
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
-from mmc_gym.network.chain import (
-    joint_angles_from_segments,
-    segments_from_joint_angles,
-    wrap_angle,
-)
+from mmc_gym.network.chain import segments_from_joint_angles, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
 DYNAMICS = ("kinematic", "paper", "reference")
@@ -66,14 +63,8 @@ def test_a_sensed_posture_is_one_more_computation_in_the_mean(weight):
     sensed = segments_from_joint_angles(np.array([0.1, 0.9, 0.2]), (1.0, 1.0, 1.0))
     l_1, l_2, l_3 = start.segments
     d_1, d_2, r = l_1 + l_2, l_2 + l_3, target
-    sums = np.array(
-        [
-            (d_1 - l_2) + (r - d_2) + 2 * l_1,
-            (d_1 - l_1) + (d_2 - l_3) + 2 * l_2,
-            (d_2 - l_2) + (r - d_1) + 2 * l_3,
-        ]
-    )
-    mean = (sums + weight * sensed) / (4.0 + weight)
+    triangles = [(d_1 - l_2) + (r - d_2), (d_1 - l_1) + (d_2 - l_3), (d_2 - l_2) + (r - d_1)]
+    mean = (triangles + 2 * start.segments + weight * sensed) / (4.0 + weight)
     body = Embodiment(sensed=sensed, weight=weight)
     following = run_to(network, start, target, body)
     expected = mean / np.linalg.norm(mean, axis=-1, keepdims=True)
@@ -113,9 +104,7 @@ def test_locked_joints_stay_and_lengths_too_whatever_the_target(arm, dynamics):
     assert np.isfinite(end.values).all()
     turned = wrap_angle(end.joint_angles - start.joint_angles)
     np.testing.assert_allclose(turned[:, locked], 0.0, atol=1e-9)
-    np.testing.assert_allclose(
-        np.linalg.norm(end.segments, axis=-1), np.broadcast_to(lengths, (4, len(lengths)))
-    )
+    np.testing.assert_allclose(np.linalg.norm(end.segments, axis=-1), [lengths] * 4)
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])
@@ -152,25 +141,19 @@ def test_segments_folded_to_nothing_by_a_lock_stay_finite():
     body = Embodiment(locked=np.array([False, True, False]), joint_angles=start.joint_angles)
     end = run_to(network, start, [0.6, 0.8], body, 200)
     assert np.isfinite(end.values).all()
-    np.testing.assert_allclose(
-        np.abs(joint_angles_from_segments(end.segments)[1]), np.pi, atol=1e-6
-    )
+    assert abs(end.joint_angles[1]) == pytest.approx(np.pi, abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("knowledge", "message"),
+    ("schedule", "knowledge", "message"),
     [
-        ({"weight": -1.0}, "weight must be finite and not negative, got -1"),
-        ({"weight": 1.0}, "sensed must be given if it has a weight"),
-        ({"locked": np.ones(3, dtype=bool)}, "joint_angles must be given if joints are locked"),
+        ("synchronous", {"weight": -1.0}, "weight must be finite and not negative, got -1"),
+        ("synchronous", {"weight": 1.0}, "sensed must be given if it has a weight"),
+        ("synchronous", {"locked": np.ones(3, bool)}, "joint_angles must be given if joints are"),
+        ("delayed", {}, "schedule must be 'synchronous', got 'delayed'"),
     ],
 )
-def test_incomplete_knowledge_is_refused(knowledge, message):
-    with pytest.raises(ValueError, match=message):
-        Embodiment(**knowledge)
-
-
-def test_a_delayed_network_is_refused():
-    network = MMCNetwork(schedule="delayed")
-    with pytest.raises(ValueError, match="schedule must be 'synchronous', got 'delayed'"):
-        run_to(network, network.state_from_joint_angles(np.zeros(3)), [1, 1], Embodiment())
+def test_incomplete_knowledge_and_delayed_networks_are_refused(schedule, knowledge, message):
+    network = MMCNetwork(schedule=schedule)
+    with pytest.raises(UserError, match=message):
+        run_to(network, network.state_from_joint_angles([0, 0, 0]), [1, 1], Embodiment(**knowledge))

@@ -67,15 +67,8 @@ def test_it_computes_what_numpy_does(
 @pytest.mark.parametrize("schedule", ["synchronous", "delayed"])
 def test_it_bends_the_arms_that_numpy_bends(engine, dynamics, schedule, iterate):
     network = MMCNetwork((1.5, 1.0, 0.3), damping=4, dynamics=dynamics, schedule=schedule)
-    postures = [
-        [0.7, 0, 0],
-        [0, 0, 0],
-        [0, 0, 0],
-        [0, np.pi, 0],
-        [0, 1e-6, 0],
-        [0, 0, 0],
-        [1, 2, 3],
-    ]
+    straight, folded, nearly = [0, 0, 0], [0, np.pi, 0], [0, 1e-6, 0]
+    postures = [[0.7, 0, 0], straight, straight, folded, nearly, straight, [1, 2, 3]]
     targets = [[0, 0], [2.0, 0], [2.0, 1e-6], [0.9, 0], [2.0, 0], [4.0, 0], [1.0, 1.0]]
     state, clamps = network.state_from_joint_angles(postures), network.inverse(targets)
     for iterations in (0, 40):
@@ -84,9 +77,8 @@ def test_it_bends_the_arms_that_numpy_bends(engine, dynamics, schedule, iterate)
         np.testing.assert_allclose(found.values, expected.values, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "engine", [pytest.param("numba", marks=pytest.mark.slow), "torch"]
-)  # numba compiles anew for single precision
+# numba compiles anew for single precision.
+@pytest.mark.parametrize("engine", [pytest.param("numba", marks=pytest.mark.slow), "torch"])
 def test_single_precision_is_kept_and_close(engine, iterate):
     network = MMCNetwork(schedule="delayed", dynamics="reference")
     state = random_state(network, (6,), dtype=np.float32)

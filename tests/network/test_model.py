@@ -93,27 +93,22 @@ def written_out(network, segments, clamped, iterations):
     return np.array(history)
 
 
-# The linear core
-
-
 @given(count=counts, excess=st.floats(0.01, 50))
 def test_the_linear_core_is_the_identity_less_the_products_of_the_triangles(count, excess):
     damping = (count + 1) / 2 + excess
     core = linear_operator(network_of(count, damping=damping))
     incidence = chain.triangle_incidence(count)
-    identity = np.eye(len(core))
-    np.testing.assert_allclose(core, identity - incidence @ incidence.T / damping, atol=1e-15)
+    expected = np.eye(len(core)) - incidence @ incidence.T / damping
+    np.testing.assert_allclose(core, expected, atol=1e-15)
 
 
 @given(count=counts, fraction=st.floats(0.01, 0.99))
 def test_the_linear_core_converges_as_the_damping_promises(count, fraction):
-    incidence = chain.triangle_incidence(count)
+    products, half = chain.triangle_products(count), (count + 1) / 2
 
     def largest_eigenvalue(damping):
-        core = np.eye(len(incidence)) - incidence @ incidence.T / damping
-        return np.abs(np.linalg.eigvalsh(core)).max()
+        return np.abs(np.linalg.eigvalsh(np.eye(len(products)) - products / damping)).max()
 
-    half = (count + 1) / 2
     assert largest_eigenvalue(network_of(count, damping=half * (1 + fraction)).damping) <= 1 + 1e-9
     assert largest_eigenvalue(half * (1 - fraction)) > 1.001
     for diverging in (half, half * (1 - fraction)):
@@ -129,9 +124,6 @@ def test_with_the_end_effector_clamped_the_slowest_mode_has_eigenvalue_two(count
     eigenvalues = np.sort(network.damping * (1 - np.linalg.eigvals(free).real))
     np.testing.assert_allclose(eigenvalues[: count - 1], 0, atol=1e-11)  # the consistent postures
     np.testing.assert_allclose(eigenvalues[count - 1], 2.0, atol=1e-11)
-
-
-# The rules, against loops
 
 
 ENGINES = [
@@ -175,9 +167,6 @@ def test_the_network_computes_the_equations_as_written(
         for iterations in (1, 2, 12):
             found = iterate(engine, network, state, clamps, iterations).segments
             np.testing.assert_allclose(found, expected[iterations - 1], atol=1e-12)
-
-
-# Tasks
 
 
 @every_kind
@@ -226,9 +215,6 @@ def test_a_posture_that_satisfies_the_task_stays(dynamics, schedule):
     state = network.state_from_joint_angles([0.3, 0.6, 0.6])
     later = network.run(state, network.inverse(state.end_effector), 50)
     np.testing.assert_allclose(later.values, state.values, atol=1e-14)
-
-
-# Batches
 
 
 def test_batches_have_any_axes_and_broadcast():
@@ -296,9 +282,6 @@ def test_steps_one_by_one_are_a_run_and_a_trajectory(iterations, target):
     np.testing.assert_array_equal(trajectory, np.reshape(postures, (iterations, 4, 3, 2)))
 
 
-# Arms in one line with their target
-
-
 @pytest.mark.parametrize("schedule", ["synchronous", "delayed"])
 @pytest.mark.parametrize("dynamics", ["kinematic", "paper", "reference"])
 @pytest.mark.parametrize("bearing", [0.0, 0.7, 3.0])
@@ -324,9 +307,6 @@ def test_no_other_arm_is_bent():
     for _ in range(40):
         start = network.step(start, clamps)
     np.testing.assert_array_equal(start.values, once.values)
-
-
-# Errors
 
 
 def at_rest(network):

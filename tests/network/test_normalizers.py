@@ -61,9 +61,6 @@ def test_a_learned_normalizer_is_its_layers_one_after_the_other():
     assert normalizer.hidden_units == (3, 4)
 
 
-# What ships
-
-
 @pytest.mark.parametrize(
     ("name", "near", "lengths", "largest"),
     [
@@ -93,9 +90,6 @@ def test_the_accurate_normalizer_gives_the_length():
         lengths = np.linspace(low, high, 30)[:, None, None]
         result = np.linalg.norm(normalizer(lengths * directions), axis=-1)
         assert np.abs(result - 1).max() < allowed
-
-
-# Files
 
 
 def test_a_saved_normalizer_is_read_back_as_it_was(tmp_path):

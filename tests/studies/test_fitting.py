@@ -55,15 +55,11 @@ def test_training_lowers_the_error_and_records_it(recipe):
         assert run.training_mse.shape == run.validation_mse.shape == (recipe.epochs,)
         assert run.training_mse[-1] < run.training_mse[0] / 2
         assert run.validation_mse[-1] < run.validation_mse[0] / 2
-        assert float(run.normalizer.card["validation_mse"]) < run.validation_mse[-1] * 1.001
-
-
-def test_the_recorded_error_is_that_of_the_normalizer():
-    trained = train_normalizers((4,), SHORT, seed=5)[0]
-    generator = fitting._generator(5, 0)
-    samples = fitting._draw_samples(SHORT, generator).numpy().T[: SHORT.held_out]
-    error = trained.normalizer(samples[:, :2]) - samples[:, 2:]
-    assert trained.validation_mse[-1] == pytest.approx((error**2).mean(), rel=1e-5)
+        found, recorded = float(run.normalizer.card["validation_mse"]), run.validation_mse[-1]
+        if recipe.refinement_iterations:
+            assert found < recorded
+        else:
+            assert found == pytest.approx(recorded, rel=1e-3)
 
 
 @pytest.mark.parametrize("weight_decay", [0.0, 0.05])
@@ -98,12 +94,11 @@ def test_without_biases_a_normalizer_is_odd_before_and_after_its_refinement():
 
 def test_refining_reduces_the_angle_error():
     rough = replace(ACCURATE, samples=500, epochs=40, refinement_iterations=0)
-    recipes = rough, replace(rough, refinement_iterations=40)
-    errors = [
-        angle_errors(train_normalizers((8, 8), recipe)[0].normalizer, np.linspace(0.8, 1.2, 9))
-        for recipe in recipes
-    ]
-    assert errors[1].mean() < errors[0].mean() / 20
+    errors = []
+    for recipe in (rough, replace(rough, refinement_iterations=40)):
+        normalizer = train_normalizers((8, 8), recipe)[0].normalizer
+        errors.append(angle_errors(normalizer, np.linspace(0.8, 1.2, 9)).mean())
+    assert errors[1] < errors[0] / 20
 
 
 def test_refining_continues_where_nothing_is_left_to_gain(monkeypatch):
