@@ -64,13 +64,9 @@ IDEAL = Knowledge("ideal", "has no arm", "has no arm", "start and target")
 def learned_knowledge(
     view: View, base_agent: str = "", kind: Kind = "learned", *, memory: int = 0
 ) -> Knowledge:
-    """Return what a trained policy is given and senses.
+    """Return what a trained policy of this view is given and senses.
 
-    Args:
-        view: what it sees.
-        base_agent: the agent that it corrects; empty for none.
-        kind: its kind.
-        memory: how many steps it remembers.
+    It may correct a `base_agent`, and remember its last steps (`memory`).
     """
     senses = f"{VIEWS[view]}, in every step"
     senses += f"; remembers its last {memory} steps" if memory else ""

@@ -32,7 +32,7 @@ import cloudpickle
 import gymnasium as gym
 import numpy as np
 
-from mmc_gym._errors import UserError, nearest, require, unknown
+from mmc_gym._errors import UserError, require, unknown
 from mmc_gym._files import import_object, look_here
 from mmc_gym.agents.base import Agent, Predictor, warn_of_another_arm
 from mmc_gym.agents.registry import (
@@ -93,18 +93,17 @@ class ResolvedAgent:
         """
         if self.policy is not None:
             return partial(_make_policy, self.policy)
-        if self.model is not None:
-            loaded = self.model.load() if isinstance(self.model, SavedModel) else self.model
-            return loaded.acting_in
-        if self.is_reference:
-            return _refuse_reference
-        return AGENTS[self.name].make if self.name else partial(_made, self._thing, self.label)
+        if self.name:
+            return _no_arm if self.is_reference else AGENTS[self.name].make
+        return partial(_made, self._thing, self.label)
 
     @cached_property
     def _thing(self) -> Any:
-        """The function or object that was given, or is imported by its name."""
+        """The model, function or object that was given, is loaded, or is imported by its name."""
         if self.given is not None:
             return self.given
+        if self.model is not None:
+            return self.model.load() if isinstance(self.model, SavedModel) else self.model
         found = import_object(self.source, "agent")
         fine = callable(found) or hasattr(found, "predict")
         require(fine, f"agent {self.source!r}", found, "a function of the environment")
@@ -386,19 +385,16 @@ def _unknown(agent: object) -> UserError:
     is_path = isinstance(agent, str) and ("/" in agent or "\\" in agent)
     if is_path and not Path(str(agent)).exists():
         return UserError(f"agent {agent!r} must be a name or a path, and there is no such file")
-    seeds = {name: range(entry.training_seeds) for name, entry in AGENTS.items()}
-    trained = [f"{name}-{seed}" for name in AGENTS for seed in seeds[name]]
     return unknown(
         "agent",
         agent,
         AGENTS,
         "NAME-SEED of a trained one (ppo-3), 'module:name', an object with predict",
         "the path of a policy's file or folder or of a model's .zip",
-        guess=nearest(agent, [*AGENTS, *trained]),
     )
 
 
-def _refuse_reference(env: object) -> Predictor:
+def _no_arm(env: object) -> Predictor:
     raise CannotActError(f"{REFERENCE!r} is a hand without an arm, which acts in no environment")
 
 

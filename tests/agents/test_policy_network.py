@@ -10,7 +10,7 @@ from sb3_contrib.tqc.policies import TQCPolicy
 from stable_baselines3.common.policies import ActorCriticPolicy, MultiInputActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 
-from mmc_gym.agents.policy_network import PolicyNetwork, View, features, turned_actions
+from mmc_gym.agents.policy_network import History, PolicyNetwork, View, features, turned_actions
 from mmc_gym.interface import ObservationLayout
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES, export_policy
 
@@ -161,3 +161,22 @@ def test_tensors_that_do_not_fit_are_errors(change, message):
     tensors = {name: value for name, value in tensors.items() if value is not None}
     with pytest.raises(ValueError, match=message):
         PolicyNetwork(tensors, "relu", "gaussian")
+
+
+def test_a_history_has_what_was_seen_and_done_less_what_is_seen_now():
+    env = gym.make("MMCReach-v0", engine="analytic")
+    seen = [env.reset(seed=1)[0]]
+    seen = np.array(seen + [env.step(np.full(3, 0.5, np.float32))[0] for _ in range(3)])
+    history = History(LAYOUT, (1, 2, 3))
+    before = history.recall(history.observed(seen[0]), history.start(seen[0]))
+    np.testing.assert_allclose(before, 0.0, atol=1e-6)
+    memory, action = history.start(seen[0]), np.full(3, 0.5, np.float32)
+    for one in seen[:-1]:
+        memory = history.extended(history.observed(one, memory), action, memory)
+    recalled = history.recall(history.observed(seen[-1], memory), memory).reshape(3, 10)
+    angles = np.unwrap(np.arctan2(seen[:, 3:6], seen[:, :3]), axis=0)
+    np.testing.assert_allclose(recalled[0, :3], angles[-2] - angles[-1], atol=1e-5)
+    np.testing.assert_allclose(recalled[1, :3], angles[[0, 1]].mean(0) - angles[-1], atol=1e-5)
+    np.testing.assert_allclose(recalled[:, 5:7], 0.0, atol=1e-5)  # the target stays
+    np.testing.assert_allclose(recalled[:2, 7:], 0.5)
+    np.testing.assert_allclose(recalled[2, 7:], 0.0)  # nothing was done before the episode
