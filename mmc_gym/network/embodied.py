@@ -191,7 +191,5 @@ def _over_bodies(starts: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any
 
 def _batch_last(array: NDArray[Any], values: Floats, trailing: tuple[int, ...]) -> Floats:
     """Return an array (..., *trailing) with the batch last and flat, in the state's dtype."""
-    batch = values.ndim - 2
     full = np.broadcast_to(np.asarray(array, values.dtype), (*values.shape[2:], *trailing))
-    moved = np.moveaxis(full, range(batch), range(-batch, 0))
-    return np.ascontiguousarray(moved).reshape(*trailing, -1)
+    return np.ascontiguousarray(np.moveaxis(full.reshape(-1, *trailing), 0, -1))

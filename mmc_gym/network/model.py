@@ -139,10 +139,8 @@ class Trajectory(NamedTuple):
     def plot(self, axes: Axes | None = None) -> Figure:
         """Draw the first arms, later iterations darker, and the paths of their hands.
 
-        A cross marks R, which an inverse task holds at the target.
-
-        Args:
-            axes: the axes to draw on; those of a new figure if None.
+        A cross marks R, which an inverse task holds at the target.  Without `axes` there is a new
+        figure.
         """
         from mmc_gym._plotting import plot_postures
 
