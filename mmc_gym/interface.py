@@ -7,25 +7,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from math import cos, isfinite, sin, sqrt
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, cast, get_args
+from math import cos, sin, sqrt
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from mmc_gym._errors import UserError, require_array
+from mmc_gym._errors import UserError, require, require_array
 from mmc_gym.network.chain import Floats, wrap_angle
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
     from mmc_gym.body import ArmParameters, Servo
 
 Observation: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
-Point: TypeAlias = tuple[float, float]
 JointLimits: TypeAlias = "tuple[tuple[float, float], ...]"
 Control = Literal["joint_position", "joint_delta", "joint_velocity", "joint_torque"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
@@ -46,12 +43,9 @@ class ControlError(CannotActError):
         control: the control mode of the agent.
     """
 
-    def __init__(self, message: str, control: str) -> None:
-        super().__init__(message, control)
+    def __init__(self, message: str, control: str = "") -> None:
+        super().__init__(message)
         self.control = control
-
-    def __str__(self) -> str:
-        return str(self.args[0])
 
 
 class ActionMeaning(NamedTuple):
@@ -164,24 +158,14 @@ class ObservationLayout:
         Raises:
             UserError: if no such observation fits the space.
         """
-        goals = getattr(space, "spaces", None)  # of a goal environment
-        shape = (goals.get("observation", space) if goals else space).shape
-        count = (shape[0] if shape else 0) - (self.posture_size if goals else self.size)
-        if count < 0:
-            raise UserError(
-                "observation_space must be that of a reaching environment with "
-                f"{self.joint_count} joints, got {space}"
-            )
+        goals = space.spaces if isinstance(space, spaces.Dict) else {}
+        shape = goals.get("observation", space).shape or (0,)
+        count = shape[0] - (self.posture_size if goals else self.size)
+        accepted = f"that of a reaching environment with {self.joint_count} joints"
+        require(count >= 0, "observation_space", space, accepted)
         return count
 
-    def encode(
-        self,
-        joint_angles: list[float] | Floats,
-        joint_speeds: list[float] | Floats,
-        *,
-        hand: Any,
-        target: Any,
-    ) -> Any:
+    def encode(self, joint_angles: Any, joint_speeds: Any, *, hand: Any, target: Any) -> Any:
         """Return the observation of one arm, given as lists, or of many, given as arrays.
 
         For one arm, lists of floats take a fraction of the time.  Both give the same bits if
@@ -201,16 +185,13 @@ class ObservationLayout:
             shown = () if self.has_goals else _shown(cosines[0], sines[0], hand, target, sqrt)
             seen = np.array([*cosines, *sines, *joint_speeds, *shown], np.float32)
         else:
-            count, size = self.joint_count, self.posture_size if self.has_goals else self.size
-            seen = np.empty((*joint_angles.shape[:-1], size), np.float32)
             cosine, sine = np.cos(joint_angles), np.sin(joint_angles)
-            seen[..., :count], seen[..., count : 2 * count] = cosine, sine
-            seen[..., 2 * count : 3 * count] = joint_speeds
-            if not self.has_goals:
-                points = (hand[..., 0], hand[..., 1]), (target[..., 0], target[..., 1])
-                shown = _shown(cosine[..., 0], sine[..., 0], *points, np.sqrt)
-                for place, value in enumerate(shown, start=3 * count):
-                    seen[..., place] = value
+            first = cosine[..., 0], sine[..., 0]
+            points = _components(hand), _components(target)
+            shown = () if self.has_goals else _shown(*first, *points, np.sqrt)
+            columns = (value[..., None] for value in shown)
+            parts = (cosine, sine, joint_speeds, *columns)
+            seen = np.concatenate(parts, axis=-1, dtype=np.float32)
         if self.has_goals:
             goals = {"achieved_goal": np.array(hand), "desired_goal": np.array(target)}
             return {"observation": seen, **goals}
@@ -219,97 +200,76 @@ class ObservationLayout:
         return seen
 
     def check(self, observation: Observation) -> Observation:
-        """Return an observation of either kind as arrays of finite numbers.
-
-        Args:
-            observation: (..., 3 N + 6), or a mapping of a goal environment, see the class.
+        """Return an observation of either kind, see the class, as arrays of finite numbers.
 
         Raises:
             UserError: if it has another shape, lacks a goal, or is not all finite numbers.
         """
-        if type(observation) is np.ndarray and observation.ndim == 1:
-            values = observation.tolist()  # for a single arm quicker than numpy
-            if (
-                len(values) == self.size
-                and observation.dtype.char in "fd"
-                and isfinite(sum(values))
-            ):
-                return observation
         if not isinstance(observation, Mapping):
             return _finite_rows("observation", observation, self.size)
         sizes = {"observation": self.posture_size, "achieved_goal": 2, "desired_goal": 2}
-        if any(name not in observation for name in sizes):
-            accepted = f"a mapping with {', '.join(sizes)}"
-            raise UserError(f"observation must be {accepted}, got {sorted(observation)}")
+        accepted = f"a mapping with {', '.join(sizes)}"
+        require(sizes.keys() <= observation.keys(), "observation", sorted(observation), accepted)
         return {
             name: _finite_rows(f"observation[{name!r}]", observation[name], size)
             for name, size in sizes.items()
         }
 
-    def split(self, observation: Any, arrays: Any = np) -> ObservationParts:
-        """Split observations of either kind, arrays of the module numpy or torch.
+    def flatten(self, observation: Any, arrays: Any = np) -> Any:
+        """Return observations of either kind as those of `MMCReach-v0`.
 
-        They may be longer; the values that follow are `rest`.
+        They are arrays of the module numpy or torch.  They may be longer; the values that follow
+        are kept.
         """
+        if not isinstance(observation, Mapping):
+            return observation
+        posture, end = observation["observation"], self.posture_size
+        first = posture[..., 0], posture[..., self.joint_count]
+        points = _components(observation["achieved_goal"]), _components(observation["desired_goal"])
+        shown = _shown(*first, *points, arrays.sqrt)
+        parts = (posture[..., :end], arrays.stack(shown, -1), posture[..., end:])
+        return arrays.concatenate(parts, -1)
+
+    def split(self, observation: Any, arrays: Any = np) -> ObservationParts:
+        """Split observations of either kind; see `flatten`."""
         count, end = self.joint_count, self.posture_size
-        if isinstance(observation, Mapping):
-            posture, target = observation["observation"], observation["desired_goal"]
-            first = posture[..., 0], posture[..., count]
-            target, offset = (
-                arrays.stack(turned_back(vector[..., 0], vector[..., 1], *first), -1)
-                for vector in (target, target - observation["achieved_goal"])
-            )
-            near = offset / (NEAR + arrays.sqrt((offset**2).sum(-1))[..., None])
-            rest = posture[..., end:]
-        else:
-            posture, target = observation, observation[..., end : end + 2]
-            offset, near = observation[..., end + 2 : end + 4], observation[..., end + 4 : end + 6]
-            rest = observation[..., end + 6 :]
+        posture = observation["observation"] if isinstance(observation, Mapping) else observation
+        values = self.flatten(observation, arrays)
         return ObservationParts(
             cosines=posture[..., :count],
             sines=posture[..., count : 2 * count],
             speeds=posture[..., 2 * count : end],
-            target=target,
-            offset=offset,
-            near=near,
-            rest=rest,
+            target=values[..., end : end + 2],
+            offset=values[..., end + 2 : end + 4],
+            near=values[..., end + 4 : end + 6],
+            rest=values[..., end + 6 :],
         )
-
-    def flatten(self, observation: Any, arrays: Any = np) -> Any:
-        """Return observations of either kind as those of `MMCReach-v0`; see `split`."""
-        if not isinstance(observation, Mapping):
-            return observation
-        return arrays.concatenate(self.split(observation, arrays), -1)
 
 
 def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[Any, ...]:
     """Return the last six values of observations: R(−q_1) target, e, and e / (NEAR + |e|).
 
-    All are numbers, or arrays of one shape with numpy's square root.
-
-    Args:
-        cosine: of the first joint angle.
-        sine: likewise.
-        hand: (x, y).
-        target: (x, y).
-        root: the square root.
+    Cosine and sine of the first joint angle, and (x, y) of hand and target, are numbers, or arrays
+    of one shape; `root` is the square root for them.
     """
     (hand_x, hand_y), (target_x, target_y) = hand, target
-    along, across = target_x - hand_x, target_y - hand_y
-    x, y = cosine * along + sine * across, cosine * across - sine * along
+    x, y = turned_back(target_x - hand_x, target_y - hand_y, cosine, sine)
     scale = NEAR + root(x * x + y * y)
-    seen_x, seen_y = cosine * target_x + sine * target_y, cosine * target_y - sine * target_x
-    return seen_x, seen_y, x, y, x / scale, y / scale
+    return *turned_back(target_x, target_y, cosine, sine), x, y, x / scale, y / scale
 
 
 def _finite_rows(name: str, value: Any, size: int) -> NDArray[np.floating]:
     """Return arrays (..., size) of finite numbers; raise a `UserError` for anything else."""
-    value = require_array(name, value)
-    if value.shape[-1:] != (size,):
-        raise UserError(f"{name} must have shape (..., {size}), got {value.shape}")
-    if not np.isfinite(value).all():
-        raise UserError(f"{name} must be finite numbers, got {value}")
-    return cast("NDArray[np.floating]", value)
+    array = require_array(name, value)
+    if array.shape[-1:] != (size,):
+        raise UserError(f"{name} must have shape (..., {size}), got {array.shape}")
+    require(bool(np.isfinite(array).all()), name, array.tolist(), "finite numbers")
+    return array
+
+
+def _components(vectors: Any) -> tuple[Any, Any]:
+    """Return x and y of vectors (..., 2)."""
+    return vectors[..., 0], vectors[..., 1]
 
 
 def turned_back(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
@@ -324,9 +284,7 @@ def relative_speeds(joint_velocities: Any, limit: float) -> Any:
             -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
             for velocity in joint_velocities
         ]
-    # np.clip would take twice as long for few arms.
-    speeds: Floats = np.maximum(joint_velocities / limit, -1.0)
-    return np.minimum(speeds, 1.0, out=speeds)
+    return (joint_velocities / limit).clip(-1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -389,15 +347,8 @@ class ReachInterface:
         body, control = read_attribute(env, "parameters"), read_attribute(env, "control")
         if body is None or control is None:
             raise UserError(f"env must be a reaching environment of mmc_gym, got {env!r}")
-        return cls(
-            segment_lengths=body.segment_lengths,
-            control=control,
-            speed_limit=body.speed_limit,
-            servo_gain=body.servo_gain,
-            control_step=body.control_step,
-            joint_limits=body.joint_limits,
-            lockable_joints=body.lockable_joints,
-        )
+        names = (one.name for one in fields(cls) if one.name != "control")
+        return cls(control=control, **{name: getattr(body, name) for name in names})
 
     @cached_property
     def layout(self) -> ObservationLayout:
@@ -406,18 +357,11 @@ class ReachInterface:
 
     @property
     def max_joint_delta(self) -> float:
-        """Angle from the joint to its target for an action of 1 under `joint_delta`, radians.
-
-        It asks the servo for full speed.  The joint's mean speed is lower, because the joint
-        approaches its target during the control step.
-        """
+        """Angle from a joint to its target that asks the servo for full speed, radians."""
         return self.speed_limit / self.servo_gain
 
     def sense(self, observation: Observation) -> Sensed:
-        """Return posture and target of observations.
-
-        Args:
-            observation: of MMCReach-v0, (..., 15) at N = 3, or of MMCReachGoal-v0, a mapping.
+        """Return posture and target of observations of either kind, see `ObservationLayout`.
 
         Raises:
             UserError: if it is no such observation, see `ObservationLayout.check`.
@@ -439,18 +383,14 @@ class ReachInterface:
             UserError: if it is no such observation, see `ObservationLayout.check`.
         """
         layout = self.layout
-        values = np.asarray(layout.flatten(layout.check(observation)), dtype=np.float64)
-        count, end = layout.joint_count, layout.posture_size
-        joint_angles = self._joint_angles(values)
-        # Target and offset, turned together.
-        both = values[..., end : end + 4].reshape(*values.shape[:-1], 2, 2)
-        points = in_the_world(both, joint_angles[..., None, :])
-        target = points[..., 0, :]
+        values = np.asarray(layout.flatten(layout.check(observation)), np.float64)
+        parts, joint_angles = layout.split(values), self._joint_angles(values)
+        target = in_the_world(parts.target, joint_angles)
         return Seen(
             joint_angles=self.within_limits(joint_angles),
             target=target,
-            joint_speeds=values[..., 2 * count : end] * self.speed_limit,
-            hand=target - points[..., 1, :],
+            joint_speeds=parts.speeds * self.speed_limit,
+            hand=target - in_the_world(parts.offset, joint_angles),
         )
 
     def _joint_angles(self, values: Floats) -> Floats:
@@ -465,8 +405,8 @@ class ReachInterface:
             return joint_angles
         low, high = self._low_and_high
         middle, half = (low + high) / 2, (high - low) / 2
-        near: Floats = middle + np.clip(wrap_angle(joint_angles - middle), -half, half)
-        return near
+        within: Floats = middle + wrap_angle(joint_angles - middle).clip(-half, half)
+        return within
 
     def within_limits_from(self, before: Floats, joint_angles: Floats) -> Floats:
         """Return the angles reached on the short way from `before` up to the limits, (..., N).
@@ -476,8 +416,7 @@ class ReachInterface:
         if self.joint_limits is None:
             return joint_angles
         low, high = self._low_and_high
-        stopped: Floats = np.clip(before + wrap_angle(joint_angles - before), low, high)
-        return stopped
+        return (before + wrap_angle(joint_angles - before)).clip(low, high)
 
     def turn(self, joint_angles: Floats, joint_targets: Floats) -> Floats:
         """Return the turns from joint angles to their targets, radians, (..., N).
@@ -506,23 +445,20 @@ class ReachInterface:
         Raises:
             CannotActError: under torque control, whose servos take no targets.
         """
+        self.check_takes_joint_targets()
         if self.control == "joint_position":
             action = wrap_angle(self.within_limits(joint_targets)) / math.pi
-        elif self.control in ("joint_delta", "joint_velocity"):
-            action = self.turn(sensed.joint_angles, joint_targets) / self.max_joint_delta
         else:
+            action = self.turn(sensed.joint_angles, joint_targets) / self.max_joint_delta
+        return action.clip(-1.0, 1.0).astype(np.float32)
+
+    def check_takes_joint_targets(self) -> None:
+        """Raise a `CannotActError` under torque control, whose servos take no targets."""
+        if self.control == "joint_torque":
             raise CannotActError(
                 "control must be 'joint_position', 'joint_delta' or 'joint_velocity' for an agent "
                 f"that gives joint targets, got {self.control!r}"
             )
-        # np.clip would take twice as long for few arms.
-        clipped: NDArray[np.float32] = np.minimum(np.maximum(action, -1.0), 1.0).astype(np.float32)
-        return clipped
-
-    def check_takes_joint_targets(self) -> None:
-        """Raise a `CannotActError` under torque control, whose servos take no targets."""
-        rest = np.zeros(len(self.segment_lengths))
-        self.act(rest, Sensed(rest, np.zeros(2)))
 
 
 def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
@@ -530,11 +466,11 @@ def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
     cosine, sine = np.cos(joint_angles[..., 0]), np.sin(joint_angles[..., 0])
     turned = np.empty_like(vectors)
     # np.stack would take four times as long for few arms.
-    turned[..., 0], turned[..., 1] = turned_back(vectors[..., 0], vectors[..., 1], cosine, -sine)
+    turned[..., 0], turned[..., 1] = turned_back(*_components(vectors), cosine, -sine)
     return turned
 
 
-def read_attribute(env: gym.Env[Any, Any] | VectorEnv[Any, Any, Any] | Any, name: str) -> Any:
+def read_attribute(env: Any, name: str) -> Any:
     """Return an attribute of any environment that `ReachInterface.of` accepts; None if it has none.
 
     Raises:
