@@ -46,13 +46,8 @@ class CellError(RuntimeError):
     """
 
     def __init__(self, index: int, cell: object, reason: str) -> None:
-        super().__init__(index, cell, reason)
-        self.index = index
-        self.cell = cell
-
-    def __str__(self) -> str:
-        index, cell, reason = self.args
-        return f"cell {index}, {shown(cell)}, failed: {reason}"
+        super().__init__(f"cell {index}, {shown(cell)}, failed: {reason}")
+        self.index, self.cell = index, cell
 
 
 class WorkerDied(RuntimeError):
@@ -199,11 +194,10 @@ class _Processes:
 
     def submit(self, packed: bytes) -> Any:
         """Begin a call, and return a handle of it."""
-        try:
+        with suppress(BrokenProcessPool):
             return self._executor.submit(_work, packed)
-        except BrokenProcessPool:
-            self._executor = self._start()
-            return self._executor.submit(_work, packed)
+        self._executor = self._start()
+        return self._executor.submit(_work, packed)
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         """Wait for calls, and return those that are finished."""
@@ -304,8 +298,5 @@ def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException 
         packed = workers.result(call)
     except Exception as error:  # the worker died: an error of the function is in the result
         return None, WorkerDied(f"its process died, twice ({type(error).__name__})")
-    try:
-        value, failure = pickle.loads(packed)
-    except Exception as error:
-        return None, error
+    value, failure = pickle.loads(packed)
     return value, failure

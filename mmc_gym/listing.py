@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
-import numpy as np
-from numpy.typing import NDArray
 
-from mmc_gym.agents import AGENTS, AgentEntry, make_agent
+from mmc_gym.agents import AGENTS, AgentEntry
 from mmc_gym.envs.perturbations import FAMILIES, Family
 from mmc_gym.envs.scenarios import (
     PERTURBATION_NAMES,
@@ -207,36 +205,3 @@ def _short(value: Any) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(_short, value))})"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def picture(
-    name: str, steps: int = 11, options: dict[str, Any] | None = None, seed: int = 6
-) -> NDArray[np.uint8]:
-    """Return a picture (height, width, 3) of an arm that the MMC network moves in a scenario.
-
-    The thin arm is the posture of the network, which is ahead of the body.
-
-    Args:
-        name: as in `describe`.
-        steps: control steps since the start.
-        options: of the environment's reset; a bent posture by default, where trials are drawn.
-        seed: of the start and the target.
-
-    Raises:
-        UserError: for an unknown name.
-    """
-    found = find_scenario(name)
-    if options is None and found.trial_count is None:
-        options = {"joint_angles": [0.2, 0.4, 0.4]}
-    named = {"perturbations": [found.name]} if found.family else {}  # for the caption
-    env = replace(found, env_kwargs={**named, "render_mode": "rgb_array"}).make()
-    agent = make_agent("mmc", env)
-    state: Any = None
-    observation, _ = env.reset(seed=seed, options=options)
-    for _ in range(steps):
-        action, state = agent.predict(observation, state)
-        observation, *_ = env.step(action)
-        env.get_wrapper_attr("show_posture")(state.joint_angles)
-    frame: Any = env.render()
-    env.close()
-    return np.asarray(frame)

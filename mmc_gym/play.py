@@ -6,13 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 import pygame
 
-from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike, resolve
@@ -89,13 +88,8 @@ class Game:
             makers: functions that make the agents, by name; called when one is chosen.
             agent: name of the first agent.
             seed: of the postures.
-
-        Raises:
-            UserError: if `env` is no `MMCReachEnv`.
         """
-        if not isinstance(env.unwrapped, MMCReachEnv):
-            raise UserError(f"env must be a reaching environment like MMCReach-v0, got {env}")
-        self._env, self._reach = env, env.unwrapped
+        self._env, self._reach = env, cast("MMCReachEnv", env.unwrapped)
         self._view = drawing.View(self._reach.setup.farthest)
         self._makers, self._agents = dict(makers), {agent: makers[agent]()}
         self.agent, self.message = agent, ""

@@ -6,6 +6,7 @@ import io
 import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -115,15 +116,14 @@ def mp4(pictures: Iterable[Picture], frame_rate: int) -> bytes:
     """
     write_frames = _require_ffmpeg()
     with tempfile.TemporaryDirectory() as folder:
-        path, writer = Path(folder) / "film.mp4", None
-        for picture in pictures:
-            if writer is None:
-                height, width, _ = picture.shape
-                writer = write_frames(path, (width, height), fps=frame_rate, quality=7)
-                writer.send(None)
+        path, left = Path(folder) / "film.mp4", iter(pictures)
+        first = next(left)
+        height, width, _ = first.shape
+        writer = write_frames(path, (width, height), fps=frame_rate, quality=7)
+        writer.send(None)
+        for picture in chain((first,), left):
             writer.send(picture)
-        if writer is not None:
-            writer.close()
+        writer.close()
         return path.read_bytes()
 
 

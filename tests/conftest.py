@@ -46,13 +46,7 @@ class Oracle:
     those of `joint_delta`, the default.
     """
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
         values = observation.astype(np.float64)
         _, second, third = np.arctan2(values[3:6], values[:3])
         x, y = values[9:11]  # in the first segment's frame
@@ -65,13 +59,7 @@ class Oracle:
 class Frozen:
     """An agent whose target posture is always the present one, so that it never moves."""
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
         return np.zeros_like(observation[..., :3]), None
 
 

@@ -70,14 +70,6 @@ def square(number):
     return number * number
 
 
-def touch_or_wait(path):
-    """Touch a path; or, if it is given as text, wait until another cell has."""
-    if isinstance(path, Path):
-        path.touch()
-    wait_for(Path(path).exists)
-    return path
-
-
 def refuse_three(number):
     if number == 3:
         raise ValueError("three is refused")
@@ -131,14 +123,6 @@ def test_results_come_in_the_order_of_the_cells(jobs):
     assert sorted(seen) == list(enumerate(results))
 
 
-@pytest.mark.slow
-def test_results_are_handed_over_as_they_come(tmp_path):
-    path, seen = tmp_path / "done", []
-    cells = [str(path), path]
-    run_grid(touch_or_wait, cells, jobs=2, on_result=lambda *one: seen.append(one))
-    assert seen == [(1, path), (0, str(path))]
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_error_names_its_cell_after_the_others_are_handed_over(jobs):
     seen = {}
@@ -162,16 +146,6 @@ def test_an_error_names_its_cell_after_the_others_are_handed_over(jobs):
 def test_what_cannot_travel_is_an_error_of_its_cell(function, cell, message):
     with pytest.raises(CellError, match=message):
         run_grid(function, [cell, cell], jobs=2)
-
-
-@pytest.mark.slow
-def test_an_error_of_on_result_ends_the_grid():
-    def interrupt(index, result):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_grid(square, range(4), jobs=2, on_result=interrupt)
-    assert run_grid(square, range(4), jobs=2) == [0, 1, 4, 9]
 
 
 @pytest.mark.slow
@@ -244,14 +218,6 @@ def test_a_worker_computes_on_one_thread(jobs):
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
-
-
-@pytest.mark.slow
-def test_large_arrays_arrive_writable():
-    cells = [np.full(300_000, number) for number in (1.0, 2.0)]
-    results = run_grid(double_in_place, cells, jobs=2)
-    assert [result[0] for result in results] == [2.0, 4.0]
-    assert all(result.flags.writeable for result in results)
 
 
 REFUSED = [{"cluster": one} for one in ("", "dask", "ray:", "ray://", "ray://host", "ray:/h:1")]

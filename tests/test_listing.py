@@ -3,7 +3,6 @@
 import re
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 import mmc_gym
@@ -13,7 +12,7 @@ from mmc_gym.cli import main
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import scenario
 from mmc_gym.envs.tasks import TASKS
-from mmc_gym.listing import describe, picture
+from mmc_gym.listing import describe
 from mmc_gym.measures import MEASURES
 
 NAMES = {
@@ -68,12 +67,6 @@ def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
     assert "segment_lengths: (1, 1, 1.35), given (1, 1, 1)" in out
     assert "segment_lengths" not in str(dict(describe("longer-35-told"))["agents"])
     assert dict(describe("gravity"))["agents"] == "are given the perturbation"
-
-
-def test_a_scenario_is_drawn():
-    rotated = picture("rotation-30", steps=2)
-    assert rotated.dtype == np.uint8 and rotated.shape[2] == 3
-    assert not np.array_equal(rotated, picture("rotation-30", steps=1))
 
 
 def test_a_scenario_that_is_none_is_an_error_of_the_user(capsys):

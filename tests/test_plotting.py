@@ -24,16 +24,6 @@ def draw(movements):
     return paths_and_profiles(movements, reach=3.0, tolerance=0.05, control_step=0.02)
 
 
-def test_paths_stand_above_profiles_in_a_column_for_each_agent(movements):
-    figure = draw(movements)
-    above, below = figure.axes[:2], figure.axes[2:]
-    assert [axes.get_title() for axes in above] == ["oracle", "frozen"]
-    assert all(axes.get_aspect() == 1 for axes in above)
-    assert above[0].get_ylabel() == "y [segment lengths]"
-    assert "segment lengths/s" in below[0].get_ylabel()
-    assert all(axes.get_xlabel() == "time [s]" for axes in below)
-
-
 def test_paths_are_told_apart_without_colour(movements):
     axes = draw(movements).axes[0]
     paths = [line for line in axes.lines if len(line.get_xdata()) > 1]

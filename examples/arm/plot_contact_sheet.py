@@ -13,22 +13,40 @@ README.
 import sys
 from math import ceil
 
+import gymnasium as gym
 import matplotlib.pyplot as plt
 
-from mmc_gym.envs.scenarios import PERTURBATION_NAMES
+from mmc_gym import make_agent
+from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
 from mmc_gym.envs.tasks import TASKS
-from mmc_gym.listing import picture
 
 # %%
 # Most are drawn after eleven steps; some need other numbers of steps, or a certain start.
 
-COLUMNS, STEPS = 6, 11
+COLUMNS, STEPS, BENT = 6, 11, {"joint_angles": [0.2, 0.4, 0.4]}
 OTHER_STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 30}
 OPTIONS = {
     "random": {"joint_angles": [0.2, 0.4, 0.4], "target": (-1.5, 1.8)},
     "centre-out": {"trial": 3},
     "paper": {"trial": 130},
 }
+
+
+def picture(name):
+    """Return a picture (height, width, 3) of an arm that the MMC network moves."""
+    env_id = environment_id(name if name in TASKS else "random")
+    perturbations = [] if name in TASKS else [name]
+    env = gym.make(env_id, perturbations=perturbations, render_mode="rgb_array")
+    agent, state = make_agent("mmc", env), None
+    observation, _ = env.reset(seed=6, options=OPTIONS.get(name, BENT))
+    for _ in range(OTHER_STEPS.get(name, STEPS)):
+        action, state = agent.predict(observation, state)
+        observation, *_ = env.step(action)
+        env.get_wrapper_attr("show_posture")(state.joint_angles)
+    drawn = env.render()
+    env.close()
+    return drawn
+
 
 # %%
 # ``mmc-gym show NAME`` describes one of them; ``mmc-gym list tasks`` lists the available tasks.
@@ -39,8 +57,7 @@ figure, axes = plt.subplots(rows, COLUMNS, figsize=(1.6 * COLUMNS, 1.8 * rows), 
 for axis in axes.flat:
     axis.axis("off")
 for axis, name in zip(axes.flat, names):
-    drawn = picture(name, OTHER_STEPS.get(name, STEPS), OPTIONS.get(name))
-    axis.imshow(drawn[28:-28, 28:-28])
+    axis.imshow(picture(name)[28:-28, 28:-28])
     axis.set_title(name, fontsize=8)
 figure.tight_layout(pad=0.3)
 print(f"{len(TASKS)} tasks, {len(PERTURBATION_NAMES)} perturbations")
