@@ -45,12 +45,7 @@ from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.interface import ReachInterface, read_attribute
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
-from mmc_gym.training.policies import (
-    export_policy,
-    load_checkpoint,
-    read_head,
-    save_checkpoint,
-)
+from mmc_gym.training.policies import export_policy, load_checkpoint, read_head, save_checkpoint
 from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
 CHECKPOINT = "checkpoint.safetensors"
@@ -77,7 +72,7 @@ class Training:
         report: called after every rollout and every evaluation.
         evaluations: approximate number of evaluations, each followed by a checkpoint.
         device: the device of torch, such as "cpu".
-        tensorboard: folder for TensorBoard's logs; None for none.
+        tensorboard: folder for TensorBoard's logs.
         curve: the learning curve, a row for each evaluation.
         interface: of the environment; set by `run`.
     """
@@ -88,7 +83,7 @@ class Training:
     report: Callable[[TrainingProgress], None] = lambda progress: None
     evaluations: int = 25
     device: str = "cpu"
-    tensorboard: Path | None = None
+    tensorboard: Path | str | None = None
     curve: list[dict[str, float]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
@@ -127,7 +122,14 @@ class Training:
             UserError: if the folder is a file, the environment or a hyperparameter is not accepted,
                 or the checkpoint is damaged or belongs to another training.
         """
-        head = self._prepare(resume)
+        check_folder(self.folder, "out")
+        for file in (self.checkpoint, *self.policy_files):
+            if file.exists() and not resume:
+                hint = "resume it, or " if file == self.checkpoint else ""
+                raise FileExistsError(
+                    f"{file} exists already: {hint}choose another folder, or delete it"
+                )
+        head = self.find_checkpoint()
         with one_torch_thread():
             settings = self.recipe.settings
             env = make_vec_env(self.recipe.env_id, settings["n_envs"], settings["env_kwargs"])
@@ -175,7 +177,7 @@ class Training:
             ValueError: if the policy has layers that a `PolicyNetwork` cannot have.
         """
         network, view = export_policy(model.policy)
-        residual = unwrap_vec_wrapper(_env_of(model), Residual)
+        residual = unwrap_vec_wrapper(cast(VecEnv, model.get_env()), Residual)
         return network, {"view": view, "base_agent": residual.base_agent if residual else ""}
 
     def find_checkpoint(self) -> dict[str, Any] | None:
@@ -218,24 +220,13 @@ class Training:
         """Reset the environments and seed everything random from the seed and the step count."""
         leg = model.num_timesteps // self.steps_per_leg
         seed = int(np.random.SeedSequence([self.seed, leg]).generate_state(1)[0])
-        env = _env_of(model)
+        env = cast(VecEnv, model.get_env())
         model.set_random_seed(seed)
         model._last_obs = env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
         buffer = getattr(model, "replay_buffer", None)
         if isinstance(buffer, HerReplayBuffer):  # it has to know where episodes begin
             buffer._current_ep_start[:] = buffer.pos
-
-    def _prepare(self, resume: bool) -> dict[str, Any] | None:
-        """Check the folder; return the head of its checkpoint, None if there is none."""
-        check_folder(self.folder, "out")
-        for file in (self.checkpoint, *self.policy_files):
-            if file.exists() and not resume:
-                hint = "resume it, or " if file == self.checkpoint else ""
-                raise FileExistsError(
-                    f"{file} exists already: {hint}choose another folder, or delete it"
-                )
-        return self.find_checkpoint()
 
     def _identity(self) -> dict[str, Any]:
         """Return what must be equal for a checkpoint to belong to this training."""
@@ -313,10 +304,10 @@ def train(
         UserError: if an argument is not accepted.
     """
     recipe = read_recipe(str(name), env, steps, env_kwargs)
-    logs = None if tensorboard is None else Path(tensorboard)
     with tempfile.TemporaryDirectory() as nowhere:
+        folder = Path(out or nowhere)
         training = Training(
-            recipe, seed, Path(out or nowhere), on_progress, device=device, tensorboard=logs
+            recipe, seed, folder, on_progress, device=device, tensorboard=tensorboard
         )
         training.run(resume)
         return PolicyAgent(*load_policy(training.policy_files[0]), training.interface)
@@ -324,10 +315,6 @@ def train(
 
 def _now() -> dict[str, float]:
     return {"seconds": time.perf_counter(), "cpu_seconds": time.process_time()}
-
-
-def _env_of(model: BaseAlgorithm) -> VecEnv:
-    return cast(VecEnv, model.get_env())
 
 
 class _Legs(BaseCallback):

@@ -19,11 +19,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import (
-    VecEnvIndices,
-    VecEnvObs,
-    VecEnvStepReturn,
-)
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 from typing_extensions import override
 
 from mmc_gym._errors import UserError, is_whole, require
@@ -35,8 +31,6 @@ from mmc_gym.interface import ReachInterface
 
 VectorEnv: TypeAlias = gym.vector.VectorEnv[Any, Any, Any]
 Info = dict[str, Any]
-
-_SINGLE = {name: f"single_{name}" for name in ("action_space", "observation_space")}
 
 
 class GymnasiumVecEnv(VecEnv):
@@ -121,7 +115,8 @@ class GymnasiumVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return the attribute, which all environments share, once for each chosen one."""
-        value = getattr(self.vector_env, _SINGLE.get(attr_name, attr_name))
+        is_space = attr_name in ("action_space", "observation_space")
+        value = getattr(self.vector_env, f"single_{attr_name}" if is_space else attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:

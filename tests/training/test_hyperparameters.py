@@ -144,7 +144,6 @@ def test_all_that_an_entry_names_is_made():
     ("changes", "message"),
     [
         ({"frame_stack": 4}, "ppo-mine: hyperparameter 'frame_stack' is not accepted"),
-        ({"seed": 3}, "hyperparameter 'seed' is not accepted"),
         ({"learning_rat": 1e-3}, "'learning_rat' is not accepted; did you mean 'learning_rate'"),
         (
             {"policy": "os.system"},
@@ -162,7 +161,6 @@ def test_all_that_an_entry_names_is_made():
         ({"n_steps": 1.5}, "hyperparameters of ppo-mine: n_steps must be .* integer, .*, got 1.5"),
         ({"gamma": "high"}, "gamma must be a valid number, .*, got 'high'"),
         ({"gamma": float("nan")}, "gamma must be a finite number, got nan"),
-        ({"learning_rate": "cosine"}, "learning_rate.* must be a valid number, .*, got 'cosine'"),
         ({"use_sde": "maybe"}, "use_sde must be a valid boolean, .*, got 'maybe'"),
         ({**SAC, "replay_buffer_class": "Pickle"}, f"'Pickle' is not accepted. It may be {HER}"),
     ],
@@ -189,13 +187,10 @@ def test_a_leg_that_would_never_end_is_refused(changes, message):
     ("changes", "message"),
     [
         ({"policy_kwargs": {"net_architecture": [8]}}, "net_architecture'.*unexpected keyword"),
-        ({"policy_kwargs": {"net_arch": [-5]}}, r"\[-5\].* negative dimension -5"),
-        ({"policy_kwargs": {"log_std_init": "wide"}}, "'wide'.*: TypeError"),
         ({"learning_rate": -1.0}, "Invalid learning rate: -1.0"),
         ({"batch_size": 1}, "AssertionError: `batch_size`"),
         ({"vec_env_wrapper": [{RESIDUAL: {"base": 1}}]}, "unexpected keyword argument 'base'"),
         ({**SAC, "ent_coef": "auto_x"}, "ValueError: could not convert string to float: 'x'"),
-        ({**SAC, "train_freq": [1, "week"]}, "week"),
     ],
 )
 def test_what_only_the_constructor_can_refuse_is_said_in_its_words(changes, message):

@@ -1,12 +1,7 @@
-"""Training: deterministic, resumable to the bit after a kill, and really learning; many at once."""
+"""Training: deterministic, resumable to the bit, and really learning; many at once."""
 
-import json
-import os
 import shutil
-import signal
-import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import deepcopy
@@ -59,18 +54,6 @@ TINY: dict[str, dict[str, Any]] = {
     },
 }
 
-# What the killed process runs; it says after every checkpoint that it stands.
-SCRIPT = """
-import json, sys
-from pathlib import Path
-from mmc_gym.training.hyperparameters import Recipe
-from mmc_gym.training.training import Training
-recipe, folder = Recipe(*json.loads(sys.argv[1])), Path(sys.argv[2])
-report = lambda progress: progress.evaluation and print(progress.steps, flush=True)
-print("ready", flush=True)
-Training(recipe, 3, folder, report, evaluations=4).run(resume=True)
-"""
-
 
 def tiny(name: str, **changes: Any) -> Recipe:
     return read_recipe(name).with_changes(**{**SMALL, **TINY[name], **changes})
@@ -78,17 +61,6 @@ def tiny(name: str, **changes: Any) -> Recipe:
 
 def training(name: str, folder: Path, seed: int = 3, **changes: Any) -> Training:
     return Training(tiny(name, **changes), seed, folder, evaluations=LEGS)
-
-
-def train_and_kill(recipe: Recipe, folder: Path, when: Callable[[Any], None]) -> None:
-    parts = json.dumps([recipe.name, recipe.env_id, recipe.hyperparameters])
-    command = [sys.executable, "-c", SCRIPT, parts, str(folder)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        when(process.stdout)
-        os.kill(process.pid, signal.SIGKILL)
-    assert process.returncode in (-signal.SIGKILL, 0)
 
 
 def weights(folder: Path, name: str = "ppo", seed: int = 3) -> bytes:
@@ -142,10 +114,13 @@ class Interrupted(Exception):
     pass
 
 
-@pytest.mark.parametrize("name", ["ppo", "tqc-her"])
+@pytest.mark.parametrize(
+    "name",
+    ["ppo", "tqc-her", *(pytest.param(n, marks=pytest.mark.slow) for n in ("ppo-residual", "sac"))],
+)
 def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(name, tmp_path):
     def interrupt(progress: Any) -> None:
-        if progress.evaluation:
+        if progress.steps > 400:  # a leg after a checkpoint has begun
             raise Interrupted
 
     undisturbed, interrupted, resumed = (
@@ -156,33 +131,11 @@ def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(nam
     with pytest.raises(Interrupted):
         interrupted.run()
     assert not any(file.exists() for file in interrupted.policy_files)
+    steps: list[int] = []
+    resumed.report = lambda progress: steps.append(progress.steps)
     resumed.run(resume=True)
+    assert 400 < steps[0] <= steps[-1] == 800
     assert weights(tmp_path / "cut", name) == weights(tmp_path / "whole", name)
-    assert training(name, tmp_path, n_timesteps=1601).total_steps == 2400  # whole legs
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TINY)
-@pytest.mark.parametrize("checkpoints", [1, 3])
-def test_a_killed_training_resumes_to_the_policy_of_an_undisturbed_one(
-    name, checkpoints, trained_by_name, tmp_path
-):
-    steps = []
-
-    def after_checkpoints(lines: Any) -> None:
-        steps.extend(int(lines.readline()) for _ in range(checkpoints))
-        time.sleep(0.02)  # the next leg has begun
-
-    train_and_kill(tiny(name), tmp_path, after_checkpoints)
-    assert steps[-1] < SMALL["n_timesteps"]
-    resumed = training(name, tmp_path)
-    assert not any(file.exists() for file in resumed.policy_files)
-    reports: list[int] = []
-    resumed.report = lambda progress: reports.append(progress.steps)
-    card = resumed.run(resume=True)
-    assert reports[0] > steps[-1]
-    assert card.training_steps == SMALL["n_timesteps"]
-    assert weights(tmp_path, name) == weights(trained_by_name(name), name)
 
 
 def test_a_training_killed_while_it_writes_has_its_last_checkpoint(trained, tmp_path, monkeypatch):
@@ -283,6 +236,10 @@ def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
 def test_a_device_that_torch_cannot_use_is_refused(tmp_path, device):
     with pytest.raises(UserError, match=f"device must be one that .*, got '{device}'"):
         Training(tiny("ppo"), 3, tmp_path, device=device)
+
+
+def test_a_training_has_whole_legs(tmp_path):
+    assert training("ppo", tmp_path, n_timesteps=1601).total_steps == 2400
 
 
 def test_a_seed_is_from_0_and_the_best_device_is_found(tmp_path):
