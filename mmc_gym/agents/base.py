@@ -199,7 +199,7 @@ def _described(state: Any) -> str:
 
 def where(condition: NDArray[np.bool_], yes: State, no: State) -> State:
     """Return a state, from `yes` where a condition on the batch axes holds, else from `no`."""
-    return _where(condition, yes, no)  # type: ignore[no-any-return]
+    return _where(condition, yes, no)
 
 
 def _where(condition: NDArray[np.bool_], yes: Any, no: Any) -> Any:

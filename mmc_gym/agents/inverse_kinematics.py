@@ -62,12 +62,9 @@ It is a pure function of joint angles (..., N), targets (..., 2) in segment leng
 the lowest and highest angle of each joint in radians (None: joints turn freely).
 """
 
-STRAIGHT = 0.01
-"""An arm counts as straight, and a target as in line with it, within this angle, radians."""
-COMFORT = 0.03
-"""κ: share of the way to the comfortable posture that one iteration goes."""
-ORIENTATIONS = 90
-"""Orientations of a sweep, on either side of the target's direction."""
+STRAIGHT = 0.01  #: angle within which an arm is straight, and a target in line with it, radians
+COMFORT = 0.03  #: κ: share of the way to the comfortable posture that one iteration goes
+ORIENTATIONS = 90  #: orientations of a sweep, on either side of the target's direction
 
 _TINY = np.finfo(np.float64).tiny
 _SLACK = 1e-9  # radians beyond a limit that count as within
@@ -80,12 +77,7 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
     def __init__(
         self, interface: ReachInterface, solver: Solver, iterations_per_step: int = 1
     ) -> None:
-        """Make the agent.
-
-        Args:
-            interface: of the environment.
-            solver: one iteration of the method, such as `damped_least_squares`.
-            iterations_per_step: iterations in a control step.
+        """Make the agent, whose solver is one iteration, such as `damped_least_squares`.
 
         Raises:
             UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
@@ -146,8 +138,7 @@ def jacobian(
 
 def hand_position(joint_angles: Floats, segment_lengths: SegmentLengths | Floats) -> Floats:
     """Return the position of the hand (..., 2), segment lengths, from joint angles (..., N)."""
-    hand: Floats = segments_from_joint_angles(joint_angles, segment_lengths).sum(axis=-2)
-    return hand
+    return segments_from_joint_angles(joint_angles, segment_lengths).sum(axis=-2)
 
 
 def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLengths) -> Floats:
@@ -167,8 +158,7 @@ def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLen
     across = np.abs(np.cos(first) * error[..., 1] - np.sin(first) * error[..., 0])
     away = distance > 1e-3 * sum(segment_lengths)
     stuck = straight & away & (across < STRAIGHT * distance)
-    bent: Floats = joint_angles + BEND * stuck[..., None]
-    return bent
+    return joint_angles + BEND * stuck[..., None]
 
 
 # Solvers by the Jacobian
@@ -277,15 +267,8 @@ def closed_form(
 
     One iteration is enough.  For a target out of reach it solves for the nearest point within.
     With two equal segments and the target at the base the first joint is free; its angle is then
-    arbitrary.
-
-    Args:
-        joint_angles: the present posture, radians, (..., N).
-        target: segment lengths, (..., 2).
-        segment_lengths: N = 1, 2 or 3 lengths.
-        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
-            Solutions beyond them do not count, and distances are measured along the way that the
-            limits allow.  If all are beyond, the one least beyond is moved to the limits.
+    arbitrary.  Solutions beyond joint limits do not count, and distances are measured along the way
+    that the limits allow.  If all are beyond, the one least beyond is moved to the limits.
 
     Raises:
         CannotActError: for another number of segments.

@@ -105,12 +105,10 @@ class Assumptions:
 
 DEFAULT = Assumptions()
 
-TARGET_JUMP_DISTANCE = 0.5
-"""A target farther than this from the expected place has jumped, segment lengths."""
-SOFT = 0.05
-"""Stops joints that hardly move the hand from chasing a moving target, lengths² / rad²."""
+TARGET_JUMP_DISTANCE = 0.5  #: a target farther from its expected place has jumped, lengths
+SOFT = 0.05  #: keeps joints that hardly move the hand from chasing a target, lengths² / rad²
+#: Values of s in the table of gains, lengths / rad: spaced by one ratio, interpolated linearly.
 SMALLEST, LARGEST, ENTRIES = 0.01, 30.0, 81
-"""Values of s in the table of gains, lengths / rad: spaced by one ratio, interpolated linearly."""
 
 
 def plant(assumed: Assumptions, step: float) -> tuple[Floats, Floats]:
@@ -128,8 +126,7 @@ def optimal_gain(assumed: Assumptions, step: float, value: Floats) -> Floats:
     """Return L (..., 3) for a cost to go of S after the next step, (..., 3, 3)."""
     a, b = plant(assumed, step)
     stake = (1 + assumed.motor_noise**2) * (b.T @ value @ b)[..., 0]
-    gain: Floats = (b.T @ value @ a)[..., 0, :] / (assumed.effort_cost**2 + stake)
-    return gain
+    return (b.T @ value @ a)[..., 0, :] / (assumed.effort_cost**2 + stake)
 
 
 def staying_value(assumed: Assumptions, step: float, moves: float) -> Floats:
@@ -164,8 +161,7 @@ def kalman_gain(a: Floats, c: Floats, disturbance: Floats, noise: Floats) -> Flo
     from scipy.linalg import solve_discrete_are
 
     p = solve_discrete_are(a.T, c.T, disturbance, noise)
-    gain: Floats = p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
-    return gain
+    return p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
 
 
 def turned_joints(effects: Floats) -> tuple[Floats, Floats, Floats]:
@@ -195,20 +191,14 @@ def _length(vector: Floats) -> Floats:
 
 
 class Gains(NamedTuple):
-    """All gains of the controller.
+    """All gains of the controller."""
 
-    Attributes:
-        control: L by the remaining steps of a movement, and by s, (3, steps + 1, entries); that
-            of z is per segment length of the hand.
-        posture: K of a joint's angle and of its velocity, each from its own reading, (2,).
-        vision: K of the difference between the seen and the felt hand.
-        target: K of (place, velocity) from the seen place, (2,).
-    """
-
+    #: L by the remaining steps of a movement, and by s, (3, steps + 1, entries); that of z is per
+    #: segment length of the hand.
     control: Floats
-    posture: Floats
-    vision: float
-    target: Floats
+    posture: Floats  #: K of a joint's angle and of its velocity, each from its own reading, (2,)
+    vision: float  #: K of the difference between the seen and the felt hand
+    target: Floats  #: K of (place, velocity) from the seen place, (2,)
 
 
 @lru_cache
@@ -233,42 +223,23 @@ def gains(assumed: Assumptions, step: float) -> Gains:
 
 
 class Belief(NamedTuple):
-    """The controller's state; arrays lead with the batch.
+    """The controller's state; arrays lead with the batch."""
 
-    Attributes:
-        joint_angles: felt joint angles, at the time of the senses, radians, (..., N).
-        velocity: felt joint velocities; after a command, those commanded, rad/s, (..., N).
-        drive: rate of change of the velocity, rad/s², (..., N).
-        shift: of the seen hand from the felt one, segment lengths, (..., 2).
-        target: as sensed, segment lengths, (..., 2).
-        target_velocity: as sensed, segment lengths / s, (..., 2).
-        remaining: remaining control steps of the movement, (..., 1).
-        asked: velocities commanded since the time of the senses, rad/s, (..., steps, N).
-    """
-
-    joint_angles: Floats
-    velocity: Floats
-    drive: Floats
-    shift: Floats
-    target: Floats
-    target_velocity: Floats
-    remaining: Floats
-    asked: Floats
+    joint_angles: Floats  #: as felt, at the time of the senses, radians, (..., N)
+    velocity: Floats  #: of the joints as felt; after a command, as commanded, rad/s, (..., N)
+    drive: Floats  #: rate of change of that velocity, rad/s², (..., N)
+    shift: Floats  #: of the seen hand from the felt one, segment lengths, (..., 2)
+    target: Floats  #: as sensed, segment lengths, (..., 2)
+    target_velocity: Floats  #: as sensed, segment lengths / s, (..., 2)
+    remaining: Floats  #: control steps left of the movement, (..., 1)
+    asked: Floats  #: velocities commanded since the time of the senses, rad/s, (..., steps, N)
 
 
 class OptimalControlAgent(InternalModelAgent[Belief]):
     """Optimal feedback control of the given arm, by joint velocities."""
 
-    def __init__(
-        self,
-        interface: ReachInterface,
-        assumed: Assumptions = DEFAULT,
-    ) -> None:
-        """Make an agent.
-
-        Args:
-            interface: of the environment.
-            assumed: see `Assumptions`.
+    def __init__(self, interface: ReachInterface, assumed: Assumptions = DEFAULT) -> None:
+        """Make an agent of these assumptions.
 
         Raises:
             UserError: if the longest movement is shorter than a control step; as `CannotActError`,

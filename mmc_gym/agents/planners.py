@@ -39,16 +39,11 @@ from mmc_gym.agents.inverse_kinematics import damped_least_squares, hand_positio
 from mmc_gym.interface import Sensed
 from mmc_gym.network.chain import Floats
 
-SHORTEST = 0.2
-"""T₀: duration of a movement of no length, s."""
-AVERAGE_SPEED = 4.0
-"""v̄: growth of distance with duration, segment lengths / s."""
-NEW_TARGET_DISTANCE = 0.3
-"""A target that moves farther than this in a control step has jumped, segment lengths."""
-HORIZON = 5
-"""Least number of control steps that remain while the target moves."""
-ITERATIONS = 3
-"""Iterations of inverse kinematics in a control step."""
+SHORTEST = 0.2  #: T₀: duration of a movement of no length, s
+AVERAGE_SPEED = 4.0  #: v̄: growth of distance with duration, segment lengths / s
+NEW_TARGET_DISTANCE = 0.3  #: a target that moves farther in a control step has jumped, lengths
+HORIZON = 5  #: least number of control steps that remain while the target moves
+ITERATIONS = 3  #: iterations of inverse kinematics in a control step
 
 # The plan moves only a fraction of a length in a step.  So it needs less damping than a solver
 # alone, which keeps the hand on the path.
@@ -56,17 +51,11 @@ _track = partial(damped_least_squares, damping=0.05, max_step=0.1)
 
 
 class MovementTiming(NamedTuple):
-    """The target and timing of a movement under way.
+    """The target and timing of a movement under way."""
 
-    Attributes:
-        target: segment lengths, (..., 2).
-        elapsed: control steps since it began, (...).
-        duration: T, control steps, (...).
-    """
-
-    target: Floats
-    elapsed: Floats
-    duration: Floats
+    target: Floats  #: segment lengths, (..., 2)
+    elapsed: Floats  #: control steps since it began, (...)
+    duration: Floats  #: T, control steps, (...)
 
     @property
     def remaining(self) -> Floats:

@@ -85,7 +85,7 @@ class GymnasiumVecEnv(VecEnv):
         self.reset_infos = [_row(infos, index) for index in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
-        return observation  # type: ignore[no-any-return]
+        return observation
 
     @override
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -298,7 +298,7 @@ class RandomScenarios(VecEnvWrapper):
                 warnings.warn(f"scenarios that do not go together: {error}", stacklevel=2)
         self._groups[group] = made
         observation, _ = made.reset(seed=int(self._random.integers(2**31)))
-        return observation  # type: ignore[no-any-return]
+        return observation
 
 
 def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:

@@ -10,6 +10,7 @@ the control step in which further joints lock.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from typing_extensions import override
 
 from mmc_gym.agents.body_model.agent import BodyAgent, BodyState, Parts, network_of_body
 from mmc_gym.agents.body_model.body import PLACED, Body, Locks
-from mmc_gym.agents.body_model.imagination import NetworkSolver
+from mmc_gym.agents.body_model.imagination import settled_network
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import ReachInterface, Seen, Sensed
 
@@ -33,7 +34,7 @@ class KnownBody(BodyAgent):
         """Make the agent for an environment, and give it the environment's setup."""
         interface = ReachInterface.of(env)
         parts = replace(parts, identifies_body=False, bridges_delay=False, finds_locks=False)
-        super().__init__(interface, NetworkSolver(network_of_body(interface)), parts)
+        super().__init__(interface, partial(settled_network, network_of_body(interface)), parts)
         self.setup: ReachSetup = env.unwrapped.setup
 
     @override

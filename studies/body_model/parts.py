@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -33,6 +34,7 @@ from mmc_gym.interface import ReachInterface
 from mmc_gym.measures import Episode, run_episodes
 from mmc_gym.measures.reaching import success, time_to_target
 from mmc_gym.measures.speed import minimum_jerk_correlation, velocity_peaks
+from mmc_gym.network import EuclideanNormalizer
 from mmc_gym.network.chain import segments_from_joint_angles
 from studies.body_model.known_body import KnownBody
 from studies.body_model.playing import Make, Played, body_model, percent, play
@@ -115,12 +117,17 @@ def of_parts(arguments: Arguments) -> Table:
 
 def of_switches(arguments: Arguments) -> Table:
     """Return the table of the network's switches: success, median time to target; its cost."""
+    normalizers: dict[str, Any] = {
+        "learned": {},
+        "Euclidean": {"normalizer": EuclideanNormalizer()},
+    }
+    dynamics: dict[str, Any] = {
+        "dynamic": {},
+        "kinematic": {"dynamics": "kinematic", "damping": 2.5},
+    }
     switches = {
-        f"{'learned' if is_learned else 'Euclidean'}\n{'dynamic' if is_dynamic else 'kinematic'}": {
-            "is_learned": is_learned,
-            "is_dynamic": is_dynamic,
-        }
-        for is_learned, is_dynamic in product((True, False), repeat=2)
+        f"{one}\n{other}": {**normalizers[one], **dynamics[other]}
+        for one, other in product(normalizers, dynamics)
     }
     agents = {heading: body_model(**how) for heading, how in switches.items()}
     title = f"switches of the network: success %, time to target s, {arguments.episodes} episodes"
@@ -177,10 +184,10 @@ def of_vigour(arguments: Arguments) -> Table:
     return table
 
 
-def misses(*, is_learned: bool, is_dynamic: bool, arms: int = 500) -> np.ndarray:
+def misses(arms: int = 500, **settings: Any) -> np.ndarray:
     """Return the median distance of imagined hands from their targets after 1, 2, … iterations."""
     arm = ReachInterface((1.0,) * 3, "joint_position", 6.0, 12.0, 0.02)
-    network = network_of_body(arm, is_learned=is_learned, is_dynamic=is_dynamic)
+    network = network_of_body(arm, **settings)
     starts, wanted = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, arms, 3))
     lengths = np.array(network.segment_lengths)
     target = segments_from_joint_angles(wanted, network.segment_lengths).sum(axis=1)

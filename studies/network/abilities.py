@@ -32,7 +32,7 @@ from rich.table import Table
 from mmc_gym.agents.body_model.agent import network_of_body
 from mmc_gym.agents.inverse_kinematics import damped_least_squares
 from mmc_gym.interface import ReachInterface
-from mmc_gym.network import MMCNetwork
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import Floats, Pair, segments_from_joint_angles
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
@@ -74,7 +74,8 @@ def tasks(count: int) -> dict[str, tuple[Pair, ...]]:
 def network_of(count: int, arguments: Arguments) -> MMCNetwork:
     """Return the network of `mmc-body` for `count` unit segments."""
     arm = ReachInterface((1.0,) * count, "joint_position", 6.0, 12.0, 0.02)
-    return network_of_body(arm, is_learned=arguments.learned)
+    normalizer = LearnedNormalizer.shipped() if arguments.learned else EuclideanNormalizer()
+    return network_of_body(arm, normalizer=normalizer)
 
 
 def errors(count: int, arguments: Arguments) -> dict[str, Floats]:

@@ -18,7 +18,8 @@ Perturbations are not given.  Arrays lead with the batch, (n, …); a single arm
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,20 +29,20 @@ from mmc_gym._errors import require_number, spelt
 from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
 from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
 from mmc_gym.agents.body_model.body import PUSH, BodyEvidence, Locks
-from mmc_gym.agents.body_model.drive import Drive, in_proportion
+from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
 from mmc_gym.agents.body_model.imagination import (
     Imagination,
-    NetworkSolver,
     ReachProblem,
     Solver,
     least_squares,
+    settled_network,
     within_reach,
 )
 from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
 from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import LearnedNormalizer, MMCNetwork
 from mmc_gym.network.chain import Floats
 
 LAG = 1.5  # control steps until the joints are where a command takes them
@@ -146,7 +147,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         return action.reshape(*batch, -1), state
 
     def _sense(self, state: BodyState, seen: Seen) -> BodyState:
-        """Update the state; posture and target are those of the first observation already."""
+        """Update the memory of the parts; `start` has entered the first observation already."""
         is_first = state.looks == 0
         state = state._replace(looks=state.looks + 1)
         if not every(is_first):
@@ -191,8 +192,9 @@ class BodyAgent(InternalModelAgent[BodyState]):
             counts = is_clear & ~locks.is_locked.any(axis=-1)
             lengths = state.evidence.body.lengths
             contacts = contacts.observed(before, posture, asked, lengths, counts)
-            if some(contacts.is_new):  # an obstacle slowed the joints, not a load
-                drive = drive.recovered(contacts.is_new)
+            # An obstacle slowed the joints, not a load.
+            strength = np.where(contacts.is_new[:, None], STRONGEST, drive.acceleration)
+            drive = drive._replace(acceleration=strength)
         return state._replace(locks=locks, drive=drive, contacts=contacts)
 
     def _forecast(self, state: BodyState) -> ReachProblem:
@@ -269,33 +271,27 @@ class BodyAgent(InternalModelAgent[BodyState]):
 
 def _points(vectors: Floats) -> Points:
     """Return vectors (..., 2) as complex numbers, (...)."""
-    points: Points = vectors.view(np.complex128)[..., 0]
-    return points
+    return vectors.view(np.complex128)[..., 0]
 
 
-def mmc_body(interface: ReachInterface, parts: Parts = Parts(), **network: bool) -> BodyAgent:
+def mmc_body(interface: ReachInterface, parts: Parts = Parts(), **settings: Any) -> BodyAgent:
     """Return the agent whose internal model is the MMC network, see `network_of_body`."""
-    return BodyAgent(interface, NetworkSolver(network_of_body(interface, **network)), parts)
+    network = network_of_body(interface, **settings)
+    return BodyAgent(interface, partial(settled_network, network), parts)
 
 
-def network_of_body(
-    interface: ReachInterface, *, is_learned: bool = True, is_dynamic: bool = True
-) -> MMCNetwork:
-    """Return the network that is the internal model of `mmc_body`.
+def network_of_body(interface: ReachInterface, **settings: Any) -> MMCNetwork:
+    """Return the internal model of `mmc_body`: the paper's, but for other settings of `MMCNetwork`.
 
-    Args:
-        interface: of the environment.
-        is_learned: whether the normalizer is the learned one, as in the paper; else Euclidean.
-        is_dynamic: whether the network has velocities, as in the paper; else it is kinematic.
+    With less damping than the paper's it settles sooner (`body_model.imagination`).
     """
-    joints = len(interface.segment_lengths)
-    return network_of_arm(
-        interface,
-        damping=(0.55 if is_dynamic else 0.625) * (joints + 1),
-        normalizer=LearnedNormalizer.shipped() if is_learned else EuclideanNormalizer(),
-        dynamics="paper" if is_dynamic else "kinematic",
-        velocity_damping=2.0,
-    )
+    body: dict[str, Any] = {
+        "damping": 0.55 * (len(interface.segment_lengths) + 1),
+        "normalizer": LearnedNormalizer.shipped(),
+        "dynamics": "paper",
+        "velocity_damping": 2.0,
+    }
+    return network_of_arm(interface, **{**body, **settings})
 
 
 def ik_body(interface: ReachInterface, parts: Parts = Parts()) -> BodyAgent:

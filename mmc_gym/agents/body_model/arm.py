@@ -23,14 +23,12 @@ Bools: TypeAlias = NDArray[np.bool_]
 
 def unit_vectors(joint_angles: Floats) -> Points:
     """Return the direction of each segment as a unit vector, (..., N)."""
-    units: Points = np.exp(1j * np.cumsum(joint_angles, axis=-1))
-    return units
+    return np.exp(1j * np.cumsum(joint_angles, axis=-1))
 
 
 def hand(joint_angles: Floats, lengths: Floats) -> Points:
     """Return the position of the hand, (...), for joint angles and lengths (..., N)."""
-    position: Points = (lengths * unit_vectors(joint_angles)).sum(axis=-1)
-    return position
+    return (lengths * unit_vectors(joint_angles)).sum(axis=-1)
 
 
 def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
@@ -77,5 +75,4 @@ def turn_share(interface: ReachInterface) -> float:
 
 def bounded(values: Floats, most: float) -> Floats:
     """Return values clipped to ±most: np.clip takes twice as long for few arms."""
-    clipped: Floats = np.minimum(np.maximum(values, -most), most)
-    return clipped
+    return np.minimum(np.maximum(values, -most), most)

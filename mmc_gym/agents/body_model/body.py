@@ -82,13 +82,11 @@ class Body(NamedTuple):
 
     def seen(self, units: Points) -> Points:
         """Return where the hand is seen if these are the unit vectors of the segments, (n, N)."""
-        seen: Points = self.turn * (self.lengths * units).sum(axis=-1) + self.shift
-        return seen
+        return self.turn * (self.lengths * units).sum(axis=-1) + self.shift
 
     def felt(self, seen: Points) -> Points:
         """Return where the hand really is if it is seen here."""
-        felt: Points = (seen - self.shift) * self.turn.conj()
-        return felt
+        return (seen - self.shift) * self.turn.conj()
 
 
 class BodyEvidence(NamedTuple):
@@ -138,8 +136,7 @@ class BodyEvidence(NamedTuple):
         """Return the best hypothesis for each arm."""
         # If even the whole error is worth less than one parameter, the body is as given.
         count, square = sums[:, -1, -1].real, sums[:, -2, -2].real
-        worth = count * np.log1p(square / EXACT)
-        is_given = worth < PENALTY + 2 * np.log1p(count)
+        is_given = count * np.log1p(square / EXACT) < PENALTY + 2 * np.log1p(count)
         if every(is_given):
             return self.given
         looks = ~is_given & ((age < FREQUENT) | (age % 4 == 0))
@@ -175,8 +172,7 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> list[Hypothesis]:
 
     def all_lengths(turn: Points) -> Floats:
         back = (turn.conj()[:, None] * h).real + RIDGE * given
-        fitted: Floats = (inverse @ back[..., None])[..., 0]
-        return fitted
+        return (inverse @ back[..., None])[..., 0]
 
     return [
         Hypothesis(lengths, unturned, parameters=0),
@@ -188,12 +184,7 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> list[Hypothesis]:
 
 
 def most_likely(sums: Points, given: Floats) -> Body:
-    """Return the best hypothesis for each arm.
-
-    Args:
-        sums: see `BodyEvidence`, (n, N + 2, N + 2).
-        given: lengths as given, (N,).
-    """
+    """Return the best hypothesis for each arm, from the sums of `BodyEvidence` and ℓ as given."""
     to_hand = np.eye(len(given) + 2)  # x = e + ℓᵀu
     to_hand[-2, :-2] = given
     sums = to_hand @ sums @ to_hand.T
@@ -246,8 +237,8 @@ class Locks(NamedTuple):
     ) -> Locks:
         """Return the locks after one more observation.
 
-        `expected`: how far joints should have turned.  `is_felt`: whether the arm has been felt to
-        move, (n,).  `lockable`: the only joints that can lock, if these are given.  At a lower
+        Joints should have turned by `expected`.  Turns count once arms are felt to move
+        (`is_felt`, (n,)).  If `lockable` joints are given, only these can lock.  At a lower
         `vigour` a smaller turn is enough.
         """
         noise, seen = posture.deviation, posture.joint_angles

@@ -25,6 +25,7 @@ import numpy as np
 from mmc_gym.agents.base import some
 from mmc_gym.agents.body_model.arm import Bools, bounded, hand, turn_share
 from mmc_gym.agents.body_model.senses import PostureTrack
+from mmc_gym.agents.planners import AVERAGE_SPEED, SHORTEST
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.time_base import share
@@ -39,8 +40,6 @@ FULL = 0.8  # a target this far ahead keeps a joint at full speed for a control 
 LONGEST = 3.0  # the farthest target ahead, radians: half a turn ahead is half a turn back
 RETURN = 0.3  # rate at which a posture returns to the straight way that it left
 
-SHORTEST = 0.2  # duration of a human movement of no length, s
-AVERAGE_SPEED = 4.0  # way per additional duration of a human movement, segment lengths/s
 PEAK = 15 / 8  # ratio of highest and mean speed in minimum jerk
 SAMPLES = np.linspace(0.0, 1.0, 9)  # shares of a movement at which its way is measured
 
@@ -69,8 +68,8 @@ class Drive(NamedTuple):
     ) -> Drive:
         """Estimate the acceleration from a control step between two postures.
 
-        Only joints that are seen in time and without noise count (`is_clear`, (n,)).  For
-        joints below their limit the estimate returns to the first one if `recovers`, (n,).
+        Arms count that are seen in time and without noise (`is_clear`, (n,)).  Where joints are
+        below their limit, the estimate returns to the first one if `recovers`, (n,).
         """
         gain, limit, speeds = interface.servo_gain, interface.speed_limit, posture.speeds
         lacked = bounded(gain * self.lead, limit) - before.speeds
@@ -84,10 +83,6 @@ class Drive(NamedTuple):
         estimate = old + np.where(change > 0, RISEN, LEARNED) * change
         idle = old + RECOVERED * recovers[:, None] * (STRONGEST - old)
         return self._replace(acceleration=np.where(saturates, estimate, idle))
-
-    def recovered(self, arms: Bools) -> Drive:
-        """Return the memory with the first estimate of the acceleration for some arms, (n,)."""
-        return self._replace(acceleration=np.where(arms[:, None], STRONGEST, self.acceleration))
 
     def turn(self, left: Floats, moves: Floats | float, interface: ReachInterface) -> Floats:
         """Return how far joints should turn in this control step.
@@ -110,13 +105,12 @@ class Drive(NamedTuple):
         All joints arrive together, and joints beside the way return to it.
         """
         way = interface.turn(begin, end)
-        square = np.maximum((way * way).sum(axis=-1, keepdims=True), 1e-9)
-        done = ((joint_angles - begin) * way).sum(axis=-1, keepdims=True) / square
-        done = np.clip(done, 0, 1)
+        along = ((joint_angles - begin) * way).sum(axis=-1, keepdims=True)
+        square = (way * way).sum(axis=-1, keepdims=True)
+        done = np.clip(along / np.maximum(square, 1e-9), 0, 1)
         aside = begin + done * way - joint_angles
         left = (1 - done) * way
-        turn: Floats = in_proportion(self.turn(left, 0.0, interface), left) + RETURN * aside
-        return turn
+        return in_proportion(self.turn(left, 0.0, interface), left) + RETURN * aside
 
     def timed(
         self, begins: Bools, way: Floats, left: Floats, interface: ReachInterface, vigour: float
@@ -143,8 +137,7 @@ class Drive(NamedTuple):
         before = np.minimum((way[:, 1:] < wanted[:, None]).sum(axis=-1), last)
         step = way[arms, before + 1] - way[arms, before]
         part = (wanted - way[arms, before]) / np.maximum(step, 1e-9)
-        result: Floats = (before + np.clip(part, 0.0, 1.0)) / (last + 1)
-        return result
+        return (before + np.clip(part, 0.0, 1.0)) / (last + 1)
 
     def targets(
         self, posture: Floats, turn: Floats, left: Floats, noise: Floats, interface: ReachInterface
@@ -168,5 +161,4 @@ def in_proportion(turn: Floats, way: Floats) -> Floats:
     """Return the longest turns along `way` in which no joint exceeds `turn`."""
     size = np.abs(way)
     part = np.divide(np.abs(turn), size, out=np.ones_like(size), where=size > 1e-9)
-    along: Floats = way * np.minimum(part.min(axis=-1, keepdims=True), 1.0)
-    return along
+    return way * np.minimum(part.min(axis=-1, keepdims=True), 1.0)

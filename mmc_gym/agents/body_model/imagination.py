@@ -21,7 +21,6 @@ recruitment of reactive systems, Front. Neurorobot. 11:3.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
@@ -50,19 +49,12 @@ LONGEST_ERROR = 0.5  # longest error that counts in damped least squares, segmen
 
 
 class ReachProblem(NamedTuple):
-    """Arms to be brought to targets.
+    """Arms to be brought to targets."""
 
-    Attributes:
-        joint_angles: present posture, radians, (..., N).
-        aim: where the hand should be, (...).
-        lengths: of the segments, (..., N).
-        held: joints that keep their angles, (..., N); None: none.
-    """
-
-    joint_angles: Floats
-    aim: Points
-    lengths: Floats
-    held: Bools | None
+    joint_angles: Floats  # present posture, radians, (..., N)
+    aim: Points  # where the hand should be, (...)
+    lengths: Floats  # of the segments, (..., N)
+    held: Bools | None  # joints that keep their angles, (..., N); None: none
 
     def of(self, chosen: NDArray[Any]) -> ReachProblem:
         """Return the problem of some of the arms, chosen by a mask or by indices."""
@@ -74,31 +66,24 @@ Solver: TypeAlias = Callable[[ReachProblem, int], Floats]
 """An internal model: given a number of iterations, it returns the postures (..., N) reached."""
 
 
-@dataclass(frozen=True)
-class NetworkSolver:
-    """The MMC network as internal model."""
+def settled_network(network: MMCNetwork, problem: ReachProblem, iterations: int) -> Floats:
+    """Run a network from rest in each posture: for a given network, a `Solver`.
 
-    network: MMCNetwork
-
-    def __call__(self, problem: ReachProblem, iterations: int) -> Floats:
-        """Run a network from rest in each posture.
-
-        Beyond three segments the number of iterations grows with the square of the number of
-        segments, because it takes longer until all segments are affected by the target.
-        """
-        joint_angles, aim, lengths, held = problem
-        iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
-        network = self.network
-        # Single precision is as precise as the senses, and four times as fast.
-        start = network.state_from_segments(_vectors(lengths * unit_vectors(joint_angles)))
-        clamps = network.inverse(_vectors(aim))
-        if held is None and every(lengths == network.segment_lengths):
-            settled = network.run(start, clamps, iterations)
-        else:
-            body = Embodiment(lengths, locked=held, joint_angles=joint_angles)
-            settled = embodied_run(network, start, clamps, body, iterations)
-        angles = settled.joint_angles.astype(np.float64)
-        return angles if held is None else np.where(held, joint_angles, angles)
+    Beyond three segments the number of iterations grows with the square of the number of segments,
+    because it takes longer until all segments are affected by the target.
+    """
+    joint_angles, aim, lengths, held = problem
+    iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
+    # Single precision is as precise as the senses, and four times as fast.
+    start = network.state_from_segments(_vectors(lengths * unit_vectors(joint_angles)))
+    clamps = network.inverse(_vectors(aim))
+    if held is None and every(lengths == network.segment_lengths):
+        settled = network.run(start, clamps, iterations)
+    else:
+        body = Embodiment(lengths, locked=held, joint_angles=joint_angles)
+        settled = embodied_run(network, start, clamps, body, iterations)
+    angles = settled.joint_angles.astype(np.float64)
+    return angles if held is None else np.where(held, joint_angles, angles)
 
 
 def _vectors(points: Points) -> Floats:
@@ -141,8 +126,6 @@ class Imagination:
     def settle(self, problem: ReachProblem, iterations: int) -> Floats:
         """Return the postures in which models settle within the joint limits, (..., N)."""
         postures = self.solver(problem, iterations)
-        if self.interface.joint_limits is None:
-            return postures
         within = self.interface.within_limits(postures)
         is_beyond = np.abs(wrap_angle(postures - within)) > BEYOND
         if some(is_beyond):
@@ -163,12 +146,12 @@ class Imagination:
 
     def improved(self, goal: Floats, problem: ReachProblem) -> Floats:
         """Return the goal postures, or the best imagined ones where these are better, (n, N)."""
-        postures, costs = self.all(problem)
-        chosen, arms = costs.argmin(axis=0), np.arange(len(goal))
-        is_better = costs[chosen, arms] < self.cost(problem, goal) - BETTER
-        return np.where(is_better[:, None], postures[chosen, arms], goal)
+        postures, costs = self.imagined(problem)
+        cheapest = costs.argmin(axis=0), np.arange(len(goal))
+        is_better = costs[cheapest] < self.cost(problem, goal) - BETTER
+        return np.where(is_better[:, None], postures[cheapest], goal)
 
-    def all(self, problem: ReachProblem) -> tuple[Floats, Floats]:
+    def imagined(self, problem: ReachProblem) -> tuple[Floats, Floats]:
         """Return all imagined postures (starts, n, N), and their costs, (starts, n)."""
         joint_angles, aim, lengths, held = problem
         starts = joint_angles + self.offsets[:, None]
@@ -195,8 +178,7 @@ def start_offsets(joints: int) -> Floats:
     """
     parts = [len(part) for part in np.array_split(np.arange(joints), min(joints, 3))]
     bends = np.array(list(product((0.0, -SPREAD, SPREAD), repeat=len(parts))))
-    offsets: Floats = np.repeat(bends / parts, parts, axis=-1)
-    return offsets
+    return np.repeat(bends / parts, parts, axis=-1)
 
 
 def within_reach(aim: Points, lengths: Floats) -> Points:
@@ -207,5 +189,4 @@ def within_reach(aim: Points, lengths: Floats) -> Points:
     if every(allowed == distance):
         return aim
     direction = np.where(distance > 0, aim / np.maximum(distance, 1e-12), 1.0)
-    near: Points = direction * allowed
-    return near
+    return direction * allowed

@@ -99,14 +99,10 @@ class Contacts(NamedTuple):
         lengths: Floats,
         counts: Bools,
     ) -> Contacts:
-        """Return the memory after one more observation.
+        """Return the memory after a control step between two postures.
 
-        Args:
-            before: posture a control step before.
-            posture: posture now.
-            asked: how far joints should have turned in between.
-            lengths: of the segments.
-            counts: whether the joints are seen in time and without noise, (n,).
+        Joints should have turned by `asked`.  Arms count that are seen in time and without noise
+        (`counts`, (n,)).
         """
         lack = np.abs(asked - posture.turn).max(axis=-1)
         lacks = (lack > LACKED) & counts
@@ -211,11 +207,8 @@ class Plan(NamedTuple):
     @property
     def next(self) -> Floats:
         """The posture to go to now, radians, (n, N)."""
-        if not some(self.ahead):
-            return self.goal
-        via = self.vias[np.arange(len(self.ahead)), np.maximum(self.ahead - 1, 0)]
-        following: Floats = np.where((self.ahead > 0)[:, None], via, self.goal)
-        return following
+        via = self.vias[np.arange(len(self.ahead)), self.ahead - 1]
+        return np.where((self.ahead > 0)[:, None], via, self.goal)
 
     def arrived(self, interface: ReachInterface, joint_angles: Floats) -> Plan:
         """Return the plan, with the next leg for arms whose posture ends one."""
@@ -225,10 +218,8 @@ class Plan(NamedTuple):
         left = np.abs(interface.turn(joint_angles, end)).max(axis=-1)
         is_there = (self.ahead > 0) & (left < ARRIVED)
         begin = self.begin + interface.turn(self.begin, end)
-        return self._replace(
-            ahead=self.ahead - is_there,
-            begin=np.where(is_there[:, None], begin, self.begin),
-        )
+        begin = np.where(is_there[:, None], begin, self.begin)
+        return self._replace(ahead=self.ahead - is_there, begin=begin)
 
 
 def clearance(joint_angles: Floats, lengths: Floats, discs: Points) -> Floats:
@@ -238,20 +229,17 @@ def clearance(joint_angles: Floats, lengths: Floats, discs: Points) -> Floats:
     begin = np.cumsum(segments, axis=-1) - segments
     to_disc = (discs - begin[..., None]) * units.conj()[..., None]
     beside = to_disc.real - np.clip(to_disc.real, 0, lengths[:, None])
-    nearest: Floats = np.hypot(beside, to_disc.imag).min(axis=(-1, -2))
-    return nearest
+    return np.hypot(beside, to_disc.imag).min(axis=(-1, -2))
 
 
 def room(
     interface: ReachInterface, start: Floats, end: Floats, lengths: Floats, discs: Points
 ) -> tuple[Floats, Floats]:
-    """Measure the free space along straight movements between postures (..., N).
+    """Return the free space along straight movements between postures (..., N), and their sweep.
 
+    The first is their distance from discs beyond what is needed, above 0 where they are free; the
+    second is how far they move the ends of all segments together; both in segment lengths, (...).
     A movement that begins in contact has to lead away from it.
-
-    Returns:
-        Their distance from discs beyond what is needed, above 0 where they are free, and how far
-        they move the ends of all segments together, both in segment lengths, (...).
     """
     stages = start[..., None, :] + STAGES[:, None] * interface.turn(start, end)[..., None, :]
     begin = clearance(start, lengths, discs)[..., None]
@@ -297,7 +285,7 @@ class Ways:
     def _way_round(self, problem: ReachProblem, discs: Points) -> Floats | None:
         """Return the ends of the legs in order, (legs, N); None if no way is found."""
         start, lengths = problem.joint_angles[0], problem.lengths[0]
-        goals, costs = (values[:, 0] for values in self.imagination.all(problem))
+        goals, costs = (values[:, 0] for values in self.imagination.imagined(problem))
         goals = goals[np.argsort(costs)[:GOALS]]
         goals = goals[clearance(goals, lengths, discs) > RADIUS]
         if not len(goals):
@@ -341,8 +329,7 @@ class Ways:
         spare, swept = room(self.interface, start, end, lengths, discs)
         cost = np.abs(self.interface.turn(start, end)).max(axis=-1) + LEG + HAZARD * swept
         cost = cost + DISCOMFORT * np.maximum(COMFORT - spare, 0.0)
-        result: Floats = np.where(spare > 0, cost, np.inf)
-        return result
+        return np.where(spare > 0, cost, np.inf)
 
     def _tighten(self, way: Floats, lengths: Floats, discs: Points) -> None:
         """Move the postures on a way (legs + 1, N) to where it is cheaper, in place."""
@@ -357,27 +344,18 @@ class Ways:
                 way[k] = tried[cost.argmin()]
 
 
-def _shortest(cost: Floats, ends: NDArray[np.intp]) -> NDArray[np.intp] | None:
-    """Return the cheapest way from node 0 to one of `ends` in at most `LEGS` legs, its nodes.
+def _shortest(cost: Floats, ends: NDArray[np.intp]) -> list[int] | None:
+    """Return the nodes on the cheapest way from node 0 to one of `ends`; None if there is none.
 
-    Args:
-        cost: of the legs between nodes, infinite where there is none, (nodes, nodes).
-        ends: nodes at which it may end.
-
-    Returns:
-        The nodes on the way; None if there is no way.
+    Legs between nodes cost `cost` (nodes, nodes), infinite where there is none.  A way of more
+    than `LEGS` legs does not count.
     """
-    best, nodes = cost[0].copy(), np.arange(len(cost))
-    previous = np.zeros(len(cost), int)
-    for _ in range(LEGS - 1):  # one more leg in each round (Bellman and Ford)
-        through = best[:, None] + cost
-        via = through.argmin(axis=0)
-        is_better = through[via, nodes] < best
-        previous = np.where(is_better, via, previous)
-        best = np.where(is_better, through[via, nodes], best)
-    way = [ends[best[ends].argmin()]]
-    if not np.isfinite(best[way[0]]):
-        return None
-    while way[-1] != 0 and len(way) <= LEGS:
-        way.append(previous[way[-1]])
-    return np.array(way[::-1]) if way[-1] == 0 else None
+    from scipy.sparse.csgraph import dijkstra  # `import mmc_gym` loads no scipy
+
+    [costs], [previous] = dijkstra(cost, indices=[0], return_predecessors=True)
+    node = int(ends[costs[ends].argmin()])
+    way = [node]
+    while node > 0:  # scipy's mark for no predecessor is negative
+        node = int(previous[node])
+        way.insert(0, node)
+    return way if node == 0 and len(way) <= LEGS + 1 else None

@@ -112,8 +112,7 @@ class PostureTrack(NamedTuple):
     @property
     def deviation(self) -> Floats:
         """Standard deviation of the noise of the seen angles, radians, (n, 1)."""
-        deviation: Floats = np.sqrt(self.noise)
-        return deviation
+        return np.sqrt(self.noise)
 
 
 class TargetTrack(NamedTuple):
@@ -203,16 +202,14 @@ class TargetTrack(NamedTuple):
         is_moving = self.is_moving
         usual = 6 * np.sqrt(self.noise) + 3 * np.sqrt(np.where(is_moving, self.error_moving, 0.0))
         far = np.abs(np.where(is_moving, error, stray))
-        jumps: Bools = (self.seen >= SETTLED) & (far > TARGET_JUMP + usual)
-        return jumps
+        return (self.seen >= SETTLED) & (far > TARGET_JUMP + usual)
 
     def _noise_after(self, target: Points) -> Floats:
         """Return the estimate of σ² after one more observation of a smooth movement."""
         oldest, older, last = self.history.T
         third = _square(target - 3 * last + 3 * older - oldest) / 40
         rate = np.maximum(NOISE_RATE, 1 / np.maximum(self.seen + 2 - SETTLED, 1))
-        noise: Floats = self.noise + rate * (third - self.noise)
-        return noise
+        return self.noise + rate * (third - self.noise)
 
     def unfiltered(self, target: Points) -> TargetTrack:
         """Return the estimate after one more observation that is taken to be exact, at rest."""
@@ -223,14 +220,12 @@ class TargetTrack(NamedTuple):
         if not some(self.is_moving):
             return self.mean
         ahead = self.place + self.velocity * steps + self.curve * steps * steps
-        place: Points = np.where(self.is_moving, ahead, self.mean)
-        return place
+        return np.where(self.is_moving, ahead, self.mean)
 
 
 def _square(points: Points) -> Floats:
     """Return |z|²."""
-    square: Floats = points.real**2 + points.imag**2
-    return square
+    return points.real**2 + points.imag**2
 
 
 class Delay(NamedTuple):
@@ -279,8 +274,7 @@ class Delay(NamedTuple):
         if not some(self.late):
             return self.commands[:, -1]
         steps = self.late.astype(np.intp)
-        command: Floats = self.commands[np.arange(len(steps)), LONGEST_DELAY - steps]
-        return command
+        return self.commands[np.arange(len(steps)), LONGEST_DELAY - steps]
 
     def run_forward(self, interface: ReachInterface, joint_angles: Floats) -> Floats:
         """Predict where joints are now from the angles at which they were last seen."""
@@ -292,5 +286,4 @@ class Delay(NamedTuple):
 
 def _onset(posture: PostureTrack) -> Floats:
     """Return the least speed that is not noise, (n,)."""
-    onset: Floats = ONSET + ONSET_PER_NOISE * posture.deviation[:, 0]
-    return onset
+    return ONSET + ONSET_PER_NOISE * posture.deviation[:, 0]
