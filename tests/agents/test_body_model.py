@@ -142,9 +142,8 @@ def test_a_lock_is_found_and_a_false_one_freed():
 
 def test_a_joint_that_is_given_as_lockable_is_found_sooner():
     held, asked = [np.array([[0.1, 0.0, 0.0]])] * 20, (0.05, 0.05, 0.05)
-    given, identified = (list(locks_after(held, asked, lockable)) for lockable in ((1,), ()))
-    locked = [False, True, False]
-    assert given.index(locked) < identified.index(locked)
+    given, identified = (np.array(list(locks_after(held, asked, one))) for one in ((1,), ()))
+    assert 20 > given[:, 1].sum() > identified[:, 1].sum() > 0
 
 
 HELD = np.array([[0.05, 0.0, -0.25]])
@@ -336,9 +335,8 @@ def test_nothing_is_lost_by_having_to_identify_the_body(perturbations):
     assert success(episodes(mmc_body, perturbations=perturbations)) >= success(known) - 0.02
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("vigour", [0.0, 1.0])
-@pytest.mark.parametrize("build", [mmc_body, ik_body])
+@pytest.mark.parametrize("vigour", [1.0, pytest.param(0.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("build", [ik_body, pytest.param(mmc_body, marks=pytest.mark.slow)])
 def test_a_moving_target_is_followed(build, vigour):
     pursued = episodes(build, 20, Parts(vigour=vigour), id="MMCReachPursuit-v0")
     distances = [episode.distances[75:] for episode in pursued]

@@ -248,25 +248,30 @@ class BodyAgent(InternalModelAgent[BodyState]):
         self, state: BodyState, problem: ReachProblem, plan: Plan, left: Floats
     ) -> tuple[Floats, Drive]:
         """Return how far joints should turn in this control step, and the drive."""
-        interface, drive, vigour = self.interface, state.drive, self.parts.vigour
-        now, is_moving = problem.joint_angles, state.target.is_moving
+        interface, drive, met = self.interface, state.drive, state.contacts.met
         moves: Floats | float = 0.0
-        if some(is_moving):
-            follows = is_moving & ~plan.is_new & (plan.ahead == 0)
+        if some(state.target.is_moving):
+            follows = state.target.is_moving & ~plan.is_new & (plan.ahead == 0)
             moves = np.where(follows[:, None], interface.turn(state.plan.goal, plan.goal), 0.0)
         turn = drive.turn(left, moves, interface)
-        if vigour < 1:
-            way = np.abs(hand(plan.next, problem.lengths) - hand(now, problem.lengths))
-            begins = plan.begins & ~is_moving  # a moving target is followed, not reached
-            drive = drive.timed(begins, way, left, interface, vigour)
-            share = drive.share_of_turn(now, left, problem.lengths)
-            human = in_proportion(turn, left * share[:, None])
-            follows = is_moving & (drive.elapsed >= drive.duration)
-            turn = np.where(follows[:, None], turn, human)
-        elif some(state.contacts.met):  # arms that know obstacles keep to the way they planned
-            straight = drive.straight(plan.begin, now, plan.next, interface)
-            turn = np.where((state.contacts.met > 0)[:, None], straight, turn)
+        if self.parts.vigour < 1:
+            return self._human_turn(turn, state, problem, plan, left)
+        if some(met):  # arms that know obstacles keep to the way they planned
+            straight = drive.straight(plan.begin, problem.joint_angles, plan.next, interface)
+            turn = np.where((met > 0)[:, None], straight, turn)
         return turn, drive
+
+    def _human_turn(
+        self, turn: Floats, state: BodyState, problem: ReachProblem, plan: Plan, left: Floats
+    ) -> tuple[Floats, Drive]:
+        """Return as much of a turn as a slower movement makes in this step, and the drive."""
+        now, lengths, is_moving = problem.joint_angles, problem.lengths, state.target.is_moving
+        way = np.abs(hand(plan.next, lengths) - hand(now, lengths))
+        begins = plan.begins & ~is_moving  # a moving target is followed, not reached
+        drive = state.drive.timed(begins, way, left, self.interface, self.parts.vigour)
+        human = in_proportion(turn, left * drive.share_of_turn(now, left, lengths)[:, None])
+        follows = is_moving & (drive.elapsed >= drive.duration)
+        return np.where(follows[:, None], turn, human), drive
 
 
 def _points(vectors: Floats) -> Points:

@@ -269,11 +269,8 @@ class Ways:
             begin=np.where(begins[:, None], problem.joint_angles, plan.begin),
             ahead=np.where(begins, 0, plan.ahead),
         )
-        chosen = np.flatnonzero(begins & (contacts.met > 0))
-        if not chosen.size:
-            return plan
         plan = plan._replace(goal=plan.goal.copy(), vias=plan.vias.copy())
-        for arm in chosen:
+        for arm in np.flatnonzero(begins & (contacts.met > 0)):
             discs = contacts.discs[arm]
             way = self._way_round(problem.of(np.array([arm])), discs[discs != NOWHERE])
             if way is not None:
