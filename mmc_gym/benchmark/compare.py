@@ -119,7 +119,6 @@ def compare(
     recorded: dict[str, tuple[Episode, ...]] = {}
     for agent, one in zip(found, played):
         recorded[agent.label] = recorded.get(agent.label, ()) + one
-    summary = summarize(leave_out_failures(table), tuple(MEASURES.values()), seed)
     comparison = Comparison(
         env=name_of(env),
         seed=seed,
@@ -127,7 +126,7 @@ def compare(
         recorded=recorded,
         training_steps=steps,
         episodes=table,
-        summary=summary,
+        summary=summarize(leave_out_failures(table), tuple(MEASURES.values()), seed),
         env_kwargs=given,
         controls={
             agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
@@ -204,6 +203,9 @@ class Comparison:
         reference = f"{REFERENCE}: a hand without an arm, through the same measures. "
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         where = f"{self.env} with {arguments}" if arguments else self.env
+        several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
+        over = "replicate over trainings (so many) and episodes. "
+        trained = f"The intervals of {', '.join(several)} {over}" if several else ""
         return (
             f"{where}, {self._episodes} episodes, the same starts and targets for all agents. "
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
@@ -212,21 +214,9 @@ class Comparison:
             f"{self._episodes} have a value (none where the hand started there). "
             f"{reference if REFERENCE in self.recorded else ''}"
             f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
-            f"{self._replication}"
-        )
-
-    @property
-    def _replication(self) -> str:
-        several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
-        over_one = (
-            "replicate over episodes (starts and targets), NOT over training seeds: each agent is "
-            "the result of one training, or of none."
-        )
-        if not several:
-            return f"The intervals {over_one}"
-        return (
-            f"The intervals of {', '.join(several)} replicate over trainings (so many) and "
-            f"episodes. The intervals of the others {over_one}"
+            f"{trained}The intervals{' of the others' if several else ''} replicate over episodes "
+            "(starts and targets), NOT over training seeds: each agent is the result of one "
+            "training, or of none."
         )
 
     @property
@@ -305,10 +295,11 @@ class Comparison:
         )
         # An interrupted run leaves the old file or the new one, never half of it.
         written = [
-            write_atomically(out / "episodes.csv", _csv(self.episodes)),
-            write_atomically(out / "summary.csv", _csv(summary)),
-            write_atomically(out / "summary.json", json.dumps(self.settings, indent=2) + "\n"),
+            write_atomically(out / f"{name}.csv", frame.to_csv(index=False, lineterminator="\n"))
+            for name, frame in (("episodes", self.episodes), ("summary", summary))
         ]
+        settings = json.dumps(self.settings, indent=2) + "\n"
+        written.append(write_atomically(out / "summary.json", settings))
         return written + save_figure(self.plot(), out / "paths_and_profiles")
 
     def __repr__(self) -> str:
@@ -338,10 +329,6 @@ class Comparison:
             columns[agent].append("unknown" if steps is None else f"{steps:,}")
         headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
         return pd.DataFrame(columns, index=[*headings, "training\n[env steps]"])
-
-
-def _csv(frame: pd.DataFrame) -> str:
-    return frame.to_csv(index=False, lineterminator="\n")
 
 
 def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) -> pd.DataFrame:

@@ -31,14 +31,8 @@ from mmc_gym._console import interval, number, print_columns, text_for
 from mmc_gym._errors import UserError
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate, draw
-from mmc_gym.benchmark.store import (
-    CellKey,
-    Manifest,
-    read_episodes,
-    read_manifest,
-    reasons,
-)
+from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap, Estimate
+from mmc_gym.benchmark.store import CellKey, Manifest, read_episodes, read_manifest, reasons
 
 BASELINE_AGENT = "mmc"
 _DIGITS = 12  # so that the order of summation makes no difference
@@ -76,8 +70,7 @@ def rank_agents(
     )
     exact = _mean_over_environments(scores, "success", "mean").round(_DIGITS)
     times = _mean_over_environments(scores, "time_to_target", "median").round(_DIGITS)
-    present = set(scores["environment"])
-    lost = Counter(key.agent for key in missing if key.environment in present)
+    lost = Counter(one.agent for one in missing if one.environment in set(scores["environment"]))
     rows = []
     for agent in success.scores.values:
         found = success.estimate(agent, "mean")
@@ -85,8 +78,7 @@ def rank_agents(
         if baseline in success.scores.values:
             two = [name for name in settled.scores.values if name in (agent, baseline)]
             pair = replace(settled.scores, values={one: settled.scores.values[one] for one in two})
-            bootstrap = Bootstrap(pair, draw(pair, resamples, seed))
-            improvement = bootstrap.improvement(agent, baseline)
+            improvement = Bootstrap(pair, resamples, seed).improvement(agent, baseline)
         row = {
             "agent": agent,
             **_columns("success", replace(found, estimate=float(exact[agent]))),
@@ -197,7 +189,7 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     columns = {heading: [row[heading] for row in rows] for heading in rows[0]}
     labels = {heading: columns.pop(heading) for heading in ("#", "agent")}
     print_columns(console, labels, columns, _note(manifest, ranking))
-    for line in _reasons(manifest):
+    for line in reasons(manifest.not_played):
         console.print(text_for(console, line))
     return ranking
 
@@ -242,14 +234,3 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         f"{sum(manifest.cpu_seconds.values()):.0f} s of one processor's time; "
         f"{manifest.reused} were in the store already and not played again.{mixed}"
     )
-
-
-def _reasons(manifest: Manifest) -> list[str]:
-    """Return how many cells of each agent were skipped or failed, and why."""
-    counts = Counter((one.status, one.agent, one.reason) for one in manifest.not_played)
-    return [
-        f"{status}, {count} cell{'s' * (count != 1)}: {agent}: {reason}"
-        for shown in ("skipped", "failed")
-        for (status, agent, reason), count in counts.items()
-        if status == shown
-    ]

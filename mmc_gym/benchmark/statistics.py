@@ -14,10 +14,9 @@ Episodes of one policy are never drawn as if each came from its own training.
                   cancels in their differences.
     stratified    Each environment counts equally, whatever its number of instances.
     shared        The u_i are the same for all environments with the same number of instances.  The
-                  benchmark draws the i-th start and target from the same seed everywhere, so an
-                  instance that is hard without perturbation is hard under all perturbations.  With
-                  separate draws that would seem to average out, and 95 % intervals would cover
-                  only 50 to 70 %.  Environments without common instances lose nothing.
+                  benchmark draws the i-th start and target from the same seed everywhere, so what
+                  is hard without perturbation is hard under all.  With separate draws that would
+                  seem to average out, and 95 % intervals would cover only 50 to 70 %.
     seeds         A seed is one policy: it is drawn in all environments or in none.
     no training   An untrained agent has one policy, so only instances are drawn.  A single trained
                   policy is treated alike: its interval does not cover other trainings.
@@ -35,7 +34,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -46,13 +45,10 @@ from mmc_gym.measures.catalogue import Measure, Statistic
 from mmc_gym.measures.episode import Floats
 
 CONFIDENCE = 0.95
-TAILS = ((1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2)
-"""Quantiles at the ends of a percentile interval."""
+TAILS = ((1 - CONFIDENCE) / 2, 1 - (1 - CONFIDENCE) / 2)  # the ends of an interval
+RESAMPLES = 2_000  # by default
 
-RESAMPLES = 2_000
-"""Default number of resamples."""
-
-COLUMNS = ("agent", "training_seed", "environment", "instance")
+COLUMNS = ["agent", "training_seed", "environment", "instance"]
 _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
 _BATCH = 250  # resamples at once: bounds the memory
 
@@ -77,8 +73,6 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
     Example:
         >>> weighted_iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]), np.ones((1, 8)))
         array([3.5])
-        >>> weighted_iqm(np.array([1.0, 2.0, 9.0]), np.ones((1, 3)))  # (¼ · 1 + 2 + ¼ · 9) / 1½
-        array([3.])
     """
     if values.size == 0:
         return np.full(len(weights), np.nan)
@@ -118,7 +112,7 @@ class Scores:
     """Scores of agents in E environments; NaN where an episode has none.
 
     Attributes:
-        instances: number of instances in each environment, E.
+        instances: number of instances in each environment.
         values: by agent, E arrays (policies, instances), the instances in the order of their names.
         seeds: by agent, its number of training seeds; 0 for one policy without training.
     """
@@ -126,13 +120,6 @@ class Scores:
     instances: tuple[int, ...]
     values: Mapping[str, tuple[Floats, ...]]
     seeds: Mapping[str, int]
-
-
-class Draws(NamedTuple):
-    """Counts of draws in R resamples; row 0 counts each once, and so gives the data themselves."""
-
-    policies: Mapping[str, Floats]  # by agent, (R + 1, policies)
-    instances: tuple[Floats, ...]  # by environment, (R + 1, instances)
 
 
 def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
@@ -149,9 +136,9 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
     missing = [column for column in (*COLUMNS, value) if column not in frame.columns]
     if missing or frame.empty:
         raise ValueError(f"frame must have rows with {[*COLUMNS, value]}, it lacks {missing}")
-    is_twice = frame.duplicated(list(COLUMNS)).to_numpy()
+    is_twice = frame.duplicated(COLUMNS).to_numpy()
     if is_twice.any():
-        first = frame.loc[is_twice, list(COLUMNS)].iloc[0].to_dict()
+        first = frame.loc[is_twice, COLUMNS].iloc[0].to_dict()
         raise ValueError(f"frame must have each episode once, got {first} repeatedly")
     environment = pd.factorize(frame["environment"])[0]
     seed = pd.factorize(frame["training_seed"])[0]  # -1 without training
@@ -175,26 +162,9 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
     return Scores(sizes, values, count)
 
 
-def draw(scores: Scores, resamples: int, seed: int) -> Draws:
-    """Draw policies and instances.
-
-    Environments with the same number of instances share their draw, which depends on nothing but
-    the seed and that number.
-    """
-    of_instances = {
-        count: _counts((seed, _INSTANCES, count), count, resamples)
-        for count in set(scores.instances)
-    }
-    of_policies = {
-        agent: _counts((seed, _POLICIES, number), len(values[0]), resamples)
-        for number, (agent, values) in enumerate(scores.values.items())
-    }
-    return Draws(of_policies, tuple(of_instances[count] for count in scores.instances))
-
-
 @lru_cache(maxsize=32)
 def _counts(seed: tuple[int, ...], count: int, resamples: int) -> Floats:
-    """Draw `count` times out of `count`, and return how often each was drawn, (R + 1, count)."""
+    """Return how often each of `count` is drawn in R resamples, after a row of ones."""
     drawn = np.random.default_rng(seed).integers(count, size=(resamples, count))
     cells: NDArray[np.intp] = drawn + np.arange(resamples)[:, None] * count
     times = np.bincount(cells.ravel(), minlength=resamples * count).reshape(resamples, count)
@@ -208,9 +178,6 @@ class Estimate:
     """A statistic over training seeds and instances, with its 95 % interval.
 
     Attributes:
-        estimate: value for the data themselves.
-        low: lower end of the interval.
-        high: upper end.
         seeds: number of training seeds of the agent, or of each of two; 0 without training.
         instances: number of instances in all environments, the same for all agents.
         environments: number of environments.
@@ -226,18 +193,33 @@ class Estimate:
     missing: int = 0
 
 
-@dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """Scores of agents and one set of draws, so that all estimates use the same resamples."""
+    """Scores of agents and R resamples of them, the same for all estimates.
 
-    scores: Scores
-    draws: Draws
+    Attributes:
+        scores: the scores.
+        policies: by agent, how often each policy is drawn, (R + 1, policies).  Row 0 counts each
+            once, and so gives the data themselves.
+        instances: by environment, how often each instance is drawn, (R + 1, instances).
+            Environments with the same number of instances share their draw, which depends on
+            nothing but the seed and that number.
+    """
+
+    def __init__(self, scores: Scores, resamples: int = RESAMPLES, seed: int = 0) -> None:
+        self.scores = scores
+        self.policies = {
+            agent: _counts((seed, _POLICIES, number), len(values[0]), resamples)
+            for number, (agent, values) in enumerate(scores.values.items())
+        }
+        self.instances = tuple(
+            _counts((seed, _INSTANCES, count), count, resamples) for count in scores.instances
+        )
 
     @classmethod
     def of(
         cls, frame: pd.DataFrame, value: str = "value", resamples: int = RESAMPLES, seed: int = 0
     ) -> Bootstrap:
-        """Arrange a tidy frame and draw; arguments and errors are those of `arrange` and `draw`.
+        """Resample a tidy frame; its arguments and errors are those of `arrange`.
 
         Example:
             >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
@@ -246,18 +228,14 @@ class Bootstrap:
             >>> found.estimate, found.seeds, found.instances
             (1.5, (0,), 4)
         """
-        scores = arrange(frame, value)
-        return cls(scores, draw(scores, resamples, seed))
+        return cls(arrange(frame, value), resamples, seed)
 
     def estimate(self, agent: str, statistic: PooledStatistic = "iqm") -> Estimate:
         """Estimate a statistic of an agent over its training seeds and all instances."""
         return self.summarize(self.distribution(agent, statistic), agent)
 
     def difference(self, agent: str, other: str, statistic: PooledStatistic = "mean") -> Estimate:
-        """Estimate the statistic of one agent less that of another, on the same instances.
-
-        Both are resampled with the same instances, and each with its own training seeds.
-        """
+        """Estimate the statistic of one agent less that of another, on the same instances."""
         one, less = (self.distribution(name, statistic) for name in (agent, other))
         return self.summarize(one - less, agent, other)
 
@@ -268,14 +246,13 @@ class Bootstrap:
         at the same instance.  Pairs in which a score is NaN are left out.  ½ for an agent and its
         copy.
         """
-        pairs = zip(self.scores.values[agent], self.scores.values[other], self.draws.instances)
-        policies = self.draws.policies
+        pairs = zip(self.scores.values[agent], self.scores.values[other], self.instances)
         chances = []
         for one, two, instances in pairs:
             mine, theirs = one[:, None], two[None]  # (policies, policies, instances) together
             compared = ~np.isnan(mine) & ~np.isnan(theirs)
             wins = np.where(mine == theirs, 0.5, mine > theirs) * compared
-            weights = policies[agent][:, :, None] * policies[other][:, None]
+            weights = self.policies[agent][:, :, None] * self.policies[other][:, None]
             sums = [
                 (np.tensordot(instances, table.astype(np.float64), (1, 2)) * weights).sum((1, 2))
                 for table in (wins, compared)
@@ -286,12 +263,12 @@ class Bootstrap:
 
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
-        tables, policies = self.scores.values[agent], self.draws.policies[agent]
+        tables, policies = self.scores.values[agent], self.policies[agent]
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
         # Environments with the same number of instances share their draw, and so their weights.
-        shared = {draws.shape[1]: draws / draws.shape[1] for draws in self.draws.instances}
+        shared = {draws.shape[1]: draws / draws.shape[1] for draws in self.instances}
         sizes = len(policies.T) * np.array(list(shared))
         first = dict(zip(shared, np.cumsum(sizes) - sizes))
         drawn = np.concatenate([first[t.shape[1]] + np.arange(t.size) for t in tables])[is_known]
@@ -309,11 +286,9 @@ class Bootstrap:
 
     def summarize(self, distribution: Floats, *agents: str) -> Estimate:
         """Return the `Estimate` of a distribution, of one agent or of the difference of two."""
-        low, high = percentile_interval(distribution[1:])
         return Estimate(
-            estimate=float(distribution[0]),
-            low=low,
-            high=high,
+            float(distribution[0]),
+            *percentile_interval(distribution[1:]),
             seeds=tuple(self.scores.seeds[agent] for agent in agents),
             instances=sum(self.scores.instances),
             environments=len(self.scores.instances),
@@ -327,14 +302,9 @@ class Bootstrap:
 
 @dataclass(frozen=True)
 class Interval:
-    """A statistic of a sample with its confidence interval.
+    """A statistic of `count` values with its 95 % interval; `missing` NaNs are left out.
 
-    Attributes:
-        estimate: NaN for an empty sample.
-        low: lower end; NaN for fewer than two values.
-        high: upper end; NaN for fewer than two values.
-        count: number of values.
-        missing: number of NaNs, which are left out.
+    The estimate is NaN without values, and the ends of the interval for fewer than two.
     """
 
     estimate: float
@@ -349,14 +319,12 @@ def bootstrap_interval(
 ) -> Interval:
     """Return the mean or median of `values` with its 95 % percentile bootstrap interval.
 
-    Percentile, not BCa: the jackknife in BCa fails for the median.  Where all values are equal,
-    all resamples are, and the interval has no width.  It does not cover rare events that did not
-    occur: after n successes in n episodes a failure rate of up to 3/n is still plausible.
+    Percentile, not BCa: the jackknife in BCa fails for the median.  It does not cover rare events
+    that did not occur: after n successes in n episodes a failure rate of 3/n is still plausible.
 
     Args:
         values: one per episode, (episodes,); or several trainings on the same episodes,
-            (trainings, episodes), and then both are resampled, see the top of this module.  NaNs
-            are left out and counted.
+            (trainings, episodes), and then both are resampled.  NaNs are left out and counted.
         statistic: "mean" or "median".
         seed: seed of the resampling.
         resamples: number of resamples.
@@ -374,13 +342,12 @@ def bootstrap_interval(
     table = np.asarray(values, dtype=np.float64)
     is_sample = table.ndim == 1
     present, missing = _present(table)
-    if not present.size or (is_sample and present.size == 1):
-        estimate = present.item() if present.size else math.nan
-        return Interval(estimate, math.nan, math.nan, present.size, missing)
+    if present.size < (2 if is_sample else 1):
+        return _no_interval(present, missing)
     if is_sample:
         table = present[None]
     scores = Scores((table.shape[1],), {"": (table,)}, {"": len(table)})
-    found = Bootstrap(scores, draw(scores, resamples, seed)).distribution("", statistic)
+    found = Bootstrap(scores, resamples, seed).distribution("", statistic)
     middle = np.mean(present) if is_sample and statistic == "mean" else found[0]
     ends = (float(middle), *percentile_interval(found[1:]))
     # Rounding may put a mean outside the range of the values.
@@ -391,10 +358,9 @@ def bootstrap_interval(
 def success_interval(successes: ArrayLike, episodes: int) -> Interval:
     """Return the mean success of several trainings, with its 95 % interval over seeds and episodes.
 
-    A resample draws training seeds, and for each of them a binomial number of successes in the
-    given number of `episodes`.  Drawing seeds alone would give ten trainings that all succeed in
-    499 of 500 episodes an interval without width, though other episodes may show more failures.  A
-    single training has no interval, because nothing is known of other trainings.
+    A resample draws training seeds, and for each of them a binomial number of successes in so many
+    `episodes`.  Drawing seeds alone would give ten trainings with 499 successes in 500 episodes an
+    interval without width.  A single training has none: nothing is known of other trainings.
 
     Args:
         successes: fraction of the episodes of each training that succeeded, (seeds,); NaNs are
@@ -407,10 +373,8 @@ def success_interval(successes: ArrayLike, episodes: int) -> Interval:
         (0.998, True, 1.0)
     """
     present, missing = _present(successes)
-    count = len(present)
-    if count < 2:
-        estimate = present.item() if count else math.nan
-        return Interval(estimate, math.nan, math.nan, count, missing)
+    if (count := present.size) < 2:
+        return _no_interval(present, missing)
     seeds = _counts((0, _POLICIES, 0), count, RESAMPLES)[1:].astype(np.int64)
     succeeded = np.random.default_rng((0, _EPISODES)).binomial(seeds * episodes, present)
     low, high = percentile_interval(succeeded.sum(axis=-1) / (count * episodes))
@@ -424,8 +388,13 @@ def _present(values: ArrayLike) -> tuple[Floats, int]:
     return sample[~missing], int(missing.sum())
 
 
+def _no_interval(present: Floats, missing: int) -> Interval:
+    estimate = present.item() if present.size else math.nan
+    return Interval(estimate, math.nan, math.nan, present.size, missing)
+
+
 def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
-    """Return the interval of each measure for each agent.
+    """Return a row per agent and measure: agent, measure, unit, statistic, and an `Interval`.
 
     Args:
         episodes: one row per agent and episode, with a column "agent" and one per measure.  Agents
@@ -433,9 +402,6 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
             each training.
         measures: columns to summarize.
         seed: seed of the resampling.
-
-    Returns:
-        A row per agent and measure: agent, measure, unit, statistic, and the fields of `Interval`.
     """
     rows = []
     for agent, group in episodes.groupby("agent", sort=False):
@@ -452,7 +418,5 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
 def percentile_interval(resampled: Floats) -> tuple[float, float]:
     """Return the ends of the 95 % percentile interval; resamples with NaN are left out."""
     present, _ = _present(resampled)
-    if not present.size:
-        return math.nan, math.nan
-    low, high = np.quantile(present, TAILS).tolist()
+    low, high = np.quantile(present, TAILS).tolist() if present.size else (math.nan, math.nan)
     return low, high

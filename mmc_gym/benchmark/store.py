@@ -95,16 +95,11 @@ def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
 def episodes_file(
     key: CellKey, episodes: Sequence[Episode], settings: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> bytes:
-    """Return the content of a cell's file of episodes.
+    """Return the content of a cell's file of episodes, one for each instance, in order.
 
     Columns agent, training_seed (missing without training), environment, instance (0, 1, …), and
-    those of `episode_columns`.
-
-    Args:
-        key: name of the cell.
-        episodes: of its instances, in order.
-        settings: everything that it was made with, ready for JSON; `cell_facts` compares them.
-        facts: other facts about the cell, ready for JSON.
+    those of `episode_columns`.  The `settings`, everything that the cell was made with, and other
+    `facts` about it are ready for JSON; `cell_facts` compares the settings.
     """
     columns = {
         **_key_columns(key, len(episodes)),
@@ -173,16 +168,13 @@ def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
 class Kept(NamedTuple):
     """Settings and facts of a cell, see `episodes_file`."""
 
-    settings: Mapping[str, Any]
-    facts: Mapping[str, Any]
+    settings: Mapping[str, Any] = {}
+    facts: Mapping[str, Any] = {}
 
 
-_NOTHING = Kept({}, {})
-
-
-def _parquet(columns: Mapping[str, Any], kept: Kept = _NOTHING) -> bytes:
+def _parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
     table = pa.table(dict(columns))
-    content = json.dumps(kept._asdict())
+    content = json.dumps((kept or Kept())._asdict())
     metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
     table = table.replace_schema_metadata(metadata)
     buffer = io.BytesIO()
@@ -217,12 +209,9 @@ def _kept(schema: pa.Schema) -> Kept:
 
 
 def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
-    """Write the files of a cell, and remove its former files of other kinds.
+    """Write `files` of a cell by kind, and remove its former files of other kinds; none removes it.
 
-    Args:
-        folder: of the store.
-        key: name of the cell.
-        files: contents by kind, `EPISODES`, `PATHS` and `SETS`; none removes the cell.
+    The kinds are `EPISODES`, `PATHS` and `SETS`.
     """
     for kind in (PATHS, SETS, EPISODES):  # episodes last: they say that the cell is complete
         path = folder / kind / key.file_name
@@ -256,7 +245,7 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
 
 
 def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Return all episodes of a store; `episodes_file` names the columns.
+    """Return all episodes of the store in a folder; `episodes_file` names the columns.
 
     Args:
         folder: of the store.
@@ -382,12 +371,12 @@ class Manifest(_Frozen):
 
 def reasons(not_played: Iterable[NotPlayed]) -> list[str]:
     """Return a line for each agent and reason, with the environments it did not play."""
-    groups: dict[tuple[str, str], dict[str, None]] = {}
+    groups: dict[tuple[str, str, str], dict[str, None]] = {}
     for cell in not_played:
-        groups.setdefault((cell.agent, cell.reason), {})[cell.environment] = None
+        groups.setdefault((cell.status, cell.agent, cell.reason), {})[cell.environment] = None
     return [
-        f"{agent} in {', '.join(environments)}: {reason}"
-        for (agent, reason), environments in groups.items()
+        f"{status}: {agent} in {', '.join(environments)}: {reason}"
+        for (status, agent, reason), environments in groups.items()
     ]
 
 

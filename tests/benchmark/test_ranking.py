@@ -10,13 +10,9 @@ import pytest
 from rich.console import Console
 
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.ranking import (
-    print_ranking,
-    rank_agents,
-    success_by_environment,
-)
+from mmc_gym.benchmark.ranking import print_ranking, rank_agents, success_by_environment
 from mmc_gym.benchmark.runner import benchmark
-from mmc_gym.benchmark.store import CellKey
+from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
 
 
 def played(agent, environment, times, training_seed=None):
@@ -120,9 +116,14 @@ def test_success_by_environment_is_a_mean_over_training_seeds():
 
 def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):
     console = Console(file=io.StringIO(), width=80)
-    benchmark(["mmc", "ik-closed-form"], tmp_path, ["random"], episodes=2, jobs=1)
+    manifest = benchmark(["mmc", "ik-closed-form"], tmp_path, ["random"], episodes=2, jobs=1)
+    lost = NotPlayed(
+        agent="mmc", training_seed=None, environment="pursuit", status="failed", reason="died"
+    )
+    update_manifest(tmp_path, lambda _: manifest.model_copy(update={"not_played": [lost]}))
     print_ranking(console, tmp_path)
     lines = console.file.getvalue().splitlines()
     assert max(map(len, lines)) <= 80
     (row,) = [line for line in lines if " ik-closed-form " in line]
     assert lines[lines.index(row) + 1].count("]") == 3
+    assert "failed: mmc in pursuit: died" in lines[-1]

@@ -13,24 +13,15 @@ from mmc_gym.network.time_base import minimum_jerk
 
 
 def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_episode):
-    wrong = np.zeros((101, 2))  # an agent that never moves
-    (ideal,) = minimum_jerk_episodes([make_episode(wrong, [1.2, 1.6])])
+    (ideal,) = minimum_jerk_episodes([make_episode(np.zeros((101, 2)), [1.2, 1.6])])
     steps = (0.2 + 2.0 / 4) / 0.02
     expected = minimum_jerk(np.arange(101) / steps)[:, None] * [1.2, 1.6]
     assert ideal.hands == pytest.approx(expected, abs=1e-9)
     assert ideal.distances == pytest.approx(np.linalg.norm(expected - [1.2, 1.6], axis=-1))
-
-
-def test_its_measures_are_those_of_minimum_jerk(make_episode):
-    (ideal,) = minimum_jerk_episodes([make_episode(np.zeros((101, 2)), [1.2, 1.6])])
     found = measure_all(ideal)
-    assert found["success"] == found["success_1_percent"] == 1
+    assert found["success"] == found["success_1_percent"] == found["velocity_peaks"] == 1
     assert found["path_ratio"] == pytest.approx(1)
-    assert found["velocity_peaks"] == 1
-    assert found["overshoot"] == pytest.approx(0, abs=1e-9)
     assert found["peak_speed"] == pytest.approx(15 / 8 * 2.0 / 0.7, rel=1e-2)
-    assert found["peak_to_mean"] == pytest.approx(1.658, abs=0.03)
-    assert found["time_to_peak"] == pytest.approx(0.5, abs=0.02)
     assert found["minimum_jerk_correlation"] > 0.999
     assert found["minimum_jerk_rmse"] < 0.03
     assert found["log_dimensionless_jerk"] == pytest.approx(-4.41, abs=0.25)

@@ -13,7 +13,6 @@ from mmc_gym.benchmark.statistics import (
     Bootstrap,
     arrange,
     bootstrap_interval,
-    draw,
     success_interval,
     summarize,
     weighted_iqm,
@@ -130,14 +129,6 @@ def rows(agent, values, environment="E", seeds=None):
     )
 
 
-def simulated(random, seeds, instances, between_seeds, between_instances, noise=0.5):
-    return (
-        between_seeds * random.normal(size=(seeds, 1))
-        + between_instances * random.normal(size=(1, instances))
-        + noise * random.normal(size=(seeds, instances))
-    )
-
-
 def estimate(*frames, statistic="mean", **arguments):
     """The estimate of agent "a"."""
     return Bootstrap.of(pd.concat(frames), **arguments).estimate("a", statistic)
@@ -152,7 +143,8 @@ def width(found):
 
 
 def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
-    values = simulated(np.random.default_rng(2), 40, 100, 1.0, 2.0, noise=0.0)
+    random = np.random.default_rng(2)
+    values = random.normal(size=(40, 1)) + 2.0 * random.normal(size=(1, 100))
     variance = values.mean(1).var() / 40 + values.mean(0).var() / 100
     assert width(estimate(rows("a", values))) == pytest.approx(
         2 * 1.96 * math.sqrt(variance), rel=0.08
@@ -174,7 +166,7 @@ def test_environments_share_the_draw_of_as_many_instances_and_count_equally():
     e, f, g = rows("a", values, "E"), rows("a", values[:, :8], "F"), rows("a", values, "G")[::-1]
     scores = arrange(pd.concat([e, f, g]))
     assert np.array_equal(scores.values["a"][0], scores.values["a"][2])
-    first, other, shared = draw(scores, 20, 3).instances
+    first, other, shared = Bootstrap(scores, 20, 3).instances
     assert np.array_equal(first, shared)
     assert other.shape == (21, 8)
     small, large = rows("a", np.zeros((2, 10)), "small"), rows("a", np.ones((2, 1000)), "large")
@@ -190,7 +182,7 @@ def test_an_agent_without_training_is_resampled_over_instances_alone():
     iqm = estimate(untrained, statistic="iqm").estimate
     assert iqm == pytest.approx(trim_mean(values.ravel(), 0.25))
     assert width(found) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
-    assert (draw(arrange(untrained), 50, 0).policies["a"] == 1).all()
+    assert (Bootstrap.of(untrained, resamples=50).policies["a"] == 1).all()
 
 
 def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
@@ -210,7 +202,7 @@ def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
 
 @pytest.mark.parametrize("seeds", [1, 2, 10])
 def test_a_copy_of_an_agent_is_better_in_exactly_half_of_all_cases(seeds):
-    values = simulated(np.random.default_rng(5), seeds, 60, 0.5, 1.0).round(1)
+    values = np.random.default_rng(5).normal(size=(seeds, 60)).round(1)
     found = both(values, values).improvement("a", "b")
     assert found.estimate == 0.5
     assert found.low <= 0.5 <= found.high
@@ -240,10 +232,10 @@ def test_the_draw_depends_on_the_seed_and_not_on_the_other_agents():
     values = np.random.default_rng(9).normal(size=(3, 20))
     first, same, other = (estimate(rows("a", values), seed=seed) for seed in (1, 1, 2))
     assert first == same != other
-    among = draw(arrange(pd.concat([rows("b", values), rows("a", values)])), 20, 3)
-    alone = draw(arrange(rows("a", values)), 20, 3)
-    assert np.array_equal(alone.instances[0], among.instances[0])
-    assert (alone.instances[0].sum(axis=1) == 20).all() and (alone.instances[0][0] == 1).all()
+    (among,) = both(values, values, resamples=20, seed=3).instances
+    (alone,) = Bootstrap.of(rows("a", values), resamples=20, seed=3).instances
+    assert np.array_equal(alone, among)
+    assert (alone.sum(axis=1) == 20).all() and (alone[0] == 1).all()
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_names_that_are_taken_and_unknown_facts_are_refused(name, decorator, mes
 
 def test_a_store_knows_measures_whose_functions_are_not_here():
     register_half_way_time()
-    set_measure(label="episodes", environment="random")(len_of_set)
+    set_measure(label="episodes", environment="random")(lambda episodes: float(len(episodes)))
     own, of_sets = own_measures()
     facts = json.loads(json.dumps({one.name: one.facts for one in own_measures()}))
     del MEASURES[own.name], SET_MEASURES[of_sets.name]
@@ -87,10 +87,6 @@ def test_a_store_knows_measures_whose_functions_are_not_here():
     assert set_measures_of({of_sets.name: facts[of_sets.name]})[of_sets.name] == of_sets
     with pytest.raises(RuntimeError, match="its function is not loaded"):
         found[own.name].of(None)
-
-
-def len_of_set(episodes):
-    return float(len(episodes))
 
 
 def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypatch):

@@ -10,7 +10,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from mmc_gym._errors import UserError
 from mmc_gym.cli import main
+from mmc_gym.report import write_report
 from mmc_gym.report.replay import replay
 
 HOSTILE = "<script>alert(1)</script>"
@@ -70,6 +72,11 @@ def test_every_picture_says_what_it_shows_and_every_caption_counts_seeds_and_ins
         assert re.search("[Tt]raining seeds|[Nn]ot trained", caption), caption
 
 
+def test_the_report_states_how_many_resamples_its_intervals_have(text):
+    said = " ".join(text.split())
+    assert "intervals of 200 resamples (ranking) and 200 (all measures)" in said
+
+
 def test_names_of_agents_are_text_not_markup(page, text):
     assert HOSTILE not in text
     assert "&lt;script&gt;alert(1)" in text
@@ -124,6 +131,8 @@ def test_the_command_writes_the_report_and_refuses_a_folder_without_a_store(
         main(["report", "--store", str(tmp_path / "store"), *options])
         assert file.read_text(encoding="utf-8").startswith("<!doctype html>")
         assert str(file) in capsys.readouterr().out
+    with pytest.raises(UserError, match="out must be a file"):
+        write_report(tmp_path / "store", tmp_path)
     with pytest.raises(SystemExit, match="2"):
         main(["report", "--store", str(tmp_path), "--out", str(tmp_path / "report.html")])
     assert "store" in capsys.readouterr().err

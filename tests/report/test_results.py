@@ -28,6 +28,12 @@ def change_manifest(store, **changes):
     (store / "manifest.json").write_text(json.dumps(manifest | changes))
 
 
+def fail(store, agent):
+    key = CellKey(agent, None, "random")
+    failed = NotPlayed(**key._asdict(), status="failed", reason="ValueError: no")
+    change_manifest(store, not_played=[failed.model_dump()])
+
+
 def test_every_agent_of_the_package_is_known():
     assert "yours" not in {identify([name]).knowledge.kind for name in AGENTS}
 
@@ -125,18 +131,14 @@ def test_a_store_without_paths_has_no_replay_and_an_agent_may_lack_in_the_manife
 def test_where_nothing_could_be_played_the_reasons_are_named(small):
     for file in (small / "episodes").iterdir():
         file.unlink()
-    key = CellKey("mmc", None, "random")
-    failed = NotPlayed(**key._asdict(), status="failed", reason="ValueError: no")
-    change_manifest(small, not_played=[failed.model_dump()])
+    fail(small, "mmc")
     with pytest.raises(UserError, match="mmc in random: ValueError: no"):
         read_results(small)
 
 
 def test_an_agent_that_failed_everywhere_stands_beside_the_others(small, tmp_path):
     next((small / "episodes").glob("ik-dls*")).unlink()
-    key = CellKey("ik-dls", None, "random")
-    failed = NotPlayed(**key._asdict(), status="failed", reason="ValueError: no")
-    change_manifest(small, not_played=[failed.model_dump()])
+    fail(small, "ik-dls")
     results = read_results(small, resamples=20)
     ranking = ranking_table(results)
     assert [(row.name, row.cells[1].text) for row in ranking.rows][1] == ("ik-dls", "0.0")
