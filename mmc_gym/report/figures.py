@@ -85,7 +85,6 @@ def movements(results: Results) -> ImageGroup | None:
 
 
 def _movements_of(rows: pd.DataFrame, control_step: float) -> list[PlottedMovement]:
-    """Return the movements of an agent, in the order of the instances."""
     found = []
     for _, steps in rows.sort_values("step").groupby("instance"):
         hands = steps[["hand_x", "hand_y"]].to_numpy(np.float64)
@@ -129,7 +128,6 @@ def learning(results: Results) -> ImageGroup | None:
 
 
 def _data_url(figure: Figure) -> str:
-    """Return a figure as a data URL."""
     buffer = io.BytesIO()
     with rc_context(_STYLE):
         figure.savefig(buffer, format="svg", metadata={"Date": None})

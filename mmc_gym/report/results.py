@@ -105,8 +105,7 @@ class Results:
 
     Attributes:
         manifest: how they were made, and which cells could not be played.
-        episodes: as `read_episodes` returns them, with the measures that tables show, after
-            `leave_out_failures`.
+        episodes: with the measures that tables show, after `leave_out_failures`.
         paths: of the `main_agents`, as `read_paths` returns them.
         environments: by key, in the order of the manifest.
         identities: who each agent is.
@@ -237,11 +236,7 @@ def _span(counts: pd.Series[int]) -> str:
 
 
 def read_results(store: Path, resamples: int = RESAMPLES) -> Results:
-    """Read the store in a folder.
-
-    Args:
-        store: the folder.
-        resamples: of the ranking.
+    """Read the store in a folder, and rank its agents with so many `resamples`.
 
     Raises:
         UserError: if there is no store, it is damaged, or it has no episodes; the message then

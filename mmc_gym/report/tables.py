@@ -15,11 +15,9 @@ from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.measures import MEASURES, Measure, SetMeasure
 from mmc_gym.report.results import Results, count
 
-PRESENT = 0.5
-"""Share of its episodes in which an agent needs a value to be marked as the best."""
+PRESENT = 0.5  # share of its episodes in which the best agent needs a value
 
-SCORE_RESAMPLES = 500
-"""Number of resamples for each of the thousands of intervals in the tables of all measures."""
+SCORE_RESAMPLES = 500  # for each of the thousands of intervals in the tables of all measures
 
 _BETTER = {"high": "more is better", "low": "less is better", "neither": ""}
 _SHADES = 10
@@ -34,12 +32,7 @@ class Heading(NamedTuple):
 
 
 class TableCell(NamedTuple):
-    """A cell of a table: its text, and notes in small print below.
-
-    Attributes:
-        best: whether it is the best in its column, or in its row.
-        look: its CSS class; empty for none.
-    """
+    """A cell: its text, notes in small print, whether it is the best, and its CSS class."""
 
     text: str
     notes: tuple[str, ...] = ()
@@ -108,16 +101,10 @@ def ranking_table(results: Results) -> Table | None:
 
 def _ranked(results: Results, row: Mapping[Hashable, Any], shares: Sequence[str]) -> TableRow:
     share = MEASURES["success"]
-    texts = [
-        TableCell(
-            share.number(row[name]),
-            _notes(share.interval(row[f"{name}_low"], row[f"{name}_high"])),
-        )
-        for name in shares
-    ]
+    intervals = [share.interval(row[f"{name}_low"], row[f"{name}_high"]) for name in shares]
     cells = (
         TableCell(str(row["rank"])),
-        *texts,
+        *(TableCell(share.number(row[name]), _notes(of)) for name, of in zip(shares, intervals)),
         TableCell(MEASURES["time_to_target"].number(row["time_to_target"])),
         TableCell(str(row["training_seeds"] or "–")),
     )

@@ -11,7 +11,6 @@ from mmc_gym.measures.speed import (
     MINIMUM_JERK_SPAN,
     correlation_with_minimum_jerk,
     count_peaks,
-    highest_speed,
     log_dimensionless_jerk,
     minimum_jerk_rmse,
     peakedness,
@@ -78,7 +77,6 @@ def test_peaks_are_rises_that_stand_out(profile, peaks):
 
 def test_minimum_jerk_is_the_reference_of_all_shapes():
     speeds = bell(501)
-    assert highest_speed(speeds) == speeds.max()
     assert peakedness(speeds) == pytest.approx(15 / 8, rel=1e-4)
     assert peakedness(np.full(7, 0.3)) == pytest.approx(1)
     assert math.isnan(correlation_with_minimum_jerk(np.full(7, 0.3)))
