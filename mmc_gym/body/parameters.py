@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, NamedTuple
@@ -11,7 +10,6 @@ from typing import Literal, NamedTuple
 from mmc_gym._errors import (
     is_disc,
     is_point,
-    is_whole,
     require,
     require_not_negative,
     require_numbers,
@@ -130,11 +128,13 @@ class ArmParameters:
             write("force_field", field)
         accepted = "discs (x, y, radius), finite, of positive radius"
         write("obstacles", require_rows("obstacles", self.obstacles, accepted, is_disc))
-        joints = self.lockable_joints
-        fine = isinstance(joints, Iterable) and all(map(is_whole, joints := tuple(joints)))
-        fine = fine and len(set(joints)) == len(joints) and set(joints) <= set(range(count))
-        accepted = f"a tuple of different indices from 0 to {count - 1}"
-        require(fine, "lockable_joints", self.lockable_joints, accepted)
+        accepted, known = f"a tuple of different indices from 0 to {count - 1}", set(range(count))
+        joints = require_numbers(
+            "lockable_joints",
+            self.lockable_joints,
+            accepted,
+            lambda joints: len(set(joints)) == len(joints) and set(joints) <= known,
+        )
         write("lockable_joints", tuple(map(int, joints)))
 
     @property

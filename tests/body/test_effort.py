@@ -7,7 +7,7 @@ import copy
 import numpy as np
 import pytest
 
-from mmc_gym.body import Arm, ArmParameters, PymunkArmBatch, make_arm, make_arms
+from mmc_gym.body import Arm, ArmParameters, make_arm, make_arms
 
 ROD = ArmParameters(segment_lengths=(1.0,), drive_inertia=0.0)  # 1/3 about the joint
 FIELD = ArmParameters(force_field=((0.0, 3.0), (-3.0, 0.0)))
@@ -25,12 +25,7 @@ def play(arm, steps=40):
     return arm.joint_angles
 
 
-free_or_in_a_field = pytest.mark.parametrize(
-    "parameters", [ArmParameters(), FIELD], ids=["free", "field"]
-)
-
-
-@free_or_in_a_field
+@pytest.mark.parametrize("parameters", [ArmParameters(), FIELD], ids=["free", "field"])
 def test_recording_changes_no_movement_and_is_copied(parameters):
     alone, recorded = Arm(parameters), recording(Arm(parameters))
     assert play(recorded) == play(alone)
@@ -38,25 +33,6 @@ def test_recording_changes_no_movement_and_is_copied(parameters):
     assert copied.servo_work == recorded.servo_work
     assert play(copied) == play(copy.deepcopy(alone)) == play(recorded)
     assert copied.servo_work == recorded.servo_work and np.isfinite(copied.servo_work).all()
-
-
-@free_or_in_a_field
-def test_arms_record_what_single_ones_do(parameters):
-    arms, alone = (PymunkArmBatch(parameters, 40, threads=2) for _ in range(2))
-    recording(arms)
-    singles = [recording(Arm(parameters)) for _ in range(40)]
-    random = np.random.default_rng(0)
-    for _ in range(5):
-        values = random.uniform(-3, 3, (40, 3))
-        for some in (arms, alone):
-            some.command(values)
-            some.step()
-        for single, value in zip(singles, values.tolist(), strict=True):
-            single.command(value)
-            single.step()
-        assert arms.servo_impulses.tolist() == [single.servo_impulses for single in singles]
-        assert arms.servo_work.tolist() == [single.servo_work for single in singles]
-        assert arms.joint_angles.tolist() == alone.joint_angles.tolist()
 
 
 def test_a_constant_torque_gives_torque_times_time_and_torque_times_angle():

@@ -52,11 +52,12 @@ def test_impossible_arms_are_refused(arguments, message):
         ArmParameters(**arguments)
 
 
-def test_lengths_are_floats_whatever_they_were_given_as():
+def test_parameters_are_floats_whatever_they_were_given_as():
     parameters = ArmParameters(segment_lengths=np.array([2, 1]), segment_masses=[1, 2])
     assert parameters.segment_lengths == (2.0, 1.0)
     assert parameters.masses == (1.0, 2.0)
     assert ArmParameters().masses == (1.0, 1.0, 1.0)
+    assert ArmParameters(torque_limit=400).torque_limit.hex() == (400.0).hex()
     assert ArmParameters(substep=0.01, substeps=np.int64(3)).control_step == pytest.approx(0.03)
 
 
@@ -78,10 +79,6 @@ def test_a_drive_has_its_share_of_the_inertia_of_what_it_moves():
             stretched += mass * (length**2 / 12 + (start + length / 2) ** 2)
             start += length
         assert driven[joint].inertia - bare[joint].inertia == pytest.approx(0.2 * stretched)
-
-
-def test_whole_numbers_are_taken_for_floats():
-    assert ArmParameters(torque_limit=400).torque_limit.hex() == (400.0).hex()
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ class AnalyticArmBatch(ArmBatch):
     Arms can be pickled and copied at any time; the copy moves as the original does, bit for bit.
 
     Attributes:
-        shown: all public arrays in one, with a record for each arm (`kernel.make_shown`).
+        shown: all public arrays in one, with a record for each arm (`kernel.make_records`).
         joint_cosines: cosines of the joint angles, (count, N).
         joint_sines: their sines, (count, N).
     """
@@ -48,12 +48,10 @@ class AnalyticArmBatch(ArmBatch):
             self.parameters.obstacles,
             'empty for the analytic engine, which knows no collisions (use engine="pymunk")',
         )
-        segments = self._shape[1]
-        self._lanes = kernel.lanes_of(segments)
         self._chain = kernel.make_chain(self.parameters, self._servo)
-        self._state = kernel.make_state(segments, self._count)
-        self._no_work = kernel.no_work(segments)
-        self._show(kernel.make_shown(segments, self._count))
+        self._state, shown, self._no_work = kernel.make_records(self._shape[1], self._count)
+        self._lanes = self._state["angle"].shape[-1]
+        self._show(shown)
 
     def _show(self, shown: NDArray[np.void]) -> None:
         """Make the public arrays views of `shown`."""

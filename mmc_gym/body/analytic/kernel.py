@@ -31,12 +31,10 @@ neighbours, its lane or the machine's vector width.  The compiler turns a loop o
 vector instructions only if the loop contains no other loop, and if the compiler can tell, at the
 latest right before the loop, that nothing written in it is read again.  So blocks of arms are
 records of arrays: their fields do not overlap, and their shapes are part of their type, so that
-loops over few segments are unrolled.  A step of three segments takes two thirds of the time that it
-takes with loops over lanes alone (one of ten a quarter more).  numba compiles anew for each number
-of segments.  The number of lanes is an argument, because constant loops would be unrolled first.
+loops over few segments are unrolled, and numba compiles anew for each number of segments.  The
+number of lanes is an argument, because constant loops would be unrolled first.
 
-Functions that are called from Python are `compiled`, those that they call are `inner`.  numba keeps
-the former between processes until this file changes; therefore all of them are in this file.
+All functions that numba compiles together are in this file, see `mmc_gym._compiling`.
 """
 
 from __future__ import annotations
@@ -61,42 +59,30 @@ def _fields(names: str, *shape: int) -> list[tuple[str, type[np.float64], tuple[
     return [(name, np.float64, shape) for name in names.split()]
 
 
-def lanes_of(segments: int) -> int:
-    """Return the number of arms in a block, such that its records fit the cache."""
-    return 32 if segments <= 4 else 8
+def make_records(segments: int, count: int) -> tuple[Records, Records, Records]:
+    """Return the state of `count` arms, their public values, and the type of working memory.
 
+    The state is one record per block of arms, with arrays (N, lanes): `lag` is the part of the
+    velocity of u_j that closes the pivots; `asked` is the servo's command, `limit` its largest
+    impulse; `held` is the angle of a locked joint, or nan; `yields` is 1 where the servo gave its
+    largest torque.  Public values are one record per arm, with arrays (N,) and the hand (2,).
 
-def make_state(segments: int, count: int) -> Records:
-    """Return one record per block of arms: their state, arrays (N, lanes).
-
-    `lag` is the part of the velocity of u_j that closes the pivots; `asked` is the servo's command,
-    `limit` its largest impulse; `held` is the angle of a locked joint, or nan; `yields` is 1 where
-    the servo gave its largest torque.
+    The working memory of a block is an empty array.  Compiled functions take its type and allocate
+    the record, many times faster than numpy does.
     """
-    lanes = lanes_of(segments)
+    lanes = 32 if segments <= 4 else 8  # the records of a block fit the cache
     names = "angle speed lag_x lag_y asked limit held yields"
-    return np.zeros(-(-count // lanes), _fields(names, segments, lanes))
-
-
-def make_shown(segments: int, count: int) -> Records:
-    """Return one record per arm: its public values, arrays (N,) and the hand (2,)."""
+    state = np.zeros(-(-count // lanes), _fields(names, segments, lanes))
     names = "segment_angles joint_angles joint_velocities joint_cosines joint_sines"
-    return np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
-
-
-def no_work(segments: int) -> Records:
-    """Return an empty array of the record of working memory for a block.
-
-    Compiled functions take its type and allocate the record, many times faster than numpy does.
-    """
-    lanes = lanes_of(segments)
+    shown = np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
     names = (
         "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
-        "needed bound moment_x moment_y right inverse excess joint_sine joint_cosine"
+        "needed bound moment_x moment_y right inverse excess"
     )
-    sums = "push_x push_y push_turn velocity_x velocity_y changed is_done"
-    fields = [*_fields(names, segments, lanes), *_fields(sums, lanes)]
-    return np.empty(0, [*fields, *_fields("matrix factor", segments, segments, lanes)])
+    fields = _fields(names, segments, lanes)
+    fields += _fields("push_x push_y push_turn velocity_x velocity_y changed is_done", lanes)
+    fields += _fields("matrix factor", segments, segments, lanes)
+    return state, shown, np.empty(0, fields)
 
 
 def make_chain(parameters: ArmParameters, servo: Servo) -> Records:
@@ -151,18 +137,21 @@ def _sine_cosine(angle):
     return sine, cosine
 
 
+@inner
+def _between(absolute, i, k):
+    """Return an angle or speed of a joint from those of the segments."""
+    return absolute[i, k] - (absolute[i - 1, k] if i > 0 else 0.0)
+
+
 @compiled
 def place(state, shown, chain, no_work, chosen, postures, speeds):
     """Place the chosen arms; their servos hold the posture, stop the joints or are slack."""
     c, works = chain[0], np.zeros(1, no_work.dtype)
     segments, lanes = c.length.shape[0], state[0].angle.shape[1]
     is_position, is_torque = c.is_position > 0.0, c.is_torque > 0.0
-    is_touched = np.zeros(state.shape[0], np.bool_)
     for row in range(chosen.shape[0]):
-        block, k = chosen[row] // lanes, chosen[row] % lanes
-        arms = state[block]
-        is_touched[block] = True
-        angle = speed = parent = 0.0
+        arms, k = state[chosen[row] // lanes], chosen[row] % lanes
+        angle = speed = 0.0
         for i in range(segments):
             angle += postures[row, i]
             speed += speeds[row, i]
@@ -179,13 +168,11 @@ def place(state, shown, chain, no_work, chosen, postures, speeds):
             elif np.isfinite(least):
                 arms.asked[i, k] = min(max(postures[row, i], least), most)
             else:
-                arms.asked[i, k] = angle - parent
-            parent = angle
-    for block in range(state.shape[0]):
-        if is_touched[block]:
-            work = works[0]  # here, because a record does not keep its array alive
-            _look(state[block], work, lanes)
-            _show(state[block], work, c, shown[block * lanes : (block + 1) * lanes])
+                arms.asked[i, k] = _between(arms.angle, i, k)
+    for block in np.unique(chosen // lanes):
+        work = works[0]  # here, because a record does not keep its array alive
+        _look(state[block], work, lanes)
+        _show(state[block], work, c, shown[block * lanes : (block + 1) * lanes])
 
 
 @compiled
@@ -204,7 +191,7 @@ def command(state, chain, values, scale, is_relative):
             least, most = c.lowest_angle[i], c.highest_angle[i]
             is_limited = np.isfinite(least)
             for k in range(lanes):
-                angle = arms.angle[i, k] - (arms.angle[i - 1, k] if i > 0 else 0.0)
+                angle = _between(arms.angle, i, k)
                 value = scale * values[first + k, i]
                 value = value + angle if is_relative else value
                 if is_torque:
@@ -235,7 +222,6 @@ def step(state, shown, chain, no_work, substeps):
             _move(arms, work, c, lanes)
             if has_field:
                 _weigh(work, c, lanes)
-                _demand(arms, work, c, lanes)
                 _push(arms, work, c, lanes)
             _ask(arms, work, c, lanes)
             if _need(arms, work, c, lanes):
@@ -250,13 +236,10 @@ def step(state, shown, chain, no_work, substeps):
 
 @inner
 def _look(arms, work, lanes):
-    """Compute the directions of the segments; free all joints and clear the push on the hand."""
+    """Compute the directions of the segments, and free all joints."""
+    work.bound[:] = FREE
     for k in range(lanes):
-        work.push_x[k] = 0.0
-        work.push_y[k] = 0.0
-        work.push_turn[k] = 0.0
         for i in range(arms.angle.shape[0]):
-            work.bound[i, k] = FREE
             work.sine[i, k], work.cosine[i, k] = _sine_cosine(arms.angle[i, k])
 
 
@@ -266,9 +249,8 @@ def _move(arms, work, chain, lanes):
     h = chain.substep
     rate = 1.0 / h
     segments = arms.angle.shape[0]
-    for k in range(lanes):
-        work.velocity_x[k] = 0.0
-        work.velocity_y[k] = 0.0
+    work.velocity_x[:] = 0.0
+    work.velocity_y[:] = 0.0
     for i in range(segments):
         carried = chain.centre[i] if i == segments - 1 else chain.length[i]
         for k in range(lanes):
@@ -290,20 +272,6 @@ def _move(arms, work, chain, lanes):
 
 
 @inner
-def _demand(arms, work, chain, lanes):
-    """Compute the impulse that each joint must give to keep its speed: `needed`."""
-    for k in range(lanes):
-        work.push_x[k] = 0.0
-        work.push_y[k] = 0.0
-        work.push_turn[k] = 0.0
-        parent = 0.0
-        for i in range(arms.speed.shape[0]):
-            work.wanted[i, k] = arms.speed[i, k] - parent
-            parent = arms.speed[i, k]
-    _need(arms, work, chain, lanes)
-
-
-@inner
 def _push(arms, work, chain, lanes):
     """Compute the field's impulse on the hand, `push_x` and `push_y`, and its moment, `push_turn`.
 
@@ -313,10 +281,17 @@ def _push(arms, work, chain, lanes):
     reach = chain.length[segments - 1] - chain.centre[segments - 1]
     half = 0.5 * chain.substep
     xx, xy, yx, yy = chain.field[0, 0], chain.field[0, 1], chain.field[1, 0], chain.field[1, 1]
+    # First, the impulses that the joints must give to keep their speeds.
+    work.push_x[:] = 0.0
+    work.push_y[:] = 0.0
+    work.push_turn[:] = 0.0
+    for k in range(lanes):
+        for i in range(segments):
+            work.wanted[i, k] = _between(arms.speed, i, k)
+    _need(arms, work, chain, lanes)
     for k in range(lanes):
         x = y = 0.0
-        for m in range(segments):
-            i = segments - 1 - m
+        for i in range(segments - 1, -1, -1):
             x += chain.length[i] * work.cosine[i, k]
             y += chain.length[i] * work.sine[i, k]
             work.load_x[i, k] = -y  # the Jacobian J
@@ -332,12 +307,9 @@ def _push(arms, work, chain, lanes):
         for i in range(segments):
             other += work.load_y[i, k] * work.excess[i, k]
             velocity_y -= work.needed[i, k] * work.excess[i, k]
-        parent = 0.0
         for i in range(segments):
-            speed = arms.speed[i, k] - parent
-            parent = arms.speed[i, k]
-            velocity_x += speed * work.load_x[i, k]
-            velocity_y += speed * work.load_y[i, k]
+            velocity_x += work.wanted[i, k] * work.load_x[i, k]
+            velocity_y += work.wanted[i, k] * work.load_y[i, k]
         a = 1.0 - half * (xx * along + xy * across)
         b = -half * (xx * across + xy * other)
         c = -half * (yx * along + yy * across)
@@ -374,11 +346,9 @@ def _ask(arms, work, chain, lanes):
     fastest, gain, stop, rate = chain.speed_limit, chain.gain, chain.stop_gain, 1.0 / chain.substep
     is_position = chain.is_position > 0.0
     for k in range(lanes):
-        parent = 0.0
         for i in range(arms.angle.shape[0]):
             least, most = chain.lowest_angle[i], chain.highest_angle[i]
-            angle = arms.angle[i, k] - parent
-            parent = arms.angle[i, k]
+            angle = _between(arms.angle, i, k)
             asked, limit, held = arms.asked[i, k], arms.limit[i, k], arms.held[i, k]
             wanted = gain * (asked - angle) if is_position else asked
             wanted = fastest if wanted > fastest else wanted
@@ -420,8 +390,7 @@ def _need(arms, work, chain, lanes):
         work.load_y[last, k] -= work.push_y[k]
         needed = -work.push_turn[k]
         x = y = beyond = 0.0
-        for m in range(segments):
-            i = segments - 1 - m
+        for i in range(segments - 1, -1, -1):
             length, centre, inertia = chain.length[i], chain.centre[i], chain.inertia[i]
             load_x, load_y = work.load_x[i, k], work.load_y[i, k]
             push_x = length * x + centre * load_x
@@ -454,24 +423,16 @@ def _show(arms, work, chain, shown):
     """Write the public values: angles, velocities, hands, cosines and sines of joint angles."""
     segments = arms.angle.shape[0]
     for k in range(shown.shape[0]):
-        parent = 0.0
-        for i in range(segments):
-            angle = arms.angle[i, k]
-            work.joint_sine[i, k], work.joint_cosine[i, k] = _sine_cosine(angle - parent)
-            parent = angle
-    for k in range(shown.shape[0]):
         arm = shown[k]
-        x = y = parent_angle = parent_speed = 0.0
+        x = y = 0.0
         for i in range(segments):
-            angle, speed = arms.angle[i, k], arms.speed[i, k]
-            arm.segment_angles[i] = angle
-            arm.joint_angles[i] = angle - parent_angle
-            arm.joint_velocities[i] = speed - parent_speed
-            arm.joint_cosines[i] = work.joint_cosine[i, k]
-            arm.joint_sines[i] = work.joint_sine[i, k]
+            angle = _between(arms.angle, i, k)
+            arm.segment_angles[i] = arms.angle[i, k]
+            arm.joint_angles[i] = angle
+            arm.joint_velocities[i] = _between(arms.speed, i, k)
+            arm.joint_sines[i], arm.joint_cosines[i] = _sine_cosine(angle)
             x += chain.length[i] * work.cosine[i, k]
             y += chain.length[i] * work.sine[i, k]
-            parent_angle, parent_speed = angle, speed
         arm.end_effector[0] = x
         arm.end_effector[1] = y
 
@@ -482,8 +443,7 @@ def _weigh(work, chain, lanes):
     segments = work.sine.shape[0]
     for k in range(lanes):
         x = y = inertia = beyond = 0.0
-        for m in range(segments):
-            j = segments - 1 - m
+        for j in range(segments - 1, -1, -1):
             length, mass, centre = chain.length[j], chain.mass[j], chain.centre[j]
             own = mass * centre * centre + chain.inertia[j] + beyond * length * length
             moment = mass * centre + beyond * length
@@ -497,15 +457,13 @@ def _weigh(work, chain, lanes):
             work.moment_y[j, k] = y
         for j in range(segments):
             x = y = 0.0
-            for m in range(segments):
-                i = segments - 1 - m
-                if i < j:
-                    x = x + chain.length[i] * work.cosine[i, k]
-                    y = y + chain.length[i] * work.sine[i, k]
-                    along = work.moment_x[j, k] * x
-                    across = work.moment_y[j, k] * y
-                    work.matrix[j, i, k] = work.matrix[j, j, k] + along + across
-                    work.matrix[i, j, k] = work.matrix[j, i, k]
+            for i in range(j - 1, -1, -1):
+                x = x + chain.length[i] * work.cosine[i, k]
+                y = y + chain.length[i] * work.sine[i, k]
+                along = work.moment_x[j, k] * x
+                across = work.moment_y[j, k] * y
+                work.matrix[j, i, k] = work.matrix[j, j, k] + along + across
+                work.matrix[i, j, k] = work.matrix[j, i, k]
 
 
 @inner
@@ -580,19 +538,15 @@ def _solve(work, k):
     segments = right.shape[0]
     for j in range(segments):
         work.inverse[j, k] = 1.0 / factor[j, j, k]
-        for i in range(segments):
-            if i > j:
-                ratio = factor[i, j, k] * work.inverse[j, k]
-                right[i, k] -= ratio * right[j, k]
-                for m in range(segments):
-                    if j < m <= i:
-                        factor[i, m, k] -= ratio * factor[m, j, k]
-    for m in range(segments):
-        i = segments - 1 - m
+        for i in range(j + 1, segments):
+            ratio = factor[i, j, k] * work.inverse[j, k]
+            right[i, k] -= ratio * right[j, k]
+            for m in range(j + 1, i + 1):
+                factor[i, m, k] -= ratio * factor[m, j, k]
+    for i in range(segments - 1, -1, -1):
         total = right[i, k]
-        for j in range(segments):
-            if j > i:
-                total -= factor[j, i, k] * excess[j, k]
+        for j in range(i + 1, segments):
+            total -= factor[j, i, k] * excess[j, k]
         excess[i, k] = total * work.inverse[i, k]
 
 
@@ -600,9 +554,8 @@ def _solve(work, k):
 def _revise(work, one_by_one, lanes):
     """Change the guesses that the solution contradicts; return whether there are any."""
     segments = work.bound.shape[0]
-    for k in range(lanes):
-        work.changed[k] = 0.0
-        work.is_done[k] = 0.0
+    work.changed[:] = 0.0
+    work.is_done[:] = 0.0
     for i in range(segments):
         for k in range(lanes):
             impulse = work.needed[i, k]

@@ -70,9 +70,6 @@ def solver_iterations(parameters: ArmParameters) -> int:
     return min(round(sweeps * (10 if strong else 1)), 3 * _MOST_SWEEPS)
 
 
-_NO_COLLISIONS_AMONG_SEGMENTS = pymunk.ShapeFilter(group=1)
-
-
 class Linkage:
     """One arm in a Space, which may hold others.  All sequences run from the base outward.
 
@@ -90,6 +87,7 @@ class Linkage:
 
     def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
         """Build the arm into `space`."""
+        self._parameters, self._servo = parameters, servo
         self.segments: list[pymunk.Body] = []
         self.servos: list[pymunk.Constraint] = []
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
@@ -104,7 +102,7 @@ class Linkage:
             mass, centre, inertia = rod
             segment = pymunk.Body(mass, inertia)
             space.add(segment)
-            joints.append(self._make_joint(parameters, servo, joint, parent, segment))
+            joints.append(self._make_joint(joint, parent, segment))
             pivot = pymunk.PivotJoint(parent, segment, (anchor, 0.0), (-centre, 0.0))
             pivot.error_bias = 0.0
             joints[-1].append(pivot)
@@ -114,35 +112,30 @@ class Linkage:
         in_order = [constraint for joint in reversed(joints) for constraint in joint]
         space.add(*in_order)
         if parameters.obstacles:
-            self._add_shapes(space, parameters)
+            self._add_shapes(space)
         self.servo_handles = [servo._constraint for servo in self.servos]
         self.joint_handles = [constraint._constraint for constraint in in_order]
         self.force_limits = [constraint.max_force for constraint in in_order]
 
     def _make_joint(
-        self,
-        parameters: ArmParameters,
-        kind: Servo,
-        joint: int,
-        parent: pymunk.Body,
-        segment: pymunk.Body,
+        self, joint: int, parent: pymunk.Body, segment: pymunk.Body
     ) -> list[pymunk.Constraint]:
+        p = self._parameters
         servo: pymunk.GearJoint | pymunk.SimpleMotor
-        if kind == "position":
+        if self._servo == "position":
             servo = pymunk.GearJoint(parent, segment, 0.0, 1.0)
-            servo.error_bias = math.exp(-parameters.servo_gain)  # what is left of an error in 1 s
-            servo.max_bias = parameters.speed_limit
+            servo.error_bias = math.exp(-p.servo_gain)  # what is left of an error in 1 s
+            servo.max_bias = p.speed_limit
         else:
             servo = pymunk.SimpleMotor(parent, segment, 0.0)
-        servo.max_force = parameters.torque_limit
+        servo.max_force = p.torque_limit
         self.servos.append(servo)
         constraints: list[pymunk.Constraint] = [servo]
-        if parameters.joint_limits is not None:
-            limits = parameters.joint_limits[joint]
-            stop = pymunk.RotaryLimitJoint(parent, segment, *limits)
+        if p.joint_limits is not None:
+            stop = pymunk.RotaryLimitJoint(parent, segment, *p.joint_limits[joint])
             self._stops.append(stop._constraint)
             constraints.append(stop)
-        if joint in parameters.lockable_joints:
+        if joint in p.lockable_joints:
             lock = pymunk.GearJoint(parent, segment, 0.0, 1.0)
             lock.error_bias = 0.0
             lock.max_force = 0.0
@@ -150,15 +143,15 @@ class Linkage:
             constraints.append(lock)
         return constraints
 
-    def _add_shapes(self, space: pymunk.Space, parameters: ArmParameters) -> None:
+    def _add_shapes(self, space: pymunk.Space) -> None:
         for segment, (_, length, centre) in zip(self.segments, self.rods):
             ends = (-centre, 0.0), (length - centre, 0.0)
-            shape = pymunk.Segment(segment, *ends, parameters.segment_radius)
-            shape.filter = _NO_COLLISIONS_AMONG_SEGMENTS
+            shape = pymunk.Segment(segment, *ends, self._parameters.segment_radius)
+            shape.filter = pymunk.ShapeFilter(group=1)  # no collisions within a group
             space.add(shape)
         ground = pymunk.Body(body_type=pymunk.Body.STATIC)
         space.add(ground)
-        for x, y, radius in parameters.obstacles:
+        for x, y, radius in self._parameters.obstacles:
             space.add(pymunk.Circle(ground, radius, (x, y)))
 
     def place(self, joint_angles: Sequence[float], joint_velocities: Sequence[float]) -> None:
@@ -207,17 +200,13 @@ class Linkage:
         stop nor a lock holds it.
         """
         give, most = chipmunk.cpConstraintGetImpulse, chipmunk.cpConstraintGetMaxForce
-        yields = [
-            1.0 if give(servo) >= (1 - 1e-9) * most(servo) * substep else 0.0
-            for servo in self.servo_handles
-        ]
-        for joint, stop in enumerate(self._stops):
-            if give(stop) > 0:
-                yields[joint] = 0.0
+        held = {joint for joint, stop in enumerate(self._stops) if give(stop) > 0}
         if self.locked:
-            for joint, _ in self.locks:
-                yields[joint] = 0.0
-        return yields
+            held |= {joint for joint, _ in self.locks}
+        return [
+            float(joint not in held and give(servo) >= (1 - 1e-9) * most(servo) * substep)
+            for joint, servo in enumerate(self.servo_handles)
+        ]
 
 
 def make_space(parameters: ArmParameters) -> pymunk.Space:
