@@ -151,9 +151,8 @@ def blocks(path):
 )
 def test_the_code_of_a_page_runs(page, tmp_path):
     code = "\n".join(blocks(DOCS / page))
-    environment = {**os.environ, "MPLBACKEND": "Agg"}
     command = [sys.executable, "-W", "error", "-c", code]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

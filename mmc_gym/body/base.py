@@ -121,8 +121,6 @@ class ArmBatch(ABC):
     overwrites these arrays: copy what you want to keep.
     """
 
-    parameters: ArmParameters
-
     segment_angles: Floats
     joint_angles: Floats
     joint_velocities: Floats

@@ -126,12 +126,8 @@ class Arm(SingleArm):
 
     def _velocities(self) -> list[float]:
         """Return the present joint velocities, within a control step too."""
-        velocities, parent = [], 0.0
-        for segment, _, _ in self._linkage.rods:
-            velocity = chipmunk.cpBodyGetAngularVelocity(segment)
-            velocities.append(velocity - parent)
-            parent = velocity
-        return velocities
+        of_segments = [chipmunk.cpBodyGetAngularVelocity(rod) for rod, _, _ in self._linkage.rods]
+        return [velocity - parent for velocity, parent in zip(of_segments, [0.0, *of_segments])]
 
     def _push_hand(self, field: HandField) -> None:
         """Set the force and torque of the field on the last segment for the next physics step."""

@@ -38,7 +38,7 @@ class ArmGroup:
     """
 
     def __init__(self, parameters: ArmParameters, servo: Servo, first: int, count: int) -> None:
-        self.first, self.arms = first, slice(first, first + count)
+        self.arms = slice(first, first + count)
         self._parameters, self._servo = parameters, servo
         self._shape = count, len(parameters.segment_lengths)
         self._arms_per_space = 1 if parameters.obstacles else count
@@ -256,7 +256,7 @@ class PymunkArmBatch(ArmBatch):
     def _lock(self, arms: Indices) -> None:
         for group, _, members in self._by_group(arms):
             for member in members:
-                angles = self.joint_angles[group.first + member]
+                angles = self.joint_angles[group.arms.start + member]
                 group.linkages[member].lock(angles.tolist())
 
     def __reduce__(self) -> NoReturn:
@@ -271,4 +271,4 @@ class PymunkArmBatch(ArmBatch):
         for owner in np.unique(owners).tolist():
             part = np.flatnonzero(owners == owner)
             group = self._groups[owner]
-            yield group, part, (arms[part] - group.first).tolist()
+            yield group, part, (arms[part] - group.arms.start).tolist()
