@@ -31,11 +31,8 @@ class Circle(Task):
     periodic = True
     episode_steps = 200
 
-    def path_length(self, control_step):
-        return round(self.seconds / control_step)
-
     def draw(self, request):
-        count = self.path_length(request.workspace.body.control_step)
+        count = round(self.seconds / request.workspace.body.control_step)
         first = request.random.uniform(0, 2 * np.pi)
         angles = first + np.linspace(0, 2 * np.pi, count, endpoint=False)
         targets = [(1.5 + self.radius * np.cos(a), self.radius * np.sin(a)) for a in angles]

@@ -11,6 +11,7 @@ A `Family` gives them names, with any strength; `mmc_gym.envs.scenarios` reads t
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, TypeVar
@@ -29,12 +30,15 @@ from mmc_gym._errors import (
     require_positive,
     spelt,
 )
+from mmc_gym.envs.workspace import distances
+from mmc_gym.interface import Seen
 
 if TYPE_CHECKING:  # names are registered without loading the physics
     from mmc_gym.body import ArmParameters
 
 Floats = NDArray[np.float64]
 Coordinate = TypeVar("Coordinate", float, Floats)
+_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
 
 
 class Perturbation:
@@ -50,11 +54,10 @@ class Perturbation:
 @spelt
 @dataclass(frozen=True)
 class ForceField(Perturbation):
-    """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x).
+    """A viscous curl field pushes the hand sideways: force = `curl` · (v_y, −v_x); several add.
 
     After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  The hand leaves its course where
-    the field drives the servos to their torque limit.  Nearly all random movements reach their
-    target within 2 s up to a curl of about 120; 85 % of them do at 200.
+    the field drives the servos to their torque limit.
 
     Attributes:
         curl: mass / s; positive bends to the right of the movement.
@@ -64,10 +67,8 @@ class ForceField(Perturbation):
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
-        old = body.force_field or ((0.0, 0.0), (0.0, 0.0))
-        # Several fields add.
-        field = ((old[0][0], old[0][1] + self.curl), (old[1][0] - self.curl, old[1][1]))
-        return replace(body, force_field=field)
+        (xx, xy), (yx, yy) = body.force_field or ((0.0, 0.0), (0.0, 0.0))
+        return replace(body, force_field=((xx, xy + self.curl), (yx - self.curl, yy)))
 
 
 @spelt
@@ -80,9 +81,6 @@ class HandMass(Perturbation):
     """
 
     mass: float = 3.0
-
-    def __post_init__(self) -> None:
-        require_not_negative(mass=self.mass)
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -174,7 +172,7 @@ class Obstacles(Perturbation):
         segment_radius: half the thickness of the segments.
     """
 
-    discs: tuple[tuple[float, float, float], ...] = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25))
+    discs: tuple[tuple[float, float, float], ...] = _DISCS[:2]
     segment_radius: float = 0.05
 
     @override
@@ -186,26 +184,12 @@ class Obstacles(Perturbation):
         return replace(arm, substep=body.substep / 2, substeps=2 * body.substeps)
 
 
-@dataclass(frozen=True)
-class Readings:
-    """Readings of the senses before they are encoded; the hand may be a cursor."""
-
-    joint_angles: Floats  # (..., N), radians
-    joint_velocities: Floats  # (..., N), rad/s
-    hand: Floats  # (..., 2), segment lengths
-    target: Floats  # (..., 2)
-
-
-class Noise(Perturbation):
+class Noise(Perturbation, ABC):
     """Noise of the senses, white in time and normally distributed."""
 
-    def draws(self, joint_count: int) -> int:
-        """Return how many standard normal numbers `disturb` takes."""
-        raise NotImplementedError
-
-    def disturb(self, readings: Readings, normals: Floats) -> Readings:
-        """Return the readings under noise made of standard normal numbers (..., draws)."""
-        raise NotImplementedError
+    @abstractmethod
+    def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
+        """Return what is seen under noise; `draw(k)` gives standard normal numbers, (..., k)."""
 
 
 @spelt
@@ -263,17 +247,14 @@ class JointNoise(Noise):
         require_not_negative(std=self.std, speed_std=self.speed_std)
 
     @override
-    def draws(self, joint_count: int) -> int:
-        return 2 * joint_count
-
-    @override
-    def disturb(self, readings: Readings, normals: Floats) -> Readings:
-        count = readings.joint_angles.shape[-1]
-        std = self.std + self.speed_std * np.abs(readings.joint_velocities)
+    def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
+        angles, speeds = seen.joint_angles, seen.joint_speeds
+        std = self.std + self.speed_std * np.abs(speeds)
+        of_angles, of_speeds = np.split(draw(2 * angles.shape[-1]), 2, axis=-1)
         return replace(
-            readings,
-            joint_angles=readings.joint_angles + std * normals[..., :count],
-            joint_velocities=readings.joint_velocities + self._RATE * std * normals[..., count:],
+            seen,
+            joint_angles=angles + std * of_angles,
+            joint_speeds=speeds + self._RATE * std * of_speeds,
         )
 
 
@@ -294,19 +275,10 @@ class VisionNoise(Noise):
         require_not_negative(std=self.std, distance_std=self.distance_std)
 
     @override
-    def draws(self, joint_count: int) -> int:
-        return 4
-
-    @override
-    def disturb(self, readings: Readings, normals: Floats) -> Readings:
-        offset = readings.target - readings.hand
-        x, y = offset[..., 0], offset[..., 1]
-        std = (self.std + self.distance_std * np.sqrt(x * x + y * y))[..., None]
-        return replace(
-            readings,
-            hand=readings.hand + std * normals[..., :2],
-            target=readings.target + std * normals[..., 2:],
-        )
+    def disturb(self, seen: Seen, draw: Callable[[int], Floats]) -> Seen:
+        std = (self.std + self.distance_std * distances(seen.hand, seen.target))[..., None]
+        of_hand, of_target = np.split(draw(4), 2, axis=-1)
+        return replace(seen, hand=seen.hand + std * of_hand, target=seen.target + std * of_target)
 
 
 @spelt
@@ -380,8 +352,6 @@ def _obstacles(strength: float) -> Obstacles:
     require(fine, "the number of obstacles", strength, f"a whole number from 1 to {len(_DISCS)}")
     return Obstacles(_DISCS[: int(strength)])
 
-
-_DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
 
 FAMILIES: dict[str, Family] = {
     family.name: family

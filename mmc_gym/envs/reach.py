@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import UserError, require_array, require_choice
 from mmc_gym.body import make_arm
 from mmc_gym.body.base import SingleArm
-from mmc_gym.envs.perturbations import Readings
 from mmc_gym.envs.spec import (
     GoalSetup,
     ReachEnvironment,
@@ -24,8 +23,8 @@ from mmc_gym.envs.spec import (
     check_names,
     require_finite_numbers,
 )
-from mmc_gym.envs.workspace import Point
-from mmc_gym.interface import relative_speeds
+from mmc_gym.envs.workspace import Point, distances
+from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
     from mmc_gym.envs.render import Renderer, Scene
@@ -316,9 +315,9 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         if setup.rotation is not None:
             info["cursor"] = np.array(hand)
         if setup.noises:
-            state = arm.joint_angles, arm.joint_velocities, hand, target
-            readings = Readings(*(np.array([each]) for each in state))
-            return setup.observe_with_noise(readings, [self.np_random])[0], reward, info
+            state = arm.joint_angles, target, arm.joint_velocities, hand
+            true = Seen(*(np.array([each]) for each in state))
+            return setup.observe_with_noise(true, [self.np_random])[0], reward, info
         seen = setup.layout.encode(arm.joint_angles, speeds, hand=hand, target=target)
         return seen, reward, info
 
@@ -336,13 +335,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
 
 # Distances, successes and rewards are numbers, or arrays (n,) of n arms.
-
-
-def distances(hands: Floats, targets: Floats) -> Floats:
-    """Return the distances (...) from hands (..., 2) to targets (..., 2)."""
-    offset = targets - hands
-    x, y = offset[..., 0], offset[..., 1]
-    return np.asarray(np.sqrt(x * x + y * y))[()]
 
 
 def _distance(hand: Point, target: Point) -> float:

@@ -148,9 +148,8 @@ class Renderer:
         setup = self._setup
         seen = setup.layout.split(observation.astype(float))
         relative = np.arctan2(seen.sines, seen.cosines)
-        nodes = shapes.node_positions(
-            np.cumsum(relative).tolist(), setup.given_body.segment_lengths
-        )
+        lengths = setup.given_body.segment_lengths
+        nodes = shapes.node_positions(np.cumsum(relative).tolist(), lengths)
         points = np.stack((seen.target - seen.offset, seen.target))
         hand, target = ((x, y) for x, y in in_the_world(points, relative).tolist())
         self._canvas.draw_sensed(nodes, hand, target)
@@ -165,18 +164,16 @@ def open_display(*, must_be_seen: bool = False) -> None:
     Raises:
         UserError: if SDL cannot open one.
     """
+    reason = "SDL finds no screen"
     try:
         pygame.display.init()
-    except pygame.error as error:
-        raise _no_display(str(error)) from error
-    is_seen = pygame.display.get_driver() not in ("offscreen", "dummy")
-    if must_be_seen and not is_seen and not os.environ.get("SDL_VIDEODRIVER"):
+        is_seen = pygame.display.get_driver() not in ("offscreen", "dummy")
+        if is_seen or not must_be_seen or os.environ.get("SDL_VIDEODRIVER"):
+            return
         pygame.display.quit()
-        raise _no_display("SDL finds no screen")
-
-
-def _no_display(reason: str) -> UserError:
-    return UserError(
+    except pygame.error as error:
+        reason = str(error)
+    raise UserError(
         f"a window needs a display, and there is none: {reason}. Without one, `mmc-gym record "
         '--agent mmc movement.gif` makes a film, and render_mode="rgb_array" gives pictures'
     )

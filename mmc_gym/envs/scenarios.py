@@ -21,7 +21,7 @@ import re
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -31,6 +31,9 @@ from mmc_gym._errors import UserError, require, unknown
 from mmc_gym._files import import_object, look_here
 from mmc_gym.envs.perturbations import FAMILIES, Family, Perturbation
 from mmc_gym.envs.tasks import TASKS, Task, outward_task
+
+if TYPE_CHECKING:
+    from mmc_gym.envs.spec import ReachSetup
 
 EnvLike: TypeAlias = "str | Callable[..., gym.Env[Any, Any]]"
 """The id of an environment, "module:Id" as in Gymnasium, "module:function", or a function or class
@@ -65,15 +68,11 @@ def make_environment(
     Raises:
         UserError: if there is no such environment, or it does not take the arguments.
     """
-    if control is not None:
-        try:
-            return _made(env, {**arguments, "control": control})
-        except TypeError:
-            if not is_own(env):
-                raise
     try:
-        return _made(env, arguments)
+        return _made(env, arguments if control is None else {**arguments, "control": control})
     except TypeError as error:
+        if control is not None and is_own(env):
+            return make_environment(env, **arguments)
         raise _not_accepted(env, error) from error
 
 
@@ -92,10 +91,9 @@ def _made(env: EnvLike, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
                 make = None
             if not callable(make):
                 raise _not_accepted(env, error) from error
-    made = make(**arguments)
+    made: gym.Env[Any, Any] = make(**arguments)
     require(isinstance(made, gym.Env), name_of(env), made, "a function that returns an environment")
-    checked: gym.Env[Any, Any] = made
-    return checked
+    return made
 
 
 def _not_accepted(env: EnvLike, error: Exception) -> UserError:
@@ -113,14 +111,14 @@ def code_of(thing: Any) -> str:
     while isinstance(thing, gym.Wrapper):
         thing = thing.env
         kinds.append(type(thing))
-    digest = hashlib.sha256()
-    own = [one for one in kinds if not one.__module__.startswith(("mmc_gym.", "gymnasium."))]
-    for kind in own:
-        try:
-            digest.update(inspect.getsource(kind).encode())
-        except (OSError, TypeError):  # typed into an interpreter, or compiled
-            digest.update(kind.__qualname__.encode())
-    return digest.hexdigest() if own else ""
+    code = ""
+    for kind in kinds:
+        if not kind.__module__.startswith(("mmc_gym.", "gymnasium.")):
+            try:
+                code += inspect.getsource(kind)
+            except (OSError, TypeError):  # typed into an interpreter, or compiled
+                code += kind.__qualname__
+    return hashlib.sha256(code.encode()).hexdigest() if code else ""
 
 
 @dataclass(frozen=True)
@@ -193,9 +191,8 @@ class Scenario:
         if self.env is None:
             return find_task(self.task).trial_count
         with closing(self.make()) as env:
-            setup = getattr(env.unwrapped, "setup", None)
-            count: int | None = setup.task.trial_count if setup is not None else None
-            return count
+            setup: ReachSetup | None = getattr(env.unwrapped, "setup", None)
+            return None if setup is None else setup.task.trial_count
 
     def instances(self, episodes: int) -> list[dict[str, Any]]:
         """Return the reset options of all numbered trials, or of `episodes` that are drawn."""
@@ -207,22 +204,21 @@ class Scenario:
     @property
     def settings(self) -> dict[str, Any]:
         """The definition of the scenario for JSON; equal for equal scenarios."""
+        own: dict[str, Any] = {}
+        if self.env is not None:
+            with closing(self.make()) as env:
+                registered = env.spec.kwargs if env.spec else {}
+                own = {"code": code_of(env), "registered": _as_json(registered)}
         return {
             "id": self.env_id,
             "kwargs": _as_json(self.arguments),
-            **({} if self.env is None else self._own_settings),
+            **own,
             "description": self.description,
             "family": self.family + "-told" * self.told,
             "strength": self.strength,
             "unit": self.unit,
             "baseline": BASELINE if self.family else None,
         }
-
-    @property
-    def _own_settings(self) -> dict[str, Any]:
-        with closing(self.make()) as env:
-            kwargs = env.spec.kwargs if env.spec else {}
-            return {"code": code_of(env), "registered": _as_json(kwargs)}
 
 
 def scenario(name: str) -> Scenario:
@@ -367,7 +363,6 @@ def _as_json(arguments: dict[str, Any]) -> Any:
     return json.loads(json.dumps(arguments, default=fields))
 
 
-_WORDS = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _SHIPPED = frozenset((*TASKS, *FAMILIES))  # yours may be registered again, as in a notebook
 
 
@@ -382,8 +377,8 @@ def register_task(name: str, task: Task, description: str = "") -> None:
     Raises:
         UserError: if the name has another form, or belongs to this package or a perturbation.
     """
-    fine = isinstance(name, str) and _WORDS.fullmatch(name) is not None
-    fine = fine and name not in FAMILIES and name not in _SHIPPED
+    fine = isinstance(name, str) and name not in {*FAMILIES, *_SHIPPED}
+    fine = fine and re.fullmatch("[a-z][a-z0-9]*(-[a-z0-9]+)*", name) is not None
     require(fine, "name", name, "words of a-z and 0-9 with hyphens, that no other task has")
     require(isinstance(task, Task), "task", task, "an object of a class derived from Task")
     TASKS[name] = task
@@ -398,8 +393,8 @@ def register_perturbation(family: Family) -> None:
     Raises:
         UserError: if the name is not words with hyphens, or belongs to this package or a task.
     """
-    fine = re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None
-    fine = fine and family.name not in TASKS and family.name not in _SHIPPED
+    fine = family.name not in {*TASKS, *_SHIPPED}
+    fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None
     require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
     perturbed(family, family.default)  # raises an error if the family is not consistent
     FAMILIES[family.name] = family

@@ -18,6 +18,7 @@ from mmc_gym.network.chain import reachable_radii
 
 Color = tuple[int, int, int]
 Point = tuple[float, float]
+Place = Sequence[float]  # (x, y), also a list or an array
 
 SIZE = 640  # width and height of the picture in pixels; video encoders like multiples of 16
 _MARGIN = 1.1  # half the picture's width, in reaches
@@ -57,12 +58,12 @@ class View:
         """Pixels per segment length."""
         return self.size / (2 * _MARGIN * self.reach)
 
-    def pixel(self, point: Sequence[float]) -> Point:
+    def pixel(self, point: Place) -> Point:
         """Return the pixel of a point (x, y) of the world."""
         middle = self.size / 2
         return middle + point[0] * self.scale, middle - point[1] * self.scale
 
-    def point(self, pixel: Sequence[float]) -> Point:
+    def point(self, pixel: Place) -> Point:
         """Return the point (x, y) of the world at a pixel."""
         middle = self.size / 2
         return (pixel[0] - middle) / self.scale, (middle - pixel[1]) / self.scale
@@ -103,12 +104,12 @@ class Canvas:
         """Return a length of the world in pixels of a picture of `SIZE`."""
         return length * self.view.scale / self.view.stroke(1)
 
-    def disc(self, color: Color, middle: Sequence[float], radius: float) -> None:
+    def disc(self, color: Color, middle: Place, radius: float) -> None:
         """Paint a disc."""
         pixel, radius = self.view.pixel(middle), self.view.stroke(radius)
         pygame.draw.circle(self.surface, color, pixel, radius)
 
-    def ring(self, color: Color, middle: Sequence[float], radius: float, width: float) -> None:
+    def ring(self, color: Color, middle: Place, radius: float, width: float) -> None:
         """Paint a circle; the line is centred on it."""
         pixel, outer = self.view.pixel(middle), self.view.stroke(radius + width / 2)
         line = max(1, round(self.view.stroke(width)))
@@ -121,14 +122,7 @@ class Canvas:
         corners = [(x + radius * math.cos(a), y + radius * math.sin(a)) for a in angles]
         pygame.draw.polygon(self.surface, color, corners)
 
-    def rod(
-        self,
-        color: Color,
-        start: Sequence[float],
-        end: Sequence[float],
-        width: float,
-        end_width: float,
-    ) -> None:
+    def rod(self, color: Color, start: Place, end: Place, width: float, end_width: float) -> None:
         """Paint a tapering rod with round ends."""
         (x, y), (end_x, end_y) = self.view.pixel(start), self.view.pixel(end)
         length = math.hypot(end_x - x, end_y - y)
@@ -145,12 +139,12 @@ class Canvas:
         self.disc(color, start, width / 2)
         self.disc(color, end, end_width / 2)
 
-    def line(self, color: Color, points: Sequence[Sequence[float]], width: float) -> None:
+    def line(self, color: Color, points: Sequence[Place], width: float) -> None:
         """Paint a line through points."""
         for start, end in pairwise(points):
             self.rod(color, start, end, width, width)
 
-    def edged_line(self, color: Color, points: Sequence[Sequence[float]], width: float) -> None:
+    def edged_line(self, color: Color, points: Sequence[Place], width: float) -> None:
         """Paint a line with a light edge, which keeps it visible on the arm."""
         self.line(REACHABLE, points, width + 2.5)
         self.line(color, points, width)
@@ -210,7 +204,7 @@ class Canvas:
         for point in (hand, target):
             self.hollow_diamond(SENSED, point, 8)
 
-    def draw_trace(self, points: Iterable[Sequence[float]]) -> None:
+    def draw_trace(self, points: Iterable[Place]) -> None:
         """Paint the past points of the hand, oldest first, as dots that fade with age."""
         points = list(points)
         for age, (start, end) in enumerate(pairwise(points), start=1):
@@ -219,7 +213,7 @@ class Canvas:
             self.line(color, (start, end), 0.8 + 1.4 * freshness)
             self.disc(color, end, 1.5 + 1.8 * freshness)
 
-    def draw_target(self, target: Sequence[float], success_distance: float, reached: bool) -> None:
+    def draw_target(self, target: Place, success_distance: float, reached: bool) -> None:
         """Paint the target: a ring of the success radius on a cross, and a second when reached."""
         x, y = target
         radius = self._target_radius(success_distance)
@@ -235,14 +229,14 @@ class Canvas:
     def _target_radius(self, success_distance: float) -> float:
         return max(self.pixels(success_distance), 3)
 
-    def draw_track(self, points: Sequence[Sequence[float]]) -> None:
+    def draw_track(self, points: Sequence[Place]) -> None:
         """Paint the path of a moving target as faint dots."""
         color = blend(BACKGROUND, TARGET, 0.45)
         for point in points[:: max(1, len(points) // 160)]:
             self.disc(color, point, 2)
 
     def draw_next_targets(
-        self, target: Sequence[float], points: Sequence[Sequence[float]], success_distance: float
+        self, target: Place, points: Sequence[Place], success_distance: float
     ) -> None:
         """Paint the next targets as faint rings, joined in order by a thin line."""
         color, radius = blend(BACKGROUND, TARGET, 0.55), self._target_radius(success_distance) + 3

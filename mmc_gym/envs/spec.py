@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import (
     UserError,
+    is_point,
     is_whole,
     require,
     require_choice,
@@ -33,7 +34,6 @@ from mmc_gym.envs.perturbations import (
     LockedJoint,
     Noise,
     Perturbation,
-    Readings,
     SensoryDelay,
     VisuomotorRotation,
 )
@@ -44,6 +44,7 @@ from mmc_gym.interface import (
     CONTROLS,
     Control,
     ObservationLayout,
+    Seen,
     action_meaning,
     relative_speeds,
 )
@@ -140,10 +141,9 @@ class ReachSetup:
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         self.frame_rate = round(1 / self.given_body.control_step)
         self.trace_length = max(2, self.frame_rate)
-        self.path_length = self.task.path_length(self.given_body.control_step)
         self.task.check(self.workspace)
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
-        self._draw(np.random.default_rng(0), Options())
+        self.path_length = len(self._draw(np.random.default_rng(0), Options()).targets)
 
     def _apply_perturbations(self, parameters: ArmParameters) -> None:
         changes, step = self.perturbations, parameters.control_step
@@ -174,19 +174,20 @@ class ReachSetup:
         return replace(rotations[0], centre=rotations[0].centre or (x * reach, y * reach))
 
     def observe_with_noise(
-        self, readings: Readings, randoms: Sequence[np.random.Generator]
+        self, seen: Seen, randoms: Sequence[np.random.Generator]
     ) -> NDArray[np.float32]:
         """Return observations of n arms, (n, …), with noise from the generator of each."""
+
+        def draw(count: int) -> NDArray[np.float64]:
+            return np.stack([random.standard_normal(count) for random in randoms])
+
         for noise in self.noises:
-            normals = np.empty((len(randoms), noise.draws(self.joint_count)))
-            for random, row in zip(randoms, normals, strict=True):
-                random.standard_normal(out=row)
-            readings = noise.disturb(readings, normals)
-        speeds = relative_speeds(readings.joint_velocities, self.given_body.speed_limit)
-        seen: NDArray[np.float32] = self.layout.encode(
-            readings.joint_angles, speeds, hand=readings.hand, target=readings.target
+            seen = noise.disturb(seen, draw)
+        speeds = relative_speeds(seen.joint_speeds, self.given_body.speed_limit)
+        observation: NDArray[np.float32] = self.layout.encode(
+            seen.joint_angles, speeds, hand=seen.hand, target=seen.target
         )
-        return seen
+        return observation
 
     def draw_trial(self, random: np.random.Generator, options: Options) -> Trial:
         """Return a trial of the task with the options filled in.
@@ -198,6 +199,8 @@ class ReachSetup:
             trial = self._draw(random, options)
         except UserError:  # bad luck: the fixed seed worked when the setup was made
             trial = self._draw(np.random.default_rng(0), options)
+        accepted = f"one whose paths have {self.path_length} places, as in its first trial"
+        require(len(trial.targets) == self.path_length, "task", self.task, accepted)
         if options.target is None:
             return trial
         return Trial(options.joint_angles or trial.joint_angles, [options.target])
@@ -257,20 +260,18 @@ class ReachSetup:
 
     def check_target(self, name: str, target: ArrayLike) -> Point:
         """Return the target (x, y); raise a `UserError` unless it can be reached."""
-        x, y = require_finite_numbers(name, target, 2)
+        x, y = require_numbers(name, target, "2 finite numbers", is_point)
         clear = " and clear of the obstacles" if self.body.obstacles else ""
         accepted = f"between {self.workspace.inner:g} and {self.workspace.outer:g} from the base"
         require(self.workspace.contains((x, y)), name, (x, y), accepted + clear)
         return x, y
 
     def _check_trial(self, trial: Any) -> int:
-        count = self.task.trial_count
-        if count is None:
+        count = self.task.trial_count or 0
+        accepted = f"a whole number from 0 to {count - 1}"
+        if not count:
             accepted = f"left out, as {self.task} has no numbered trials"
-        else:
-            accepted = f"a whole number from 0 to {count - 1}"
-        fine = is_whole(trial) and 0 <= trial < (count or 0)
-        require(fine, "options['trial']", trial, accepted)
+        require(is_whole(trial) and 0 <= trial < count, "options['trial']", trial, accepted)
         return int(trial)
 
 

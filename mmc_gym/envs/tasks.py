@@ -96,12 +96,8 @@ class Task(ABC):
         """Raise a `UserError` if the arm cannot do the task."""
 
     @abstractmethod
-    def path_length(self, control_step: float) -> int:
-        """Return the number of places on the target's path, equal for all trials."""
-
-    @abstractmethod
     def draw(self, request: Request) -> Trial:
-        """Draw a trial."""
+        """Draw a trial; the paths of all trials have the same number of places."""
 
 
 @spelt
@@ -111,10 +107,6 @@ class RandomTarget(Task):
 
     Postures are uniform in the joint angles, targets area-uniform over the reachable set.
     """
-
-    @override
-    def path_length(self, control_step: float) -> int:
-        return 1
 
     @override
     def draw(self, request: Request) -> Trial:
@@ -139,13 +131,9 @@ class DoubleStep(RandomTarget):
         require_not_negative(delay=self.delay)
 
     @override
-    def path_length(self, control_step: float) -> int:
-        return round(self.delay / control_step) + 1
-
-    @override
     def draw(self, request: Request) -> Trial:
         start, targets = super().draw(request)
-        steps = self.path_length(request.workspace.body.control_step) - 1
+        steps = round(self.delay / request.workspace.body.control_step)
         return Trial(start, targets * steps + [request.draw_target(start)])
 
 
@@ -166,10 +154,6 @@ class ViaPoints(RandomTarget):
 
     def __post_init__(self) -> None:
         require_whole("count", self.count)
-
-    @override
-    def path_length(self, control_step: float) -> int:
-        return self.count
 
     @override
     def draw(self, request: Request) -> Trial:
@@ -210,10 +194,6 @@ class PointToPoint(Task):
     def start(self) -> Point | None:
         starts = {start for start, _ in self.pairs}
         return self.points[starts.pop()] if len(starts) == 1 else None
-
-    @override
-    def path_length(self, control_step: float) -> int:
-        return 1
 
     @override
     def draw(self, request: Request) -> Trial:
@@ -271,13 +251,9 @@ class Pursuit(Task):
             require(fine, name, multiples, "whole numbers of at least 1, one or more")
 
     @override
-    def path_length(self, control_step: float) -> int:
-        return max(1, round(self.period / control_step))
-
-    @override
     def draw(self, request: Request) -> Trial:
         workspace, start = request.workspace, request.draw_posture()
-        count = self.path_length(workspace.body.control_step)
+        count = max(1, round(self.period / workspace.body.control_step))
         x, y = (
             self._coordinate(multiples, count, request.random)
             for multiples in (self.multiples_x, self.multiples_y)

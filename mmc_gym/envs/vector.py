@@ -28,11 +28,10 @@ from mmc_gym._errors import (
 )
 from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
-from mmc_gym.envs.perturbations import Readings
-from mmc_gym.envs.reach import GoalEnvironment, Info, distances, reward_and_info
+from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info
 from mmc_gym.envs.spec import Options, ReachEnvironment, check_names
-from mmc_gym.envs.workspace import Point
-from mmc_gym.interface import relative_speeds
+from mmc_gym.envs.workspace import Point, distances
+from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
     from mmc_gym.body.analytic.arms import AnalyticArmBatch
@@ -104,20 +103,18 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             "autoreset_mode": self.autoreset_mode,
         }
         self.single_action_space = setup.action_space
-        self.single_observation_space = setup.observation_space
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.single_observation_space = space = setup.observation_space
+        self.action_space = batch_space(setup.action_space, num_envs)
+        self.observation_space = batch_space(space, num_envs)
         self._body = make_arms(setup.engine, setup.body, num_envs, setup.action.servo, threads)
         self._copy = copy
         self._all = np.arange(num_envs)
         self._randoms: list[np.random.Generator] = []
-        self._seeds: list[int] = []
         self._paths = np.zeros((num_envs, setup.path_length, 2))
         self._steps, self._places, self._last_places = np.zeros((3, num_envs), dtype=np.intp)
         self._speeds = np.zeros((num_envs, setup.joint_count))  # relative, a step earlier
         self._targets = np.zeros((num_envs, 2))
         self._is_started, self._is_over = np.zeros((2, num_envs), dtype=bool)
-        space = self.single_observation_space
         # Observations on their way, oldest first: that one is shown.
         self._late = [create_empty_array(space, num_envs) for _ in range(setup.delay + 1)]
         self._compiled: CompiledStep | None = None
@@ -239,18 +236,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         del kwargs
         self._body.close()
 
-    @property  # type: ignore[misc]  # read-only, as in SyncVectorEnv
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """The random generator of each arm, as of Gymnasium's `SyncVectorEnv`."""
-        self._seed([None] * self.num_envs)
-        return tuple(self._randoms)
-
-    @property
-    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The seed of each arm's generator."""
-        self._seed([None] * self.num_envs)
-        return tuple(self._seeds)
-
     def __getstate__(self) -> NoReturn:
         raise TypeError("a vector environment cannot be pickled or copied: make a new one")
 
@@ -262,11 +247,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _seed(self, seeds: Sequence[int | None]) -> None:
         """Give each arm a generator with its seed; without a seed it keeps its generator."""
         if not self._randoms:
-            made = [seeding.np_random() for _ in self._all]
-            self._randoms, self._seeds = [one for one, _ in made], [seed for _, seed in made]
+            self._randoms = [seeding.np_random()[0] for _ in self._all]
         for arm, seed in enumerate(seeds):
             if seed is not None:
-                self._randoms[arm], self._seeds[arm] = seeding.np_random(seed)
+                self._randoms[arm] = seeding.np_random(seed)[0]
 
     def _place(self, arms: Indices, options: Options) -> None:
         """Draw trials for these arms and place them."""
@@ -382,9 +366,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if not self.setup.noises:
             return observation
         angles, velocities = self._body.joint_angles[arms], self._body.joint_velocities[arms]
-        readings = Readings(angles, velocities, hands, self._targets[arms])
+        true = Seen(angles, self._targets[arms], velocities, hands)
         randoms = [self._randoms[arm] for arm in self._all[arms].tolist()]
-        return self.setup.observe_with_noise(readings, randoms)
+        return self.setup.observe_with_noise(true, randoms)
 
     def _is_at_last_target(self, arms: Indices | slice) -> Bools:
         """Tell which arms have their last target: only reaching that one is a success."""
@@ -476,10 +460,8 @@ def check_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int
     """Return a seed or None for each arm, or raise a `UserError`; one number starts a sequence."""
     if seed is None:
         return [None] * count
-    if is_whole(seed):
-        seeds: list[int | None] = [int(seed) + arm for arm in range(count)]
-    else:
-        seeds = list(seed) if np.iterable(seed) else []
+    given: Any = range(seed, seed + count) if is_whole(seed) else seed
+    seeds = list(given) if np.iterable(given) else []
     whole = all(one is None or (is_whole(one) and one >= 0) for one in seeds)
     accepted = f"a whole number of at least 0, or {count} of them"
     require(whole and len(seeds) == count, "seed", seed, accepted)

@@ -9,14 +9,18 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs.perturbations import VisuomotorRotation
-from mmc_gym.network.chain import node_positions, reachable_radii, segments_from_joint_angles
+from mmc_gym.network.chain import (
+    Floats,
+    node_positions,
+    reachable_radii,
+    segments_from_joint_angles,
+)
 
 if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
+    from mmc_gym.envs.perturbations import VisuomotorRotation
 
 # A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
 REACH_TOLERANCE = 1e-9
@@ -27,7 +31,7 @@ Point = tuple[float, float]
 
 
 class NoTarget(UserError):
-    """No target was found for a posture; there may be one for another posture."""
+    """No target was found; there may be one for another posture."""
 
 
 class Workspace:
@@ -68,7 +72,7 @@ class Workspace:
         self.inner = max(inner for inner, _ in rings)
         self.outer = min(outer for _, outer in rings)
         if self.inner > self.outer * (1 + REACH_TOLERANCE):
-            raise self._no_target(UserError)
+            raise self._no_target()
         limits = body.joint_limits
         self._limits = limits or ((-math.pi, math.pi),) * len(body.segment_lengths)
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
@@ -128,11 +132,11 @@ class Workspace:
             target = hand if self.rotation is None else self.rotation.cursor(*hand)
             if self.contains(target):
                 return target
-        raise self._no_target(NoTarget)
+        raise self._no_target()
 
-    def _no_target(self, kind: type[UserError]) -> UserError:
+    def _no_target(self) -> NoTarget:
         body, given = self.body, self.given_body
-        return kind(
+        return NoTarget(
             "perturbations must leave targets in reach, got segment_lengths "
             f"{body.segment_lengths}, given as {given.segment_lengths}, locked joints "
             f"{self.locked}, joint_limits {body.joint_limits}, obstacles {body.obstacles} and "
@@ -146,9 +150,7 @@ class Workspace:
         is_free = not self.locked and not body.joint_limits and not body.obstacles
         return is_free and (rotation is None or rotation.centre == (0.0, 0.0))
 
-    def draw_pairs(
-        self, randoms: Sequence[np.random.Generator]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def draw_pairs(self, randoms: Sequence[np.random.Generator]) -> tuple[Floats, Floats]:
         """Draw a posture and a target from each of k generators, where `is_ring`.
 
         They equal those of `draw_posture` and `draw_target`, in a tenth of the time.
@@ -246,10 +248,17 @@ class Workspace:
         return all(math.dist(point, (x, y)) > disc + radius for x, y, disc in self.body.obstacles)
 
 
+def distances(hands: Floats, targets: Floats) -> Floats:
+    """Return the distances (...) from hands (..., 2) to targets (..., 2)."""
+    offset = targets - hands
+    x, y = offset[..., 0], offset[..., 1]
+    return np.asarray(np.sqrt(x * x + y * y))[()]
+
+
 @lru_cache(maxsize=8)  # a vector of environments asks once for each
 def reachable_hands(
     segment_lengths: tuple[float, ...], joint_limits: tuple[tuple[float, float], ...]
-) -> list[NDArray[np.float64]]:
+) -> list[Floats]:
     """Return hand positions of an arm with joint limits, an array (n, 2) per cell of a square grid.
 
     Draw a cell, then a position from it: such positions are reachable, and area-uniform up to the

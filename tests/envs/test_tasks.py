@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +14,17 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.tasks import TASKS, DoubleStep, PointToPoint, Pursuit, ViaPoints
+from mmc_gym.envs.tasks import (
+    TASKS,
+    DoubleStep,
+    PointToPoint,
+    Pursuit,
+    RandomTarget,
+    Request,
+    Trial,
+    ViaPoints,
+)
+from mmc_gym.envs.vector import MMCReachVectorEnv
 from studies.paper.protocol import PAIRS, TARGETS
 
 STILL = np.zeros(3, np.float32)
@@ -23,9 +34,6 @@ def targets_of(env: MMCReachEnv, steps: int, **reset: Any) -> np.ndarray:
     """Where the target is at reset and after each step, (steps + 1, 2)."""
     infos = [env.reset(**reset)[1], *(env.step(STILL)[4] for _ in range(steps))]
     return np.array([info["target"] for info in infos])
-
-
-# --- The paper's movements
 
 
 def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent() -> None:
@@ -64,9 +72,6 @@ def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(
         MMCReachEnv(task=task, **arguments)
 
 
-# --- Centre-out
-
-
 def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far() -> None:
     env = MMCReachEnv(task="centre-out")
     infos = [env.reset(options={"trial": trial})[1] for trial in range(8)]
@@ -77,9 +82,6 @@ def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far() 
     np.testing.assert_allclose(
         np.arctan2(ways[:, 1], ways[:, 0]) % math.tau, np.arange(8) * math.pi / 4, atol=1e-9
     )
-
-
-# --- Targets that jump
 
 
 @pytest.mark.parametrize(
@@ -96,9 +98,6 @@ def test_the_target_jumps_once_and_at_its_time(arguments: dict[str, Any], step: 
         targets = targets_of(env, 40, seed=seed)
         jumps = np.flatnonzero(np.any(np.diff(targets, axis=0), axis=-1)) + 1
         assert jumps.tolist() == [step]
-
-
-# --- Targets that move
 
 
 def test_a_pursued_target_has_the_stated_frequencies_and_no_others() -> None:
@@ -124,9 +123,6 @@ def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time() -> 
         steps = np.linalg.norm(np.diff(path, axis=0), axis=-1)
         assert 0 < steps.max() < 0.06  # it moves, and nowhere jumps
     assert len({tuple(path[0]) for path in paths}) == 4
-
-
-# --- Via points
 
 
 def visit(env: MMCReachEnv, seed: int, steps: int = 300) -> list[dict[str, Any]]:
@@ -165,7 +161,21 @@ def test_only_the_last_via_point_is_a_success(reward_type: str) -> None:
             assert info["reward"] == (0.0 if info["is_success"] else -1.0)
 
 
-# --- Options and names
+def test_paths_have_the_length_that_is_drawn_and_no_other() -> None:
+    class Growing(RandomTarget):
+        """Paths of two places, then of three, and so on."""
+
+        places = 1
+
+        def draw(self, request: Request) -> Trial:
+            type(self).places += 1
+            return Trial(request.draw_posture(), [(1.0, k / 10) for k in range(self.places)])
+
+    for make in (MMCReachEnv, partial(MMCReachVectorEnv, 1)):
+        env = make(task=Growing())
+        assert env.setup.path_length == Growing.places
+        with pytest.raises(UserError, match=rf"task must be one whose paths have {Growing.places}"):
+            env.reset(seed=0)
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -201,7 +211,6 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, tri
         *((lambda m=m: Pursuit(multiples_x=m), "multiples_x") for m in (3, (2.5,), ())),
         (lambda: PointToPoint(((0,), (1,)), ((0, 1),)), "points"),
         (lambda: Pursuit(period=0.0), "period"),
-        (lambda: Pursuit(amplitude=math.nan), "amplitude"),
         (lambda: PointToPoint(((0.5, 0.0),), ()), "pairs"),
         (lambda: PointToPoint(((0.5, 0.0),), ((0, 1),)), "pairs"),
     ],
