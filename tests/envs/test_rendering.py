@@ -14,12 +14,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs import shapes as drawing
-from mmc_gym.envs.perturbations import (
-    ForceField,
-    HandMass,
-    LockedJoint,
-    VisuomotorRotation,
-)
+from mmc_gym.envs.perturbations import ForceField, HandMass, LockedJoint, VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import Renderer, Scene, Window
 from mmc_gym.envs.scenarios import PERTURBATION_NAMES
@@ -61,10 +56,9 @@ def differ(
 
 
 def test_pictures_are_new_arrays_and_need_no_display() -> None:
-    env = gym.make("MMCReach-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    unseen = gym.make("MMCReach-v0")
-    unseen.reset(seed=0)
+    env, unseen = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("rgb_array", None))
+    for one in (env, unseen):
+        one.reset(seed=0)
     frame = env.render()
     kept = frame.copy()
     assert (frame.shape, frame.dtype) == ((640, 640, 3), np.uint8)
@@ -81,9 +75,6 @@ def test_render_without_a_mode_says_what_to_do() -> None:
     env.reset(seed=0)
     with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
         assert env.render() is None
-
-
-# --- What is to be seen
 
 
 def test_the_arm_is_where_its_angles_say_with_y_up() -> None:
@@ -144,18 +135,6 @@ def test_arms_of_any_segments_fill_the_same_picture(lengths: tuple[float, ...]) 
     assert env.render()[y, x].tolist() == list(drawing.ROD)
 
 
-def test_a_view_maps_there_and_back() -> None:
-    view = View(reach=3.0, size=200)
-    assert view.pixel((0.0, 0.0)) == (100.0, 100.0)
-    for point in ((3.0, 0.0), (-1.0, 2.5)):
-        pixel = view.pixel(point)
-        assert 0 < min(pixel) < max(pixel) < 200
-        assert view.point(pixel) == pytest.approx(point)
-
-
-# --- Ghosts, and where the target will be
-
-
 def test_an_environment_shows_the_posture_it_is_given() -> None:
     env = gym.make("MMCReach-v0", render_mode="rgb_array").unwrapped
     env.reset(seed=0, options={"joint_angles": [0.0] * 3, "target": FAR})
@@ -186,8 +165,6 @@ def test_the_whole_path_of_a_pursued_target_is_shown() -> None:
     for place in (100, 250, 400):
         assert differ(shown, alone, path[place])
 
-
-# --- Perturbations are to be seen, and without colour
 
 POSTURE = [0.5, 1.0, 1.5]  # absolute angles
 NODES = np.cumsum([(0.0, 0.0), *((math.cos(a), math.sin(a)) for a in POSTURE)], axis=0)
@@ -265,21 +242,15 @@ def test_a_vector_of_environments_shows_what_single_ones_do() -> None:
     arguments = {"perturbations": names, "render_mode": "rgb_array"}
     vector = gym.make_vec("MMCReachViaPoints-v0", 2, **arguments)
     single = [gym.make("MMCReachViaPoints-v0", **arguments) for _ in range(2)]
-    vector.reset(seed=3)
-    for index, env in enumerate(single):
-        env.reset(seed=3 + index)
-    for _ in range(12):
-        vector.step(np.full((2, 3), 0.3, np.float32))
-        for env in single:
-            env.step(np.full(3, 0.3, np.float32))
+    for seed, env in ((3, vector), (3, single[0]), (4, single[1])):
+        env.reset(seed=seed)
+        for _ in range(12):
+            env.step(np.full(env.action_space.shape, 0.3, np.float32))
     pictures = vector.render()
     for shown, env in zip(pictures, single, strict=True):
         np.testing.assert_array_equal(shown, env.render())
     assert not np.array_equal(*pictures)
     vector.close()
-
-
-# --- The window (SDL's dummy driver stands in for a screen)
 
 
 def test_a_window_shows_every_step_at_the_control_rate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,16 +261,13 @@ def test_a_window_shows_every_step_at_the_control_rate(monkeypatch: pytest.Monke
             ticks.append(rate)
 
     monkeypatch.setattr(pygame.time, "Clock", Clock)
-    env = gym.make("MMCReach-v0", render_mode="human")
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(np.zeros(3, np.float32))
+    env, array = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("human", "rgb_array"))
+    for one in (env, array):
+        one.reset(seed=0)
+        for _ in range(3):
+            one.step(np.zeros(3, np.float32))
     assert ticks == [50] * 4
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-    array = gym.make("MMCReach-v0", render_mode="rgb_array")
-    array.reset(seed=0)
-    for _ in range(3):
-        array.step(np.zeros(3, np.float32))
     np.testing.assert_array_equal(shown, array.render())
     env.close()
     env.close()

@@ -59,8 +59,6 @@ def test_targets_are_reachable_and_so_is_the_nearest_point(
     assert math.dist(nearest, (x, y)) == pytest.approx(expected, abs=1e-9)
 
 
-# --- Joint limits
-
 TWO_LENGTHS = (1.2, 1.0)
 TWO_LIMITS = ((-0.5, 1.5), (0.2, 2.0))
 
@@ -83,19 +81,12 @@ def within_limits(points: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
     return reachable
 
 
-@pytest.fixture(scope="module")
-def limited_targets() -> np.ndarray:
+def test_joint_limits_leave_targets_uniform_over_what_the_arm_can_reach() -> None:
+    """Up to the size of a cell: the shares of coarse squares are those of their areas."""
     env = MMCReachEnv(segment_lengths=TWO_LENGTHS, joint_limits=TWO_LIMITS)
     env.reset(seed=0)
-    return np.array([env.reset()[1]["target"] for _ in range(10_000)])
-
-
-def test_an_arm_with_joint_limits_can_reach_all_its_targets(limited_targets: np.ndarray) -> None:
-    assert within_limits(limited_targets, tolerance=1e-7).all()
-
-
-def test_joint_limits_leave_targets_uniform_over_what_remains(limited_targets: np.ndarray) -> None:
-    """Up to the size of a cell: the shares of coarse squares are those of their areas."""
+    targets = np.array([env.reset()[1]["target"] for _ in range(10_000)])
+    assert within_limits(targets, tolerance=1e-7).all()
     bins = 6
     extent = sum(TWO_LENGTHS)
     axis = np.linspace(-extent, extent, 1201)
@@ -104,12 +95,9 @@ def test_joint_limits_leave_targets_uniform_over_what_remains(limited_targets: n
     inside = within_limits(grid).reshape(bins, 1200 // bins, bins, 1200 // bins)
     area = inside.sum(axis=(1, 3)) / inside.sum()
     edges = np.linspace(-extent, extent, bins + 1)
-    counts, _, _ = np.histogram2d(*limited_targets.T, bins=(edges, edges))
+    counts, _, _ = np.histogram2d(*targets.T, bins=(edges, edges))
     share = counts / counts.sum()
     assert np.abs(share - area).sum() / 2 < 0.05
-
-
-# --- Evenly bent postures
 
 
 @pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (2.0, 0.7), (1.0, 0.8, 0.6, 0.4), (1.5,)])
@@ -136,9 +124,6 @@ def test_an_evenly_bent_posture_beyond_reach_or_limits_is_refused() -> None:
     limited = Workspace(ArmParameters(joint_limits=((-1.0, 1.0),) * 3))
     with pytest.raises(ValueError, match="beyond the joint limits"):
         limited.posture_at((0.0, 0.5))
-
-
-# --- Rotated cursors
 
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.0, 1.5), (-2.0, 1.0)])
