@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -230,23 +230,17 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
     here = read_attribute(env, "unperturbed")
     if trained is None or here is None:
         return
-    differences = "; ".join(_differences(trained, here))
+    # The same control step may have other substeps.
+    left_out = ("segment_masses", "substep", "substeps")
+    names = [each.name for each in fields(trained) if each.name not in left_out]
+    differences = "; ".join(
+        f"{name} {getattr(trained, name)} in training, {getattr(here, name)} here"
+        for name in (*names, "masses", "control_step")
+        if getattr(trained, name) != getattr(here, name)
+    )
     if differences:
         message = f"{label} was trained with another arm than that of env: {differences}"
         warnings.warn(message, MismatchWarning, stacklevel=4)
-
-
-def _differences(trained: ArmParameters, here: ArmParameters) -> Iterator[str]:
-    """Name the parameters in which arms differ.
-
-    The same control step may have other substeps.
-    """
-    solved = ("segment_masses", "substep", "substeps")
-    names = [each.name for each in fields(trained) if each.name not in solved]
-    for name in (*names, "masses", "control_step"):
-        one, other = getattr(trained, name), getattr(here, name)
-        if one != other:
-            yield f"{name} {one} in training, {other} here"
 
 
 class RandomAgent(Agent[None]):

@@ -17,6 +17,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
@@ -259,16 +260,14 @@ def resolve_all(
         found += _trainings(several, label, allow_pickle, every_training)
     if not found:
         raise UserError("agents must be one or more, such as mmc and ppo, got none")
-    seen = set()
     for one in found:
         one.check()
-        key = one.label, one.training_seed
-        if key in seen:
-            raise UserError(
-                f"agents must have different names, got {one.label} repeatedly; LABEL=... gives "
-                "another name"
-            )
-        seen.add(key)
+    counts = Counter((one.label, one.training_seed) for one in found)
+    (label, _), count = counts.most_common(1)[0]
+    if count > 1:
+        raise UserError(
+            f"agents must have different names, got {label} repeatedly; LABEL=... gives another"
+        )
     return found
 
 

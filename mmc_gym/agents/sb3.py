@@ -18,7 +18,7 @@ import pickle
 import sys
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
@@ -168,28 +168,26 @@ def as_agent(thing: Any) -> Any:
 
 def _world(env: Any) -> World:
     try:
-        return World(
-            read_attribute(env, "control"),
-            read_attribute(env, "unperturbed"),
-            tuple(_wrappers(env)),
-        )
+        control, body = (read_attribute(env, name) for name in ("control", "unperturbed"))
     except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
         return World()
+    return World(control, body, _wrappers(env))
 
 
-def _wrappers(env: Any) -> Iterator[str]:
+def _wrappers(env: Any) -> tuple[str, ...]:
     """Name the wrappers around an environment that change observations or actions."""
     harmless = ("VecNormalize", "VecMonitor", "VecCheckNan", "ClipAction")
+    found = []
     while hasattr(env, "venv"):
-        if type(env).__name__ not in harmless:
-            yield type(env).__name__
+        found.append(env)
         env = env.venv
     env = next(iter(getattr(env, "envs", ())), env)
     while isinstance(env, gym.Wrapper):
-        changes = isinstance(env, (gym.ObservationWrapper, gym.ActionWrapper))
-        if changes and type(env).__name__ not in harmless:
-            yield type(env).__name__
+        if isinstance(env, (gym.ObservationWrapper, gym.ActionWrapper)):
+            found.append(env)
         env = env.env
+    names = [type(one).__name__ for one in found]
+    return tuple(name for name in names if name not in harmless)
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def test_a_resolved_agent_travels_with_its_fingerprint_and_is_read_anew(folder):
     assert travelled.factory(gym.make("MMCReach-v0")).size == 3
 
 
-def test_functions_and_objects_are_called_by_their_own_names_or_class():
+def test_functions_and_objects_are_called_by_their_own_names_or_class(monkeypatch):
     thing = SimpleNamespace(predict=lambda *observation, deterministic: None)
 
     def make(env):
@@ -140,6 +140,9 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class():
     assert (resolve(make).label, resolve(make).factory(None)) == ("make", thing)
     assert (resolve(thing).label, resolve(thing).factory(None)) == ("SimpleNamespace", thing)
     assert resolve(make).source_name == "given:make"
+    monkeypatch.setitem(sys.modules, "of_a_prompt", ModuleType("of_a_prompt"))
+    for source in ("of_a_prompt:make", "no_such_package.module:make"):
+        assert resolve(source).fingerprint == ""  # no file is known
     assert resolve(make).fingerprint != resolve(thing).fingerprint
 
 
@@ -195,13 +198,8 @@ def test_agents_that_cannot_stand_beside_each_other_are_refused(agents, message)
         resolve_all(agents)
 
 
-def test_where_no_file_is_known_there_is_no_fingerprint(monkeypatch):
-    monkeypatch.setitem(sys.modules, "of_a_prompt", ModuleType("of_a_prompt"))
-    for source in ("of_a_prompt:make", "no_such_package.module:make"):
-        assert resolve(source).fingerprint == ""
-
-
 def test_changed_code_is_another_fingerprint(tmp_path, monkeypatch):
+    unchanged = resolve("mmc").fingerprint
     package = tmp_path / "mmc_gym"
     source = resolver.files("mmc_gym")
     for part in ("agents", "network"):
@@ -213,5 +211,5 @@ def test_changed_code_is_another_fingerprint(tmp_path, monkeypatch):
         if changed is not None:
             (package / changed).write_text((package / changed).read_text() + "# changed")
         digests.append(resolver.code_digest.__wrapped__())
-    assert digests[0] == resolve("mmc").fingerprint
+    assert digests[0] == unchanged
     assert len(set(digests)) == len(digests)
