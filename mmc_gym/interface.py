@@ -205,6 +205,11 @@ class ObservationLayout:
         Raises:
             UserError: if it has another shape, lacks a goal, or is not all finite numbers.
         """
+        if type(observation) is np.ndarray and observation.ndim == 1:
+            values = observation.tolist()  # for a single arm four times quicker than numpy
+            is_whole = len(values) == self.size and observation.dtype.char in "fd"
+            if is_whole and math.isfinite(sum(values)):
+                return observation
         if not isinstance(observation, Mapping):
             return _finite_rows("observation", observation, self.size)
         sizes = {"observation": self.posture_size, "achieved_goal": 2, "desired_goal": 2}
@@ -253,9 +258,12 @@ def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[A
     of one shape; `root` is the square root for them.
     """
     (hand_x, hand_y), (target_x, target_y) = hand, target
-    x, y = turned_back(target_x - hand_x, target_y - hand_y, cosine, sine)
+    along, across = target_x - hand_x, target_y - hand_y
+    # Written out: calls of `turned_back` would cost a step of one arm a microsecond.
+    x, y = cosine * along + sine * across, cosine * across - sine * along
     scale = NEAR + root(x * x + y * y)
-    return *turned_back(target_x, target_y, cosine, sine), x, y, x / scale, y / scale
+    seen_x, seen_y = cosine * target_x + sine * target_y, cosine * target_y - sine * target_x
+    return seen_x, seen_y, x, y, x / scale, y / scale
 
 
 def _finite_rows(name: str, value: Any, size: int) -> NDArray[np.floating]:
@@ -284,7 +292,9 @@ def relative_speeds(joint_velocities: Any, limit: float) -> Any:
             -1.0 if velocity < -limit else 1.0 if velocity > limit else velocity / limit
             for velocity in joint_velocities
         ]
-    return (joint_velocities / limit).clip(-1.0, 1.0)
+    # np.clip would take twice as long for few arms.
+    speeds: Floats = np.maximum(joint_velocities / limit, -1.0)
+    return np.minimum(speeds, 1.0, out=speeds)
 
 
 @dataclass(frozen=True)
@@ -450,7 +460,9 @@ class ReachInterface:
             action = wrap_angle(self.within_limits(joint_targets)) / math.pi
         else:
             action = self.turn(sensed.joint_angles, joint_targets) / self.max_joint_delta
-        return action.clip(-1.0, 1.0).astype(np.float32)
+        # np.clip would take twice as long for few arms.
+        clipped: NDArray[np.float32] = np.minimum(np.maximum(action, -1.0), 1.0).astype(np.float32)
+        return clipped
 
     def check_takes_joint_targets(self) -> None:
         """Raise a `CannotActError` under torque control, whose servos take no targets."""
