@@ -44,6 +44,22 @@ def test_import_loads_no_heavy_library_and_the_default_engine_needs_no_numba():
     assert HEAVY.isdisjoint(loaded.split())
 
 
+@pytest.mark.parametrize(
+    "needs_numba",
+    [
+        "import mmc_gym.body.analytic.arms",
+        "from mmc_gym.network import MMCNetwork as N; print(N().damping); N(engine='numba')",
+    ],
+)
+def test_what_needs_numba_says_how_to_get_it(needs_numba):
+    shown = run_python(
+        "import sys; sys.modules['numba'] = None\n"
+        f"try: {needs_numba}\n"
+        "except ImportError as error: print(error)"
+    )
+    assert shown.strip().endswith('pip install "mmc-gym[fast]"')
+
+
 def test_public_names_are_at_the_top_and_loaded_when_they_are_used():
     shown = run_python(
         "import gymnasium; gymnasium.make('mmc_gym:MMCReach-v0').close()\n"

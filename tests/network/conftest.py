@@ -1,14 +1,28 @@
-"""The engines that iterate a network, behind one call."""
+"""Kinds of networks, and the engines that iterate them behind one call."""
 
 from dataclasses import replace
 from importlib.util import find_spec
+from itertools import product
 
 import numpy as np
 import pytest
 import torch
 
-from mmc_gym.network import MMCState, chain
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCState, chain
 from mmc_gym.network.differentiable import TorchNetwork, TorchState
+
+DYNAMICS = ("kinematic", "paper", "reference")
+
+
+@pytest.fixture(params=list(product(DYNAMICS, ("synchronous", "delayed"))), ids="-".join)
+def kind(request):
+    """Arguments that make a network of every dynamics and schedule."""
+    return dict(zip(("dynamics", "schedule"), request.param, strict=True))
+
+
+@pytest.fixture(params=[EuclideanNormalizer(), LearnedNormalizer.shipped()], ids=repr)
+def normalizer(request):
+    return request.param
 
 
 def iterate_numpy(network, state, clamps, iterations):

@@ -1,7 +1,5 @@
 """The network in torch: its gradients, what it learns, and where its tensors are."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 import torch
@@ -12,8 +10,6 @@ from mmc_gym._errors import UserError
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
 
-KINDS = list(product(["kinematic", "paper", "reference"], ["synchronous", "delayed"]))
-every_kind = pytest.mark.parametrize(("dynamics", "schedule"), KINDS)
 every_normalizer = pytest.mark.parametrize("learned", [False, True])
 SCALARS = ("segment_lengths", "damping", "velocity_damping", "velocity_decay")
 
@@ -29,13 +25,10 @@ def doubles(*numbers):
     return torch.tensor(numbers, dtype=torch.float64, requires_grad=True)
 
 
-@every_kind
 @every_normalizer
 @pytest.mark.parametrize("pairs", [[(0, 3)], [(0, 1), (1, 3)]], ids=["inverse", "mixed"])
-def test_gradients_flow_through_iterations_to_all_that_they_depend_on(
-    dynamics, schedule, learned, pairs
-):
-    _, network = twin(dynamics=dynamics, schedule=schedule, learned=learned)
+def test_gradients_flow_through_iterations_to_all_that_they_depend_on(kind, learned, pairs):
+    _, network = twin(learned=learned, **kind)
     network.requires_grad_(True)
 
     def end(angles, targets, *parameters):
@@ -48,7 +41,7 @@ def test_gradients_flow_through_iterations_to_all_that_they_depend_on(
     angles, targets = doubles([0.3, 0.6, 0.9], [2.5, -2.0, 1.0]), doubles([[1.0, 0.9]], [[-1, 0.4]])
     parameters = tuple(network.parameters())
     assert torch.autograd.gradcheck(end, (angles, targets, *parameters), fast_mode=True)
-    unused = ("velocity_damping", "velocity_decay") if dynamics == "kinematic" else ()
+    unused = ("velocity_damping", "velocity_decay") if kind["dynamics"] == "kinematic" else ()
     used = [one for name, one in network.named_parameters() if name not in unused]
     sum(one.sum() for one in end(angles, targets, *parameters)).backward()
     assert all(one.grad.abs().sum() > 0 for one in (angles, targets, *used))
@@ -63,10 +56,9 @@ def test_an_arm_that_was_bent_has_gradients_too():
     assert torch.isfinite(angles.grad).all() and torch.isfinite(target.grad).all()
 
 
-@every_kind
 @every_normalizer
-def test_the_network_of_numpy_comes_back_as_it_was(dynamics, schedule, learned):
-    network, same = twin(dynamics=dynamics, schedule=schedule, learned=learned)
+def test_the_network_of_numpy_comes_back_as_it_was(kind, learned):
+    network, same = twin(learned=learned, **kind)
     back = same.to_numpy()
     for name in (*SCALARS, "dynamics", "schedule"):
         assert getattr(back, name) == getattr(network, name)
@@ -117,12 +109,9 @@ class Devices(TorchDispatchMode):
         return result
 
 
-@every_kind
-@every_normalizer
-def test_every_tensor_is_on_the_device_and_none_is_asked_for_its_value(dynamics, schedule, learned):
+def test_every_tensor_is_on_the_device_and_none_is_asked_for_its_value(kind, normalizer):
     """Tensors on "meta" have no values: whoever asks for one gets an error."""
-    normalizer = LearnedNormalizer.shipped() if learned else EuclideanNormalizer()
-    described = MMCNetwork(dynamics=dynamics, schedule=schedule, normalizer=normalizer)
+    described = MMCNetwork(normalizer=normalizer, **kind)
     network = TorchNetwork(described, device="meta").requires_grad_(True)
     angles, targets = torch.ones(5, 3, device="meta"), torch.ones(4, 1, 2, device="meta")
     with Devices() as devices:

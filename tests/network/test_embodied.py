@@ -6,14 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import MMCNetwork
 from mmc_gym.network.chain import segments_from_joint_angles, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run
 
 DYNAMICS = ("kinematic", "paper", "reference")
-every_normalizer = pytest.mark.parametrize(
-    "normalizer", [EuclideanNormalizer(), LearnedNormalizer.shipped()], ids=repr
-)
 
 
 def run_to(network, state, target, body, iterations=1):
@@ -29,7 +26,6 @@ def targets(seed: int, batch: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("dynamics", DYNAMICS)
-@every_normalizer
 def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, normalizer):
     network = MMCNetwork((1.0, 0.8, 1.2), dynamics=dynamics, normalizer=normalizer)
     state = network.state_from_joint_angles(postures(0, 7))
@@ -43,7 +39,6 @@ def test_with_nothing_known_of_the_body_it_is_the_network_bit_for_bit(dynamics, 
         np.testing.assert_array_equal(actual.values, expected.values)
 
 
-@every_normalizer
 def test_each_arm_of_a_batch_may_have_its_own_lengths(normalizer):
     lengths = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.5], [2.0, 0.5, 0.7]])
     given = MMCNetwork(normalizer=normalizer)

