@@ -51,7 +51,6 @@ from mmc_gym.benchmark.suite import (
     minimum_jerk_episodes,
 )
 from mmc_gym.envs.scenarios import Scenario
-from mmc_gym.envs.scenarios import scenario as find_scenario
 from mmc_gym.interface import CannotActError, read_attribute
 from mmc_gym.measures import (
     MEASURES,
@@ -63,14 +62,16 @@ from mmc_gym.measures import (
     run_episodes,
 )
 from mmc_gym.measures.catalogue import digest, own_measures, register
+from mmc_gym.measures.reaching import success
 
 TIMED = 1
 """Number of episodes that agents play one by one as well as in a batch, to time single actions."""
 
-PATHS_KEPT = 12
-"""Number of instances whose paths are kept, of the lowest training seed that takes part."""
+PATHS_KEPT, FAILURES_KEPT = 12, 6
+"""The paths of so many first instances, and of so many first failures, are kept of the lowest
+training seed that takes part."""
 
-RECORDING = 3
+RECORDING = 4
 """Version of recordings and measures; when it changes, all cells are played again."""
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pymunk")
@@ -161,7 +162,9 @@ def _outcome(cell: BenchmarkCell) -> Outcome:
         return Outcome(cell.not_played("failed", f"{type(error).__name__}: {error}"))
     files = {}
     if cell.keeps_paths:
-        files[PATHS] = paths_file(cell.key, episodes[:PATHS_KEPT])
+        failed = [number for number, one in enumerate(episodes) if not success(one)]
+        shown = sorted({*range(min(PATHS_KEPT, len(episodes))), *failed[:FAILURES_KEPT]})
+        files[PATHS] = paths_file(cell.key, {number: episodes[number] for number in shown})
     if (sets := sets_file(cell.key, episodes)) is not None:
         files[SETS] = sets
     facts = {
@@ -337,29 +340,28 @@ def _joined(
     manifest: Manifest | None,
 ) -> Manifest:
     """Return the manifest of the store, with these scenarios and agents added."""
-    if manifest is None:
-        plain: Any = find_scenario("random").make().unwrapped
-        manifest = Manifest(
-            episodes=episodes,
-            seed=seed,
-            control_step=plain.parameters.control_step,
-            segment_lengths=plain.parameters.segment_lengths,
-            tolerance=plain.success_distance,
-        )
+    manifest = manifest or Manifest(episodes=episodes, seed=seed)
     _require_same(out, "episodes", manifest.episodes, episodes)
     _require_same(out, "seed", manifest.seed, seed)
     environments = dict(manifest.environments)
     for name, scenario in scenarios.items():
-        settings = environments.setdefault(name, scenario.settings)
-        _require_same(out, f"environment {name}", settings, scenario.settings)
+        asked = _settings(scenario)
+        settings = environments.setdefault(name, asked)
+        _require_same(out, f"environment {name}", settings, asked)
     agents = {name: list(policies) for name, policies in manifest.agents.items()}
     for one in found:
         policies = agents.setdefault(one.label, [])
-        asked = Policy(training_seed=one.training_seed, source=one.source_name)
-        same = [policy for policy in policies if policy.training_seed == asked.training_seed]
-        policies += [] if same else [asked]
-        for kept in same:
-            _require_same(out, f"agent {one.label}", kept.source, asked.source)
+        for kept in [each for each in policies if each.training_seed == one.training_seed]:
+            _require_same(out, f"agent {one.label}", kept.source, one.source_name)
+            policies.remove(kept)  # it may have been trained further
+        known = Policy(
+            training_seed=one.training_seed,
+            source=one.source_name,
+            name=one.name,
+            knowledge=one.knowledge,
+            training_steps=getattr(one, "training_steps", None),
+        )
+        policies.append(known)
     # Measures that only earlier runs knew keep their columns, and so their facts.
     measures = {name: one.facts for name, one in MEASURES.items()}
     set_measures = {name: one.facts for name, one in SET_MEASURES.items()}
@@ -371,6 +373,18 @@ def _joined(
             "set_measures": manifest.set_measures | set_measures,
         }
     )
+
+
+def _settings(scenario: Scenario) -> dict[str, Any]:
+    """Return the settings of a scenario with those of its environment, see `Manifest`."""
+    with closing(scenario.make()) as env:
+        world: Any = env.unwrapped
+        played = {
+            "control_step": getattr(world.parameters, "control_step", None),
+            "segment_lengths": list(getattr(world.parameters, "segment_lengths", ())),
+            "tolerance": getattr(world, "success_distance", None),
+        }
+    return {**scenario.settings, **played}
 
 
 def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:

@@ -1,7 +1,7 @@
 """The store of a benchmark: a folder of Parquet files, one for each cell, and a manifest.
 
     episodes/AGENT--SEED--ENVIRONMENT.parquet    a row per episode: who, where, measures
-    paths/AGENT--SEED--ENVIRONMENT.parquet       a row per step of the first episodes, for pictures
+    paths/AGENT--SEED--ENVIRONMENT.parquet       a row per step of some episodes, for pictures
     sets/AGENT--SEED--ENVIRONMENT.parquet        a row per measure of all episodes together
     manifest.json                                what all of it was made with
 
@@ -31,14 +31,18 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
+from mmc_gym.agents.registry import UNKNOWN, Knowledge
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode, measure_all
+from mmc_gym.measures.catalogue import value_of
 
-SCHEMA_VERSION: Literal[2] = 2
+SCHEMA_VERSION: Literal[3] = 3
 MANIFEST = "manifest.json"
 EPISODES, PATHS, SETS = "episodes", "paths", "sets"
 SET_COLUMNS = ("agent", "training_seed", "environment", "measure", "unit", "episodes", "value")
 _CONTENT, _CHECK = b"mmc_gym", b"mmc_gym_check"  # in the metadata
-_EPISODE = ("agent", "training_seed", "environment", "instance")  # columns that name one
+_DIGEST = "sha256"  # in the manifest, of all else in it
+_KEY = ("agent", "training_seed", "environment")  # columns that name a cell
+_SHARED = ("episodes", "seed", "environment")  # settings that all cells of a scenario share
 _CURSOR = ("cursor_x", "cursor_y")
 _PLAIN = re.compile(r"[a-z0-9][a-z0-9_.+-]*")
 
@@ -109,8 +113,8 @@ def episodes_file(
     return _parquet(columns, Kept(settings, facts))
 
 
-def paths_file(key: CellKey, episodes: Sequence[Episode]) -> bytes:
-    """Return the content of a cell's file of paths: all steps of its first instances.
+def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
+    """Return the content of a cell's file of paths: all steps of these episodes, by instance.
 
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
     joint_angle_N (radians, not wrapped; missing for a hand without an arm), hand_x, hand_y,
@@ -118,11 +122,12 @@ def paths_file(key: CellKey, episodes: Sequence[Episode]) -> bytes:
     rotation also cursor_x, cursor_y: distance and success are the cursor's.  Elsewhere it is the
     hand itself and not written twice; `read_paths` repeats it.
     """
-    hands = np.concatenate([episode.hands for episode in episodes])
-    targets = np.concatenate([episode.targets for episode in episodes])
-    postures = np.concatenate([episode.joint_angles for episode in episodes])
-    cursors = [episode.cursors for episode in episodes if episode.cursors is not None]
-    counts = [len(episode.hands) for episode in episodes]
+    played = list(episodes.values())
+    hands = np.concatenate([episode.hands for episode in played])
+    targets = np.concatenate([episode.targets for episode in played])
+    postures = np.concatenate([episode.joint_angles for episode in played])
+    cursors = [episode.cursors for episode in played if episode.cursors is not None]
+    counts = [len(episode.hands) for episode in played]
     numbers = {
         **{f"joint_angle_{joint}": angles for joint, angles in enumerate(postures.T, start=1)},
         **dict(zip(("hand_x", "hand_y"), hands.T)),
@@ -131,7 +136,7 @@ def paths_file(key: CellKey, episodes: Sequence[Episode]) -> bytes:
     }
     columns = {
         **_key_columns(key, len(hands)),
-        "instance": np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        "instance": np.repeat(np.array(list(episodes), dtype=np.int32), counts),
         "step": np.concatenate([np.arange(count, dtype=np.int32) for count in counts]),
         **{name: values.astype(np.float32) for name, values in numbers.items()},
     }
@@ -152,7 +157,7 @@ def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
         "measure": [measure.name for measure in measures],
         "unit": [measure.unit for measure in measures],
         "episodes": np.full(len(measures), len(episodes), dtype=np.int32),
-        "value": np.array([measure.of(episodes) for measure in measures], np.float64),
+        "value": np.array([value_of(measure, episodes) for measure in measures]),
     }
     return _parquet(columns)
 
@@ -188,12 +193,21 @@ def _checksum(schema: pa.Schema, content: str) -> str:
     return hashlib.sha256(f"{columns}{content}".encode()).hexdigest()
 
 
-def _read(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a table; raise a `UserError` that names the file if it is damaged, or not ours."""
+def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, Kept]:
+    """Read a cell's table, its settings and facts.
+
+    Raise a `UserError` that names the file if it is damaged, not ours, or of another cell.
+    """
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
-        _kept(file.schema_arrow)
-        return file.read(columns, use_threads=False)  # one thread is faster for small files
+        kept = _kept(file.schema_arrow)
+        table = file.read(columns, use_threads=False)  # one thread is faster for small files
+        if (
+            len(table)
+            and (stem := CellKey(*(table[one][0].as_py() for one in _KEY)).stem) != path.stem
+        ):
+            raise ValueError(f"it is a copy of {stem}{path.suffix}")
+        return table, kept
     except (FileNotFoundError, PermissionError):
         raise
     except (OSError, pa.ArrowException, ValueError) as error:
@@ -224,15 +238,14 @@ def write_cell(folder: Path, key: CellKey, files: Mapping[str, bytes]) -> None:
 def cell_facts(folder: Path, key: CellKey, settings: Mapping[str, Any]) -> Mapping[str, Any] | None:
     """Return the facts kept about a cell; None if it is missing, damaged, or of other settings."""
     try:
-        schema = _read(folder / EPISODES / key.file_name).schema
-        kept = _kept(schema)
+        table, kept = _read(folder / EPISODES / key.file_name)
         for kind in (PATHS, SETS):
             if kept.facts.get(f"has_{kind}"):
                 _read(folder / kind / key.file_name)
     except (FileNotFoundError, UserError):
         return None
     is_same = kept.settings == json.loads(json.dumps(settings))
-    return kept.facts if is_same and MEASURES.keys() <= set(schema.names) else None
+    return kept.facts if is_same and MEASURES.keys() <= set(table.column_names) else None
 
 
 def kept_cells(folder: Path) -> dict[str, Kept]:
@@ -252,11 +265,19 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
         columns: to read besides agent, training_seed, environment and instance; all if None.
 
     Raises:
-        UserError: if there are none, or a file is damaged.
+        UserError: if there are none, or a file is damaged or of other settings than the others.
     """
-    folder = Path(folder)
-    chosen = None if columns is None else list(dict.fromkeys([*_EPISODE, *columns]))
-    frame = _read_all(_files(folder, EPISODES), chosen)
+    folder, shared = Path(folder), dict[str, tuple[Path, Mapping[str, Any]]]()
+    chosen = None if columns is None else list(dict.fromkeys([*_KEY, "instance", *columns]))
+    tables = []
+    for file in _files(folder, EPISODES):
+        table, kept = _read(file, chosen)
+        own = {name: kept.settings.get(name) for name in _SHARED}
+        other, theirs = shared.setdefault(file.stem.rpartition("--")[2], (file, own))
+        if own != theirs:
+            raise UserError(f"{file} must be of the same settings as {other}: play it again")
+        tables.append(table)
+    frame = _joined(tables)
     if frame.empty:
         why = "".join(f"; {line}" for line in reasons(read_manifest(folder).not_played))
         raise UserError(f"folder must hold a benchmark's episodes, got {str(folder)!r}{why}")
@@ -277,7 +298,7 @@ def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd
     if cells is not None:
         names = {cell.file_name for cell in cells}
         files = [file for file in files if file.name in names]
-    frame = _read_all(files)
+    frame = _joined(_read(file)[0] for file in files)
     if len(frame):
         for cursor, hand in zip(_CURSOR, ("hand_x", "hand_y")):
             frame[cursor] = frame[cursor].fillna(frame[hand]) if cursor in frame else frame[hand]
@@ -290,7 +311,7 @@ def read_sets(folder: Path | str) -> pd.DataFrame:
     Raises:
         UserError: if a file is damaged.
     """
-    frame = _read_all(_files(Path(folder), SETS))
+    frame = _joined(_read(file)[0] for file in _files(Path(folder), SETS))
     return frame if len(frame) else pd.DataFrame(columns=SET_COLUMNS)
 
 
@@ -298,8 +319,8 @@ def _files(folder: Path, kind: str) -> list[Path]:
     return sorted((folder / kind).glob("[!.]*.parquet"))
 
 
-def _read_all(files: Iterable[Path], columns: Sequence[str] | None = None) -> pd.DataFrame:
-    tables = [_read(file, columns).replace_schema_metadata(None) for file in files]
+def _joined(found: Iterable[pa.Table]) -> pd.DataFrame:
+    tables = [table.replace_schema_metadata(None) for table in found]
     if not tables:
         return pd.DataFrame()
     # A store may be older than a measure, or hold arms of different numbers of joints.
@@ -312,10 +333,20 @@ class _Frozen(BaseModel):
 
 
 class Policy(_Frozen):
-    """A training of an agent, or the agent if it was not trained, and its source."""
+    """A training of an agent, or the agent if it was not trained.
+
+    Attributes:
+        source: from which it can be made again, or a name that stands for it.
+        name: its key in `AGENTS`, or `REFERENCE`; empty for an agent of the user.
+        knowledge: its kind, what it is given, and what it senses.
+        training_steps: of its training, 0 without one; None if unknown.
+    """
 
     training_seed: int | None
     source: str
+    name: str = ""
+    knowledge: Knowledge = UNKNOWN
+    training_steps: int | None = None
 
 
 class NotPlayed(_Frozen):
@@ -339,12 +370,11 @@ class Manifest(_Frozen):
     Attributes:
         episodes: in each environment whose trials are not numbered.
         seed: of the starts and targets.
-        control_step: seconds.
-        segment_lengths: of the arm that agents are given.
-        tolerance: distance that counts as reached, segment lengths.
         measures: facts of the measures of episodes by name, see `Quantity.facts`.
         set_measures: facts of those of sets of episodes.
-        environments: settings by name.
+        environments: settings by name, and of the environment as it was played control_step
+            (seconds), segment_lengths (of the arm that agents are given) and tolerance (the
+            distance from the target that counts as success).
         agents: policies by name.
         cpu_seconds: processor time of each cell, by the stem of its files.
         reused: number of cells that the last run did not have to play.
@@ -352,12 +382,9 @@ class Manifest(_Frozen):
         changed: sources of agents whose cells are of different weights or code.
     """
 
-    schema_version: Literal[2] = SCHEMA_VERSION
+    schema_version: Literal[3] = SCHEMA_VERSION
     episodes: int
     seed: int
-    control_step: float
-    segment_lengths: tuple[float, ...]
-    tolerance: float
     measures: dict[str, dict[str, Any]] = {}
     set_measures: dict[str, dict[str, Any]] = {}
     environments: dict[str, dict[str, Any]] = {}
@@ -388,11 +415,22 @@ def read_manifest(folder: Path | str) -> Manifest:
     """
     path = Path(folder) / MANIFEST
     try:
-        return Manifest.model_validate_json(path.read_bytes())
+        manifest = Manifest.model_validate_json(content := path.read_bytes())
     except FileNotFoundError as error:
         raise UserError(f"folder must hold a benchmark's store, got {str(folder)!r}") from error
     except ValidationError as error:
         raise UserError(f"{path} cannot be read: {explain(error)}") from error
+    entries = json.loads(content)
+    if entries.pop(_DIGEST, None) != _digest(entries):
+        raise UserError(
+            f"{path} has been changed since the benchmark wrote it: remove it, and run the same "
+            "benchmark again, which plays no cell twice"
+        )
+    return manifest
+
+
+def _digest(entries: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
 
 
 def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest]) -> Manifest:
@@ -404,5 +442,7 @@ def update_manifest(folder: Path, update: Callable[[Manifest | None], Manifest])
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".lock"):  # released by death, too
         manifest = update(read_manifest(folder) if path.exists() else None)
-        write_atomically(path, manifest.model_dump_json(indent=1) + "\n")
+        entries = manifest.model_dump(mode="json")
+        content = {**entries, _DIGEST: _digest(entries)}
+        write_atomically(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
         return manifest

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 import numpy as np
 
 from mmc_gym._console import number
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, require
 from mmc_gym.measures.episode import Episode
 
 if TYPE_CHECKING:
@@ -130,8 +130,10 @@ SET_MEASURES: dict[str, SetMeasure] = {}
 
 
 def measure(
+    function: None = None,
+    /,
     *,
-    label: str,
+    label: str = "",
     unit: str = "",
     best: Direction = "neither",
     statistic: Statistic = "median",
@@ -142,6 +144,7 @@ def measure(
     """Register a function `Episode -> float` as a measure, under the function's name.
 
     Args:
+        function: none; it is there so that `@measure` without brackets is noticed.
         label: heading in tables.
         unit: of the values; "fraction" is shown in percent, "" is a plain number.
         best: "high" or "low" if such values are good, else "neither".
@@ -151,9 +154,10 @@ def measure(
         successes_only: whether it is reported only for episodes that ended at the target.
 
     Raises:
-        UserError: if another measure or another column of the data has this name, or `best` or
-            `statistic` is not accepted.
+        UserError: without a label or without brackets; if another measure or another column of the
+            data has this name, or `best` or `statistic` is not accepted.
     """
+    _require_label("measure", function, label)
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
     facts |= {"statistic": statistic, "shown": shown, "successes_only": successes_only}
 
@@ -164,10 +168,18 @@ def measure(
     return decorate
 
 
+def _require_label(decorator: str, function: object, label: object, also: str = "") -> None:
+    accepted = f'used as @{decorator}({also}label="..."), with its brackets'
+    require(function is None, f"@{decorator}", function, accepted)
+    require(isinstance(label, str) and bool(label), f"@{decorator}", label, accepted)
+
+
 def set_measure(
+    function: None = None,
+    /,
     *,
-    environment: str,
-    label: str,
+    environment: str = "",
+    label: str = "",
     unit: str = "",
     best: Direction = "neither",
     decimals: int = 2,
@@ -177,6 +189,7 @@ def set_measure(
     The function gets all episodes of an agent in one `environment` of the benchmark.  Other
     arguments and errors are those of `measure`.
     """
+    _require_label("set_measure", function, label and environment, 'environment="random", ')
     facts: Any = {"label": label, "unit": unit, "best": best, "decimals": decimals}
 
     def decorate(function: OfEpisodes) -> OfEpisodes:
@@ -241,7 +254,17 @@ def shown_measures() -> tuple[Measure, ...]:
 
 def measure_all(episode: Episode) -> dict[str, float]:
     """Return the values of all measures of an episode, by name."""
-    return {name: one.of(episode) for name, one in MEASURES.items()}
+    return {name: value_of(one, episode) for name, one in MEASURES.items()}
+
+
+def value_of(known: Measure | SetMeasure, played: Any) -> float:
+    """Return the value of a measure of an episode, or of all; a `UserError` if it is no number."""
+    value: Any = known.of(played)
+    if not isinstance(value, float):
+        is_single = np.asarray(value, dtype=object).ndim == 0
+        fine = is_single and np.asarray(value).dtype.kind in "fiub"
+        require(fine, f"what measure {known.name!r} returns", value, "a number")
+    return float(value)
 
 
 def leave_out_failures(

@@ -61,7 +61,7 @@ def movements(results: Results) -> ImageGroup | None:
         if not np.isnan(lowest):
             mine = mine[mine["training_seed"] == lowest]
             seeds.append(f"seed {lowest:.0f} of {agent}")
-        shown[agent] = _movements_of(mine, results.manifest.control_step)
+        shown[agent] = _movements_of(mine, results.environments[results.base].control_step)
         fastest = max(fastest, float(np.nanmax(speed_quartiles(shown[agent])[2])))
     if not shown:
         return None
@@ -98,13 +98,15 @@ def _draw_movements(drawn: Sequence[PlottedMovement], results: Results, fastest:
         figure = Figure(figsize=_MOVEMENT_SIZE, layout="constrained")
         FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, height_ratios=(1.45, 1))
-        reach = sum(results.manifest.segment_lengths)
-        draw_paths(above, drawn, reach, results.manifest.tolerance)
+        reach = sum(results.environments[results.base].segment_lengths)
+        draw_paths(above, drawn, reach, results.environments[results.base].tolerance)
         above.set(xlabel="x [segment lengths]", ylabel="y [segment lengths]")
         quartiles = speed_quartiles(drawn)
-        draw_speed(below, quartiles, results.manifest.control_step)
+        draw_speed(below, quartiles, results.environments[results.base].control_step)
         below.set(xlabel="time [s]", ylabel="hand speed [lengths/s]")
-        below.set(xlim=(0, (quartiles.shape[1] - 0.5) * results.manifest.control_step))
+        below.set(
+            xlim=(0, (quartiles.shape[1] - 0.5) * results.environments[results.base].control_step)
+        )
         below.set(ylim=(0, 1.05 * fastest))
     return figure
 

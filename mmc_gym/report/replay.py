@@ -30,7 +30,7 @@ _COARSE, _FINE = 1_000, 10_000  # parts of one
 
 
 def replay(results: Results) -> dict[str, Any]:
-    """Return movements of the main agents by environment, instance and agent.
+    """Return movements of the main agents by environment, instance and agent, and the settings.
 
     Trained agents are shown by their first training seed.
     """
@@ -42,9 +42,11 @@ def replay(results: Results) -> dict[str, Any]:
     }
     there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
     return {
-        "step": results.manifest.control_step,
-        "lengths": list(results.manifest.segment_lengths),
-        "tolerance": results.manifest.tolerance,
+        "worlds": {
+            key: {"step": one.control_step, "lengths": one.segment_lengths, "near": one.tolerance}
+            for key, one in results.environments.items()
+            if key in scenes
+        },
         "agents": [agent for agent in agents if agent in there],
         "scenes": scenes,
         "chosen": agents[:_SIDE_BY_SIDE],
@@ -80,7 +82,9 @@ def _scenes(results: Results, environment: str, agents: Sequence[str]) -> list[d
         for agent, mine in rows.groupby("agent", sort=False, observed=True):
             seed = mine["training_seed"].fillna(0)
             steps = mine[seed == seed.min()].sort_values("step")
-            movements[str(agent)] = _movement(steps, results.manifest.segment_lengths)
+            movements[str(agent)] = _movement(
+                steps, results.environments[environment].segment_lengths
+            )
             own = steps[["target_x", "target_y"]].to_numpy(np.float64)
             target = own if len(own) > len(target) else target
         moving = bool(np.ptp(target, axis=0).max() > 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -90,6 +90,10 @@ class Environment:
     Attributes:
         family: of the perturbation; empty without one.
         strength: of the perturbation, in `unit`; NaN without one.
+        kwargs: arguments that made it.
+        control_step: seconds.
+        segment_lengths: of the arm that agents are given.
+        tolerance: distance from the target that counts as success, segment lengths.
     """
 
     id: str = ""
@@ -97,6 +101,10 @@ class Environment:
     family: str = ""
     strength: float = math.nan
     unit: str = ""
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    control_step: float = math.nan
+    segment_lengths: tuple[float, ...] = ()
+    tolerance: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,7 +124,7 @@ def test_a_store_holds_the_episodes_of_rollouts(played):
     assert frame.loc["mmc", "action_time"].groupby("environment").count().tolist() == [1, 1]
     assert len(read_paths(out).query("agent == 'mmc' and environment == 'centre-out'")) == 8 * 101
     assert manifest == read_manifest(out)
-    assert manifest.segment_lengths == (1.0, 1.0, 1.0)
+    assert manifest.environments["random"]["segment_lengths"] == [1.0, 1.0, 1.0]
     stems = {CellKey(agent, None, name).stem for agent in ("mmc", REFERENCE) for name in ENVS}
     assert set(manifest.cpu_seconds) == stems
 
@@ -150,6 +150,26 @@ def test_the_lowest_training_seed_that_takes_part_keeps_paths(tmp_path):
     keepers = read_paths(tmp_path).groupby("agent")["training_seed"].first()
     assert keepers.to_dict() == {"x": 3, "y": 1}
     assert len(read_episodes(tmp_path).groupby(["agent", "training_seed"])) == 3
+
+
+def test_paths_of_the_first_failures_are_kept_beside_the_first_instances(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "PATHS_KEPT", 1)
+    monkeypatch.setattr(runner, "FAILURES_KEPT", 2)
+    played = [False, True, False, True, True]  # is it a failure?
+    monkeypatch.setattr(runner, "success", lambda one: not played[seeds.index(one.seed)])
+    seeds = episode_seeds(0, len(played))
+    play(["mmc"], tmp_path, ["random"], len(played))
+    assert read_paths(tmp_path)["instance"].unique().tolist() == [0, 1, 3]
+
+
+def test_settings_are_those_of_the_environments_that_were_played(tmp_path):
+    given = {"success_distance": 3.0, "segment_lengths": [1, 0.5], "substeps": 8}
+    play(["random"], tmp_path, ["random", "longer-20", "longer-20-told"], 2, env_kwargs=given)
+    assert read_episodes(tmp_path)["success"].eq(1).all()
+    found = read_manifest(tmp_path).environments
+    assert {(one["tolerance"], one["control_step"]) for one in found.values()} == {(3.0, 0.04)}
+    lengths = {name: one["segment_lengths"] for name, one in found.items()}
+    assert lengths == {"random": [1, 0.5], "longer-20": [1, 0.5], "longer-20-told": [1, 0.6]}
 
 
 def test_cells_that_are_there_are_not_played_again(tmp_path):

@@ -28,9 +28,7 @@ from mmc_gym.measures.catalogue import MEASURES
 
 KEY = CellKey("ppo", 3, "random")
 SETTINGS = {"seed": 0, "arguments": [1, 2]}
-MANIFEST = Manifest(
-    episodes=3, seed=1, control_step=0.02, segment_lengths=(1, 1, 1), tolerance=0.05
-)
+MANIFEST = Manifest(episodes=3, seed=1)
 READ = {EPISODES: read_episodes, PATHS: read_paths}
 FACTS = {"has_paths": True, "wall_seconds": 0.5}
 
@@ -46,7 +44,7 @@ def episodes(make_episode):
 def write(folder, key, episodes, facts):
     files = {EPISODES: episodes_file(key, episodes, SETTINGS, facts)}
     if facts.get("has_paths"):
-        files[PATHS] = paths_file(key, episodes[:1])
+        files[PATHS] = paths_file(key, {0: episodes[0]})
     write_cell(folder, key, files)
 
 
@@ -128,6 +126,32 @@ def test_damage_is_noticed(store, kind):
     assert cell_facts(store, KEY, SETTINGS) is None
 
 
+@pytest.mark.parametrize("kind", READ)
+def test_a_file_that_was_copied_over_another_is_named(store, kind):
+    other = KEY._replace(training_seed=4)
+    (store / kind / other.file_name).write_bytes((store / kind / KEY.file_name).read_bytes())
+    with pytest.raises(UserError, match=f"{other.file_name} is damaged.* a copy of {KEY.stem}"):
+        READ[kind](store)
+
+
+def test_a_cell_of_another_benchmark_is_named(store, episodes):
+    other = KEY._replace(training_seed=4)
+    content = episodes_file(other, episodes, {**SETTINGS, "seed": 1}, FACTS)
+    write_cell(store, other, {EPISODES: content})
+    with pytest.raises(UserError, match=f"{other.file_name} must be of the same settings as"):
+        read_episodes(store)
+
+
+def test_a_manifest_that_was_edited_is_refused(tmp_path):
+    update_manifest(tmp_path, lambda before: MANIFEST)
+    path = tmp_path / "manifest.json"
+    path.write_text(path.read_text().replace('"episodes": 3', '"episodes": 5'))
+    with pytest.raises(UserError, match="has been changed since the benchmark wrote it: remove it"):
+        read_manifest(tmp_path)
+    path.unlink()
+    assert update_manifest(tmp_path, lambda before: before or MANIFEST) == MANIFEST
+
+
 def test_file_names_are_different_and_safe():
     names = ["a:b", "a-b", "A-b", "a--b", "a/b", "a.b", ".a", "../a", "", "é", "an (ideal)"]
     files = {CellKey(name, seed, "random").file_name for name in names for seed in (None, 0)}
@@ -148,7 +172,7 @@ def test_stores_that_are_none_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('"schema_version":1', "schema_version must be 2, got 1"),
+        ('"schema_version":1', "schema_version must be 3, got 1"),
         ("{", "cannot be read: Invalid JSON"),
         ('"episodes":"many"', "cannot be read: episodes must be a valid integer"),
         ('"agents":{"mmc":{}}', "agents.mmc must be a valid array"),

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from mmc_gym._errors import UserError
 from mmc_gym._files import import_modules
 from mmc_gym.measures import (
     MEASURES,
@@ -74,6 +75,21 @@ def test_names_that_are_taken_and_unknown_facts_are_refused(name, decorator, mes
     function.__name__ = name
     with pytest.raises(ValueError, match=message):
         decorator(function)
+
+
+@pytest.mark.parametrize("value", [[0.1, 0.2], None, "far", np.zeros(1), 1j])
+def test_a_measure_that_returns_no_number_is_named(value, make_episode):
+    measure(label="x")(of_my_own := lambda episode: value)
+    with pytest.raises(UserError, match="what measure '<lambda>' returns must be a number, got"):
+        measure_all(make_episode([[0, 0], [1, 0]], [1, 0]))
+    assert MEASURES["<lambda>"].of is of_my_own
+
+
+@pytest.mark.parametrize("decorator", [measure, set_measure])
+@pytest.mark.parametrize("wrong", [(len,), ()], ids=["no brackets", "no label"])
+def test_a_decorator_that_is_used_wrongly_says_how_it_is_used(decorator, wrong):
+    with pytest.raises(UserError, match=rf"used as @{decorator.__name__}\(.*label=.*, got"):
+        decorator(*wrong)
 
 
 def test_a_store_knows_measures_whose_functions_are_not_here():

@@ -38,6 +38,7 @@ KEYS = ("random", "centre-out", "rotation-15", "rotation-60", "delay-100", "lock
 INSTANCES = 14
 STEPS, CONTROL_STEP = 60, 0.02
 LENGTHS = (1.0, 1.0, 1.0)
+WORLD = {"control_step": CONTROL_STEP, "segment_lengths": LENGTHS, "tolerance": 0.05}
 
 
 class Mover(NamedTuple):
@@ -89,7 +90,7 @@ def episode(instance, duration, trembling, error, seed=0):
 def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCES):
     """Write a store of agents in `AGENTS`, or of movers by name, without the `missing` cells."""
     movers = agents if isinstance(agents, dict) else {name: AGENTS[name] for name in agents}
-    environments = {key: SCENARIOS[key].settings for key in keys}
+    environments = {key: SCENARIOS[key].settings | WORLD for key in keys}
     policies = {REFERENCE: [Policy(training_seed=None, source=REFERENCE)]}
     for name, (duration, trembling, lost, seeds, source) in movers.items():
         sources = {seed: name if seed is None else f"{name}-{seed}" for seed in seeds}
@@ -118,9 +119,6 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
     manifest = Manifest(
         episodes=instances,
         seed=0,
-        control_step=CONTROL_STEP,
-        segment_lengths=LENGTHS,
-        tolerance=0.05,
         measures={name: one.facts for name, one in MEASURES.items()},
         set_measures={name: one.facts for name, one in SET_MEASURES.items()},
         environments=environments,
@@ -134,7 +132,7 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
 def write(folder, key, episodes, keeps_paths=True):
     files = {EPISODES: episodes_file(key, episodes, {}, {})}
     if keeps_paths:
-        files[PATHS] = paths_file(key, episodes[:12])
+        files[PATHS] = paths_file(key, dict(enumerate(episodes[:12])))
     write_cell(folder, key, files)
 
 

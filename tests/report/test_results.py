@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.store import CellKey, NotPlayed
+from mmc_gym.benchmark.store import CellKey, NotPlayed, Policy, update_manifest
 from mmc_gym.report import write_report
 from mmc_gym.report.results import AgentIdentity, identify, read_results
 from mmc_gym.report.tables import given_table, ranking_table
@@ -24,14 +23,13 @@ def small(make_store, tmp_path):
 
 
 def change_manifest(store, **changes):
-    manifest = json.loads((store / "manifest.json").read_text())
-    (store / "manifest.json").write_text(json.dumps(manifest | changes))
+    update_manifest(store, lambda before: before.model_copy(update=changes))
 
 
 def fail(store, agent):
     key = CellKey(agent, None, "random")
     failed = NotPlayed(**key._asdict(), status="failed", reason="ValueError: no")
-    change_manifest(store, not_played=[failed.model_dump()])
+    change_manifest(store, not_played=[failed])
 
 
 def test_every_agent_of_the_package_is_known():
@@ -119,7 +117,7 @@ def test_a_damaged_file_of_paths_is_named(small):
 
 
 def test_a_store_without_paths_has_no_replay_and_an_agent_may_lack_in_the_manifest(small, tmp_path):
-    change_manifest(small, agents={"mmc": [{"training_seed": None, "source": "mmc"}]})
+    change_manifest(small, agents={"mmc": [Policy(training_seed=None, source="mmc")]})
     assert read_results(small, resamples=20).kind("ik-dls") == "yours"
     for file in (small / "paths").iterdir():
         file.unlink()

@@ -25,11 +25,11 @@
   };
   const option = (value, text) => { const made = element("option", "", text); made.value = value; return made; };
 
-  let views = [], last = 1, time = 0, playing = false, before = 0, fastest = 1, target = [[0], [0]];
+  let world, views = [], last = 1, time = 0, playing = false, before = 0, fastest = 1, target = [[0], [0]];
 
   function movementOf({ hand, distance, cursor, angles = [], lengths = [] }) {
     const [x, y] = decodeAll(hand);
-    const speed = x.slice(1).map((value, k) => Math.hypot(value - x[k], y[k + 1] - y[k]) / data.step);
+    const speed = x.slice(1).map((value, k) => Math.hypot(value - x[k], y[k + 1] - y[k]) / world.step);
     return {
       x, y, speed, lengths, distance: decode(distance, 10000), angles: decodeAll(angles),
       cursor: cursor && decodeAll(cursor),
@@ -42,6 +42,7 @@
 
   function build(atEnd) {
     const shown = data.scenes[environment.value][instance.selectedIndex];
+    world = data.worlds[environment.value];
     const chosen = [...agents.querySelectorAll("input")].filter((box) => box.checked).map((box) => box.value);
     target = decodeAll(shown.target);
     views = chosen.filter((name) => Object.hasOwn(shown.agents, name)).map((name) => {
@@ -83,7 +84,7 @@
 
   function drawArm(view) {
     const { pen, width } = prepare(view.arm), { movement } = view;
-    const reach = Math.max(data.lengths.reduce((a, b) => a + b, 0), movement.lengths.reduce((a, b) => a + b, 0));
+    const reach = Math.max(world.lengths.reduce((a, b) => a + b, 0), movement.lengths.reduce((a, b) => a + b, 0));
     const scale = width / (2.16 * reach), unit = width / 340;
     const place = (x, y) => [width / 2 + x * scale, width / 2 - y * scale];
     const moment = Math.min(time, movement.x.length - 1);
@@ -132,7 +133,7 @@
     }
 
     const goal = target.map((series) => at(series, Math.min(moment, series.length - 1)));
-    const centre = place(...goal), radius = Math.max(data.tolerance * scale, 3 * unit);
+    const centre = place(...goal), radius = Math.max(world.near * scale, 3 * unit);
     const distance = at(movement.distance, moment);
     for (const [colour, line] of [[colours.reachable, 4 * unit], [colours.target, 2 * unit]]) {
       for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
@@ -140,9 +141,9 @@
         stroke([[centre[0] + near * dx, centre[1] + near * dy], [centre[0] + far * dx, centre[1] + far * dy]], colour, line);
       }
       disc(centre, radius, null, colour, line);
-      if (distance <= data.tolerance) disc(centre, radius + 5.5 * unit, null, colour, line);
+      if (distance <= world.near) disc(centre, radius + 5.5 * unit, null, colour, line);
     }
-    view.readout.textContent = `distance ${movement.cursor ? "of the cursor " : ""}${distance.toFixed(3)}${distance <= data.tolerance ? " ✓ there" : ""}`;
+    view.readout.textContent = `distance ${movement.cursor ? "of the cursor " : ""}${distance.toFixed(3)}${distance <= world.near ? " ✓ there" : ""}`;
   }
 
   function drawSpeed(view) {
@@ -155,9 +156,9 @@
     pen.textAlign = "right";
     const tick = fastest > 8 ? 4 : fastest > 4 ? 2 : fastest > 1.5 ? 1 : 0.5;
     for (let value = 0; value <= fastest; value += tick) pen.fillText(String(value), left - 4, y(value) + 4);
-    const seconds = last * data.step, every = seconds > 4 ? 2 : seconds > 1.2 ? 0.5 : 0.2;
+    const seconds = last * world.step, every = seconds > 4 ? 2 : seconds > 1.2 ? 0.5 : 0.2;
     for (let second = 0; second <= seconds + 1e-9; second += every) {
-      const place = x(second / data.step);
+      const place = x(second / world.step);
       pen.textAlign = second === 0 ? "left" : second > seconds - every / 2 ? "right" : "center";
       pen.fillText(`${+second.toFixed(1)}${second === 0 ? " s" : ""}`, place, bottom + 13);
     }
@@ -172,7 +173,7 @@
 
   function draw() {
     slider.value = Math.round(time);
-    const text = `${(time * data.step).toFixed(2)} s`;
+    const text = `${(time * world.step).toFixed(2)} s`;
     clock.textContent = text;
     slider.setAttribute("aria-valuetext", text);
     for (const view of views) { drawArm(view); drawSpeed(view); }
@@ -188,7 +189,7 @@
   function frame(now) {
     if (!playing) return;
     // A frame may have begun before the click that it is to show.
-    time = Math.min(last, time + (Math.max(0, now - before) / 1000 / data.step) * Number(rate.value));
+    time = Math.min(last, time + (Math.max(0, now - before) / 1000 / world.step) * Number(rate.value));
     before = now;
     if (still.matches) time = Math.ceil(time);
     draw();
