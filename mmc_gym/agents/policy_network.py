@@ -149,9 +149,10 @@ class PolicyNetwork:
     def act(self, features: Float32, random: np.random.Generator | None = None) -> Float32:
         """Return actions (..., action_size) within −1 and 1 for float32 features (..., input_size).
 
-        They are deterministic without a generator that draws ε.
+        They are deterministic without a generator that draws ε.  Each row is multiplied by itself:
+        sums over a whole batch round differently, and an action would depend on how many there are.
         """
-        hidden = features
+        hidden = features[..., None, :]
         for weight, bias in self._hidden:
             hidden = hidden @ weight
             hidden += bias
@@ -160,11 +161,12 @@ class PolicyNetwork:
             else:
                 np.tanh(hidden, out=hidden)
         weight, bias = self._mean
-        action: Float32 = hidden @ weight + bias
+        action: Float32 = (hidden @ weight)[..., 0, :] + bias
         if random is not None:
             log_std = self._log_std
             if isinstance(log_std, tuple):
-                log_std = np.clip(hidden @ log_std[0] + log_std[1], *_LOG_STD_RANGE)
+                spread = (hidden @ log_std[0])[..., 0, :] + log_std[1]
+                log_std = np.clip(spread, *_LOG_STD_RANGE)
             noise = random.standard_normal(action.shape, np.float32)
             action = action + np.exp(log_std) * noise
         return np.tanh(action) if self.distribution == "squashed" else action.clip(-1.0, 1.0)

@@ -32,10 +32,16 @@ from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve, resolve_all
 from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
 from mmc_gym.benchmark.store import episode_columns
-from mmc_gym.benchmark.suite import has_reference, make_player, minimum_jerk_episodes
-from mmc_gym.envs.scenarios import EnvLike, make_environment, name_of
+from mmc_gym.benchmark.suite import (
+    has_reference,
+    make_player,
+    minimum_jerk_episodes,
+    play_episodes,
+    played_scenario,
+)
+from mmc_gym.envs.scenarios import EnvLike, Scenario
 from mmc_gym.interface import read_attribute
-from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures, run_episodes
+from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures
 from mmc_gym.measures.catalogue import shown_measures
 from mmc_gym.measures.rollout import check_environment
 
@@ -44,6 +50,8 @@ if TYPE_CHECKING:
 
 _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pymunk", "torch")
 _REFRESH = 10  # episodes between two drawings of the progress bar
+TIMED = 10
+"""Number of episodes that agents play one by one as well as in a batch, to time single actions."""
 
 
 def compare(
@@ -90,22 +98,24 @@ def compare(
         {'random': 2, 'minimum jerk (ideal)': 2}
     """
     given = dict(env_kwargs or {})
+    asked = {"control": given.pop("control", None)}
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
     seeds = episode_seeds(seed, episodes)
     if out is not None:
         out = check_folder(out, "out")
-    with closing(make_environment(env, **given)) as made:
+    scenario = played_scenario(env, given)
+    with closing(scenario.make(asked["control"])) as made:
         check_environment(made)
     envs: list[gym.Env[Any, Any]] = []
     players: list[Predictor] = []
     with ExitStack() as stack:
         # All are made before the first one plays, so that a missing file is noticed at once.
         for agent in found:
-            made, player = make_player(agent, env, given)
+            made, player = make_player(agent, scenario, asked)
             stack.callback(made.close)
             envs.append(made)
             players.append(player)
-        played = _play(found, players, envs, seeds)
+        played = _play(found, scenario, envs, players, seeds)
         reach = float(envs[0].get_wrapper_attr("reach"))
     steps = {
         agent.label: getattr(player, "training_steps", None)
@@ -120,14 +130,14 @@ def compare(
     for agent, one in zip(found, played):
         recorded[agent.label] = recorded.get(agent.label, ()) + one
     comparison = Comparison(
-        env=name_of(env),
+        env=scenario.name,
         seed=seed,
         reach=reach,
         recorded=recorded,
         training_steps=steps,
         episodes=table,
         summary=summarize(leave_out_failures(table), tuple(MEASURES.values()), seed),
-        env_kwargs=given,
+        env_kwargs=dict(env_kwargs or {}),
         controls={
             agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
         },
@@ -199,7 +209,8 @@ class Comparison:
         """How to read the numbers: the lines below the table, and in summary.json."""
         one, shown = next(iter(self.recorded.values())), shown_measures()
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
-        of_all = ", ".join(measure.label for measure in shown if not measure.successes_only)
+        timed = MEASURES["action_time"]
+        of_all = ", ".join(one.label for one in shown if not (one.successes_only or one == timed))
         reference = f"{REFERENCE}: a hand without an arm, through the same measures. "
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         where = f"{self.env} with {arguments}" if arguments else self.env
@@ -211,7 +222,8 @@ class Comparison:
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
             f"segment lengths; at the target: within {one[0].tolerance:g}. "
             f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
-            f"{self._episodes} have a value (none where the hand started there). "
+            f"{self._episodes} have a value (none where the hand started there); {timed.label}: of "
+            f"those played one by one, the first {TIMED} of an agent that can play all at once. "
             f"{reference if REFERENCE in self.recorded else ''}"
             f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
             f"{trained}The intervals{' of the others' if several else ''} replicate over episodes "
@@ -343,8 +355,9 @@ def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) 
 
 def _play(
     agents: Sequence[ResolvedAgent],
-    players: Sequence[Predictor],
+    scenario: Scenario,
     envs: Sequence[gym.Env[Any, Any]],
+    players: Sequence[Predictor],
     seeds: Sequence[int],
 ) -> list[tuple[Episode, ...]]:
     # The bar is drawn between episodes: a drawing thread would disturb the times of the actions.
@@ -357,7 +370,9 @@ def _play(
                 progress.refresh()
 
         played = []
-        for agent, player, env in zip(agents, players, envs):
-            progress.update(task, description=agent.label)
-            played.append(run_episodes(player, env, seeds, advance))
+        for agent, env, player in zip(agents, envs, players):
+            progress.update(task, description=agent.label, refresh=True)
+            played.append(
+                play_episodes(agent, scenario, env, player, seeds, timed=TIMED, on_episode=advance)
+            )
         return played

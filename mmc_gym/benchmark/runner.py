@@ -25,7 +25,7 @@ from typing import Any, Literal
 from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym._files import check_folder
 from mmc_gym._grid import CellError, check_workers, run_grid
-from mmc_gym.agents.base import Agent, RandomAgent
+from mmc_gym.agents.base import RandomAgent
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.store import (
     EPISODES,
@@ -49,6 +49,7 @@ from mmc_gym.benchmark.suite import (
     has_reference,
     make_player,
     minimum_jerk_episodes,
+    play_episodes,
 )
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.interface import CannotActError, read_attribute
@@ -189,27 +190,14 @@ def software() -> dict[str, str]:
 
 
 def _play(cell: BenchmarkCell) -> tuple[Sequence[Episode], str]:
-    """Return the episodes of a cell and its control mode.
-
-    An `Agent` plays all episodes together, where there is a vector environment; anything else with
-    `predict` may take no batches, and plays them one by one.
-    """
+    """Return the episodes of a cell and its control mode."""
     instances = cell.scenario.instances(cell.episodes)
     seeds = episode_seeds(cell.seed, len(instances))
     if cell.agent.is_reference:
         return _play_reference(cell, seeds, instances), ""
-    env, agent = make_player(cell.agent, cell.scenario, {"control": cell.control})
-    control = str(read_attribute(env, "control"))
-    vector = cell.scenario.make_vec(len(seeds), control) if isinstance(agent, Agent) else None
-    if vector is None:
-        return run_episodes(agent, env, seeds, options=instances), control
-    timed = run_episodes(agent, env, seeds[:TIMED], options=instances[:TIMED])
-    with closing(vector):
-        together = run_episodes(cell.agent.factory(env), vector, seeds, options=instances)
-    times = [
-        replace(episode, action_times=one.action_times) for episode, one in zip(together, timed)
-    ]
-    return [*times, *together[TIMED:]], control
+    env, player = make_player(cell.agent, cell.scenario, {"control": cell.control})
+    episodes = play_episodes(cell.agent, cell.scenario, env, player, seeds, instances, timed=TIMED)
+    return episodes, str(read_attribute(env, "control"))
 
 
 def _play_reference(

@@ -1,9 +1,11 @@
-"""The benchmark's scenarios, agents with environments in their control mode, and the ideal hand."""
+"""The scenarios of the benchmark; agents in their control mode, who play them; the ideal hand."""
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
@@ -12,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 from mmc_gym._errors import MismatchWarning
-from mmc_gym.agents.base import Predictor
+from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
 from mmc_gym.agents.registry import AGENTS, REFERENCE
 from mmc_gym.agents.resolver import ResolvedAgent
@@ -23,12 +25,15 @@ from mmc_gym.envs.scenarios import (
     EnvLike,
     Scenario,
     make_environment,
+    name_of,
     own_scenario,
     perturbed,
     scenario,
 )
+from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import ControlError, read_attribute
 from mmc_gym.measures.episode import Episode, Floats
+from mmc_gym.measures.rollout import Options, run_episodes
 
 
 def _in_strengths(family: Family) -> list[Scenario]:
@@ -41,6 +46,8 @@ SCENARIOS: dict[str, Scenario] = {
     **{one.name: one for family in FAMILIES.values() for one in _in_strengths(family)},
 }
 """The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
+
+TOGETHER = 1_000  # episodes that are played at once, at most: bounds the memory
 
 Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
 """Names of scenarios and of your own environments; or a mapping of names to environments."""
@@ -68,6 +75,18 @@ def find_scenarios(
     if not env_kwargs:
         return chosen
     return {name: replace(one, env_kwargs=env_kwargs) for name, one in chosen.items()}
+
+
+def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any]) -> Scenario:
+    """Return the scenario of a name, or that of an environment, with more arguments.
+
+    Raises:
+        UserError: for an unknown name.
+    """
+    found = Scenario(name_of(env), "", env=env)
+    if isinstance(env, str) and not re.search(r":|-v\d+$", env) and env not in gym.registry:
+        found = scenario(env)
+    return replace(found, env_kwargs={**found.env_kwargs, **env_kwargs})
 
 
 def default_agents() -> tuple[str, ...]:
@@ -116,6 +135,58 @@ def make_player(
             stacklevel=2,
         )
     return made, player
+
+
+def play_episodes(
+    agent: ResolvedAgent,
+    scenario: Scenario,
+    env: gym.Env[Any, Any],
+    player: Predictor,
+    seeds: Sequence[int],
+    options: Sequence[Options] = (),
+    *,
+    timed: int,
+    on_episode: Callable[[Episode], None] | None = None,
+) -> tuple[Episode, ...]:
+    """Let an agent play a scenario: all episodes together, or else one by one.
+
+    An `Agent` plays them together, where there is a vector environment: its actions do not depend
+    on its neighbours.  Anything else with `predict` may take no batches.
+
+    Args:
+        agent: the agent.
+        scenario: what it plays.
+        env: the single environment, see `make_player`.
+        player: the agent made for it.
+        seeds: one per episode.
+        options: of the environment's reset, one per episode; none if empty.
+        timed: how many of the first episodes are played one by one, too, to time single actions;
+            the action times of others are NaN if they are played together.
+        on_episode: called with each episode at its end, to show progress.
+    """
+    options = options or [{}] * len(seeds)
+    if not (isinstance(player, Agent) and _is_native(scenario, env)):
+        return run_episodes(player, env, seeds, on_episode, options)
+    alone = run_episodes(player, env, seeds[:timed], options=options[:timed])
+    anew = agent.factory(env)  # one that draws random numbers begins with the same
+    together: list[Episode] = []
+    for first in range(0, len(seeds), TOGETHER):
+        some = slice(first, first + TOGETHER)
+        vector: Any = scenario.make_vec(len(seeds[some]), read_attribute(env, "control"))
+        with closing(vector):
+            together += run_episodes(anew, vector, seeds[some], on_episode, options[some])
+    times = [replace(one, action_times=by.action_times) for one, by in zip(together, alone)]
+    return (*times, *together[timed:])
+
+
+def _is_native(scenario: Scenario, env: gym.Env[Any, Any]) -> bool:
+    """Return whether a scenario has a vector environment of this package that equals `env`."""
+    if env.spec is not None and env.spec.additional_wrappers:
+        return False
+    vector = scenario.make_vec(1)
+    if vector is not None:
+        vector.close()
+    return isinstance(vector, MMCReachVectorEnv)
 
 
 # The ideal hand: a reference for all movements that follows minimum jerk, without an arm.

@@ -3,14 +3,18 @@ from __future__ import annotations
 import io
 import json
 
+import gymnasium as gym
+import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
 
+import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.compare import compare
+from mmc_gym.agents.registry import AGENTS, REFERENCE
+from mmc_gym.benchmark.compare import TIMED, compare
+from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.catalogue import MEASURES, shown_measures
 
 FIGURES = {"paths_and_profiles.png", "paths_and_profiles.svg"}
@@ -56,6 +60,42 @@ def test_beside_the_agents_stands_an_ideal_hand_where_it_meets_the_same_targets(
     via = compare({"frozen": frozen}, "MMCReachViaPoints-v0", 2, console=console())
     assert list(via.recorded) == ["frozen"]
     assert "without an arm" not in via.note
+
+
+@pytest.mark.parametrize("agent", ["mmc", "ik-dls", "ppo", "sac", "tqc-her", "minimum-jerk"])
+def test_agents_that_play_all_at_once_act_as_one_by_one(agent, env, monkeypatch):
+    monkeypatch.setattr("mmc_gym.benchmark.suite.TOGETHER", 8)
+    found = compare([agent], episodes=12, seed=3).recorded[agent]
+    made = gym.make("MMCReach-v0", control=AGENTS[agent].control)
+    alone = run_episodes(mmc_gym.make_agent(agent, made), made, episode_seeds(3, 12))
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_array_equal(one.joint_angles, other.joint_angles)
+        np.testing.assert_array_equal(one.rewards, other.rewards)
+    timed = [np.isfinite(one.action_times).all() for one in found]
+    assert timed == [True] * TIMED + [False] * 2
+
+
+def test_your_own_environment_and_wrappers_are_played_one_by_one(frozen):
+    played = []
+
+    class Seen(gym.Wrapper):
+        def step(self, action):
+            played.append(action)
+            return super().step(action)
+
+    compare({"still": frozen}, lambda **given: Seen(gym.make("MMCReach-v0", **given)), 2)
+    compare(["mmc"], lambda **given: Seen(gym.make("MMCReach-v0", **given)), 2)
+    assert len(played) == 2 * 2 * 100
+
+
+def test_a_scenario_is_played_by_its_name():
+    found = compare(["mmc"], "rotation-30", 3)
+    assert found.env == "rotation-30"
+    other = compare(["mmc"], episodes=3, env_kwargs={"perturbations": ["rotation-30"]})
+    for one, two in zip(found.recorded["mmc"], other.recorded["mmc"], strict=True):
+        np.testing.assert_array_equal(one.hands, two.hands)
+    with pytest.raises(UserError, match="did you mean 'rotation'"):
+        compare(["mmc"], "rotaton-30", 3)
 
 
 def test_the_same_seed_gives_the_same_files_but_for_the_times(tmp_path):
@@ -104,7 +144,7 @@ def test_the_table_is_ascii_and_fits_where_there_is_no_terminal(capsys, monkeypa
     assert header.split()[1:3] == agents[:2]
     assert all(agent in out for agent in agents)
     assert "time per action" in out and "[us]" in out
-    assert "NOT" in out and "training seeds" in out.replace("\n", " ")
+    assert "NOT" in out and "over training seeds" in " ".join(out.split())
 
 
 def test_a_comparison_is_a_table_in_a_notebook(frozen):
@@ -170,6 +210,6 @@ def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
     ],
 )
 def test_mistakes_are_told_before_anything_runs(arguments, message, monkeypatch):
-    monkeypatch.setattr("mmc_gym.benchmark.compare.run_episodes", None)
+    monkeypatch.setattr("mmc_gym.benchmark.compare.play_episodes", None)
     with pytest.raises(ValueError, match=message):
         compare(**arguments)
