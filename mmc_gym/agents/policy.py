@@ -1,8 +1,9 @@
 """Policies trained by reinforcement learning: saved as safetensors and JSON, run as agents.
 
 A policy is two files.  NAME-SEED.safetensors holds the weights.  NAME-SEED.json, its card,
-describes the network and its training, and has the SHA-256 of the weights.  Neither holds code:
-names on a card are looked up here, never imported or evaluated.
+describes the network and its training, and has the SHA-256 of the weights and of itself, which are
+checked when it is read.  Neither holds code: names on a card are looked up here, never imported or
+evaluated.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from importlib.resources import files
@@ -23,6 +24,7 @@ from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
 from pydantic import ConfigDict, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
+from pydantic_core import from_json
 from safetensors import SafetensorError
 from typing_extensions import override
 
@@ -54,6 +56,7 @@ EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the evaluation after a training; its scores are on the card
 PRETRAINED = Path(str(files("mmc_gym.agents") / "pretrained"))
 SUFFIXES = (".json", ".safetensors")  # of a policy's two files
+_DIGEST = "card_sha256"  # the entry of a card with the SHA-256 of all the others
 CURVE_COLUMNS = ("steps", "seconds", "cpu_seconds", "success")
 """Entries of every row of a learning curve."""
 
@@ -145,10 +148,15 @@ class PolicyCard:
 def save_policy(network: PolicyNetwork, card: PolicyCard, folder: Path) -> None:
     """Write the policy's two files, named after it and its seed, into `folder`."""
     weights = safetensors.numpy.save(network.tensors)
-    description = {**asdict(card), "sha256": hashlib.sha256(weights).hexdigest()}
-    text = json.dumps(description, indent=1) + "\n"
+    entries = {**asdict(card), "sha256": hashlib.sha256(weights).hexdigest()}
+    text = json.dumps({**entries, _DIGEST: _digest(entries)}, indent=1) + "\n"
     write_atomically(folder / f"{card.file_stem}.safetensors", weights)
-    write_atomically(folder / f"{card.file_stem}.json", text.encode())
+    write_atomically(folder / f"{card.file_stem}.json", text)
+
+
+def _digest(entries: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a card's entries, as JSON that does not depend on their order."""
+    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
 
 
 def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
@@ -159,13 +167,16 @@ def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
 
     Raises:
         FileNotFoundError: if one of them is missing.
-        UserError: if one is damaged, or they do not belong together.
+        UserError: if one is damaged or was changed, or they do not belong together.
     """
     path = Path(path)
     text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
     try:
-        card = TypeAdapter(PolicyCard).validate_json(text)
+        entries = from_json(text)
+        if not isinstance(entries, dict) or entries.pop(_DIGEST, "") != _digest(entries):
+            raise ValueError("its card is not as it was written, or is of an earlier version")
+        card = TypeAdapter(PolicyCard).validate_json(json.dumps(entries))
         if hashlib.sha256(weights).hexdigest() != card.sha256:
             raise ValueError("its weights are not those of its card")
         tensors = safetensors.numpy.load(weights)

@@ -4,12 +4,13 @@ Most recipes use stable-baselines3's "MlpPolicy".  Policies with one of our view
 YAML files, so that rl_zoo3 finds them too.
 
 A checkpoint is the state of a model as safetensors, from which a training resumes: weights and
-optimizers, the entropy coefficient if it is learned, the step counts, and the filled part of the
-replay buffer.
+optimizers, the entropy coefficient if it is learned, the step counts, the filled part of the
+replay buffer, and the SHA-256 of all this.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -190,6 +191,7 @@ def _array(parameter: torch.Tensor) -> Float32:
 
 
 Tensors = dict[str, torch.Tensor]
+_BLANK = "0" * 64  # stands where the digest will be, while it is computed
 
 
 def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> None:
@@ -211,21 +213,28 @@ def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
             tensors[f"replay/{name}"] = torch.from_numpy(array[: buffer.size()])
     content = safetensors.torch.save(
         {name: tensor.detach().contiguous() for name, tensor in tensors.items()},
-        metadata={"head": json.dumps({**head, "model": counts})},
+        metadata={"head": json.dumps({**head, "model": counts}), "sha256": _BLANK},
     )
-    write_atomically(path, content)
+    digest = hashlib.sha256(content).hexdigest()
+    write_atomically(path, content.replace(_BLANK.encode(), digest.encode(), 1))
 
 
 def read_head(path: Path) -> dict[str, Any]:
     """Return the head that `save_checkpoint` was given.
 
     Raises:
-        UserError: if the file is not a checkpoint.
+        UserError: if the file is not a checkpoint, or is damaged.
     """
+    content = path.read_bytes()
     try:
         with safetensors.safe_open(path, framework="pt") as file:
-            head: dict[str, Any] = json.loads(file.metadata()["head"])
-            return head
+            metadata = file.metadata() or {}
+        digest = metadata.get("sha256", "")
+        blank = content.replace(digest.encode(), _BLANK.encode(), 1)
+        if hashlib.sha256(blank).hexdigest() != digest:
+            raise ValueError("it is not as it was written, or is of an earlier version")
+        head: dict[str, Any] = json.loads(metadata["head"])
+        return head
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} does not hold a training: {error}") from error
 

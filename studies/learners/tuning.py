@@ -181,7 +181,7 @@ def tune(
         The content of `out/NAME.json`.
 
     Raises:
-        UserError: if there is no such name, or nothing to try.
+        UserError: if there is no such name, nothing to try, or the journal is damaged.
     """
     if min(trials, steps) < 1:
         raise UserError(f"trials and steps must be at least 1, got {trials} and {steps}")
@@ -189,15 +189,9 @@ def tune(
     reference = FixedTrial(target.in_use)
     target.space(reference)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    out.mkdir(parents=True, exist_ok=True)
-    study = optuna.create_study(
-        storage=JournalStorage(JournalFileBackend(str(out / f"{name}.journal"))),
-        study_name=json.dumps({"steps": steps, "in use": reference.params}),
-        direction="maximize",
-        load_if_exists=True,
+    study = _open_study(
+        out / f"{name}.journal", json.dumps({"steps": steps, "in use": reference.params})
     )
-    for killed in study.get_trials(states=[TrialState.RUNNING]):
-        study.tell(killed.number, state=TrialState.FAIL)  # it runs again
     while len(complete := study.get_trials(states=[TrialState.COMPLETE])) < trials:
         if not complete and not study.get_trials(states=[TrialState.WAITING]):
             study.enqueue_trial(reference.params)
@@ -222,6 +216,29 @@ def tune(
     }
     (out / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
+
+
+def _open_study(journal: Path, name: str) -> optuna.Study:
+    """Begin or resume a study; trials that were interrupted in it have failed, and run again."""
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        study = optuna.create_study(
+            storage=JournalStorage(JournalFileBackend(str(journal))),
+            study_name=name,
+            direction="maximize",
+            load_if_exists=True,
+        )
+        for interrupted in study.get_trials(states=[TrialState.RUNNING]):
+            study.tell(interrupted.number, state=TrialState.FAIL)
+        for complete in study.get_trials(states=[TrialState.COMPLETE]):
+            _ = complete.user_attrs[_CONSTANTS]
+    except OSError:
+        raise
+    except Exception as error:  # whatever Optuna meets where the journal is damaged
+        raise UserError(
+            f"{journal} is no journal of Optuna, or is damaged: {type(error).__name__}: {error}"
+        ) from error
+    return study
 
 
 def main(

@@ -5,14 +5,15 @@ import shutil
 import warnings
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from mmc_gym import make_agent
-from mmc_gym._errors import MismatchWarning
-from mmc_gym.agents import AGENTS
+from mmc_gym._errors import MismatchWarning, UserError
+from mmc_gym.agents import AGENTS, policy
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     PRETRAINED,
@@ -37,6 +38,13 @@ def copy(tmp_path: Path) -> Path:
     for suffix in SUFFIXES:
         shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path)
     return tmp_path / "ppo-0.json"
+
+
+def rewrite(card: Path, **changes: Any) -> None:
+    """Change entries of a card as its writer would: with the digest that belongs to them."""
+    entries = json.loads(card.read_text()) | changes
+    del entries[policy._DIGEST]
+    card.write_text(json.dumps({**entries, policy._DIGEST: policy._digest(entries)}))
 
 
 def test_saving_and_loading_gives_the_same_network(tmp_path):
@@ -116,9 +124,38 @@ def test_damaged_weights_are_an_error(copy, tmp_path):
     ],
 )
 def test_a_card_that_does_not_fit_is_an_error(copy, changes, message):
-    copy.write_text(json.dumps(json.loads(copy.read_text()) | changes))
+    rewrite(copy, **changes)
     with pytest.raises(ValueError, match=message):
         make_agent(copy, gym.make("MMCReach-v0"))
+
+
+@pytest.mark.parametrize("change", ["digit", "order", "digest", "bits"])
+def test_a_card_is_loaded_as_it_was_written_or_not_at_all(copy, change):
+    _, card = load_policy(copy)
+    text = copy.read_bytes()
+    entries = json.loads(text)
+    damaged = {
+        "digit": [text.replace(b'"training_steps": 516096', b'"training_steps": 516097')],
+        "order": [json.dumps(dict(reversed(entries.items()))).encode()],
+        "digest": [json.dumps({k: v for k, v in entries.items() if k != policy._DIGEST}).encode()],
+        "bits": [flipped(text, bit) for bit in range(0, 8 * len(text), 211)],
+    }[change]
+    loaded = 0
+    for content in damaged:
+        assert content != text
+        copy.write_bytes(content)
+        try:
+            assert load_policy(copy)[1] == card
+            loaded += 1
+        except UserError as error:
+            assert str(copy.with_suffix("")) in str(error)
+    assert loaded == (change == "order") or change == "bits"
+
+
+def flipped(content: bytes, bit: int) -> bytes:
+    changed = bytearray(content)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
 
 
 @pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe", b"[" * 100_000])

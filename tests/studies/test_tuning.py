@@ -155,6 +155,15 @@ def test_bad_input_is_an_error(arguments, message, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("old", "new"), [(b"op_code", b"op_cove"), (b":", b"\xff"), (b"{", b"")])
+def test_a_damaged_journal_is_an_error_that_names_it(tmp_path, old, new):
+    tune("mmc", 1, STEPS, tmp_path)
+    journal = tmp_path / "mmc.journal"
+    journal.write_bytes(journal.read_bytes().replace(old, new, 1))
+    with pytest.raises(UserError, match=r"mmc\.journal is no journal of Optuna, or is damaged"):
+        tune("mmc", 2, STEPS, tmp_path)
+
+
 def test_the_command_prints_trials_and_the_result(tmp_path, capsys):
     tuning.main("mmc", 1, STEPS, tmp_path)
     first, last = capsys.readouterr().out.splitlines()

@@ -5,6 +5,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import deepcopy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -226,10 +227,25 @@ def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
     with safetensors.safe_open(trained / CHECKPOINT, framework="np") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}
         metadata = file.metadata()
-    del tensors["module/policy/action_net.bias"]
+    name = "module/policy/action_net.bias"
+    tensors[name] = -tensors[name]
     safetensors.numpy.save_file(tensors, tmp_path / CHECKPOINT, metadata)
-    with pytest.raises(UserError, match="does not hold a training of this kind"):
+    with pytest.raises(UserError, match="does not hold a training: it is not as it was written"):
         training("ppo", tmp_path).run(resume=True)
+    for bit in range(0, 8 * len(content), 20011):
+        changed = bytearray(content)
+        changed[bit // 8] ^= 1 << bit % 8
+        (tmp_path / CHECKPOINT).write_bytes(changed)
+        with pytest.raises(UserError, match=f"{CHECKPOINT} does not hold a training"):
+            module.read_head(tmp_path / CHECKPOINT)
+
+
+def test_a_checkpoint_of_another_network_is_refused(trained, tmp_path):
+    shutil.copy(trained / CHECKPOINT, tmp_path)
+    one = training("ppo", tmp_path, policy_kwargs={"net_arch": [9]})
+    one.find_checkpoint = partial(module.read_head, one.checkpoint)  # type: ignore[method-assign]
+    with pytest.raises(UserError, match="does not hold a training of this kind"):
+        one.run(resume=True)
 
 
 @pytest.mark.parametrize("device", ["foo", "cuda:99", "meta", ""])
