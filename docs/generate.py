@@ -28,13 +28,7 @@ from mmc_gym.agents import resolve
 from mmc_gym.benchmark.suite import SCENARIOS, make_player
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
-from mmc_gym.envs.scenarios import (
-    PERTURBATION_NAMES,
-    TASK_SCENARIOS,
-    Scenario,
-    environment_id,
-    scenario,
-)
+from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, scenario
 from mmc_gym.listing import describe
 from mmc_gym.measures import episode_seeds, run_episodes
 from mmc_gym.measures.reaching import success
@@ -122,9 +116,9 @@ def write_report(generated: Path, with_pictures: bool) -> None:
 
 
 def all_scenarios() -> dict[str, Scenario]:
-    """Return the scenarios that have a page: the benchmark's, and all that have an id."""
-    with_id = [scenario(name) for name in PERTURBATION_NAMES]
-    known = {**SCENARIOS, **{one.name: one for one in with_id}}
+    """Return the scenarios that have a page: the benchmark's, the default strengths among them."""
+    defaults = [scenario(name) for name in FAMILIES]
+    known = {**SCENARIOS, **{one.name: one for one in defaults}}
     order = ["", *FAMILIES]
     return dict(sorted(known.items(), key=lambda item: (order.index(item[1].family), item[1].told)))
 
@@ -166,10 +160,10 @@ def index_page(scenarios: dict[str, Scenario]) -> str:
         "",
         "One arm, many ways to make reaching hard. [MMCReach-v0](reach.md) describes the arm, its",
         "actions, observations and rewards. A *task* says where the target is, a *perturbation*",
-        "what goes wrong. Each has a name, and takes any strength:",
-        "`<perturbation>[-<strength>][-told]`.",
+        "what goes wrong. Together they have one name, with any strength:",
+        "`[<task>+]<perturbation>[-<strength>][-told][+<perturbation>…]`.",
         "",
-        *code("python", 'env = gym.make("MMCReachPursuit-v0", perturbations=["hand-mass-5"])'),
+        *code("python", 'env = mmc_gym.make("pursuit+hand-mass-5")'),
         "![A picture of each task and perturbation](../contact-sheet.png)",
         "",
         "The thin arm is the network's own, on its way ahead of the body; the cross is the target.",
@@ -199,7 +193,6 @@ def code(language: str, *lines: str) -> list[str]:
 def scenario_page(one: Scenario, films: Path, counts: dict[str, int] | None) -> str:
     """Return the page of a scenario."""
     facts = list(describe(one.name))
-    env = arguments_of(one)
     lines = [f"# {one.name}", "", f"{one.description[0].upper()}{one.description[1:]}.", ""]
     if counts is not None:
         shares = ", ".join(f"{name} in {count} of {EPISODES}" for name, count in counts.items())
@@ -208,24 +201,25 @@ def scenario_page(one: Scenario, films: Path, counts: dict[str, int] | None) -> 
             f"![{names} in {one.name}](../_generated/{films}/{one.name}.webp)",
             "",
             f"From left to right: {names}, in the first of {EPISODES} episodes.",
-            *([f"The hand ends at the target: {shares}."] if env else []),
+            f"The hand ends at the target: {shares}.",
             "",
         ]
-    if env:
-        lines += code(
-            "sh",
-            f"mmc-gym compare --agents {' '.join(AGENTS)} --episodes {EPISODES} {env}",
-            f"mmc-gym record movement.gif --agent {AGENTS[0]} {env}",
-        )
+    lines += code(
+        "sh",
+        f"mmc-gym compare --agents {' '.join(AGENTS)} --episodes {EPISODES} --env {one.name}",
+        f"mmc-gym record movement.gif --agent {AGENTS[0]} --env {one.name}",
+        f"mmc-gym benchmark --environments {one.name}",
+    )
     lines += ["## Make it", ""]
-    ways = [line for line in facts[1][1].splitlines() if line.startswith("gym.make")]
-    if ways:
-        first, *others = ways
-        alike = [f"# the same: {line}" for line in others]
-        lines += code(
-            "python", "import gymnasium as gym", "import mmc_gym", "", f"env = {first}", *alike
-        )
-    lines += code("sh", f"mmc-gym benchmark --environments {one.name}")
+    way, same, _ = facts[1][1].splitlines()
+    lines += code(
+        "python",
+        "import gymnasium as gym",
+        "import mmc_gym",
+        "",
+        f"env = {way}",
+        f"env = {same}  # the same",
+    )
     lines += ["## What it is", ""]
     for heading, text in facts[2:]:
         lines += [f"**{heading[0].upper()}{heading[1:]}**", *definition(text, one, heading), ""]
@@ -244,16 +238,6 @@ def definition(text: str, one: Scenario, heading: str) -> Iterator[str]:
             line = f"{{py:class}}`~{names[name]}.{name}` {about} Here: `{made}`."
         yield f"{sign}{line}"
         sign = "    "
-
-
-def arguments_of(one: Scenario) -> str:
-    """Return the arguments of commands that make a scenario, "" if names alone do not."""
-    ids = {scenario(name).name: environment_id(name) for name in PERTURBATION_NAMES}
-    if one.name in ids:
-        return f"--env {ids[one.name]}"
-    if one.family:
-        return f"--env-kwargs 'perturbations=[{one.name}]'"
-    return f"--env {one.env_id}" if isinstance(one.task, str) else ""
 
 
 class Filmed(gym.Wrapper[Any, Any, Any, Any]):
@@ -300,9 +284,8 @@ def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
     world, player = make_player(resolve(agent), one)
     episodes = run_episodes(player, world, seeds, records_effort=False)
     world.close()
-    named = {"perturbations": [one.name]} if one.family else {}  # for the caption
-    arguments = {**named, "render_mode": "rgb_array"}
-    world, player = make_player(resolve(agent), one, arguments)
+    # Made by name, which becomes the caption.
+    world, player = make_player(resolve(agent), one.name, {"render_mode": "rgb_array"})
     filmed = Filmed(world)
     run_episodes(player, filmed, seeds[:1], records_effort=False)
     world.close()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mmc_gym import envs as envs  # registers the environments
 from mmc_gym.agents import make_agent
+from mmc_gym.envs import make, make_vec
 
 if TYPE_CHECKING:
     from mmc_gym import agents, benchmark, body, measures, network, report, training
@@ -39,7 +40,9 @@ __all__ = [
     "list_perturbations",
     "list_scenarios",
     "list_tasks",
+    "make",
     "make_agent",
+    "make_vec",
     "measures",
     "network",
     "report",

@@ -7,18 +7,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import gymnasium as gym
-
+from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, AgentEntry
 from mmc_gym.envs.perturbations import FAMILIES, Family
-from mmc_gym.envs.scenarios import (
-    PERTURBATION_NAMES,
-    TASK_SCENARIOS,
-    Scenario,
-    environment_id,
-    find_task,
-    scenario,
-)
+from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, environment_id, find_task, scenario
 from mmc_gym.envs.tasks import TASKS, Task
 
 if TYPE_CHECKING:
@@ -124,35 +116,32 @@ def _unit(measure: Measure) -> str:
     return ", ".join(filter(None, (unit, best, arrived)))
 
 
-def find_scenario(name: str) -> Scenario:
-    """Return the scenario of a name, or of an environment's id.
-
-    Raises:
-        UserError: for an unknown one.
-    """
-    named = {environment_id(one): one for one in (*TASKS, *PERTURBATION_NAMES)}
-    return scenario(named.get(name.partition(":")[2] or name, name))
-
-
 def describe(name: str) -> Iterator[tuple[str, str]]:
     """Yield headings and texts that describe a scenario.
 
     Args:
-        name: of a task or a perturbation with any strength; or the id of an environment.
+        name: of a scenario, or the id of an environment.
 
     Raises:
         UserError: for an unknown name.
     """
-    found = find_scenario(name)
+    if name in AGENTS and name not in TASK_SCENARIOS:
+        raise UserError(
+            f"scenario {name!r} is not accepted: it is an agent. `mmc-gym list agents` describes "
+            "it, `mmc-gym list scenarios` has what can be shown"
+        )
+    found = scenario(name)
     env = found.make()
     setup: Any = env.get_wrapper_attr("setup")
     task = setup.task
     yield found.name, found.description
     yield "make it", "\n".join(_ways_to_make(found))
-    task_name = setup.task_name or (type(task).__name__ if found.env else found.name)
-    yield "task", f"{task_name}: {_about(task)}"
+    yield "task", f"{type(task).__name__ if found.env else found.task_name}: {_about(task)}"
     for one in found.perturbations:
         yield "perturbation", f"{one}: {_about(one)}"
+    if setup.delay:
+        late = 1000 * setup.delay * setup.given_body.control_step
+        yield "delay", f"{setup.delay} control steps, {late:g} ms"
     yield "agents", "\n".join(_given(found, setup))
     trials = "are drawn" if task.trial_count is None else f"are those of {task.trial_count} trials"
     seconds = task.episode_steps * setup.given_body.control_step
@@ -172,29 +161,25 @@ def _about(thing: object) -> str:
 
 
 def _ways_to_make(found: Scenario) -> Iterator[str]:
-    own = found.env_id if found.env else environment_id(found.name)
-    default = environment_id(found.family + "-told" * found.told)
-    is_default = found.family and found.strength == FAMILIES[found.family].default
-    for env_id in (own, *([default] if is_default else [])):
-        if env_id in gym.registry:
-            yield f'gym.make("{env_id}")'
-            break
-    if found.family:
-        yield f'gym.make("MMCReach-v0", perturbations=["{found.name}"])'
-    yield f"mmc-gym benchmark --environments {found.name}"
+    """Yield code and commands; the first line needs nothing but the name."""
+    changes = found.named_perturbations
+    names = "".join(f", {name}={value}" for name, value in changes.items()).replace("'", '"')
+    env_id = environment_id(found.task_name) if found.env is None else found.env_id
+    yield f'mmc_gym.make("{found.name}")'
+    yield f'gym.make("{env_id}"{names})'
+    yield f"mmc-gym benchmark --scenarios {found.name}"
 
 
 def _given(found: Scenario, setup: Any) -> Iterator[str]:
     """Yield what agents are given, and how the simulated arm differs from that."""
-    if not found.family:
+    if not found.perturbations:
         yield "are given the arm as it is"
         return
-    if all(one.told for one in found.perturbations):
-        yield "are given the perturbation"
-    elif FAMILIES[found.family].told is None:
-        yield "are not given the perturbation"
-    else:
-        yield f"are not given the perturbation; with {found.name}-told they are"
+    names = found.named_perturbations["perturbations"]
+    for name, change in zip(names, found.perturbations, strict=True):
+        thing = "the perturbation" if len(names) == 1 else name
+        hint = f"; with {name}-told they are" if "told" in vars(change) and not change.told else ""
+        yield f"are {'' if change.told else 'not '}given {thing}{hint}"
     for one in fields(setup.given_body):
         given, true = getattr(setup.given_body, one.name), getattr(setup.body, one.name)
         if given != true:

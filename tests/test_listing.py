@@ -6,6 +6,7 @@ import gymnasium as gym
 import pytest
 
 import mmc_gym
+from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.cli import main
@@ -40,22 +41,23 @@ def test_each_list_has_a_line_on_everything_and_fits_80_columns(what, capsys, mo
 
 
 @pytest.mark.parametrize(
-    "name", ["random", "pursuit", "paper", "rotation-30", "delay-150", "longer-35-told", "locked"]
+    "name",
+    ["random", "pursuit", "paper", "rotation-30", "delay-150", "locked", "pursuit+longer-35-told"],
 )
 def test_what_it_says_makes_a_scenario_does_make_it(name):
     meant = scenario(name)
     expected = meant.make().unwrapped.setup
     said = dict(describe(name))
-    ways = re.findall(r"gym\.make\(.*\)", said["make it"])
-    assert ways
+    ways = re.findall(r"\w*gym\.make\(.*\)", said["make it"])
+    assert len(ways) == 2
     for way in ways:
-        made = eval(way, {"gym": gym}).unwrapped.setup
+        made = eval(way, {"gym": gym, "mmc_gym": mmc_gym}).unwrapped.setup
         assert (made.body, made.given_body) == (expected.body, expected.given_body)
         assert (made.task, made.perturbations) == (expected.task, expected.perturbations)
 
 
 def test_an_id_is_as_good_as_a_name():
-    assert list(describe("MMCReachLonger20-v0")) == list(describe("longer"))
+    assert list(describe("MMCReachPursuit-v0")) == list(describe("pursuit"))
 
 
 def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
@@ -67,9 +69,14 @@ def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
     assert "segment_lengths: (1, 1, 1.35), given (1, 1, 1)" in out
     assert "segment_lengths" not in str(dict(describe("longer-35-told"))["agents"])
     assert dict(describe("gravity"))["agents"] == "are given the perturbation"
+    both = dict(describe("longer-20-told+delay-150"))
+    assert both["agents"].startswith("are given longer-20-told\nare not given delay-150")
+    assert both["delay"] == "8 control steps, 160 ms"
 
 
 def test_a_scenario_that_is_none_is_an_error_of_the_user(capsys):
     with pytest.raises(SystemExit):
         main(["show", "rotatoin-30"])
-    assert "did you mean 'rotation'?" in capsys.readouterr().err
+    assert "did you mean 'rotation-30'?" in capsys.readouterr().err
+    with pytest.raises(UserError, match="'mmc' is not accepted: it is an agent"):
+        list(describe("mmc"))

@@ -25,7 +25,7 @@ def test_an_environment_is_shown_as_it_is_rendered_whatever_its_mode():
     pygame.display.quit()
     shown = []
     for mode in ("rgb_array", None):
-        env = gym.make("MMCReachRotation30-v0", render_mode=mode)
+        env = mmc_gym.make("rotation-30", render_mode=mode)
         env.reset(seed=1)
         shown.append(pixels(env.unwrapped._repr_png_()))
         if mode:

@@ -20,7 +20,8 @@ import pytest
 from filelock import FileLock
 
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.envs.scenarios import PERTURBATION_NAMES, scenario
+from mmc_gym.envs.perturbations import FAMILIES
+from mmc_gym.envs.scenarios import scenario
 from mmc_gym.envs.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
@@ -91,8 +92,7 @@ def pages(site):
 
 @pytest.mark.slow
 def test_every_scenario_has_a_page(site):
-    with_id = {scenario(name).name for name in PERTURBATION_NAMES}
-    for name in {*SCENARIOS, *TASKS, *with_id}:
+    for name in {*SCENARIOS, *TASKS, *(scenario(name).name for name in FAMILIES)}:
         page = (site / "envs" / f"{name}.html").read_text()
         assert f"mmc-gym benchmark --environments {name}" in re.sub("<[^>]+>", "", page)
 

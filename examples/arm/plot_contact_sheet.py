@@ -13,12 +13,9 @@ README.
 import sys
 from math import ceil
 
-import gymnasium as gym
 import matplotlib.pyplot as plt
 
-from mmc_gym import make_agent
-from mmc_gym.envs.scenarios import PERTURBATION_NAMES, environment_id
-from mmc_gym.envs.tasks import TASKS
+import mmc_gym
 
 # %%
 # Most are drawn after eleven steps; some need other numbers of steps, or a certain start.
@@ -34,10 +31,8 @@ OPTIONS = {
 
 def picture(name):
     """Return a picture (height, width, 3) of an arm that the MMC network moves."""
-    env_id = environment_id(name if name in TASKS else "random")
-    perturbations = [] if name in TASKS else [name]
-    env = gym.make(env_id, perturbations=perturbations, render_mode="rgb_array")
-    agent, state = make_agent("mmc", env), None
+    env = mmc_gym.make(name, render_mode="rgb_array")
+    agent, state = mmc_gym.make_agent("mmc", env), None
     observation, _ = env.reset(seed=6, options=OPTIONS.get(name, BENT))
     for _ in range(OTHER_STEPS.get(name, STEPS)):
         action, state = agent.predict(observation, state)
@@ -51,7 +46,8 @@ def picture(name):
 # %%
 # ``mmc-gym show NAME`` describes one of them; ``mmc-gym list tasks`` lists the available tasks.
 
-names = [*TASKS, *PERTURBATION_NAMES]
+tasks, perturbations = mmc_gym.list_tasks(), mmc_gym.list_perturbations()
+names = [*tasks, *perturbations]
 rows = ceil(len(names) / COLUMNS)
 figure, axes = plt.subplots(rows, COLUMNS, figsize=(1.6 * COLUMNS, 1.8 * rows), dpi=125)
 for axis in axes.flat:
@@ -60,7 +56,7 @@ for axis, name in zip(axes.flat, names):
     axis.imshow(picture(name)[28:-28, 28:-28])
     axis.set_title(name, fontsize=8)
 figure.tight_layout(pad=0.3)
-print(f"{len(TASKS)} tasks, {len(PERTURBATION_NAMES)} perturbations")
+print(f"{len(tasks)} tasks, {len(perturbations)} perturbations")
 
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], format="png")

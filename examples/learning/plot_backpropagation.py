@@ -7,10 +7,10 @@ back through its iterations into the controller. The controller learns in second
 the environment, and masters the bodies that were imagined, one or many.
 """
 
-import gymnasium as gym
 import matplotlib.pyplot as plt
 import torch
 
+import mmc_gym
 from mmc_gym.interface import ObservationLayout
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
@@ -44,8 +44,8 @@ for spread, lines in ((0, ("--", ":")), (0.2, ("-", "-."))):
         loss.backward()
         optimizer.step()
         schedule.step()
-    for name, line in zip(("MMCReach-v0", "MMCReachLonger20-v0"), lines):
-        arms, shares = gym.make_vec(name, 300, engine="analytic"), [0]
+    for name, line in zip(("random", "longer-20"), lines):
+        arms, shares = mmc_gym.make_vec(name, 300, engine="analytic"), [0]
         observations, _ = arms.reset(seed=0)
         for _ in range(99):  # on simulated arms
             turns = controller(torch.from_dlpack(observations)[:, SEEN]).detach()

@@ -71,10 +71,13 @@ def find_scenarios(
     else:
         names = [environments] if isinstance(environments, str) else environments
         found = [scenario(name) for name in names]
-    chosen = {one.name: one for one in found} or dict(SCENARIOS)
-    if not env_kwargs:
-        return chosen
-    return {name: replace(one, env_kwargs=env_kwargs) for name, one in chosen.items()}
+    chosen, given = {one.name: one for one in found} or dict(SCENARIOS), env_kwargs or {}
+    for one in chosen.values():
+        one.refuse(given, "task", "perturbations", "max_episode_steps")
+    for one in found:  # a strength that this arm cannot have is refused at once
+        if one.env is None:
+            make_environment(one.name, **given).close()
+    return {name: replace(one, env_kwargs=given) for name, one in chosen.items()}
 
 
 def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any]) -> Scenario:

@@ -7,12 +7,18 @@ from typing import Any
 import gymnasium as gym
 
 from mmc_gym.envs.perturbations import Family
-from mmc_gym.envs.scenarios import register_all, register_perturbation, register_task
+from mmc_gym.envs.scenarios import (
+    make,
+    make_vec,
+    register_all,
+    register_perturbation,
+    register_task,
+)
 
 # Pygame greets on standard output, which may be piped.
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
-__all__ = ["Family", "register_perturbation", "register_task"]
+__all__ = ["Family", "make", "make_vec", "register_perturbation", "register_task"]
 
 
 def _show_wrapped_environments() -> None:

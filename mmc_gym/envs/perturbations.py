@@ -21,13 +21,16 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import (
+    UserError,
     is_point,
     is_whole,
+    nearest,
     require,
     require_finite,
     require_not_negative,
     require_numbers,
     require_positive,
+    shown,
     spelt,
 )
 from mmc_gym.envs.workspace import distances
@@ -49,6 +52,16 @@ class Perturbation:
     def change_body(self, body: ArmParameters) -> ArmParameters:
         """Return the arm under this perturbation."""
         return body
+
+    def check_hooks(self) -> None:
+        """Raise a `UserError` if the class changes nothing, as with a misspelt method."""
+        changes = type(self).change_body is not Perturbation.change_body
+        if not changes and not isinstance(self, Noise | VisuomotorRotation | SensoryDelay):
+            found = nearest("change_body", vars(type(self)))
+            raise UserError(
+                f"the perturbation {type(self).__name__} must have a method change_body(self, body)"
+                f"{f', got {found}' if found else ''}: without one it changes nothing"
+            )
 
 
 @spelt
@@ -302,7 +315,10 @@ class SensoryDelay(Perturbation):
 def _index(name: str, index: int, count: int) -> int:
     """Return an index counted from 0; negative ones count from the end."""
     fine = is_whole(index) and -count <= index < count
-    require(fine, name, index, f"an index from {-count} to {count - 1}")
+    if not fine:
+        also = f", {name} {index + 1} from the base" if is_whole(index) and index >= 0 else ""
+        accepted = f"an index from {-count} to {count - 1}"
+        raise UserError(f"{name} must be {accepted}, got {shown(index)}{also}")
     return index % count
 
 
@@ -319,8 +335,6 @@ class Family:
         strengths: those of the benchmark.
         told: strengths at which the benchmark gives agents the change; None if they cannot be given
             it.
-        ids: names that have an id, by default the family's; where `told` is not None, each also
-            has an id with `-told`.
         whole: whether strengths are whole numbers: the number of a joint, or a count.
     """
 
@@ -331,14 +345,7 @@ class Family:
     make: Callable[[float], Perturbation]
     strengths: tuple[float, ...] = ()
     told: tuple[float, ...] | None = None
-    ids: tuple[str, ...] = ()
     whole: bool = False
-
-    @property
-    def names_with_id(self) -> list[str]:
-        """The names that have an id."""
-        endings = ("",) if self.told is None else ("", "-told")
-        return [name + ending for name in self.ids or (self.name,) for ending in endings]
 
 
 def _joint(strength: float, time: float = 0.0) -> LockedJoint:
@@ -367,11 +374,10 @@ FAMILIES: dict[str, Family] = {
         Family(
             name="rotation",
             unit="°",
-            description="cursor turned by {}° about the base",
+            description="cursor turned by {}°",
             default=30.0,
             make=VisuomotorRotation,
             strengths=(15.0, 30.0, 45.0, 60.0),
-            ids=("rotation-30", "rotation-45"),
         ),
         Family(
             name="hand-mass",
@@ -389,7 +395,6 @@ FAMILIES: dict[str, Family] = {
             make=lambda percent: SegmentLength(1 + percent / 100),
             strengths=(10.0, 20.0, 50.0),
             told=(20.0, 50.0),
-            ids=("longer-10", "longer-20", "longer-50"),
         ),
         Family(
             name="shorter",
@@ -399,7 +404,6 @@ FAMILIES: dict[str, Family] = {
             make=lambda percent: SegmentLength(1 - percent / 100),
             strengths=(10.0, 20.0, 50.0),
             told=(20.0, 50.0),
-            ids=("shorter-10", "shorter-20", "shorter-50"),
         ),
         Family(
             name="locked",
@@ -460,7 +464,6 @@ FAMILIES: dict[str, Family] = {
             default=100.0,
             make=lambda ms: SensoryDelay(ms / 1000),
             strengths=(20.0, 40.0, 100.0, 200.0, 400.0),
-            ids=("delay-40", "delay-100", "delay-200"),
         ),
         Family(
             name="obstacles",

@@ -1,15 +1,17 @@
-"""Scenarios: a task with perturbations under one name; the ids of environments; how to make them.
+"""Scenarios: a task with perturbations under one name, and how to make its environments.
 
-One grammar holds everywhere, in `perturbations=[…]`, in the benchmark, reports and file names:
+One grammar holds everywhere, in `mmc_gym.make`, commands, the benchmark, reports and file names:
 
-    <perturbation>[-<strength>][-told]      delay-150, longer-35-told, rotation-30, force-field
+    [<task>+]<perturbation>[-<strength>][-told][+<perturbation>…]
+
+    random, centre-out, rotation-30, centre-out+rotation-30, longer-35-told+delay-160
 
 Any strength is accepted; a name without one has the family's default (`force-field` is
-`force-field-60`).  With `-told`, agents are given the changed body.  In an id the name is in
-camel case: `MMCReachLonger20Told-v0`.
+`force-field-60`).  With `-told`, agents are given the changed body.  Without a task it is "random":
+an agent's episodes differ from those of `random` in the perturbations alone, because the same seeds
+draw the same starts and targets.
 
-Perturbations have the task "random", so that an agent's episodes differ from those without one in
-the perturbation alone: the same seeds draw the same starts and targets.
+Tasks have ids, in camel case: `MMCReachCentreOut-v0`.  Perturbations are arguments of all of them.
 """
 
 from __future__ import annotations
@@ -18,26 +20,27 @@ import hashlib
 import inspect
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from mmc_gym._errors import UserError, require, unknown
+from mmc_gym._errors import UserError, nearest, require, shown, unknown
 from mmc_gym._files import import_object, look_here
 from mmc_gym.envs.perturbations import FAMILIES, Family, Perturbation
-from mmc_gym.envs.tasks import TASKS, Task, outward_task
+from mmc_gym.envs.tasks import TASKS, Task
 
 if TYPE_CHECKING:
     from mmc_gym.envs.spec import ReachSetup
 
 EnvLike: TypeAlias = "str | Callable[..., gym.Env[Any, Any]]"
-"""The id of an environment, "module:Id" as in Gymnasium, "module:function", or a function or class
-that takes the arguments and returns an environment."""
+"""The name of a scenario, the id of an environment, "module:Id" as in Gymnasium, "module:function",
+or a function or class that takes the arguments and returns an environment."""
 
 BASELINE = "random"
 """The scenario without perturbation: strength 0 of every family."""
@@ -52,6 +55,54 @@ def is_own(env: EnvLike) -> bool:
 def name_of(env: EnvLike) -> str:
     """Return the name of an environment for tables: its id, or the name of the function."""
     return env if isinstance(env, str) else getattr(env, "__name__", type(env).__name__)
+
+
+def make(name: str, **arguments: Any) -> gym.Env[Any, Any]:
+    """Make the environment of a scenario, or of an id, by `gym.make`.
+
+    Args:
+        name: a task with perturbations of any strength, such as "centre-out+rotation-30"; or an id.
+        arguments: those of `gym.make` and of the environment, such as `render_mode`, `control` or
+            `segment_lengths`.  `perturbations` may follow a name without any.
+
+    Raises:
+        UserError: for an unknown name, an argument that the name sets, or one not accepted.
+
+    Example:
+        >>> make("pursuit+delay-160", control="joint_velocity").spec.id
+        'MMCReachPursuit-v0'
+    """
+    return make_environment(name, **arguments)
+
+
+def make_vec(name: str, num_envs: int = 1, **arguments: Any) -> VectorEnv[Any, Any, Any]:
+    """Make many environments of a scenario, or of an id, by `gym.make_vec`.
+
+    Args:
+        name: as for `make`.
+        num_envs: number of environments.
+        arguments: those of `gym.make_vec`, such as `vectorization_mode`, and of the environment.
+
+    Raises:
+        UserError: as `make` does.
+    """
+    env_id, given = _for_gymnasium(name, arguments)
+    try:
+        return gym.make_vec(env_id, num_envs=num_envs, **given)
+    except (gym.error.Error, ImportError, TypeError) as error:
+        raise _not_accepted(name, error) from error
+
+
+def _for_gymnasium(env: str, arguments: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the id of a name, and the arguments with those that the name sets."""
+    if not isinstance(env, str) or ":" in env or env in gym.registry or _VERSION.search(env):
+        return env, arguments
+    found = scenario(env)
+    found.refuse(arguments, "task", *(["perturbations"] if found.perturbations else []))
+    return environment_id(found.task_name), {**found.named_perturbations, **arguments}
+
+
+_VERSION = re.compile(r"-v\d+$")
 
 
 def make_environment(
@@ -80,8 +131,9 @@ def _made(env: EnvLike, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
     make: Any = env
     if isinstance(env, str):
         look_here()
+        env_id, given = _for_gymnasium(env, arguments)
         try:
-            return gym.make(env, **arguments)
+            return gym.make(env_id, **given)
         except UserError:
             raise
         except (gym.error.Error, ImportError) as error:  # "module:function" is no id
@@ -91,6 +143,9 @@ def _made(env: EnvLike, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
                 make = None
             if not callable(make):
                 raise _not_accepted(env, error) from error
+    if isinstance(make, gym.Env) or not callable(make):
+        accepted = "an id, the name of a scenario, or a function that returns an environment"
+        raise UserError(f"env must be {accepted}, got {shown(make)}")
     made: gym.Env[Any, Any] = make(**arguments)
     require(isinstance(made, gym.Env), name_of(env), made, "a function that returns an environment")
     return made
@@ -98,7 +153,8 @@ def _made(env: EnvLike, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
 
 def _not_accepted(env: EnvLike, error: Exception) -> UserError:
     return UserError(
-        f"env must be a reaching environment such as 'MMCReach-v0', got {name_of(env)!r}: {error}"
+        "env must be a reaching environment such as 'MMCReach-v0', or a scenario such as "
+        f"'rotation-30', got {name_of(env)!r}: {error}"
     )
 
 
@@ -129,9 +185,10 @@ class Scenario:
         name: the one name, with its strength.
         env: your own environment, in place of task and perturbations.
         env_kwargs: more arguments of the environment.
-        family: of the perturbation; empty for a task.
-        strength: of the perturbation, comparable within its family.
-        told: whether agents are given the perturbed body.
+        family: the name up to the strength of the last perturbation, such as "delay" or
+            "centre-out+delay"; empty for a task.
+        strength: of the last perturbation, comparable within the family.
+        told: whether agents are given what the last perturbation changes.
     """
 
     name: str
@@ -146,6 +203,17 @@ class Scenario:
     told: bool = False
 
     @property
+    def task_name(self) -> str:
+        """The name of the task, which is that of the scenario without perturbations."""
+        return self.task if isinstance(self.task, str) else self.name.partition("+")[0]
+
+    @property
+    def named_perturbations(self) -> dict[str, list[str]]:
+        """The argument that gives the perturbations by name; empty without any."""
+        count = len(self.perturbations)
+        return {"perturbations": self.name.split("+")[-count:]} if count else {}
+
+    @property
     def env_id(self) -> str:
         """Gymnasium's id of the task, or the name of your own environment."""
         if self.env is not None:
@@ -158,6 +226,15 @@ class Scenario:
         task = {} if isinstance(self.task, str) else {"task": self.task}
         changes = {"perturbations": self.perturbations} if self.perturbations else {}
         return {**task, **changes, **self.env_kwargs}
+
+    def refuse(self, arguments: Iterable[str], *own: str) -> None:
+        """Raise a `UserError` if one of the arguments is in `own`, which the scenario sets."""
+        for name in own if self.env is None else ():
+            if name in arguments:
+                raise UserError(
+                    f"{name} must be left out, as the scenario {self.name!r} sets it; a name may "
+                    "have a task and several perturbations, such as 'centre-out+rotation-30'"
+                )
 
     def make(self, control: str | None = None) -> gym.Env[Any, Any]:
         """Make the single environment, see `make_environment`."""
@@ -217,30 +294,50 @@ class Scenario:
             "family": self.family + "-told" * self.told,
             "strength": self.strength,
             "unit": self.unit,
-            "baseline": BASELINE if self.family else None,
+            "baseline": self.task_name if self.family else None,
         }
 
 
 def scenario(name: str) -> Scenario:
-    """Return the scenario of a task, or of a perturbation with any strength.
+    """Return the scenario of a name: a task, perturbations of any strength, or both.
 
-    The name may also be that of your own environment, as `make_environment` takes it: a registered
-    id, "module:Id", or "module:function".
+    The name may also be the id of a task, or that of your own environment, as `make_environment`
+    takes it: a registered id, "module:Id", or "module:function".
 
     Example:
         >>> scenario("longer-35-told").description
         'last segment 35 % longer, given to agents'
-        >>> scenario("locked").name
-        'locked-2'
+        >>> scenario("centre-out+locked").name
+        'centre-out+locked-2'
 
     Raises:
         UserError: for an unknown name, or an impossible strength.
     """
-    if name in TASK_SCENARIOS:
-        return TASK_SCENARIOS[name]
-    if isinstance(name, str) and (":" in name or (name in gym.registry and is_own(name))):
+    if not isinstance(name, str):
+        raise _unknown(name)
+    name = {environment_id(task): task for task in TASK_SCENARIOS}.get(name, name)
+    if ":" in name or name in gym.registry:
         return own_scenario(name)
-    return _named("scenario", name)
+    first, *others = name.split("+")
+    if first not in TASK_SCENARIOS:
+        first, others = BASELINE, [first, *others]
+    return _joined(TASK_SCENARIOS[first], [_perturbation("scenario", one) for one in others])
+
+
+def _joined(task: Scenario, changes: Sequence[Scenario]) -> Scenario:
+    """Return the scenario of a task under the perturbations of other scenarios."""
+    if not changes:
+        return task
+    *before, last = changes
+    before = [*([] if task.name == BASELINE else [task]), *before]
+    return replace(
+        last,
+        name="+".join(one.name for one in (*before, last)),
+        description="; ".join(one.description for one in (*before, last)),
+        task=task.task,
+        perturbations=tuple(chain.from_iterable(one.perturbations for one in changes)),
+        family="+".join((*(one.name for one in before), last.family)),
+    )
 
 
 def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
@@ -252,9 +349,12 @@ def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
     if told and family.told is None:
         accepted = ", ".join(one.name for one in FAMILIES.values() if one.told is not None)
         raise UserError(f"'-told' may follow {accepted} only, got it after {family.name!r}")
-    perturbation = family.make(strength)
     # Digits without exponent, as the grammar reads them.
     digits = np.format_float_positional(strength, trim="-")
+    try:
+        perturbation = find_perturbation(family.make(strength))
+    except UserError as error:
+        raise UserError(f"{family.name}-{digits} has no such strength: {error}") from error
     description = family.description.format(digits)
     if family.told is not None:
         description += f", {'given' if told else 'not given'} to agents"
@@ -289,8 +389,9 @@ def find_perturbation(value: object) -> Perturbation:
         UserError: for an unknown name, an impossible strength, or anything else.
     """
     if isinstance(value, Perturbation):
+        value.check_hooks()
         return value
-    return _named("perturbations", value).perturbations[0]
+    return _perturbation("perturbations", value).perturbations[0]
 
 
 def find_task(value: object) -> Task:
@@ -306,8 +407,8 @@ def find_task(value: object) -> Task:
     return TASKS[value]
 
 
-def environment_id(name: str = "random") -> str:
-    """Return the id of a task or a perturbation: `MMCReachLonger20Told-v0` of `longer-20-told`."""
+def environment_id(name: str = BASELINE) -> str:
+    """Return the id of a task: `MMCReachCentreOut-v0` of `centre-out`."""
     words = "" if name == "random" else "".join(word.capitalize() for word in name.split("-"))
     return f"MMCReach{words}-v0"
 
@@ -317,8 +418,6 @@ def register_all() -> None:
     _register("MMCReachGoal-v0", TASKS["random"], {}, kind="MMCReachGoal")
     for name, task in TASKS.items():
         _register(environment_id(name), task, {} if name == "random" else {"task": name})
-    for name in PERTURBATION_NAMES:
-        _register(environment_id(name), TASKS["random"], {"perturbations": [name]})
 
 
 def _register(env_id: str, task: Task, arguments: dict[str, Any], kind: str = "MMCReach") -> None:
@@ -335,17 +434,33 @@ def _register(env_id: str, task: Task, arguments: dict[str, Any], kind: str = "M
 _NAME = re.compile(r"(?P<family>[a-z-]+?)(?:-(?P<strength>-?\d+(?:\.\d+)?))?(?P<told>-told)?")
 
 
-def _named(argument: str, name: object) -> Scenario:
-    """Return the scenario of a perturbation's name; an error names the argument."""
+def _perturbation(argument: str, name: object) -> Scenario:
+    """Return the scenario of one perturbation's name; an error names the argument."""
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     if match is None or match["family"] not in FAMILIES:
-        also = ["one with a strength (delay-150)"]
-        if argument == "scenario":
-            raise unknown(argument, name, (*TASK_SCENARIOS, *FAMILIES), *also)
-        raise unknown(argument, name, FAMILIES, *also, "a Perturbation")
+        raise _unknown(name, argument)
     family = FAMILIES[match["family"]]
     strength = family.default if match["strength"] is None else float(match["strength"])
     return perturbed(family, strength, told=match["told"] is not None)
+
+
+def _unknown(name: object, argument: str = "scenario") -> UserError:
+    """Return the error that a name is unknown, with what may have been meant."""
+    if isinstance(name, str) and name in TASK_SCENARIOS:
+        return UserError(f"{name!r} is a task, which stands first: '{name}+rotation-30'")
+    also, known = ["one with a strength (delay-160)"], list(FAMILIES)
+    if argument == "perturbations" and "+" in str(name):
+        also.append(f"a list such as {str(name).split('+')}")
+    elif argument == "perturbations":
+        also.append("a Perturbation")
+    else:
+        known = [*TASK_SCENARIOS, *FAMILIES]
+        also.append("several (centre-out+rotation-30)")
+    word = re.split("-(?=-?[0-9]|told$)", name)[0] if isinstance(name, str) else ""
+    guess = nearest(word, known)
+    if guess in FAMILIES and "+" not in str(name):  # with the strength that was given
+        guess += str(name)[len(word) :]
+    return unknown(argument, name, known, *also, guess=guess)
 
 
 def _as_json(arguments: dict[str, Any]) -> Any:
@@ -367,7 +482,7 @@ _SHIPPED = frozenset((*TASKS, *FAMILIES))  # yours may be registered again, as i
 
 
 def register_task(name: str, task: Task, description: str = "") -> None:
-    """Name your own task, for ids, arguments, the benchmark, the report and file names.
+    """Name your own task, for its id, arguments, the benchmark, the report and file names.
 
     Args:
         name: words with hyphens, such as "near-targets", whose id is `MMCReachNearTargets-v0`.
@@ -388,7 +503,7 @@ def register_task(name: str, task: Task, description: str = "") -> None:
 
 
 def register_perturbation(family: Family) -> None:
-    """Name your own perturbations, for ids, arguments, the benchmark, the report and file names.
+    """Name your own perturbations, for scenarios, arguments, the benchmark and the report.
 
     Raises:
         UserError: if the name is not words with hyphens, or belongs to this package or a task.
@@ -398,14 +513,7 @@ def register_perturbation(family: Family) -> None:
     require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")
     perturbed(family, family.default)  # raises an error if the family is not consistent
     FAMILIES[family.name] = family
-    for name in family.names_with_id:
-        _register(environment_id(name), TASKS["random"], {"perturbations": [name]})
 
-
-PERTURBATION_NAMES: tuple[str, ...] = tuple(
-    name for family in FAMILIES.values() for name in family.names_with_id
-)
-"""Names of perturbations that have an id of their own."""
 
 TASK_SCENARIOS: dict[str, Scenario] = {
     one.name: one
@@ -413,11 +521,7 @@ TASK_SCENARIOS: dict[str, Scenario] = {
         Scenario("random", "random starts and targets", "random"),
         Scenario("paper", "the paper's 420 movements between 21 targets", "paper"),
         Scenario("centre-out", "eight targets around a point", "centre-out"),
-        Scenario(
-            "distances",
-            "eight directions at each of four distances",
-            outward_task([0.1, 0.2, 0.3, 0.4]),
-        ),
+        Scenario("distances", "eight directions at each of four distances", "distances"),
         Scenario("double-step-100", "target jumps after 0.1 s", "double-step-100"),
         Scenario("double-step-200", "target jumps after 0.2 s", "double-step-200"),
         Scenario("pursuit", "target moves along sums of sines", "pursuit"),

@@ -6,9 +6,9 @@ The single and the vector environment share it, and nothing in it changes while 
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import reduce
 from inspect import signature
 from operator import attrgetter
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
@@ -28,6 +28,7 @@ from mmc_gym._errors import (
     require_known,
     require_not_negative,
     require_numbers,
+    require_rows,
 )
 from mmc_gym.body import ArmParameters, Engine
 from mmc_gym.envs.perturbations import (
@@ -51,6 +52,7 @@ from mmc_gym.interface import (
 
 RewardType = Literal["dense", "sparse"]
 _MOST_TRIALS = 300
+_TRIED = 10  # trials of your own task, when the environment is made
 
 
 class Options(NamedTuple):
@@ -127,10 +129,11 @@ class ReachSetup:
         if isinstance(perturbations, str) or not isinstance(perturbations, Sequence):
             perturbations = (perturbations,)
         self.perturbations = tuple(map(find_perturbation, perturbations))
-        named = [*([] if task == "random" else [task]), *perturbations]
-        self.caption = ", ".join(n if isinstance(n, str) else type(n).__name__ for n in named)
+        names = [one if isinstance(one, str) else type(one).__name__ for one in perturbations]
+        task_names = [] if task == "random" else [self.task_name or type(self.task).__name__]
+        self.caption = ", ".join([*task_names, *names])
         self.unperturbed = ArmParameters(**arm_parameters)
-        self._apply_perturbations(self.unperturbed)
+        self._apply_perturbations(self.unperturbed, names)
         self.action = action_meaning(control, self.given_body)
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
@@ -143,16 +146,26 @@ class ReachSetup:
         self.trace_length = max(2, self.frame_rate)
         self.task.check(self.workspace)
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
-        self.path_length = len(self._draw(np.random.default_rng(0), Options()).targets)
+        self._is_own_task = not type(self.task).__module__.startswith("mmc_gym.")
+        self.path_length = 0
+        for seed in range(_TRIED if self._is_own_task else 1):  # rather than later, in an episode
+            self.path_length = len(self.draw_trial(np.random.default_rng(seed), Options()).targets)
 
-    def _apply_perturbations(self, parameters: ArmParameters) -> None:
+    def _apply_perturbations(self, parameters: ArmParameters, names: Sequence[str]) -> None:
         changes, step = self.perturbations, parameters.control_step
-        given = [change for change in changes if change.told]
-        self.body = reduce(lambda arm, change: change.change_body(arm), changes, parameters)
-        self.given_body = reduce(lambda arm, change: change.change_body(arm), given, parameters)
+        self.body = self.given_body = parameters
+        for name, change in zip(names, changes, strict=True):
+            self.body = _changed(name, change, self.body)
+            self.given_body = _changed(name, change, self.given_body, change.told)
         self.noises = [change for change in changes if isinstance(change, Noise)]
         delays = [change.seconds for change in changes if isinstance(change, SensoryDelay)]
         self.delay = round(sum(delays) / step)
+        late = [name for name in names if name.startswith("delay")]
+        if late and sum(delays) and not self.delay:
+            raise UserError(
+                f"{late[0]} would delay nothing: delays are whole control steps of "
+                f"{1000 * step:g} ms, such as delay-{1000 * step:g} or delay-{2000 * step:g}"
+            )
         self.are_senses_disturbed = bool(self.noises or self.delay)
         times = {change.time for change in changes if isinstance(change, LockedJoint)}
         if len(times) > 1:
@@ -199,8 +212,11 @@ class ReachSetup:
             trial = self._draw(random, options)
         except UserError:  # bad luck: the fixed seed worked when the setup was made
             trial = self._draw(np.random.default_rng(0), options)
+        if self._is_own_task:
+            trial = self._checked(trial)
         accepted = f"one whose paths have {self.path_length} places, as in its first trial"
-        require(len(trial.targets) == self.path_length, "task", self.task, accepted)
+        fine = len(trial.targets) == self.path_length or not self.path_length
+        require(fine, "task", self.task, accepted)
         if options.target is None:
             return trial
         return Trial(options.joint_angles or trial.joint_angles, [options.target])
@@ -219,6 +235,22 @@ class ReachSetup:
             except NoTarget as error:
                 reason = error
         raise reason
+
+    def _checked(self, trial: Any) -> Trial:
+        """Return what your own task drew; raise a `UserError` that names it if it is no trial."""
+        name, workspace = f"{type(self.task).__name__}.draw", self.workspace
+        require(isinstance(trial, Trial), f"what {name} returns", trial, "a Trial")
+        posture = require_finite_numbers(f"joint_angles of {name}", trial[0], self.joint_count)
+
+        def is_reachable(point: tuple[float, ...]) -> bool:
+            slack = REACH_TOLERANCE * workspace.outer
+            return is_point(point) and math.dist(point, workspace.nearest(point)) <= slack
+
+        ring = f"{workspace.inner:g} to {workspace.outer:g} from the base"
+        accepted = f"a path, one or more points (x, y) that are {ring}"
+        counts = range(1, sys.maxsize)
+        path = require_rows(f"targets of {name}", trial[1], accepted, is_reachable, counts)
+        return Trial(posture, [(x, y) for x, y in path])
 
     def check_options(self, options: dict[str, Any] | None) -> Options:
         """Return the options of a reset.
@@ -273,6 +305,21 @@ class ReachSetup:
             accepted = f"left out, as {self.task} has no numbered trials"
         require(is_whole(trial) and 0 <= trial < count, "options['trial']", trial, accepted)
         return int(trial)
+
+
+def _changed(
+    name: str, change: Perturbation, body: ArmParameters, is_given: bool = True
+) -> ArmParameters:
+    """Return the arm under a perturbation; an error names it."""
+    try:
+        changed = change.change_body(body) if is_given else body
+    except UserError as error:
+        raise UserError(f"{name} is not possible for this arm: {error}") from error
+    accepted = "the changed ArmParameters, as from dataclasses.replace(body, ...)"
+    require(
+        isinstance(changed, ArmParameters), f"what {name}.change_body returns", changed, accepted
+    )
+    return changed
 
 
 class GoalSetup(ReachSetup):

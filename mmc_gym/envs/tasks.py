@@ -304,6 +304,7 @@ TASKS: dict[str, Task] = {
     "random": RandomTarget(),
     "paper": _paper_task(),
     "centre-out": outward_task([0.2]),
+    "distances": outward_task([0.1, 0.2, 0.3, 0.4]),
     "double-step-100": DoubleStep(delay=0.1),
     "double-step-200": DoubleStep(delay=0.2),
     "pursuit": Pursuit(),

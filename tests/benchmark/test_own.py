@@ -105,7 +105,7 @@ def test_an_own_perturbation_takes_any_strength():
     register_perturbation(Family("heavy", "segment masses", "{} masses at the hand", 2.0, Heavy))
     heavy = gym.make("MMCReach-v0", perturbations=["heavy-7"]).unwrapped.setup
     assert (heavy.body.hand_mass, heavy.given_body.hand_mass) == (7.0, 0.0)
-    assert gym.make("MMCReachHeavy-v0").unwrapped.setup.body.hand_mass == 2.0
+    assert mmc_gym.make("pursuit+heavy").unwrapped.setup.body.hand_mass == 2.0
     assert scenario("heavy-0.5").description == "0.5 masses at the hand"
 
 

@@ -1,4 +1,4 @@
-"""Facts about the names of scenarios, and about every environment that is registered.
+"""Facts about the names of scenarios, and about the environment of each task and perturbation.
 
 The two plain environments are tried under every control mode, and each of the others under one.
 A few are tried every day, all of them by `make test-all`.
@@ -20,10 +20,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
-import mmc_gym  # noqa: F401  (registers the environments)
+import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.suite import SCENARIOS, find_scenarios
 from mmc_gym.envs.perturbations import (
+    FAMILIES,
     ForceField,
     Gravity,
     JointNoise,
@@ -33,26 +34,32 @@ from mmc_gym.envs.perturbations import (
     SegmentLength,
     SensoryDelay,
     VisionNoise,
+    VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.scenarios import PERTURBATION_NAMES, TASK_SCENARIOS, environment_id, scenario
+from mmc_gym.envs.scenarios import (
+    TASK_SCENARIOS,
+    environment_id,
+    make_environment,
+    scenario,
+)
 from mmc_gym.envs.tasks import TASKS
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import Control
 
 PLAIN = ["MMCReach-v0", "MMCReachGoal-v0"]
 IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]
+TOLD = [f"{name}-told" for name, family in FAMILIES.items() if family.told is not None]
 CONTROLS = get_args(Control)
-OTHERS = sorted(set(IDS) - set(PLAIN))
+OTHERS = [*sorted({*TASKS, *FAMILIES, *TOLD} - {"random"}), "centre-out+rotation-30+delay-40"]
 CASES = [*product(PLAIN, CONTROLS), *zip(OTHERS, cycle(CONTROLS), strict=False)]
 DAILY = {
     ("MMCReach-v0", "joint_delta"),
     ("MMCReachGoal-v0", "joint_position"),
-    *(case for case in CASES if case[0] in ("MMCReachLocked-v0", "MMCReachDelay40-v0")),
-    *(case for case in CASES if case[0] in ("MMCReachViaPoints-v0", "MMCReachJointNoise-v0")),
+    *(case for case in CASES if case[0] in ("locked", "delay", "via-points", "joint-noise")),
 }
 every_case = pytest.mark.parametrize(
-    ("env_id", "control"),
+    ("name", "control"),
     [pytest.param(*one, marks=() if one in DAILY else pytest.mark.slow) for one in CASES],
 )
 same = partial(data_equivalence, exact=True)
@@ -95,18 +102,111 @@ def test_a_name_with_any_strength_makes_a_perturbation(
         ("pursuits", "did you mean 'pursuit'"),
         ("gremlins", "scenario 'gremlins' is not accepted. It may be random, .*force-field"),
         ("delay-40-told", "'-told' may follow longer, shorter, locked, locks only.*'delay'"),
-        ("locked-0", "joint that locks must be a whole number from 1"),
+        ("rotatoin-30", "did you mean 'rotation-30'"),
+        ("centre-out+rotatoin-30-told", "'rotatoin-30-told'.*did you mean 'rotation-30-told'"),
+        ("centreout+rotation-30", "'centreout' is not accepted; did you mean 'centre-out'"),
+        (
+            "rotation-30+centre-out",
+            "'centre-out' is a task, which stands first",
+        ),
+        ("locked-0", "locked-0 has no such .*joint that locks must be a whole number from 1"),
         ("locks-1.5", "joint that locks must be a whole number from 1"),
         ("obstacles-5", "number of obstacles must be a whole number from 1 to 4"),
-        ("delay--40", "seconds must be"),
-        ("shorter-100", "factor must be"),
+        ("delay--40", "delay--40 has no such strength: seconds must be"),
+        ("shorter-100", "shorter-100 has no such strength: factor must be"),
         ("delay-", "did you mean 'delay'"),
+        ("centre-out+", "scenario '' is not accepted"),
         (None, "scenario None is not accepted. It may be"),
     ],
 )
 def test_a_wrong_name_is_refused_with_a_hint(name: Any, hint: str) -> None:
     with pytest.raises(UserError, match=hint):
         scenario(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "mended", "hint"),
+    [
+        ("locked-7", "locked-3", "locked-7 is not possible for this arm: .* joint 7 from the base"),
+        (
+            "delay-5",
+            "delay-20",
+            "delay-5 would delay nothing: .* of 20 ms, such as delay-20",
+        ),
+        ("pursuit+obstacles-2+rotation-30+rotation-3", "rotation-3", "at most one rotation"),
+    ],
+)
+def test_what_an_arm_cannot_have_is_refused_by_its_name(name: str, mended: str, hint: str) -> None:
+    for make in (
+        mmc_gym.make,
+        partial(mmc_gym.make_vec, num_envs=2),
+        lambda n: find_scenarios([n]),
+    ):
+        with pytest.raises(UserError, match=hint):
+            make(name)
+        make(mended)
+
+
+@pytest.mark.parametrize(
+    ("name", "full_name", "task", "family", "strength"),
+    [
+        ("centre-out+rotation", "centre-out+rotation-30", "centre-out", "centre-out+rotation", 30),
+        ("random+delay-40", "delay-40", "random", "delay", 40),
+        ("rotation-5+delay-40", "rotation-5+delay-40", "random", "rotation-5+delay", 40),
+        ("MMCReachPursuit-v0", "pursuit", "pursuit", "", None),
+    ],
+)
+def test_a_task_and_perturbations_together_have_one_name(
+    name: str, full_name: str, task: str, family: str, strength: float | None
+) -> None:
+    one = scenario(name)
+    assert (one.name, one.task, one.family, one.strength) == (full_name, task, family, strength)
+    assert one == scenario(full_name)
+    assert one.description == "; ".join(scenario(part).description for part in one.name.split("+"))
+    assert one.settings["baseline"] == (task if family else None)
+    setup, vector = one.make().unwrapped.setup, one.make_vec(2).setup
+    assert setup.task is TASKS[task]
+    assert setup.perturbations == vector.perturbations == one.perturbations
+
+
+def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments() -> None:
+    name, arguments = "pursuit+rotation-45", {"control": "joint_velocity", "max_episode_steps": 9}
+    one = mmc_gym.make(name, render_mode="rgb_array", **arguments)
+    assert one.spec.id == "MMCReachPursuit-v0"
+    assert (one.spec.max_episode_steps, one.unwrapped.render_mode) == (9, "rgb_array")
+    assert mmc_gym.make(name).spec.max_episode_steps == 500
+    assert one.unwrapped.setup.perturbations == (VisuomotorRotation(45.0),)
+    assert one.unwrapped.setup.caption == "pursuit, rotation-45"
+    native, sync = (mmc_gym.make_vec(name, 3, vectorization_mode=m) for m in (None, "sync"))
+    assert isinstance(native, MMCReachVectorEnv)
+    assert isinstance(sync, gym.vector.SyncVectorEnv)
+    assert same(native.reset(seed=1), sync.reset(seed=1))
+    assert mmc_gym.make_vec("MMCReachGoal-v0", 2, **arguments).max_episode_steps == 9
+    assert mmc_gym.make("pursuit", perturbations=["locked"]).unwrapped.setup.lock_step == 0
+
+
+@pytest.mark.parametrize("argument", ["task", "perturbations", "max_episode_steps"])
+def test_what_a_name_sets_is_no_argument(argument: str) -> None:
+    given: dict[str, Any] = {"task": "paper", "perturbations": ["rotation-30"]}
+    given["max_episode_steps"] = 7
+    one = {argument: given[argument]}
+    with pytest.raises(UserError, match=f"{argument} must be left out.*scenario 'delay-400' sets"):
+        find_scenarios(["delay-400"], one)
+    if argument != "max_episode_steps":  # which is Gymnasium's
+        for make in (mmc_gym.make, mmc_gym.make_vec):
+            with pytest.raises(UserError, match=f"{argument} must be left out.*'delay-400' sets"):
+                make("delay-400", **one)
+    assert find_scenarios(["delay-400"], {"substeps": 2})["delay-400"].env_kwargs == {"substeps": 2}
+
+
+def test_perturbations_have_no_ids() -> None:
+    assert {*IDS} == {"MMCReachGoal-v0", *map(environment_id, TASKS)}
+
+
+def test_an_environment_is_no_name_of_one() -> None:
+    for env in (gym.make("MMCReach-v0"), None):
+        with pytest.raises(UserError, match="env must be an id, the name of a scenario, or a func"):
+            make_environment(env)
 
 
 def test_a_scenario_makes_its_environments_and_counts_its_trials() -> None:
@@ -122,7 +222,7 @@ def test_a_scenario_makes_its_environments_and_counts_its_trials() -> None:
 
 
 def test_every_task_is_a_scenario_and_all_of_the_benchmark_have_names_of_the_grammar() -> None:
-    assert set(TASK_SCENARIOS) == {*TASKS, "distances"}
+    assert list(TASK_SCENARIOS) == list(TASKS)
     assert all(scenario(name) == one for name, one in SCENARIOS.items())
     assert find_scenarios([]) == SCENARIOS
     assert list(find_scenarios(["locked", "delay-150", "locked-2"])) == ["locked-2", "delay-150"]
@@ -139,13 +239,6 @@ def test_the_id_of_a_task_makes_it_and_has_its_time(name: str) -> None:
     assert MMCReachVectorEnv(2, task=name).max_episode_steps == task.episode_steps
 
 
-def test_the_id_of_a_perturbation_makes_it_in_the_task_random() -> None:
-    for name in PERTURBATION_NAMES:
-        setup = gym.make(environment_id(name)).unwrapped.setup
-        assert setup.perturbations == scenario(name).perturbations
-        assert setup.task is TASKS["random"]
-
-
 @pytest.mark.parametrize("mode", [None, "vector_entry_point", "sync"])
 def test_a_task_of_another_length_than_the_ids_is_refused_by_name(mode: str | None) -> None:
     def make(env_id: str, **arguments: Any) -> Any:
@@ -156,7 +249,7 @@ def test_a_task_of_another_length_than_the_ids_is_refused_by_name(mode: str | No
     for name, env_id in (("pursuit", "MMCReach-v0"), ("random", "MMCReachPursuit-v0")):
         with pytest.raises(UserError, match=f"got '{name}'.*make '{environment_id(name)}'"):
             make(env_id, task=name)
-    make("MMCReachLocked-v0", task="centre-out").close()
+    make("MMCReach-v0", task="centre-out", perturbations=["locked"]).close()
     make("MMCReach-v0", task=TASKS["pursuit"], max_episode_steps=500).close()
     make("MMCReachPursuit-v0", perturbations=["delay-150"], max_episode_steps=7).close()
     assert gym.make_vec("MMCReach-v0", task="pursuit", max_episode_steps=7).max_episode_steps == 7
@@ -170,8 +263,8 @@ def test_registering_imports_neither_physics_nor_drawing() -> None:
 
 
 @pytest.fixture
-def env(env_id: str, control: str) -> Iterator[gym.Env]:
-    env = gym.make(env_id, control=control)
+def env(name: str, control: str) -> Iterator[gym.Env]:
+    env = mmc_gym.make(name, control=control)
     env.action_space.seed(0)
     yield env
     env.close()
@@ -216,9 +309,9 @@ def test_stable_baselines3_approves(env: gym.Env, capsys: pytest.CaptureFixture[
 
 
 @every_case
-def test_same_seed_and_actions_give_the_same_episodes(env: gym.Env, control: str) -> None:
+def test_same_seed_and_actions_give_the_same_episodes(env: gym.Env) -> None:
     assert env.spec is not None
-    other = gym.make(env.spec.id, control=control)
+    other = gym.make(env.spec)
     actions = harsh_actions(env, 250)
     first = rollout(env, actions)
     assert same(first, rollout(other, actions))

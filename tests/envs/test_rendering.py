@@ -14,15 +14,20 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs import shapes as drawing
-from mmc_gym.envs.perturbations import ForceField, HandMass, LockedJoint, VisuomotorRotation
+from mmc_gym.envs.perturbations import (
+    FAMILIES,
+    ForceField,
+    HandMass,
+    LockedJoint,
+    VisuomotorRotation,
+)
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import Renderer, Scene, Window
-from mmc_gym.envs.scenarios import PERTURBATION_NAMES
 from mmc_gym.envs.shapes import View
 from mmc_gym.envs.spec import Options, ReachSetup
 
 FAR = (-2.5, 0.0)
-DAILY = ("longer-20", "obstacles", "delay-100")
+DAILY = ("longer", "obstacles", "delay")
 
 
 @pytest.fixture(autouse=True)
@@ -219,10 +224,7 @@ def test_a_picture_is_named_by_its_task_and_perturbations() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=() if name in DAILY else pytest.mark.slow)
-        for name in PERTURBATION_NAMES
-    ],
+    [pytest.param(name, marks=() if name in DAILY else pytest.mark.slow) for name in FAMILIES],
 )
 def test_every_perturbation_can_be_seen(name: str) -> None:
     env, plain = (

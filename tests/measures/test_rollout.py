@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit
 
+import mmc_gym
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.envs.perturbations import ForceField, LockedJoint, VisuomotorRotation
@@ -160,35 +161,35 @@ def assert_same(together, alone):
 
 
 @pytest.mark.parametrize(
-    ("env_id", "arguments"),
+    ("name", "arguments"),
     [
         ("MMCReach-v0", {}),
         ("MMCReach-v0", {"perturbations": (ForceField(90.0), LockedJoint(time=0.2))}),
-        ("MMCReachJointNoise-v0", {}),
-        ("MMCReachRotation30-v0", {}),
-        ("MMCReachViaPoints-v0", {}),
-        ("MMCReachDoubleStep100-v0", {}),
+        ("joint-noise", {}),
+        ("rotation-30", {}),
+        ("via-points", {}),
+        ("double-step-100", {}),
         *(
             pytest.param(*setting, marks=pytest.mark.slow)
             for setting in (
                 ("MMCReach-v0", {"engine": "analytic"}),
                 ("MMCReach-v0", {"control": "joint_delta"}),
                 ("MMCReachGoal-v0", {}),
-                ("MMCReachObstacles-v0", {}),
-                ("MMCReachDelay100-v0", {}),
+                ("obstacles", {}),
+                ("pursuit+delay-100", {}),
             )
         ),
     ],
 )
-def test_episodes_together_are_those_one_by_one(env_id, arguments):
+def test_episodes_together_are_those_one_by_one(name, arguments):
     if "engine" in arguments:
         pytest.importorskip("numba")
     seeds = episode_seeds(3, 4)
-    env = gym.make(env_id, **arguments)
-    vector = gym.make_vec(env_id, num_envs=len(seeds), **arguments)
+    env = mmc_gym.make(name, **arguments)
+    vector = mmc_gym.make_vec(name, num_envs=len(seeds), **arguments)
     alone = run_episodes(make_agent("mmc", env), env, seeds)
     assert_same(run_episodes(make_agent("mmc", vector), vector, seeds), alone)
-    assert all((one.cursors is None) == ("Rotation" not in env_id) for one in alone)
+    assert all((one.cursors is None) == ("rotation" not in name) for one in alone)
     assert all(np.isnan(one.servo_work).all() == ("engine" in arguments) for one in alone)
 
 
