@@ -54,36 +54,9 @@ def parameters(request):
     return request.param
 
 
-def _postures(parameters, random, count):
-    limits = parameters.joint_limits or ((-math.pi, math.pi),) * len(parameters.segment_lengths)
-    return random.uniform(*np.transpose(limits), (count, len(limits)))
-
-
 def _scale(parameters, servo):
-    return {"position": math.pi, "velocity": parameters.speed_limit}.get(
-        servo, parameters.torque_limit
-    )
-
-
-def _play(arm, servo, seed, steps=40):
-    random = np.random.default_rng(seed)
-    scale = _scale(arm.parameters, servo)
-    states = []
-    for step in range(steps):
-        if step == steps // 2:
-            arm.lock()
-        if random.random() < 0.3:
-            arm.command((scale * random.uniform(-1, 1, len(arm.joint_angles))).tolist())
-        arm.step()
-        angles = *arm.segment_angles, *arm.joint_angles
-        states.append((*angles, *arm.joint_velocities, *arm.end_effector))
-    return states
-
-
-@pytest.fixture(scope="session")
-def postures():
-    """Draws random postures that an arm may have, (count, N)."""
-    return _postures
+    limits = {"position": math.pi, "velocity": parameters.speed_limit}
+    return limits.get(servo, parameters.torque_limit)
 
 
 @pytest.fixture(scope="session")
@@ -93,9 +66,35 @@ def scale():
 
 
 @pytest.fixture(scope="session")
+def postures():
+    """Draws random postures that an arm may have, (count, N)."""
+
+    def draw(parameters, random, count):
+        any_angle = ((-math.pi, math.pi),) * len(parameters.segment_lengths)
+        low, high = np.transpose(parameters.joint_limits or any_angle)
+        return random.uniform(low, high, (count, len(low)))
+
+    return draw
+
+
+@pytest.fixture(scope="session")
 def play():
     """Steps an arm under rough commands, each held for some steps; joints are locked half way.
 
     Returns everything that can be read after each step.
     """
-    return _play
+
+    def states(arm, servo, seed, steps=40):
+        random, seen = np.random.default_rng(seed), []
+        largest = _scale(arm.parameters, servo)
+        for step in range(steps):
+            if step == steps // 2:
+                arm.lock()
+            if random.random() < 0.3:
+                arm.command((largest * random.uniform(-1, 1, len(arm.joint_angles))).tolist())
+            arm.step()
+            angles = *arm.segment_angles, *arm.joint_angles
+            seen.append((*angles, *arm.joint_velocities, *arm.end_effector))
+        return seen
+
+    return states

@@ -29,9 +29,6 @@ def drive(arm, values, steps):
     return np.array(angles)
 
 
-# Resets and copies
-
-
 def test_a_reset_arm_has_the_future_of_a_new_one(case, servo, play, postures):
     random = np.random.default_rng(5)
     used = make_arm(*case, servo)
@@ -80,9 +77,6 @@ def test_a_copy_has_the_same_future(case, servo, play, postures, scale):
         arm.reset([0.5] * count)
         copied.reset([0.5] * count)
         assert play(copied, servo, seed=3) == play(arm, servo, seed=3)
-
-
-# Servos
 
 
 @pytest.mark.parametrize("posture", [[0.0] * 3, [0.0, math.pi, math.pi]], ids=["out", "folded"])
@@ -192,9 +186,6 @@ def test_arms_of_any_number_of_segments_move_and_stay_finite(engine, count, serv
     assert np.isfinite(states).all()
     assert len(arm.joint_angles) == count
     assert states[0] != states[-1]
-
-
-# What is refused
 
 
 @pytest.mark.parametrize(

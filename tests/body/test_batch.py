@@ -83,9 +83,6 @@ def play_both(postures, scale):
     return play
 
 
-# An arm among others is bit for bit an arm alone
-
-
 @pytest.mark.usefixtures("few_arms_in_a_space")
 def test_every_arm_moves_as_a_single_one(case, servo, play_both):
     play_both(case, servo, count=9, steps=40)
@@ -103,14 +100,6 @@ def test_a_whole_space_of_arms_moves_as_single_ones(play_both):
     play_both(("pymunk", ArmParameters()), "position", count=150, steps=20, threads=2)
 
 
-# How they are used
-
-
-def stepped_elsewhere(arms, results):
-    arms.step()
-    results.put(arms.joint_angles.tolist())
-
-
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of a process with threads that forks
 def test_a_forked_process_has_threads_of_its_own():
@@ -119,16 +108,18 @@ def test_a_forked_process_has_threads_of_its_own():
     arms.step()
     context = multiprocessing.get_context("fork")
     results = context.Queue()
-    process = context.Process(target=stepped_elsewhere, args=(arms, results))
+
+    def step_elsewhere():
+        arms.step()
+        results.put(arms.joint_angles.tolist())
+
+    process = context.Process(target=step_elsewhere)
     process.start()
     elsewhere = results.get(timeout=30)
     process.join()
     arms.step()
     assert elsewhere == arms.joint_angles.tolist()
     arms.close()
-
-
-# What is refused
 
 
 @pytest.mark.parametrize("copies", [pickle.dumps, copy.copy, copy.deepcopy])

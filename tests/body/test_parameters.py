@@ -14,35 +14,21 @@ from mmc_gym.body import ArmParameters
     ("arguments", "message"),
     [
         ({"segment_lengths": ()}, r"segment_lengths must be .* one or more, got \(\)"),
-        (
-            {"segment_lengths": (1.0, -0.5, 1.0)},
-            r"segment_lengths must be positive and finite .*, got \(1.0, -0.5, 1.0\)",
-        ),
+        ({"segment_lengths": (1.0, -0.5)}, r"segment_lengths must be positive .*, got \(1.0, -0.5"),
         ({"segment_lengths": (1.0, math.nan)}, "segment_lengths must be positive and finite"),
-        ({"segment_lengths": 3}, "segment_lengths must be .*, got 3"),
         ({"segment_lengths": np.ones((1, 2))}, "segment_lengths must be .*, got array"),
         ({"segment_masses": (1.0, 1.0)}, r"segment_masses must be 3 .* masses.* got \(1.0, 1.0\)"),
-        ({"segment_masses": (1.0, 0.0, 1.0)}, "segment_masses must be 3 positive"),
         ({"speed_limit": 0.0}, "speed_limit must be positive and finite, got 0.0"),
         ({"speed_limit": "fast"}, "speed_limit must be positive and finite, got 'fast'"),
-        ({"torque_limit": True}, "torque_limit must be positive and finite, got True"),
-        ({"servo_gain": -1.0}, "servo_gain must be positive"),
-        ({"substep": 0.0}, "substep must be positive"),
-        ({"segment_radius": 0.0}, "segment_radius must be positive"),
         ({"substeps": 0}, "substeps must be a whole number of at least 1, got 0"),
-        ({"substeps": True}, "substeps must be a whole number of at least 1, got True"),
         ({"gravity": 9.81}, r"gravity must be two finite values \(x, y\), got 9.81"),
-        ({"gravity": (0.0, math.nan)}, "gravity must be two finite values"),
-        ({"joint_limits": ((-1.0, 1.0),)}, "joint_limits must be 3 pairs"),
         ({"joint_limits": ((1.0, -1.0),) * 3}, "joint_limits must be 3 pairs low < high"),
         ({"joint_limits": ((-4.0, 1.0),) * 3}, "joint_limits must be .* within -pi and pi"),
         ({"drive_inertia": math.inf}, "drive_inertia must be finite and not negative, got inf"),
         ({"hand_mass": -1.0}, "hand_mass must be finite and not negative, got -1.0"),
         ({"force_field": ((1.0, 0.0),)}, "force_field must be two rows of two finite values"),
         ({"obstacles": ((0.0, 1.0, 0.0),)}, "obstacles must be discs .*of positive radius"),
-        ({"obstacles": (1.0, 1.0, 0.2)}, "obstacles must be discs .*, got"),
         ({"lockable_joints": (3,)}, "lockable_joints must be .*different indices from 0 to 2"),
-        ({"lockable_joints": 1}, "lockable_joints must be a tuple of .*, got 1"),
         ({"segment_length": (1.0,)}, "'segment_length'; did you mean 'segment_lengths'"),
         ({"colour": "red"}, "ArmParameters takes no argument 'colour'. It takes segment_lengths"),
     ],
@@ -59,26 +45,6 @@ def test_parameters_are_floats_whatever_they_were_given_as():
     assert ArmParameters().masses == (1.0, 1.0, 1.0)
     assert ArmParameters(torque_limit=400).torque_limit.hex() == (400.0).hex()
     assert ArmParameters(substep=0.01, substeps=np.int64(3)).control_step == pytest.approx(0.03)
-
-
-def test_the_last_rod_carries_the_hand_mass():
-    *bare, last = ArmParameters(
-        segment_masses=(2.0, 1.0, 1.0), hand_mass=1.0, drive_inertia=0.0
-    ).rods
-    assert bare == [(2.0, 0.5, 2 / 12), (1.0, 0.5, 1 / 12)]
-    assert last == pytest.approx((2.0, 0.75, 1 / 12 + 2 * 0.25**2))
-
-
-def test_a_drive_has_its_share_of_the_inertia_of_what_it_moves():
-    lengths, masses = (1.0, 0.8, 0.5), (1.0, 2.0, 0.7)
-    made = {"segment_lengths": lengths, "segment_masses": masses, "hand_mass": 3.0}
-    bare, driven = (ArmParameters(**made, drive_inertia=share).rods for share in (0.0, 0.2))
-    for joint in range(3):
-        stretched = start = 0.0
-        for length, mass in zip(lengths[joint:], masses[joint:], strict=True):
-            stretched += mass * (length**2 / 12 + (start + length / 2) ** 2)
-            start += length
-        assert driven[joint].inertia - bare[joint].inertia == pytest.approx(0.2 * stretched)
 
 
 @pytest.mark.parametrize(
