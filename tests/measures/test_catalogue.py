@@ -1,7 +1,5 @@
 """The registry of measures, and all of them at once."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

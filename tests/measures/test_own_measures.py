@@ -1,7 +1,5 @@
 """Measures of users, registered in a module and in a script, in all that shows measures."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -14,14 +12,14 @@ from mmc_gym.measures import MEASURES, measure
 from mmc_gym.report import write_report
 
 MODULE = """
-from mmc_gym.measures import Episode, measure, set_measure
+from mmc_gym.measures import measure, set_measure
 
-@measure(label="steps to move", best="low", decimals=0, shown=True)
-def steps_to_move(episode: Episode) -> float:
+@measure(label="steps to move", shown=True)
+def steps_to_move(episode):
     return float((episode.speeds > 0).argmax())
 
-@set_measure(label="episodes", environment="random", decimals=0)
-def number_of_episodes(episodes) -> float:
+@set_measure(label="episodes", environment="random")
+def number_of_episodes(episodes):
     return float(len(episodes))
 """
 
@@ -42,22 +40,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.fixture
-def run_script(tmp_path, monkeypatch):
-    monkeypatch.setenv("RAY_ADDRESS", "local")
-    monkeypatch.setenv("RAY_TMPDIR", "/tmp")  # short enough for the names of sockets
-    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
-    (tmp_path / "my_measures.py").write_text(MODULE)
-    (tmp_path / "script.py").write_text(SCRIPT)
-
-    def run(*arguments):
-        command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "store"), *arguments]
-        subprocess.run(command, check=True, timeout=300)
-        return tmp_path / "store"
-
-    return run
-
-
 def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys, monkeypatch):
     monkeypatch.delitem(MEASURES, "energy", raising=False)  # and so removed afterwards
 
@@ -74,10 +56,17 @@ def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys, monkeypatc
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cluster", [None, "ray"])
-def test_workers_take_the_measures_of_modules_and_scripts(run_script, tmp_path, cluster):
+def test_workers_take_the_measures_of_modules_and_scripts(tmp_path, monkeypatch, cluster):
     if cluster == "ray":
         pytest.importorskip("ray")
-    store = run_script(*([cluster] if cluster else []))
+    monkeypatch.setenv("RAY_ADDRESS", "local")
+    monkeypatch.setenv("RAY_TMPDIR", "/tmp")  # short enough for the names of sockets
+    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
+    (tmp_path / "my_measures.py").write_text(MODULE)
+    (tmp_path / "script.py").write_text(SCRIPT)
+    store = tmp_path / "store"
+    command = [sys.executable, str(tmp_path / "script.py"), str(store), *filter(None, [cluster])]
+    subprocess.run(command, check=True, timeout=300)
     episodes = read_episodes(store)
     assert episodes["steps_to_move"].notna().all() and episodes["half_way_time"].gt(0).all()
     sets = read_sets(store).set_index("measure")
@@ -89,4 +78,5 @@ def test_workers_take_the_measures_of_modules_and_scripts(run_script, tmp_path, 
     if cluster is None:
         changed = MODULE.replace("float((episode.speeds > 0).argmax())", "-1.0")
         (tmp_path / "my_measures.py").write_text(changed)
-        assert read_episodes(run_script())["steps_to_move"].eq(-1).all()  # it is taken anew
+        subprocess.run(command, check=True, timeout=300)
+        assert read_episodes(store)["steps_to_move"].eq(-1).all()  # it is taken anew

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -30,9 +28,8 @@ def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(
     assert maximal_deviation(episode) == pytest.approx(0.5)
     there_and_back = make_episode([*hands, *hands[::-1]], [9.0, 9.0])
     assert math.isnan(maximal_deviation(there_and_back))
-    assert math.isnan(straightness(np.ones((5, 2)))) and math.isnan(
-        linearity_index(np.ones((5, 2)))
-    )
+    for index in (straightness, linearity_index):
+        assert math.isnan(index(np.ones((5, 2))))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -53,9 +51,7 @@ def test_there_is_a_time_to_target_exactly_where_there_is_success():
         assert math.isnan(arrival_time(distances, 0.05, 0.02)) != stays_within(distances, 0.05)
 
 
-def test_success_with_dwell_is_within_parts_of_the_reach_for_the_last_fifth_of_a_second(
-    make_episode,
-):
+def test_success_with_dwell_is_within_parts_of_the_reach_for_a_fifth_of_a_second(make_episode):
     hands = np.zeros((101, 2))
     hands[:, 0] = 0.05  # of a reach of 3: within 2 %, not within 1 %
     found = measure_all(make_episode(hands, [0.0, 0.0]))

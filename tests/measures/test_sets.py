@@ -1,12 +1,10 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.measures import SET_MEASURES, run_episodes
+from mmc_gym.measures import SET_MEASURES
 from mmc_gym.measures.sets import (
     fitts_law,
     posture_spread,
@@ -21,21 +19,20 @@ def take(names, episodes):
     return [SET_MEASURES[name].of(episodes) for name in names]
 
 
-def test_the_environments_exist_and_are_what_the_measures_need(frozen):
+def test_the_environments_exist_and_are_what_the_measures_need():
     assert {measure.environment for measure in SET_MEASURES.values()} <= set(SCENARIOS)
 
-    def few(name, trials):
+    def starts(name, trials):
         env = SCENARIOS[name].make()
-        return run_episodes(frozen, env, list(trials), options=[{"trial": k} for k in trials])
+        infos = [env.reset(options={"trial": trial})[1] for trial in trials]
+        hands = {tuple(info["end_effector"].round(6)) for info in infos}
+        return len(hands), np.unique([round(info["distance"], 6) for info in infos])
 
-    postures = few("paper", range(0, 420, 20))  # one from each of the 21 starts
-    assert len({tuple(episode.hands[0].round(6)) for episode in postures}) == 21
-    assert len(SCENARIOS["paper"].instances(1)) == 420
-    targets = few("distances", range(32))
-    assert len(SCENARIOS["distances"].instances(1)) == 32
-    distances = np.unique([e.distances[0].round(6) for e in targets])
-    assert distances == pytest.approx([0.3, 0.6, 0.9, 1.2])
-    assert len({tuple(episode.hands[0].round(6)) for episode in targets}) == 1
+    assert [len(SCENARIOS[name].instances(1)) for name in ("paper", "distances")] == [420, 32]
+    count, _ = starts("paper", range(0, 420, 20))
+    assert count == 21
+    count, distances = starts("distances", range(32))
+    assert count == 1 and distances == pytest.approx([0.3, 0.6, 0.9, 1.2])
 
 
 TURNS = math.tau * np.random.default_rng(0).integers(-3, 4, size=(20, 3))
