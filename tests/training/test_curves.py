@@ -1,9 +1,8 @@
 """Learning curves: of which policies, and what they tell."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -19,25 +18,10 @@ NETWORK, CARD = load_policy(shipped_file("ppo", 0))
 
 def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) -> PolicyCard:
     """A training that was evaluated every 1,000 steps; its wall time is twice its CPU time."""
-    curve = [
-        {
-            "steps": 1_000 * leg,
-            "seconds": 2 * seconds_per_leg * leg,
-            "cpu_seconds": seconds_per_leg * leg,
-            "success": value,
-            "final_distance": 1 - value,
-        }
-        for leg, value in enumerate(success, start=1)
-    ]
-    values = {
-        "hyperparameters": {"n_timesteps": 5_000, "gamma": 0.9},
-        "training_steps": curve[-1]["steps"],
-        "training_seconds": curve[-1]["seconds"],
-        "training_cpu_seconds": curve[-1]["cpu_seconds"],
-        "scores": {"success": success[-1], "final_distance": 0.01},
-        "learning_curve": curve,
-    }
-    return replace(CARD, name=name, seed=seed, **{**values, **changes})
+    legs = np.arange(1, len(success) + 1)
+    times = {"seconds": 2 * seconds_per_leg * legs, "cpu_seconds": seconds_per_leg * legs}
+    curve = pd.DataFrame({"steps": 1_000 * legs, **times, "success": success})
+    return replace(CARD, name=name, seed=seed, learning_curve=curve.to_dict("records"), **changes)
 
 
 def write(folder, *cards):
@@ -46,33 +30,23 @@ def write(folder, *cards):
     return folder
 
 
-def test_the_policies_that_ship_are_read_unless_there_is_a_folder(tmp_path):
+def test_the_policies_that_ship_or_those_of_a_folder_or_of_folders_in_it_are_read(tmp_path):
     assert {name: len(cards) for name, cards in read_cards().items()} == {
         name: agent.training_seeds for name, agent in AGENTS.items() if agent.training_seeds
     }
-    write(tmp_path, training())
-    assert list(read_cards(str(tmp_path))) == ["ppo"]
-
-
-def test_single_trainings_in_folders_of_their_own_are_found_too(tmp_path):
+    (tmp_path / "summary.json").write_text("{}")
+    with pytest.raises(UserError, match="found none in"):
+        read_cards(tmp_path)
     for seed in (10, 2):
         write(tmp_path / f"ppo-{seed}", training(seed=seed))
-    (tmp_path / "ppo-2" / "notes.json").write_text("[]")
     assert [card.seed for card in read_cards(tmp_path)["ppo"]] == [2, 10]
-
-
-def test_a_folder_without_policies_is_an_error(tmp_path):
-    (tmp_path / "summary.json").write_text("{}")
-    for folder in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(UserError, match="found none in"):
-            read_cards(folder)
+    assert list(read_cards(str(tmp_path / "ppo-2"))) == ["ppo"]
 
 
 @pytest.mark.parametrize(
     ("change", "different"),
     [
-        ({"hyperparameters": {"n_timesteps": 5_000, "gamma": 0.8}}, "gamma"),
-        ({"hyperparameters": {"n_timesteps": 5_000}}, "gamma"),
+        ({"hyperparameters": {**CARD.hyperparameters, "gamma": 0.8}}, "gamma"),
         ({"env_id": "MMCReachGoal-v0"}, "environment"),
     ],
 )
@@ -88,9 +62,6 @@ def test_damaged_policies_are_an_error(tmp_path):
     weights.write_bytes(weights.read_bytes()[:-4])
     with pytest.raises(UserError, match="ppo-0 does not hold a policy"):
         read_cards(tmp_path)
-    weights.unlink()
-    with pytest.raises(FileNotFoundError, match=r"ppo-0\.safetensors"):
-        read_cards(tmp_path)
 
 
 def test_there_is_a_row_for_each_evaluation_of_each_training():
@@ -99,6 +70,8 @@ def test_there_is_a_row_for_each_evaluation_of_each_training():
     assert list(frame["success"]) == [*RISE, *RISE]
     last = {"agent": "ppo", "seed": 5, "steps": 5_000, "seconds": 300, "cpu_seconds": 150}
     assert dict(frame.iloc[-1, :5]) == last
+    with pytest.raises(UserError, match="learning_curve of ppo-0 must be of evaluations"):
+        curve_rows({"ppo": [training(success=())]})
 
 
 def test_the_curve_is_the_mean_over_the_seeds_and_lies_in_its_interval():
@@ -113,12 +86,10 @@ def test_the_curve_is_the_mean_over_the_seeds_and_lies_in_its_interval():
     assert set(curve["seeds"]) == {3}
 
 
-def test_one_seed_has_no_interval_and_none_no_curve():
+def test_one_seed_has_no_interval():
     curve = mean_curves(curve_rows({"ppo": [training()]}), "cpu_seconds")
     assert list(curve["success"]) == list(RISE)
     assert curve[["low", "high"]].isna().all(axis=None)
-    with pytest.raises(UserError, match="learning_curve of ppo-0 must be of evaluations"):
-        curve_rows({"ppo": [training(learning_curve=[])]})
 
 
 def test_against_time_a_seed_counts_with_what_was_last_known_of_it():
@@ -135,10 +106,7 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
     cards = {"ppo": [training(seed=seed) for seed in range(3)], "sac": [training("sac")]}
     curves = curve_rows(cards)
     figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
-    left, right = figure.axes
-    assert (left.get_xlabel(), left.get_ylabel()) == ("environment steps", "success")
-    assert right.get_xlabel() == "time on one core [min]"
-    assert left.get_xscale() == right.get_xscale() == "log"
+    _, right = figure.axes
     names = [text.get_text() for text in figure.legends[0].texts]
     assert names == ["ppo (3 seeds)", "sac (1 seed)"]
     drawn = [line for line in right.lines if len(line.get_xdata()) > 2]
@@ -155,7 +123,6 @@ def test_the_command_draws_the_figure_writes_the_data_and_prints_where_curves_en
     main(["curves", "--folder", str(tmp_path / "in"), "--out", str(out)])
     figures = {"learning_curves.png", "learning_curves.svg"}
     assert {path.name for path in out.iterdir()} == {"curves.csv", *figures}
-    assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     assert len(pd.read_csv(out / "curves.csv")) == 3 * 5 + 2
     _, ppo, sac, *written = capsys.readouterr().out.replace(str(out), "out").splitlines()
     assert ppo.split() == ["ppo", "3", "5,000", "0.990", *ppo.split()[-2:]]

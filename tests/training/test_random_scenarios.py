@@ -26,11 +26,11 @@ def scenarios(seed: int = 0, **arguments: Any) -> RandomScenarios:
 def played(seed: int = 0, steps: int = 230, **arguments: Any) -> tuple[Any, ...]:
     """Observations, rewards and ends of arms under random scenarios and random actions."""
     env = scenarios(seed, **arguments)
-    seen, actions = [env.reset()], np.random.default_rng(0).uniform(-1, 1, (steps, ARMS, 3))
+    first, actions = env.reset(), np.random.default_rng(0).uniform(-1, 1, (steps, ARMS, 3))
     parts = [env.step(action.astype(np.float32))[:3] for action in actions]
     env.close()
     observations, rewards, dones = map(np.array, zip(*parts))
-    return np.array([seen[0], *observations]), rewards, dones
+    return np.array([first, *observations]), rewards, dones
 
 
 MANY = {
@@ -72,7 +72,7 @@ def test_every_scenario_is_met_and_two_at_once():
     assert {one.task for one in found} == {"random", "pursuit", "via-points"}
     kinds = {type(change).__name__ for one in found for change in one.perturbations}
     assert kinds == {
-        *("LockedJoint", "Obstacles", "VisuomotorRotation", "SensoryDelay", "SegmentLength"),
+        *("LockedJoint", "Obstacles", "VisuomotorRotation", "SensoryDelay", "SegmentLength")
     }
     assert {len(one.perturbations) for one in found} == {0, 1, 2}
     turns = [one.strength for one in found if one.family == "rotation"]
