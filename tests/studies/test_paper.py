@@ -3,7 +3,6 @@
 import doctest
 import re
 from dataclasses import replace
-from itertools import permutations
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from studies.paper.experiments.bettered import measure
 from studies.paper.experiments.forward_and_mixed import TASKS, errors, factor, random_tasks
 from studies.paper.experiments.population import layer_tunings
 from studies.paper.networks import architecture_name, trained_architectures
-from studies.paper.protocol import INNER, OVERSHOOT, PAIRS, STARTING_SEGMENTS, TARGETS
+from studies.paper.protocol import OVERSHOOT
 from studies.paper.published import POINTS
 from studies.paper.run import EXPERIMENTS, reproduce
 
@@ -71,9 +70,6 @@ def numbers(value):
     return [float(one) for one in re.findall(r"\d+(?:\.\d+)?", str(value))]
 
 
-# The command
-
-
 def test_a_quick_run_writes_figures_data_and_a_table(small_recipe, tmp_path, capsys):
     names = ["normalization", "population"]
     assert list(reproduce(names, tmp_path, quick=True, jobs=1)) == names
@@ -82,35 +78,21 @@ def test_a_quick_run_writes_figures_data_and_a_table(small_recipe, tmp_path, cap
     assert "This is a quick run" in table
     assert "| [16]: validation MSE | 0.0042 | 0.00427 ± 0.00015 |" in table
     assert all(f"| {number} | {point.subject} |" in table for number, point in POINTS.items())
-    for name, stems in {
-        "normalization": ["mse_by_architecture", "mse_surface", "training_curves", "vector_field"],
-        "population": ["hidden_units", "hidden_units_3d", "tuning"],
-    }.items():
-        assert sorted(path.stem for path in (tmp_path / name).glob("*.svg")) == stems
-        assert all((tmp_path / name / f"{stem}.png").stat().st_size > 5000 for stem in stems)
-        assert all(f"]({name}/{stem}.png)" in table for stem in stems)
+    for picture in ("normalization/vector_field", "population/tuning"):
+        assert f"]({picture}.png)" in table
+        assert (tmp_path / f"{picture}.png").stat().st_size > 5000
+        assert (tmp_path / f"{picture}.svg").exists()
     assert (tmp_path / "normalization" / "mse.csv").exists()
     # One more than the architectures: the population's [8, 8] with weight decay.
     trained = len(networks.QUICK_ARCHITECTURES) + 1
     assert len(list((tmp_path / "networks").iterdir())) == trained
 
 
-@pytest.mark.parametrize(
-    ("name", "rows", "figures"),
-    [
-        ("kinematic", 20, 2),
-        ("dynamic", 41, 1),
-        ("example", 6, 2),
-        ("accurate", 12, 1),
-        ("bell-shaped", 71, 3),
-        ("forward-and-mixed", 30, 1),
-    ],
-)
-def test_an_experiment_has_rows_captioned_figures_and_data(name, rows, figures, results):
+@pytest.mark.parametrize("name", [*EXPERIMENTS][2:])  # those that train no networks
+def test_an_experiment_has_rows_captioned_figures_and_data(name, results):
     result = results[name]
-    assert (len(result.rows), len(result.figures)) == (rows, figures)
+    assert result.rows and result.figures and result.data
     assert all(figure.caption for figure in result.figures.values())
-    assert result.data
 
 
 def test_the_examples_in_docstrings_hold():
@@ -119,16 +101,6 @@ def test_the_examples_in_docstrings_hold():
     tried = [doctest.testmod(one, optionflags=flags) for one in (*modules, hidden_units)]
     assert sum(one.attempted for one in tried) > 10
     assert not any(one.failed for one in tried)
-
-
-# Published figures
-
-
-def test_there_are_21_targets_and_every_ordered_pair_of_them():
-    some = [[1, 0], [-1, 0], [0, 2], [-3, 0]]
-    np.testing.assert_allclose(TARGETS[[0, 6, 10, 20]], some, atol=1e-15)
-    assert [tuple(pair) for pair in PAIRS] == list(permutations(range(21), 2))
-    assert INNER.sum() == 14 * 13
 
 
 @pytest.mark.parametrize(
@@ -154,34 +126,6 @@ def test_the_points_on_movements_are_all_measured(results):
     # 3.4 and 0 for the classical network, 2.6 and 0.15 for the dynamic one.
     assert "classical 3.37, 0.00 (" in points[5]
     assert "dynamic (Euclidean) 2.61, 0.15 (" in points[5]
-
-
-def test_the_example_s_second_peak_is_that_of_the_data(results):
-    found = results["example"].rows[-1]
-    assert found.data == "0.0139 at 28"
-    for peak in found.ours.split(", "):
-        height, iteration = peak.split(" at ")
-        assert float(height) == pytest.approx(0.0139, rel=0.5)
-        assert abs(int(iteration) - 28) <= 3
-
-
-# What is measured, and how
-
-
-def test_a_recording_measures_the_arm_that_moved():
-    network = MMCNetwork(dynamics="paper")
-    recording = protocol.record_movements(network, iterations=5, warm_iterations=7)
-    start, target = TARGETS[PAIRS[123]]
-    state = network.run(network.state_from_segments(STARTING_SEGMENTS), network.inverse(start), 7)
-    before, path = state.end_effector, np.linalg.norm(target - start)
-    for iteration in range(5):
-        state = network.step(state, network.inverse(target))
-        np.testing.assert_allclose(recording.segments[123, iteration], state.segments, atol=1e-13)
-        distance = np.linalg.norm(state.end_effector - target) / path
-        assert recording.distance[123, iteration] == pytest.approx(distance)
-        velocity = np.linalg.norm(state.end_effector - before) / path
-        assert recording.velocity[123, iteration] == pytest.approx(velocity)
-        before = state.end_effector
 
 
 def test_the_accurate_normalizer_is_as_good_as_was_sought(results):
@@ -240,12 +184,7 @@ def test_a_first_layer_unit_prefers_the_direction_of_its_weights(strength, bias)
     np.testing.assert_allclose(found.width, width, atol=1.0)
 
 
-# Trained networks
-
-
-def test_networks_are_trained_once_and_alike_in_one_process_and_two(
-    small_recipe, tmp_path, monkeypatch
-):
+def test_networks_are_trained_once_and_alike_in_two_processes(small_recipe, tmp_path, monkeypatch):
     settings = ExperimentSettings(quick=True, folder=tmp_path / "one")
     one = trained_architectures(settings, FEW)
     two = trained_architectures(replace(settings, folder=tmp_path / "two", jobs=2), FEW)
@@ -256,7 +195,5 @@ def test_networks_are_trained_once_and_alike_in_one_process_and_two(
     for name, found in one.items():
         assert found.training_mse.shape == (2, 6)
         for same in (two[name], read[name]):
-            np.testing.assert_array_equal(found.validation_mse, same.validation_mse)
-            for normalizer, twin in zip(found.normalizers, same.normalizers, strict=True):
-                np.testing.assert_array_equal(normalizer.weights[0], twin.weights[0])
+            np.testing.assert_array_equal(found.training_mse, same.training_mse)
         assert not np.allclose(found.training_mse, other[name].training_mse)

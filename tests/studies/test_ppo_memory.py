@@ -82,16 +82,13 @@ def test_the_velocity_of_a_target_is_true_and_a_jump_is_none():
     assert not truth("double-step-100", 10)[..., 15:17].any()
 
 
-def short_recipe() -> Any:
+def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_trained(tmp_path):
     changes = {"n_timesteps": 1, "n_envs": 32, "n_steps": 8, "batch_size": 64}
     changes |= {"policy_kwargs": {"net_arch": [8], "teacher": [8]}}
     wrappers = [{f"{HERE}.TruthfulScenarios": SCENARIOS}, {f"{HERE}.Memory": {"blocks": [1, 2, 3]}}]
-    return taught_recipe(**changes, vec_env_wrapper=wrappers)
-
-
-def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_trained(tmp_path):
     models: list[Any] = []
-    one = TaughtTraining(short_recipe(), 0, tmp_path, evaluations=1)
+    recipe = taught_recipe(**changes, vec_env_wrapper=wrappers)
+    one = TaughtTraining(recipe, 0, tmp_path, evaluations=1)
     one.save = lambda model: (models.append(model), Training.save(one, model))  # type: ignore[method-assign, assignment]
     card = one.run()
     network, same = load_policy(tmp_path / "ppo-memory-0.json")

@@ -11,7 +11,6 @@ from optuna.storages.journal import JournalFileBackend
 
 from mmc_gym import UserError, make_agent
 from mmc_gym.measures.rollout import evaluate
-from mmc_gym.training.hyperparameters import read_recipe
 from studies.learners import tuning
 from studies.learners.tuning import find_target, tune
 
@@ -68,14 +67,10 @@ def test_trials_of_other_steps_or_constants_in_use_are_ignored(tmp_path, monkeyp
     assert complete(tmp_path) == first
 
 
-def test_the_first_trial_has_the_constants_in_use(tmp_path):
+def test_the_first_trial_has_the_constants_in_use_which_are_those_of_the_agent(tmp_path):
     result = tune("mmc", 1, 20_000, tmp_path)
     assert result["best"] == result["in_use"] == IN_USE
-    assert result["best_value"] == result["value_of_those_in_use"]
     assert 0.5 < result["best_value"] < 0.9  # arriving takes half a second of two
-
-
-def test_constants_in_use_are_those_of_the_agent():
     target = find_target("mmc")
     constants = target.space(optuna.trial.FixedTrial(target.in_use))
     where = ("MMCReach-v0", {"perturbations": ["rotation-30"]}, 20, 5)
@@ -97,20 +92,6 @@ def tried(monkeypatch):
     return tried
 
 
-@pytest.mark.parametrize("name", ["ppo", "tqc-her"])
-def test_what_is_printed_is_what_was_trained(name, tmp_path, tried):
-    result = tune(name, 3, 1_000, tmp_path)
-    assert result["best"] == tried[-1]
-    assert result["in_use"] == tried[0]
-    assert all(one["learning_rate"].startswith("lin_") for one in tried)
-    recipe = read_recipe(name)
-    for constant, value in result["in_use"].items():
-        expected = recipe.hyperparameters.get(constant, recipe.settings[constant])
-        if constant == "learning_rate":
-            value, expected = (float(v.removeprefix("lin_")) for v in (value, expected))
-        assert value == expected
-
-
 @pytest.mark.parametrize(
     ("name", "keys", "in_use"),
     [
@@ -130,7 +111,7 @@ def test_your_own_file_is_tuned_around_what_it_has(name, keys, in_use, tmp_path,
     result = tune(str(path), 2, 1_000, tmp_path / "out")
     assert result["name"] == f"{name}-x"
     assert in_use.items() <= result["in_use"].items()
-    assert result["in_use"] == tried[0]
+    assert (result["in_use"], result["best"]) == (tried[0], tried[-1])
     assert (tmp_path / "out" / f"{name}-x.json").exists()
 
 
@@ -144,8 +125,7 @@ def test_a_training_is_tuned(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("mmc", 0, 100), "trials and steps must be at least 1, got 0 and 100"),
-        (("mmc", 1, 0), "got 1 and 0"),
+        (("mmc", 1, 0), "trials and steps must be at least 1, got 1 and 0"),
         (("ik-dls", 1, 100), "name 'ik-dls' is not accepted"),
     ],
 )
