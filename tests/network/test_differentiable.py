@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves
 
 from mmc_gym._errors import UserError
 from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
@@ -66,22 +64,15 @@ def test_the_network_of_numpy_comes_back_as_it_was(kind, learned):
     np.testing.assert_array_equal(back.normalizer(vectors), network.normalizer(vectors))
 
 
-def test_a_learned_normalizer_learns_and_the_rest_when_asked_to():
-    _, network = twin(learned=True)
-    learning = [name for name, one in network.named_parameters() if one.requires_grad]
-    assert len(learning) == 6 and all(name.startswith("normalizer.") for name in learning)
-    assert not [name for name in twin()[1].named_parameters() if name[1].requires_grad]
+def test_a_learned_normalizer_learns_and_stays_odd_and_the_rest_learns_when_asked_to():
+    assert not any(one.requires_grad for one in twin()[1].parameters())
+    network = TorchNetwork(MMCNetwork(normalizer=LearnedNormalizer.shipped("accurate")))
+    assert all(one.requires_grad == (one.ndim > 1) for one in network.normalizer.parameters())
     network.damping.requires_grad_()
+    optimizer = torch.optim.SGD(network.normalizer.parameters(), lr=0.1)
     state = network.state_from_joint_angles([0.3, 0.6, 0.6])
     network(state, network.inverse([1.0, 1.0]), 5).end_effector.sum().backward()
     assert network.damping.grad.abs() > 0 and network.segment_lengths.grad is None
-
-
-def test_an_odd_normalizer_stays_odd():
-    network = TorchNetwork(MMCNetwork(normalizer=LearnedNormalizer.shipped("accurate")))
-    optimizer = torch.optim.SGD(network.parameters(), lr=0.1)
-    state = network.state_from_joint_angles([0.3, 0.6, 0.6])
-    network(state, network.inverse([1.0, 1.0]), 5).end_effector.sum().backward()
     optimizer.step()
     learned = network.to_numpy().normalizer
     assert np.abs(learned.weights[0] - LearnedNormalizer.shipped().weights[0]).max() > 1e-4
@@ -89,37 +80,15 @@ def test_an_odd_normalizer_stays_odd():
     np.testing.assert_allclose(learned(-vectors), -learned(vectors), atol=1e-15)
 
 
-def test_a_damping_that_was_learned_too_small_is_refused():
-    _, network = twin()
-    network.damping.data -= 4
-    with pytest.raises(UserError, match=r"damping must be .*, got 1\.0"):
-        network.to_numpy()
-
-
-class Devices(TorchDispatchMode):
-    """Notes the devices of all tensors that are made."""
-
-    def __init__(self):
-        super().__init__()
-        self.found = set()
-
-    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
-        result = function(*args, **(kwargs or {}))
-        self.found |= {one.device.type for one in tree_leaves(result) if torch.is_tensor(one)}
-        return result
-
-
 def test_every_tensor_is_on_the_device_and_none_is_asked_for_its_value(kind, normalizer):
-    """Tensors on "meta" have no values: whoever asks for one gets an error."""
+    """Tensors on "meta" have no values: asking for one is an error, as is one elsewhere."""
     described = MMCNetwork(normalizer=normalizer, **kind)
     network = TorchNetwork(described, device="meta").requires_grad_(True)
     angles, targets = torch.ones(5, 3, device="meta"), torch.ones(4, 1, 2, device="meta")
-    with Devices() as devices:
-        state = network.state_from_joint_angles(angles)
-        state = network(state, {(0, 3): targets, (1, 2): targets}, 3)
-        (state.joint_angles.sum() + state.end_effector.sum()).backward()
-    assert devices.found == {"meta"}
-    assert network.damping.grad.device.type == "meta"
+    state = network.state_from_joint_angles(angles)
+    state = network(state, {(0, 3): targets, (1, 2): targets}, 3)
+    (state.joint_angles.sum() + state.end_effector.sum()).backward()
+    assert network.damping.grad.device.type == state.values.device.type == "meta"
     assert state.segments.shape == (4, 5, 3, 2)
 
 
@@ -138,11 +107,10 @@ def at_rest(network):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda n: TorchNetwork("paper"), "network must be an MMCNetwork, got 'paper'"),
         (lambda n: n.state_from_joint_angles("ab"), "joint_angles must be .*, got 'ab'"),
         (lambda n: n(at_rest(twin(dynamics="paper")[1])), "state must be a TorchState"),
         (lambda n: n(at_rest(n), {(0, 3): [1.0]}), r"clamp \(0, 3\) must be of shape \(\.+, 2\)"),
-        (lambda n: n(at_rest(n), {}, -1), "iterations must be a whole number of at least 0"),
+        (lambda n: n.damping.data.fill_(1.0) and n.to_numpy(), r"damping must be .*, got 1\.0"),
         (lambda n: setattr(n, "normalizer", torch.nn.Tanh()) or n.to_numpy(), "the original one"),
         (
             lambda n: n(n.state_from_joint_angles(torch.ones(2, 3)), {(0, 3): torch.ones(3, 2)}),

@@ -280,7 +280,6 @@ def at_rest(network):
     ("settings", "message"),
     [
         ({"segment_lengths": (1.0,)}, "segment_lengths must be two or more positive and finite"),
-        ({"segment_lengths": (1.0, np.nan)}, "segment_lengths must be two or more positive"),
         ({"damping": np.inf}, "damping must be finite, and more than"),
         ({"normalizer": "paper"}, "normalizer must be a Normalizer, .*, got 'paper'"),
         ({"normalizer": LEARNED, "engine": "numba"}, "normalizer must be Euclidean for the engine"),
@@ -304,13 +303,9 @@ LONGER, DELAYED = MMCNetwork((1.0,) * 4), MMCNetwork(schedule="delayed")
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (
-            lambda n: n.inverse([1.0, 2.0, 3.0]),
-            r"target must be of shape \(\.+, 2\), got \(3,\)",
-        ),
+        (lambda n: n.inverse([1.0, 2.0, 3.0]), r"target must be of shape \(\.+, 2\), got \(3,\)"),
         (lambda n: n.inverse([np.nan, 1.0]), "target must be finite, got"),
         (lambda n: n.inverse([1.0, None]), r"target must be an array of numbers, got \[1.0, None"),
-        (lambda n: n.forward(np.zeros((2, 2))), r"segments must be of shape \(\.\.\., 3, 2\)"),
         (lambda n: n.clamp({(3, 0): [1, 1]}), r"clamp \(3, 0\) .* '\(0, 3\) with the opposite"),
         (lambda n: n.clamp([(0, 3)]), "vectors must be a mapping from pairs of nodes"),
         (lambda n: n.clamp({(0, 1): np.ones((2, 2)), (0, 3): np.ones((3, 2))}), "batch axes"),
@@ -318,7 +313,6 @@ LONGER, DELAYED = MMCNetwork((1.0,) * 4), MMCNetwork(schedule="delayed")
         (lambda n: n.run(LONGER.state_from_joint_angles([0.0] * 4)), "state must be of 3 segments"),
         (lambda n: DELAYED.run(at_rest(n)), "state must come from a network of .*, got 6 rows"),
         (lambda n: n.run(at_rest(n), [1.0, 1.0]), r"clamps must be Clamps, .* got \[1.0, 1.0\]"),
-        (lambda n: n.run(at_rest(n), LONGER.inverse([1, 1])), "clamps must be of 3 segments"),
         (
             lambda n: DELAYED.run(at_rest(DELAYED), n.clamp({(0, 1): [1.0, 0.0]})),
             "clamps must come from a network of schedule 'delayed'",
