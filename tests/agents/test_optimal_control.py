@@ -25,32 +25,29 @@ from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks
 STEP = 0.02
 
 
-def expected_cost(gain: np.ndarray, assumed=DEFAULT, moves: float = 1.0) -> np.ndarray:
+def expected_cost(gain: np.ndarray) -> np.ndarray:
     """P with cost xᵀPx of u = −L x for ever under noise that grows with the command, by iteration.
 
     P = Q + LᵀrL + (A − BL)ᵀP(A − BL) + c² LᵀBᵀPBL
     """
-    (a, b), q = plant(assumed, STEP), staying_cost(assumed, moves)
+    (a, b), q = plant(DEFAULT, STEP), staying_cost(DEFAULT, 1.0)
     row, p = gain[None], np.zeros((3, 3))
     closed = a - b @ row
     for _ in range(2000):
-        noisy = assumed.motor_noise**2 * row.T @ (b.T @ p @ b) @ row
-        p = q + assumed.effort_cost**2 * row.T @ row + closed.T @ p @ closed + noisy
+        noisy = DEFAULT.motor_noise**2 * row.T @ (b.T @ p @ b) @ row
+        p = q + DEFAULT.effort_cost**2 * row.T @ row + closed.T @ p @ closed + noisy
     return p
 
 
-def best(assumed=DEFAULT, moves: float = 1.0) -> np.ndarray:
-    return optimal_gain(assumed, STEP, staying_value(assumed, STEP, moves))
-
-
-def test_the_cost_to_go_is_what_the_noisy_controller_pays():
-    np.testing.assert_allclose(expected_cost(best()), staying_value(DEFAULT, STEP, 1.0), rtol=1e-6)
+def best() -> np.ndarray:
+    return optimal_gain(DEFAULT, STEP, staying_value(DEFAULT, STEP, 1.0))
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_no_other_gain_costs_less(seed):
-    other = best() * np.random.default_rng(seed).uniform(0.7, 1.4, 3)
-    more = expected_cost(other) - staying_value(DEFAULT, STEP, 1.0)
+def test_the_cost_to_go_is_what_the_noisy_controller_pays_and_no_other_gain_costs_less(seed):
+    least = staying_value(DEFAULT, STEP, 1.0)
+    np.testing.assert_allclose(expected_cost(best()), least, rtol=1e-6)
+    more = expected_cost(best() * np.random.default_rng(seed).uniform(0.7, 1.4, 3)) - least
     assert np.linalg.eigvalsh(more).min() > -1e-9 * np.abs(more).max()
     assert np.trace(more) > 0
 
@@ -91,17 +88,10 @@ def test_the_kalman_gain_is_the_one_of_least_error():
     assert all(error(k * (1 + change)) > error(k) for change in (-0.2, -0.05, 0.05, 0.2))
 
 
-@pytest.fixture(scope="module")
-def movements():
-    """The movements from the centre to eight targets around it."""
-    env = gym.make_vec("MMCReachCentreOut-v0", 8, control="joint_velocity")
-    trials = [{"trial": trial} for trial in range(8)]
-    return run_episodes(OptimalControlAgent(ReachInterface.of(env)), env, range(8), options=trials)
-
-
-def test_speeds_are_bell_shaped(movements):
-    likeness = []
-    for movement in movements:
+def test_speeds_are_bell_shaped_from_the_centre_to_targets_around_it():
+    env, likeness = gym.make_vec("MMCReachCentreOut-v0", 8, control="joint_velocity"), []
+    agent, trials = OptimalControlAgent(ReachInterface.of(env)), [{"trial": k} for k in range(8)]
+    for movement in run_episodes(agent, env, range(8), options=trials):
         speeds = np.linalg.norm(np.diff(movement.hands, axis=0), axis=-1) / STEP
         assert movement.distances[-1] < 0.01
         assert count_peaks(speeds) == 1
@@ -129,19 +119,10 @@ def test_senses_that_are_known_to_be_late_do_little_harm(control):
     assert success("delay-200", control, delay=0.2) > 0.9
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        *(("lag", 0), ("longest", 0), ("shortest", -1), ("speed", 0), ("delay", -0.1)),
-        *(("effort_cost", -1), ("drift", np.nan), ("speed", "fast")),
-    ],
-)
-def test_impossible_assumptions_are_refused(name, value):
-    with pytest.raises(UserError, match=f"^{name} must be .*, got {value!r}"):
-        Assumptions(**{name: value})
-
-
-def test_a_longest_movement_below_a_control_step_is_refused():
+def test_impossible_assumptions_are_refused():
+    for name, value in (("lag", 0), ("delay", -0.1), ("drift", np.nan), ("speed", "fast")):
+        with pytest.raises(UserError, match=f"^{name} must be .*, got {value!r}"):
+            Assumptions(**{name: value})
     interface = ReachInterface.of(gym.make("MMCReach-v0"))
     with pytest.raises(UserError, match=r"longest must be at least a control step, 0\.02 s, got"):
         OptimalControlAgent(interface, Assumptions(longest=0.001))

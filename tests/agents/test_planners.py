@@ -69,12 +69,10 @@ def test_a_plan_whose_target_moves_turns_without_a_jump_of_velocity():
 
 @pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (0.5,) * 6])
 @pytest.mark.parametrize(
-    ("name", "least_correlation", "accuracy"),
+    ("name", "correlation", "accuracy"),
     [("minimum-jerk", 0.999, 1e-4), ("mmc-bell", 0.96, 0.06)],
 )
-def test_speed_is_bell_shaped_and_the_hand_arrives_at_the_end_time(
-    name, least_correlation, accuracy, lengths
-):
+def test_speed_is_bell_shaped_and_the_hand_arrives_in_time(name, correlation, accuracy, lengths):
     # Bent, to a target well inside; nearly stretched or folded arms have less regular movements.
     random, count = np.random.default_rng(3), len(lengths)
     for _ in range(10):
@@ -86,7 +84,7 @@ def test_speed_is_bell_shaped_and_the_hand_arrives_at_the_end_time(
         profile = np.linalg.norm(np.diff(hands, axis=0), axis=-1) / DT
         assert count_peaks(profile) == 1
         assert 0.45 < phase_of_peak(profile) < 0.65
-        assert correlation_with_minimum_jerk(profile) > least_correlation
+        assert correlation_with_minimum_jerk(profile) > correlation
         assert np.linalg.norm(hands[-1] - target) < accuracy
 
 

@@ -1,7 +1,5 @@
 """Intervals cover the truth as often as they say, for plain samples and for training seeds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -61,9 +59,7 @@ def coverage(intervals, truth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("statistic", "truth"), [("mean", 1.0), ("median", math.log(2))], ids=["mean", "median"]
-)
+@pytest.mark.parametrize(("statistic", "truth"), [("mean", 1.0), ("median", math.log(2))])
 def test_about_95_percent_of_the_intervals_cover_the_truth(statistic, truth):
     samples = np.random.default_rng(5).exponential(size=(200, 100))
     found = (bootstrap_interval(one, statistic, seed, 999) for seed, one in enumerate(samples))
@@ -145,10 +141,8 @@ def width(found):
 def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
     random = np.random.default_rng(2)
     values = random.normal(size=(40, 1)) + 2.0 * random.normal(size=(1, 100))
-    variance = values.mean(1).var() / 40 + values.mean(0).var() / 100
-    assert width(estimate(rows("a", values))) == pytest.approx(
-        2 * 1.96 * math.sqrt(variance), rel=0.08
-    )
+    error = math.sqrt(values.mean(1).var() / 40 + values.mean(0).var() / 100)
+    assert width(estimate(rows("a", values))) == pytest.approx(2 * 1.96 * error, rel=0.08)
 
 
 def test_intervals_cover_the_truth_where_the_same_instances_are_hard_in_all_environments():
@@ -243,10 +237,7 @@ def test_the_draw_depends_on_the_seed_and_not_on_the_other_agents():
     [
         (rows("a", [[1.0, 2.0]]).drop(columns="instance"), "it lacks .'instance'"),
         (pd.concat([rows("a", [[1.0, 2.0]])] * 2), "'instance': 0.* repeatedly"),
-        (
-            pd.concat([rows("a", [[1.0, 2.0]]), rows("b", [[1.0]])]),
-            "training seeds of 'b', 1 × 2 episodes, got 1",
-        ),
+        (pd.concat([rows("a", [[1.0, 2.0]]), rows("b", [[1.0]])]), "of 'b', 1 × 2 episodes, got 1"),
         (rows("a", [[1.0], [2.0]]).iloc[:0], "must have rows"),
     ],
 )

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import partial
+from unittest.mock import Mock, call
 
 import gymnasium as gym
 import numpy as np
@@ -53,14 +54,12 @@ def gray(image: np.ndarray, point: tuple[float, float], size: int = 5) -> np.nda
     return image[y - size : y + size + 1, x - size : x + size + 1].mean(axis=-1)
 
 
-def differ(
-    first: np.ndarray, second: np.ndarray, point: tuple[float, float], size: int = 5
-) -> bool:
+def differ(one: np.ndarray, other: np.ndarray, point: tuple[float, float], size: int = 5) -> bool:
     """Whether pictures differ near a point of the world, were there no colour."""
-    return bool(np.abs(gray(first, point, size) - gray(second, point, size)).max() > 30)
+    return bool(np.abs(gray(one, point, size) - gray(other, point, size)).max() > 30)
 
 
-def test_pictures_are_new_arrays_and_need_no_display() -> None:
+def test_pictures_are_new_arrays_and_need_a_mode_but_no_display() -> None:
     env, unseen = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("rgb_array", None))
     for one in (env, unseen):
         one.reset(seed=0)
@@ -71,15 +70,10 @@ def test_pictures_are_new_arrays_and_need_no_display() -> None:
     np.testing.assert_array_equal(env.step(action)[0], unseen.step(action)[0])
     assert not np.array_equal(env.render(), kept)
     np.testing.assert_array_equal(frame, kept)
+    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
+        assert unseen.unwrapped.render() is None
     env.close()
     assert not pygame.display.get_init()
-
-
-def test_render_without_a_mode_says_what_to_do() -> None:
-    env = gym.make("MMCReach-v0").unwrapped
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="render_mode='rgb_array'"):
-        assert env.render() is None
 
 
 def test_the_arm_is_where_its_angles_say_with_y_up() -> None:
@@ -90,7 +84,7 @@ def test_the_arm_is_where_its_angles_say_with_y_up() -> None:
         assert not differ(empty, up, (height, 0.0), 1)
 
 
-def test_the_target_is_a_cross_and_a_ring_of_the_success_radius() -> None:
+def test_the_target_is_a_cross_and_a_ring_of_the_success_radius_that_shows_success() -> None:
     elsewhere = picture([0.0] * 3, FAR)
     target = (-1.0, 1.0)
     there = picture([0.0] * 3, target)
@@ -99,9 +93,6 @@ def test_the_target_is_a_cross_and_a_ring_of_the_success_radius() -> None:
         assert differ(elsewhere, there, on_ring, 1)
     assert differ(elsewhere, there, (-1.0 + 0.13, 1.0), 1)
     assert differ(elsewhere, there, (-1.0, 1.0 - 0.13), 1)
-
-
-def test_reaching_the_target_shows_without_colour() -> None:
     short, reached = picture([0.0] * 3, (2.94, 0.0)), picture([0.0] * 3, (2.96, 0.0))
     dark = [(image.mean(axis=-1) < 150).sum() for image in (short, reached)]
     assert dark[1] > dark[0] + 50
@@ -165,10 +156,8 @@ def test_targets_to_come_are_shown_and_those_that_were_are_not() -> None:
 def test_the_whole_path_of_a_pursued_target_is_shown() -> None:
     setup = ReachSetup(task="pursuit")
     path = setup.draw_trial(np.random.default_rng(0), Options()).targets
-    shown = drawn(setup, Scene([0.0] * 3, path[0], path=path))
-    alone = drawn(setup, Scene([0.0] * 3, path[0]))
-    for place in (100, 250, 400):
-        assert differ(shown, alone, path[place])
+    images = [drawn(setup, Scene([0.0] * 3, path[0], path=shown)) for shown in (path, ())]
+    assert all(differ(*images, path[place]) for place in (100, 250, 400))
 
 
 POSTURE = [0.5, 1.0, 1.5]  # absolute angles
@@ -183,8 +172,8 @@ def looks_perturbed(perturbation: object, point: tuple[float, float], **scene: o
 
 def test_a_hand_mass_is_at_the_hand_and_larger_the_heavier() -> None:
     x, y = NODES[-1]
-    assert looks_perturbed(HandMass(1.0), (x + 0.05, y))
     beside = (x + 0.16, y - 0.05)
+    assert looks_perturbed(HandMass(1.0), (x + 0.05, y))
     assert looks_perturbed(HandMass(20.0), beside)
     assert not looks_perturbed(HandMass(1.0), beside)
 
@@ -249,26 +238,20 @@ def test_a_vector_of_environments_shows_what_single_ones_do() -> None:
         for _ in range(12):
             env.step(np.full(env.action_space.shape, 0.3, np.float32))
     pictures = vector.render()
-    for shown, env in zip(pictures, single, strict=True):
-        np.testing.assert_array_equal(shown, env.render())
+    np.testing.assert_array_equal(pictures, [env.render() for env in single])
     assert not np.array_equal(*pictures)
     vector.close()
 
 
 def test_a_window_shows_every_step_at_the_control_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    ticks: list[int] = []
-
-    class Clock:
-        def tick(self, rate: int) -> None:
-            ticks.append(rate)
-
-    monkeypatch.setattr(pygame.time, "Clock", Clock)
+    clock = Mock()
+    monkeypatch.setattr(pygame.time, "Clock", lambda: clock)
     env, array = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("human", "rgb_array"))
     for one in (env, array):
         one.reset(seed=0)
         for _ in range(3):
             one.step(np.zeros(3, np.float32))
-    assert ticks == [50] * 4
+    assert clock.tick.call_args_list == [call(50)] * 4
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
     np.testing.assert_array_equal(shown, array.render())
     env.close()
@@ -303,10 +286,8 @@ def test_a_window_leaves_keys_to_others_and_its_queue_empty_of_motion() -> None:
 
 def test_gymnasium_approves_of_windows_where_sdl_has_no_screen() -> None:
     """As it does of CartPole: SDL opens its offscreen window."""
-    code = (
-        "import gymnasium as gym, mmc_gym; from gymnasium.utils.env_checker import check_env; "
-        "check_env(gym.make('MMCReach-v0').unwrapped)"
-    )
+    code = "import gymnasium as gym, mmc_gym; from gymnasium.utils.env_checker import check_env\n"
+    code += "check_env(gym.make('MMCReach-v0').unwrapped)"
     names = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
     environment = {name: value for name, value in os.environ.items() if name not in names}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
