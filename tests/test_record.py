@@ -1,5 +1,6 @@
 """Films of an agent at work."""
 
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import gymnasium as gym
@@ -11,14 +12,8 @@ from mmc_gym.cli import main
 from mmc_gym.measures import episode_seeds
 from mmc_gym.record import record
 
-
-class Turner:
-    """An agent that turns its first joint."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return np.array([0.3, 0, 0], np.float32), None
-
-
+ACTION = np.array([0.3, 0, 0], np.float32)  # turns the first joint
+TURNER = SimpleNamespace(predict=lambda *_, **__: (ACTION, None))
 STEPS = {"max_episode_steps": 20}
 
 
@@ -28,16 +23,16 @@ def pictures():
     env = gym.make("MMCReach-v0", render_mode="rgb_array", **STEPS)
     shown = []
     for seed in episode_seeds(3, 2):
-        observation, _ = env.reset(seed=seed)
+        env.reset(seed=seed)
         shown.append(env.render())
         for _ in range(20):
-            env.step(Turner().predict(observation)[0])
+            env.step(ACTION)
             shown.append(env.render())
     return shown
 
 
 def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
-    path = record(tmp_path / "film.gif", Turner(), episodes=2, seed=3, env_kwargs=STEPS)
+    path = record(tmp_path / "film.gif", TURNER, episodes=2, seed=3, env_kwargs=STEPS)
     frames, ends = [], []
     with Image.open(path) as film:
         assert film.info["loop"] == 0  # for ever
@@ -53,7 +48,7 @@ def test_a_gif_shows_every_step_of_the_episodes_of_compare(tmp_path, pictures):
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # of ffmpeg's pipes, by imageio
 def test_an_mp4_has_the_rate_of_the_environment(tmp_path, pictures):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    path = record(tmp_path / "film.mp4", Turner(), seed=3, env_kwargs=STEPS)
+    path = record(tmp_path / "film.mp4", TURNER, seed=3, env_kwargs=STEPS)
     frames = ffmpeg.read_frames(str(path))
     facts = next(frames)
     assert (facts["fps"], facts["size"], facts["codec"]) == (50, (640, 640), "h264")
@@ -64,8 +59,7 @@ def test_an_mp4_has_the_rate_of_the_environment(tmp_path, pictures):
 
 
 def test_a_film_that_fails_leaves_the_old_one(tmp_path):
-    actions = [(np.zeros(3, np.float32), None)] * 2
-    fails = Mock(predict=Mock(side_effect=[*actions, RuntimeError("lost")]))
+    fails = Mock(predict=Mock(side_effect=[(ACTION, None)] * 2 + [RuntimeError("lost")]))
     path = tmp_path / "film.gif"
     path.write_bytes(b"the old one")
     with pytest.raises(RuntimeError, match="lost"):

@@ -60,9 +60,8 @@ def test_the_jacobian_is_taken_apart_as_by_the_singular_value_decomposition(kind
     effects *= kind != "none"
     (x, y), moves, rows = (np.moveaxis(part, 1, 0) for part in turned_joints(effects))
     columns = np.array([[x, -y], [y, x]])
-    np.testing.assert_allclose(
-        np.einsum("ijn,jn,jnk->nik", columns, moves, rows), effects, atol=1e-12
-    )
+    found = np.einsum("ijn,jn,jnk->nik", columns, moves, rows)
+    np.testing.assert_allclose(found, effects, atol=1e-12)
     expected = np.linalg.svd(effects, compute_uv=False)
     np.testing.assert_allclose(np.sort(moves, axis=0)[::-1].T, expected, atol=1e-9)
 

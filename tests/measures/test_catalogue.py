@@ -188,15 +188,13 @@ def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(ma
 
 def test_rest_before_and_after_a_movement_does_not_change_its_shape(make_episode):
     s = np.linspace(0, 1, 36)[:, None]
-    moving = np.concatenate([10 * s**3 - 15 * s**4 + 6 * s**5, 0.2 * np.sin(2 * s)], axis=-1)
+    s = np.pad(s, ((0, 60), (0, 0)), mode="edge")
+    hands = np.concatenate([10 * s**3 - 15 * s**4 + 6 * s**5, 0.2 * np.sin(2 * s)], axis=-1)
     joints = np.concatenate([s, s**2, s**3], axis=-1)
-    short = make_episode(moving, moving[-1], joint_angles=joints)
-    long = make_episode(
-        np.pad(moving, ((0, 60), (0, 0)), mode="edge"),
-        moving[-1],
-        joint_angles=np.pad(joints, ((0, 60), (0, 0)), mode="edge"),
+    one, other = (
+        measure_all(make_episode(hands[:steps], hands[-1], joint_angles=joints[:steps]))
+        for steps in (36, None)
     )
-    one, other = measure_all(short), measure_all(long)
     shapes = list(one)[list(one).index("path_efficiency") : list(one).index("joint_effort")]
     for name in shapes:
         assert one[name] == pytest.approx(other[name])

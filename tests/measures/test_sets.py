@@ -62,21 +62,14 @@ def test_small_spreads_are_standard_deviations_across_the_seam_too():
 def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(make_episode):
     def ending(posture, target, hand=None):
         hands = np.tile(target if hand is None else hand, (5, 1))
-        return make_episode(hands, target, joint_angles=np.tile(posture, (5, 1)))
+        return make_episode(hands, target, joint_angles=np.full((5, 1), posture))
 
     here, there = [1.0, 0.0], [0.0, 2.0]
-    found = posture_variability(
-        [
-            ending([0.0], here),
-            ending([math.pi / 2], here),
-            ending([1.0], there),
-            ending([1.0], there),
-            ending([3.0], there, hand=[0.0, 1.0]),  # missed
-            ending([3.0], [5.0, 5.0]),  # alone
-        ]
-    )
+    met = [ending(0.0, here), ending(math.pi / 2, here), *[ending(1.0, there)] * 2]
+    missed, alone = ending(3.0, there, hand=[0.0, 1.0]), ending(3.0, [5.0, 5.0])
+    found = posture_variability([*met, missed, alone])
     assert found == pytest.approx(math.sqrt(2 * (1 - math.sqrt(0.5))) / 2)
-    assert math.isnan(posture_variability([ending([0.0], here)]))
+    assert math.isnan(posture_variability([alone]))
 
 
 def test_fitts_line_through_exact_conditions_is_found():

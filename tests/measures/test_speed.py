@@ -23,18 +23,13 @@ def sparc(speeds):
     return spectral_arc_length(speeds, STEP)
 
 
-def moving(speeds):
-    return SimpleNamespace(movement_speeds=np.asarray(speeds))
+def of_speeds(measure):
+    """Return a measure of episodes as a function of the speeds of a movement."""
+    return lambda speeds: measure(SimpleNamespace(movement_speeds=np.asarray(speeds)))
 
 
-def unlike_minimum_jerk(speeds):
-    return minimum_jerk_rmse(moving(speeds))
-
-
-def smoothness_by_jerk(speeds):
-    return log_dimensionless_jerk(moving(speeds))
-
-
+unlike_minimum_jerk = of_speeds(minimum_jerk_rmse)
+smoothness_by_jerk = of_speeds(log_dimensionless_jerk)
 SHAPES = (peakedness, phase_of_peak, correlation_with_minimum_jerk, unlike_minimum_jerk)
 SMOOTHNESS = (sparc, smoothness_by_jerk)
 

@@ -1,7 +1,6 @@
 """Kinds of networks, and the engines that iterate them behind one call."""
 
 from dataclasses import replace
-from importlib.util import find_spec
 from itertools import product
 
 import numpy as np
@@ -25,14 +24,6 @@ def normalizer(request):
     return request.param
 
 
-def iterate_numpy(network, state, clamps, iterations):
-    return network.run(state, clamps, iterations)
-
-
-def iterate_numba(network, state, clamps, iterations):
-    return replace(network, engine="numba").run(state, clamps, iterations)
-
-
 def iterate_torch(network, state, clamps, iterations):
     values = torch.from_numpy(state.values)
     twin = TorchNetwork(network, dtype=values.dtype)
@@ -51,11 +42,12 @@ def iterate_torch(network, state, clamps, iterations):
 @pytest.fixture(scope="session")
 def iterate():
     """A function of engine, network, state, clamps and number of iterations."""
-    engines = {"numpy": iterate_numpy, "numba": iterate_numba, "torch": iterate_torch}
 
-    def run(engine, *arguments):
-        if engine == "numba" and not find_spec("numba"):
-            pytest.skip('it takes the extra "fast"')
-        return engines[engine](*arguments)
+    def run(engine, network, *arguments):
+        if engine == "torch":
+            return iterate_torch(network, *arguments)
+        if engine == "numba":
+            pytest.importorskip("numba", reason='it takes the extra "fast"')
+        return replace(network, engine=engine).run(*arguments)
 
     return run

@@ -14,11 +14,6 @@ POSTURE = [0.3, 0.6, 0.6]
 START = NETWORK.state_from_joint_angles(POSTURE)
 
 
-def hand_steps(state, postures):
-    hands = np.concatenate([state.end_effector[None], postures.sum(axis=-2)])
-    return np.linalg.norm(np.diff(hands, axis=0), axis=-1)
-
-
 @given(duration=st.floats(1, 500))
 def test_taking_each_share_of_what_remains_follows_the_time_base(duration):
     iterations = np.arange(1, int(np.ceil(duration)) + 1)
@@ -55,7 +50,8 @@ def test_a_movement_is_bell_shaped_for_longer_arms_too(segments):
     state = network.state_from_joint_angles(np.resize([0.3, 0.6, 0.6, 0.4], segments))
     _, postures = timed_trajectory(network, state, [-0.8, 0.5], duration=60)
     covered = np.diff(minimum_jerk(np.arange(61) / 60))
-    steps = hand_steps(state, postures)
+    hands = np.concatenate([state.end_effector[None], postures.sum(axis=-2)])
+    steps = np.linalg.norm(np.diff(hands, axis=0), axis=-1)
     assert np.corrcoef(steps, covered)[0, 1] > 0.97
     assert 0.4 < (steps.argmax() + 0.5) / 60 < 0.6
 
