@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.config import ENUM
 
 matplotlib.use("Agg")
 DOCS = Path(__file__).resolve().parent
@@ -34,7 +37,6 @@ version = release = mmc_gym.__version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "sphinx_design",
@@ -65,19 +67,20 @@ nitpick_ignore_regex = [
     (r"py:.*", r"mmc_gym\.measures\.catalogue\.(OfEpisodes?|Quantity)"),
 ]
 
+html_math_renderer = "mathml"  # which browsers set by themselves, without a network
 html_theme = "pydata_sphinx_theme"
 html_title = "mmc-gym"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_extra_path = ["_generated/extra"]
 html_theme_options = {
-    "header_links_before_dropdown": 6,
+    "header_links_before_dropdown": 7,
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
     "show_prev_next": False,
     "show_toc_level": 2,
 }
-html_sidebars = {"index": [], "install": [], "quickstart": [], "faq": []}
+html_sidebars = {page: [] for page in ["index", "install", "quickstart", "faq", "envs/*"]}
 html_show_sourcelink = False
 
 sphinx_gallery_conf = {
@@ -143,10 +146,20 @@ def _shorten_array_types(app: Any, domain: str, kind: str, content: Any) -> None
             of_object[name] = generic.sub("~numpy.ndarray", text)
 
 
+def _set_math(writer: Any, node: Any) -> None:
+    """Write a formula as MathML."""
+    is_block = isinstance(node, nodes.math_block)
+    tag = "div" if is_block else "span"
+    formula = tex2mathml(node.astext(), as_block=is_block)
+    writer.body.append(f'<{tag} class="math notranslate">{formula}</{tag}>')
+    raise nodes.SkipNode
+
+
 def setup(app: Any) -> None:
     """Write what is generated; mend docstrings on their way to autodoc."""
     (DOCS / "_generated" / "extra").mkdir(parents=True, exist_ok=True)  # looked for at once
-    app.add_config_value("with_pictures", True, "env", types=[bool])
+    app.add_config_value("films", "some", "env", types=ENUM("all", "some", "none"))
+    app.add_html_math_renderer("mathml", (_set_math, None), (_set_math, None))
     app.connect("builder-inited", generate.write_all, priority=100)
     app.connect("autodoc-process-docstring", _shorten_environments, priority=100)
     app.connect("object-description-transform", _shorten_array_types, priority=100)

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from generate import Filmed
-from PIL import Image, ImageDraw, ImageFont
+from generate import Filmed, named
+from PIL import Image
 
 from mmc_gym._files import write_atomically
 from mmc_gym.agents import resolve
@@ -33,13 +33,8 @@ def panels(agent: str) -> list[Image.Image]:
         run_episodes(player, filmed, [episode_seeds(0, number + 1)[-1]], records_effort=False)
         found += filmed.pictures
     world.close()
-    font = ImageFont.load_default(16)
-    small = [picture.resize((SIZE, SIZE), Image.Resampling.LANCZOS) for picture in found]
-    for picture in small:
-        draw = ImageDraw.Draw(picture)
-        draw.rectangle((0, 0, 80, 20), fill=picture.getpixel((0, SIZE - 1)))
-        draw.text((8, 3), agent, font=font, fill=(30, 40, 60))
-    return small
+    small = (picture.resize((SIZE, SIZE), Image.Resampling.LANCZOS) for picture in found)
+    return [named(picture, agent) for picture in small]
 
 
 def film() -> bytes:

@@ -1,8 +1,9 @@
 """Write the pages, films and copies that the site is built from and that are not kept.
 
-A page for each scenario says what its registry entry, its classes and its spaces say, and shows a
-film of some agents with how often they succeed.  Films and counts are made again when anything in
-the package or in this file has changed.
+A page for each scenario says what its registry entry, its classes and its spaces say.  Those in
+FILMED also show a film of some agents with how often they succeed; `make docs ARGS="-D films=all"`
+makes films of all.  Films and counts are made again when what they show has changed: the rooms in
+FILMED_ROOMS, or this file.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ import inspect
 import io
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
+from sphinx.util.display import progress_message, status_iterator
 
 import mmc_gym
 from mmc_gym._files import write_atomically
@@ -38,9 +40,16 @@ ROOT = DOCS.parent
 PAGE_OF_CLASS = {MMCReachEnv: "/envs/reach", MMCReachGoalEnv: "/envs/goal"}
 
 AGENTS = ("mmc", "mmc-body", "ppo")  # beside each other, from left to right
-EPISODES = 50
+AGENTS_IN_WORDS = "mmc, mmc-body and ppo"
+EPISODES = 20
 EVERY = 4  # control steps between two pictures
 SHRINK = 2
+FILMED = {
+    "Tasks": ("random", "centre-out", "pursuit", "via-points"),
+    "Another body": ("longer-20", "locks-2", "hand-mass-10", "obstacles-2"),
+    "Forces and senses": ("force-field-60", "rotation-30", "delay-100", "vision-noise-0.1"),
+}
+FILMED_ROOMS = ("agents", "body", "envs", "network", "interface.py")
 
 REPORT = {
     "agents": ["mmc", "mmc-body", "ik-dls", "ppo-0", "sac-0"],
@@ -50,14 +59,15 @@ REPORT = {
 
 
 def write_all(app: Any) -> None:
-    """Write everything, before Sphinx looks for pages; without pictures in a quick build."""
-    source, with_pictures = Path(app.srcdir), bool(app.config.with_pictures)
+    """Write everything, before Sphinx looks for pages; `films` may be "all", "some" or "none"."""
+    source, films = Path(app.srcdir), app.config.films
     extra = source / "_generated" / "extra"
     shutil.copytree(source / "playground", extra / "playground", dirs_exist_ok=True)
     write(extra / "llms.txt", (ROOT / "AGENTS.md").read_text(encoding="utf-8"))
     write(source / "_generated" / "agents.md", "\n".join(agents_table()))
-    write_report(source / "_generated", with_pictures)
-    write_environment_pages(source / "envs", source / "_generated", with_pictures)
+    write_environment_pages(source / "envs", source / "_generated", films)
+    with progress_message("writing the report"):
+        write_report(source / "_generated", films != "none")
 
 
 def write(path: Path, text: str) -> None:
@@ -67,11 +77,13 @@ def write(path: Path, text: str) -> None:
         write_atomically(path, text)
 
 
-def package_digest() -> str:
-    """Return a digest of all that ships in the package, and of this file."""
+def digest(*rooms: str) -> str:
+    """Return a digest of rooms of the package (of all without any), and of this file."""
+    package = Path(mmc_gym.__file__).parent
     found = hashlib.sha256(Path(__file__).read_bytes())
-    for path in sorted(Path(mmc_gym.__file__).parent.rglob("*")):
-        if path.suffix in {".py", ".safetensors"}:
+    for path in sorted(package.rglob("*")):
+        is_among = not rooms or path.relative_to(package).parts[0] in rooms
+        if is_among and path.suffix in {".py", ".safetensors"}:
             found.update(path.read_bytes())
     return found.hexdigest()[:16]
 
@@ -100,7 +112,7 @@ def write_report(generated: Path, with_pictures: bool) -> None:
     elif not with_pictures:
         write(page, "<!doctype html><title>Report</title><p>Left out of this build.</p>\n")
     else:
-        small = generated / f"report-{package_digest()}.html"
+        small = generated / f"report-{digest()}.html"
         if not small.is_file():
             from mmc_gym.benchmark.runner import benchmark
             from mmc_gym.report import write_report as write_html
@@ -117,22 +129,34 @@ def write_report(generated: Path, with_pictures: bool) -> None:
 
 def all_scenarios() -> dict[str, Scenario]:
     """Return the scenarios that have a page: the benchmark's, the default strengths among them."""
-    defaults = [scenario(name) for name in FAMILIES]
-    known = {**SCENARIOS, **{one.name: one for one in defaults}}
+    defaults = {one.name: one for one in map(scenario, FAMILIES)}
     order = ["", *FAMILIES]
-    return dict(sorted(known.items(), key=lambda item: (order.index(item[1].family), item[1].told)))
+    known = {**SCENARIOS, **TASK_SCENARIOS, **defaults}.values()
+    known = sorted(known, key=lambda one: (order.index(one.family), one.told))
+    return {one.name: one for one in known}
 
 
-def write_environment_pages(folder: Path, generated: Path, with_pictures: bool) -> None:
+def write_environment_pages(folder: Path, generated: Path, films: str) -> None:
     """Write the pages of the environments' classes, of all scenarios, and their index."""
-    films = generated / "films" / package_digest()
+    kept = generated / "films" / digest(*FILMED_ROOMS)
     for kind, page in PAGE_OF_CLASS.items():
         write(folder / f"{Path(page).name}.md", class_page(kind))
     scenarios = all_scenarios()
-    for one in scenarios.values():
-        counts = film(one, films) if with_pictures else None
-        write(folder / f"{one.name}.md", scenario_page(one, films.relative_to(generated), counts))
-    write(folder / "index.md", index_page(scenarios))
+    some = [name for group in FILMED.values() for name in group]
+    for old in kept.parent.glob("*"):
+        if old != kept:
+            shutil.rmtree(old)
+    asked = {"all": [*scenarios], "some": some, "none": []}[films]
+    missing = [name for name in asked if not (kept / f"{name}.json").is_file()]
+    for name in status_iterator(missing, "filming... ", length=len(missing)):
+        film(scenarios[name], kept)
+    for name, one in scenarios.items():
+        facts = kept / f"{name}.json"
+        counts = json.loads(facts.read_text()) if name in asked else None
+        picture = f"../{facts.relative_to(generated.parent).with_suffix('.webp')}"
+        write(folder / f"{name}.md", scenario_page(one, picture, counts))
+    cards = kept.relative_to(generated.parent) if asked else None
+    write(folder / "index.md", index_page(scenarios, cards))
 
 
 def class_page(kind: type[MMCReachEnv]) -> str:
@@ -152,9 +176,8 @@ def class_page(kind: type[MMCReachEnv]) -> str:
     return "\n".join(lines)
 
 
-def index_page(scenarios: dict[str, Scenario]) -> str:
-    """Return the list of all environments."""
-    tasks = [name for name in scenarios if name in TASK_SCENARIOS]
+def index_page(scenarios: dict[str, Scenario], films: Path | None) -> str:
+    """Return the list of all environments, with films of some."""
     lines = [
         "# Environments",
         "",
@@ -163,23 +186,32 @@ def index_page(scenarios: dict[str, Scenario]) -> str:
         "what goes wrong. Together they have one name, with any strength:",
         "`[<task>+]<perturbation>[-<strength>][-told][+<perturbation>…]`.",
         "",
-        *code("python", 'env = mmc_gym.make("pursuit+hand-mass-5")'),
-        "![A picture of each task and perturbation](../contact-sheet.png)",
+        *code("python", "import mmc_gym", "", 'env = mmc_gym.make("centre-out+rotation-30")'),
+        f"The films show {AGENTS_IN_WORDS}, from left to right. The cross is the target, the thin",
+        "arm a network's own, on its way ahead of the body.",
         "",
-        "The thin arm is the network's own, on its way ahead of the body; the cross is the target.",
-        "",
-        "## Tasks",
-        "",
-        *table(scenarios[name] for name in tasks),
     ]
+    for heading, names in FILMED.items():
+        lines += [f"## {heading}", "", "::::{grid} 1 1 2 2", ":gutter: 3", ""]
+        for name in names:
+            lines += [f":::{{grid-item-card}} {name}", f":link: {name}", ":link-type: doc"]
+            lines += [f":img-top: ../{films}/{name}.webp"] if films else []
+            lines += [scenarios[name].description, ":::", ""]
+        lines += ["::::", ""]
+    lines += ["## All tasks", "", *table(scenarios[name] for name in TASK_SCENARIOS)]
+    lines += ["## All perturbations", "", "Any strength is accepted; these have a page.", ""]
+    lines += ["| name | what it is | strengths |", "| --- | --- | --- |"]
     for family in FAMILIES.values():
-        of_family = [one for one in scenarios.values() if one.family == family.name]
-        lines += [f"## {family.name}", "", f"Strength in {family.unit}.", "", *table(of_family)]
+        alike = [one for one in scenarios.values() if one.family == family.name]
+        what = family.description.format(f"{family.default:g}")
+        pages = ", ".join(f"[{one.name[len(family.name) + 1 :]}]({one.name}.md)" for one in alike)
+        lines.append(f"| {family.name} | {what} | {pages} |")
+    lines.append("")
     lines += ["```{toctree}", ":hidden:", "", "reach", "goal", *scenarios, "```", ""]
     return "\n".join(lines)
 
 
-def table(scenarios: Any) -> list[str]:
+def table(scenarios: Iterable[Scenario]) -> list[str]:
     """Return a list of scenarios with links to their pages."""
     rows = [f"| [{one.name}]({one.name}.md) | {one.description} |" for one in scenarios]
     return ["| name | what it is |", "| --- | --- |", *rows, ""]
@@ -190,28 +222,19 @@ def code(language: str, *lines: str) -> list[str]:
     return [f"```{language}", *lines, "```", ""]
 
 
-def scenario_page(one: Scenario, films: Path, counts: dict[str, int] | None) -> str:
-    """Return the page of a scenario."""
+def scenario_page(one: Scenario, picture: str, counts: dict[str, int] | None) -> str:
+    """Return the page of a scenario, with its film if there are counts."""
     facts = list(describe(one.name))
     lines = [f"# {one.name}", "", f"{one.description[0].upper()}{one.description[1:]}.", ""]
     if counts is not None:
         shares = ", ".join(f"{name} in {count} of {EPISODES}" for name, count in counts.items())
-        names = f"{', '.join(AGENTS[:-1])} and {AGENTS[-1]}"
         lines += [
-            f"![{names} in {one.name}](../_generated/{films}/{one.name}.webp)",
+            f"![{AGENTS_IN_WORDS} in {one.name}]({picture})",
             "",
-            f"From left to right: {names}, in the first of {EPISODES} episodes.",
-            f"The hand ends at the target: {shares}.",
+            f"The first of {EPISODES} episodes. The hand ends at the target: {shares}.",
             "",
         ]
-    lines += code(
-        "sh",
-        f"mmc-gym compare --agents {' '.join(AGENTS)} --episodes {EPISODES} --env {one.name}",
-        f"mmc-gym record movement.gif --agent {AGENTS[0]} --env {one.name}",
-        f"mmc-gym benchmark --environments {one.name}",
-    )
-    lines += ["## Make it", ""]
-    way, same, _ = facts[1][1].splitlines()
+    way, same, benchmark = facts[1][1].splitlines()
     lines += code(
         "python",
         "import gymnasium as gym",
@@ -220,7 +243,12 @@ def scenario_page(one: Scenario, films: Path, counts: dict[str, int] | None) -> 
         f"env = {way}",
         f"env = {same}  # the same",
     )
-    lines += ["## What it is", ""]
+    lines += code(
+        "sh",
+        f"mmc-gym compare --agents {' '.join(AGENTS)} --episodes {EPISODES} --env {one.name}",
+        f"mmc-gym record movement.gif --agent {AGENTS[0]} --env {one.name}",
+        benchmark,
+    )
     for heading, text in facts[2:]:
         lines += [f"**{heading[0].upper()}{heading[1:]}**", *definition(text, one, heading), ""]
     lines += ["All else is as in [MMCReach-v0](reach.md).", ""]
@@ -263,33 +291,35 @@ class Filmed(gym.Wrapper[Any, Any, Any, Any]):
         return Image.fromarray(np.asarray(frame)).reduce(SHRINK)
 
 
-def film(one: Scenario, folder: Path) -> dict[str, int]:
-    """Film the agents beside each other; return how many episodes each ends at the target."""
-    facts = folder / f"{one.name}.json"
-    if not facts.is_file():
-        counts, films = {}, []
-        for name in AGENTS:
-            counts[name], pictures = play(one, name)
-            films.append(pictures)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / f"{one.name}.webp", moving_picture(films))
-        write_atomically(facts, json.dumps(counts))
-    found: dict[str, int] = json.loads(facts.read_text())
-    return found
+def film(one: Scenario, folder: Path) -> None:
+    """Film the agents beside each other; count how many episodes each ends at the target."""
+    counts, films = {}, []
+    for name in AGENTS:
+        counts[name], pictures = play(one, name)
+        films.append([named(picture, name) for picture in pictures])
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / f"{one.name}.webp", moving_picture(films))
+    write_atomically(folder / f"{one.name}.json", json.dumps(counts))
 
 
 def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
     """Return how many of the episodes end at the target, and pictures of the first."""
     seeds = episode_seeds(0, EPISODES)
-    world, player = make_player(resolve(agent), one)
-    episodes = run_episodes(player, world, seeds, records_effort=False)
-    world.close()
-    # Made by name, which becomes the caption.
-    world, player = make_player(resolve(agent), one.name, {"render_mode": "rgb_array"})
+    world, player = make_player(resolve(agent), one, {"render_mode": "rgb_array"})
     filmed = Filmed(world)
-    run_episodes(player, filmed, seeds[:1], records_effort=False)
+    first = run_episodes(player, filmed, seeds[:1], records_effort=False)
+    others = run_episodes(player, world, seeds[1:], records_effort=False)
     world.close()
-    return sum(map(int, map(success, episodes))), filmed.pictures
+    return sum(map(int, map(success, first + others))), filmed.pictures
+
+
+def named(picture: Image.Image, agent: str) -> Image.Image:
+    """Write the agent's name over the caption, large enough for a narrow screen."""
+    width, height = picture.size[0], picture.size[0] // 9
+    draw = ImageDraw.Draw(picture)
+    draw.rectangle((0, 0, width // 2, height // 2), fill=picture.getpixel((0, width - 1)))
+    draw.text((6, 1), agent, font=ImageFont.load_default(height), fill=(30, 40, 60))
+    return picture
 
 
 def moving_picture(films: list[list[Image.Image]]) -> bytes:

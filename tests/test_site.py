@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 MADE = ("_generated", "envs", "examples", "sg_execution_times.rst", "__pycache__")
 BESIDE = ("AGENTS.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")
-QUICKLY = ("-D", "plot_gallery=0", "-D", "with_pictures=0")
+QUICKLY = ("-D", "plot_gallery=0", "-D", "films=none")
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="the documentation is not here")
 
@@ -93,8 +93,8 @@ def pages(site):
 @pytest.mark.slow
 def test_every_scenario_has_a_page(site):
     for name in {*SCENARIOS, *TASKS, *(scenario(name).name for name in FAMILIES)}:
-        page = (site / "envs" / f"{name}.html").read_text()
-        assert f"mmc-gym benchmark --environments {name}" in re.sub("<[^>]+>", "", page)
+        text = re.sub("<[^>]+>", "", (site / "envs" / f"{name}.html").read_text())
+        assert re.search(rf"mmc-gym benchmark --\w+ {name}\b", text)
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ def test_no_markup_is_left_as_text(site):
 def test_equations_are_set_and_keep_their_lines(site):
     concept = (site / "concepts" / "network.html").read_text()
     assert concept.count('class="math notranslate') > 10
-    assert r"\frac{1}{d}" in concept
+    assert concept.count("<mfrac>") > 5  # MathML, which needs no script from a network
     reference = (site / "api" / "network.html").read_text()
     listed = re.findall("<pre>(.*?)</pre>", reference, re.DOTALL)
     lines = re.sub("<[^>]+>", "", "\n".join(listed))
