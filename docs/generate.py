@@ -317,7 +317,8 @@ def named(picture: Image.Image, agent: str) -> Image.Image:
     """Write the agent's name over the caption, large enough for a narrow screen."""
     width, height = picture.size[0], picture.size[0] // 9
     draw = ImageDraw.Draw(picture)
-    draw.rectangle((0, 0, width // 2, height // 2), fill=picture.getpixel((0, width - 1)))
+    caption = (0, 0, 0.6 * width, 0.04 * width)
+    draw.rectangle(caption, fill=picture.getpixel((0, width - 1)))
     draw.text((6, 1), agent, font=ImageFont.load_default(height), fill=(30, 40, 60))
     return picture
 

@@ -21,9 +21,9 @@ SECTIONS = ("Action Space", "Observation Space", "Rewards", "Starting State", "E
 
 def agents_text() -> str:
     """Return the whole file."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    example = re.search(r"^```python\n.*?^```", readme, re.DOTALL | re.MULTILINE)
-    assert example is not None
+    quickstart = (ROOT / "docs" / "quickstart.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^```python\n.*?^```", quickstart, re.DOTALL | re.MULTILINE)
+    (example,) = (one for one in examples if "gym.make" in one)
     lines = [
         "# mmc-gym, for coding assistants",
         "",
@@ -34,7 +34,7 @@ def agents_text() -> str:
         "",
         "## Ten lines",
         "",
-        example[0],
+        example,
         "",
         "## Contract",
         "",

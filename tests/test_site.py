@@ -19,6 +19,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from filelock import FileLock
 
+import mmc_gym
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import scenario
@@ -156,9 +157,20 @@ def test_the_code_of_a_page_runs(page, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "index.md"])
+def test_the_first_screen_counts_what_is_available(page):
+    counts = {
+        "agents": len(mmc_gym.list_agents()),
+        "perturbations": len(mmc_gym.list_perturbations()),
+        "measures": len(mmc_gym.list_measures()),
+    }
+    first = "\n".join(page.read_text().splitlines()[:12])
+    assert ", ".join(f"{count} {things}" for things, count in counts.items()) in first
+
+
 def test_readme_is_short_and_its_links_lead_somewhere():
     text = (ROOT / "README.md").read_text()
-    assert len(text.splitlines()) <= 120
+    assert len(text.splitlines()) <= 105
     links = re.findall(r"\]\((?!https?:)([^)#]+)\)", text)
     assert links and not [link for link in links if not (ROOT / link).exists()]
 
