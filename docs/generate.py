@@ -157,6 +157,9 @@ def write_environment_pages(folder: Path, generated: Path, films: str) -> None:
         write(folder / f"{name}.md", scenario_page(one, picture, counts))
     cards = kept.relative_to(generated.parent) if asked else None
     write(folder / "index.md", index_page(scenarios, cards))
+    for page in folder.glob("*.md"):  # of an earlier build
+        if page.stem not in {"index", "reach", "goal", *scenarios}:
+            page.unlink()
 
 
 def class_page(kind: type[MMCReachEnv]) -> str:
