@@ -352,9 +352,12 @@ def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
     # Digits without exponent, as the grammar reads them.
     digits = np.format_float_positional(strength, trim="-")
     try:
-        perturbation = find_perturbation(family.make(strength))
-    except UserError as error:
+        perturbation = family.make(strength)
+    except (UserError, TypeError) as error:
         raise UserError(f"{family.name}-{digits} has no such strength: {error}") from error
+    accepted, name = "a Perturbation of the strength", f"what {family.name!r} makes"
+    require(isinstance(perturbation, Perturbation), name, perturbation, accepted)
+    perturbation.check_hooks()
     description = family.description.format(digits)
     if family.told is not None:
         description += f", {'given' if told else 'not given'} to agents"
@@ -508,6 +511,7 @@ def register_perturbation(family: Family) -> None:
     Raises:
         UserError: if the name is not words with hyphens, or belongs to this package or a task.
     """
+    require(isinstance(family, Family), "family", family, "a Family")
     fine = family.name not in {*TASKS, *_SHIPPED}
     fine = fine and re.fullmatch("[a-z]+(-[a-z]+)*", family.name) is not None
     require(fine, "name", family.name, "words of a-z with hyphens, that no other family has")

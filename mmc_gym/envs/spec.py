@@ -196,6 +196,8 @@ class ReachSetup:
 
         for noise in self.noises:
             seen = noise.disturb(seen, draw)
+            name = f"what {type(noise).__name__}.disturb returns"
+            require(isinstance(seen, Seen), name, seen, "a changed Seen")
         speeds = relative_speeds(seen.joint_speeds, self.given_body.speed_limit)
         observation: NDArray[np.float32] = self.layout.encode(
             seen.joint_angles, speeds, hand=seen.hand, target=seen.target
@@ -239,7 +241,8 @@ class ReachSetup:
     def _checked(self, trial: Any) -> Trial:
         """Return what your own task drew; raise a `UserError` that names it if it is no trial."""
         name, workspace = f"{type(self.task).__name__}.draw", self.workspace
-        require(isinstance(trial, Trial), f"what {name} returns", trial, "a Trial")
+        accepted = "a Trial(joint_angles, targets)"
+        require(isinstance(trial, Trial), f"what {name} returns", trial, accepted)
         posture = require_finite_numbers(f"joint_angles of {name}", trial[0], self.joint_count)
 
         def is_reachable(point: tuple[float, ...]) -> bool:

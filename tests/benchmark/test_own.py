@@ -117,6 +117,21 @@ def test_names_that_are_taken_or_none_are_refused(name):
         register_perturbation(Family(name, "", "", 1.0, Heavy))
 
 
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda mass: None, "what 'heavy' makes must be a Perturbation of the strength, got None"),
+        (lambda: Heavy(), "heavy-1 has no such strength: .*takes 0 positional arguments"),
+        (Perturbation, "Perturbation.* takes no arguments"),
+        (lambda mass: Perturbation(), "the perturbation Perturbation must have .* change_body"),
+    ],
+)
+def test_a_family_that_makes_no_perturbation_is_refused(make, message):
+    with pytest.raises(UserError, match=message):
+        register_perturbation(Family("heavy", "", "", 1.0, make))
+    assert "heavy" not in FAMILIES
+
+
 def test_an_own_environment_is_a_function_and_its_reward_is_measured(tmp_path):
     found = compare({"mmc": "mmc", "still": lambda observation: np.zeros(3)}, Flat, 2)
     assert found.to_frame()["episode_return"].to_list()[:2] == [100.0, 100.0]

@@ -16,6 +16,7 @@ from mmc_gym.envs.perturbations import (
     HandMass,
     JointNoise,
     LockedJoint,
+    Noise,
     Obstacles,
     Perturbation,
     SegmentLength,
@@ -330,9 +331,31 @@ def test_starts_and_targets_are_clear_of_obstacles() -> None:
             env.reset(options=options)
 
 
+class Misspelt(Perturbation):
+    def change_bodies(self, body: ArmParameters) -> ArmParameters:
+        return body
+
+
+class Forgetful(Noise):
+    """No method returns anything."""
+
+    def disturb(self, seen: Seen, draw: Any) -> Any:
+        del seen, draw
+
+    def change_body(self, body: ArmParameters) -> Any:
+        return body if type(self) is Forgetful else None
+
+
 @pytest.mark.parametrize(
     ("perturbations", "message"),
     [
+        (Misspelt(), r"Misspelt must have a method change_body\(self, body\), got change_bodies"),
+        (type("Lost", (Forgetful,), {})(), "what Lost.change_body returns must be .*, got None"),
+        (Forgetful(), "what Forgetful.disturb returns must be a changed Seen, got None"),
+        (
+            "rotation-30+delay-40",
+            r"perturbations '.* a list such as \['rotation-30', 'delay-40'",
+        ),
         ("gremlins", "perturbations 'gremlins' is not accepted. It may be force-field, .*locks"),
         (None, "perturbations None is not accepted. It may be .* or a Perturbation$"),
         (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
@@ -346,7 +369,7 @@ def test_starts_and_targets_are_clear_of_obstacles() -> None:
 )
 def test_what_cannot_be_or_be_combined_is_refused(perturbations: Any, message: str) -> None:
     with pytest.raises(UserError, match=message):
-        MMCReachEnv(perturbations=perturbations)
+        MMCReachEnv(perturbations=perturbations).reset()
 
 
 ENTANGLED: list[dict[str, Any]] = [

@@ -72,6 +72,43 @@ def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(
         MMCReachEnv(task=task, **arguments)
 
 
+class Mine(RandomTarget):
+    """The path is what `drawn` returns."""
+
+    def __init__(self, drawn: Callable[[Request], Any]) -> None:
+        object.__setattr__(self, "drawn", drawn)
+
+    def draw(self, request: Request) -> Any:
+        return self.drawn(request)
+
+
+@pytest.mark.parametrize("make", [MMCReachEnv, MMCReachVectorEnv])
+@pytest.mark.parametrize(
+    ("drawn", "message"),
+    [
+        (lambda _: [[0, 0, 0], [(1, 1)]], r"what Mine.draw returns must be a Trial\(joint_ang"),
+        (lambda _: (1.0, 1.0), r"Mine.draw returns must be a Trial.*got \(1.0, 1.0\)"),
+        (lambda _: None, r"Mine.draw returns must be a Trial.*got None"),
+        (lambda _: Trial([0, 0], [(1, 1)]), "joint_angles of Mine.draw must be 3 finite numbers"),
+        (lambda _: Trial([0, 0, 0], (1.0, 1.0)), "targets of Mine.draw must be a path, one or mo"),
+        (lambda _: Trial([0, 0, 0], []), r"targets of Mine.draw must be a path.*got \[\]"),
+        (lambda _: Trial([0, 0, 0], [(9, 9)]), r"draw .* 0 to 3 from the base, got \[\(9, 9\)\]"),
+        # Only some trials are wrong.
+        (lambda one: Trial([0, 0, 0], [(0, 5 * one.random.random())]), "0 to 3 from the base"),
+    ],
+)
+def test_what_an_own_task_draws_is_checked_when_the_environment_is_made(
+    make: Callable[..., Any], drawn: Callable[[Request], Any], message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        make(task=Mine(drawn))
+    path = np.array([[0.0, 1.0], [0.5, 1.0]])  # arrays are paths, too
+    env = make(task=Mine(lambda request: Trial(np.zeros(3), path)))
+    env.reset(seed=0)
+    *_, info = env.step(np.zeros(env.action_space.shape, np.float32))
+    assert np.ravel(info["target"]).tolist() == path[1].tolist()
+
+
 def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far() -> None:
     env = MMCReachEnv(task="centre-out")
     infos = [env.reset(options={"trial": trial})[1] for trial in range(8)]
@@ -163,18 +200,18 @@ def test_only_the_last_via_point_is_a_success(reward_type: str) -> None:
 
 def test_paths_have_the_length_that_is_drawn_and_no_other() -> None:
     class Growing(RandomTarget):
-        """Paths of two places, then of three, and so on."""
+        """Paths of as many places as asked for."""
 
-        places = 1
+        places = 2
 
         def draw(self, request: Request) -> Trial:
-            type(self).places += 1
             return Trial(request.draw_posture(), [(1.0, k / 10) for k in range(self.places)])
 
     for make in (MMCReachEnv, partial(MMCReachVectorEnv, 1)):
         env = make(task=Growing())
         assert env.setup.path_length == Growing.places
         with pytest.raises(UserError, match=rf"task must be one whose paths have {Growing.places}"):
+            Growing.places += 1
             env.reset(seed=0)
 
 
