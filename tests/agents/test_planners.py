@@ -5,19 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmc_gym.agents import AGENTS
+from mmc_gym.agents import AGENTS, planners
 from mmc_gym.agents.inverse_kinematics import hand_position
-from mmc_gym.agents.planners import (
-    AVERAGE_SPEED,
-    HORIZON,
-    NEW_TARGET_DISTANCE,
-    SHORTEST,
-    HandPlan,
-    begin,
-    follow,
-    minimum_jerk_step,
-    step,
-)
 from mmc_gym.interface import ReachInterface, Sensed
 from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks, phase_of_peak
 from mmc_gym.network.time_base import minimum_jerk
@@ -41,12 +30,13 @@ def internal_hands(name, posture, targets, lengths=(1.0, 1.0, 1.0)) -> np.ndarra
     return np.array(hands)
 
 
-def planned(start: np.ndarray, targets: list[np.ndarray]) -> HandPlan:
+def planned(start: np.ndarray, targets: list[np.ndarray]) -> planners.HandPlan:
     """The plan in each control step, with the target in each, (steps + 1, 2)."""
-    plans = [HandPlan(start, np.zeros(2), np.zeros(2))]
+    plans = [planners.HandPlan(start, np.zeros(2), np.zeros(2))]
     for done, target in enumerate(targets):
-        plans.append(minimum_jerk_step(plans[-1], target, np.array(float(len(targets) - done))))
-    return HandPlan(*map(np.array, zip(*plans)))
+        remaining = np.array(float(len(targets) - done))
+        plans.append(planners.minimum_jerk_step(plans[-1], target, remaining))
+    return planners.HandPlan(*map(np.array, zip(*plans)))
 
 
 @given(points, points, st.integers(2, 90))
@@ -79,7 +69,7 @@ def test_speed_is_bell_shaped_and_the_hand_arrives_in_time(name, correlation, ac
         posture = random.uniform(0.4, 1.2, count)
         turn = random.uniform(0.3, 0.8, count) * [-1, *[1] * (count - 1)]
         target = hand_position(posture + turn, lengths)
-        duration = int(begin(hand_position(posture, lengths), target, DT).duration)
+        duration = int(planners.begin(hand_position(posture, lengths), target, DT).duration)
         hands = internal_hands(name, posture, [target] * duration, lengths)
         profile = np.linalg.norm(np.diff(hands, axis=0), axis=-1) / DT
         assert count_peaks(profile) == 1
@@ -111,14 +101,15 @@ def test_stays_finite_in_the_hard_cases(name, lengths):
 
 def test_a_movement_begins_anew_only_where_the_target_jumps():
     hand, target = np.zeros((3, 2)), np.array([[1.0, 0.0]] * 3)
-    movement = begin(hand, target, DT)
-    assert movement.duration.tolist() == [np.ceil((SHORTEST + 1 / AVERAGE_SPEED) / DT)] * 3
+    movement = planners.begin(hand, target, DT)
+    steps = np.ceil((planners.SHORTEST + 1 / planners.AVERAGE_SPEED) / DT)
+    assert movement.duration.tolist() == [steps] * 3
     for _ in range(5):
-        movement = step(follow(movement, hand, target, DT))
-    target = target + NEW_TARGET_DISTANCE * np.array([[0.0, 0.0], [0.0, 0.9], [0.0, 1.1]])
-    movement = follow(movement, hand, target, DT)
+        movement = planners.step(planners.follow(movement, hand, target, DT))
+    target = target + planners.NEW_TARGET_DISTANCE * np.array([[0.0, 0.0], [0.0, 0.9], [0.0, 1.1]])
+    movement = planners.follow(movement, hand, target, DT)
     assert movement.elapsed.tolist() == [5, 5, 0]
     for _ in range(30):
-        movement = step(movement)
-    movement = follow(movement, hand, target + 0.01, DT)
-    assert (movement.remaining == HORIZON).all()
+        movement = planners.step(movement)
+    movement = planners.follow(movement, hand, target + 0.01, DT)
+    assert (movement.remaining == planners.HORIZON).all()

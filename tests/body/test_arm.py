@@ -192,7 +192,6 @@ def test_arms_of_any_number_of_segments_move_and_stay_finite(engine, count, serv
     ("engine", "servo", "message"),
     [
         ("pymunk", "hydraulic", "servo 'hydraulic' is not accepted. It may be position, "),
-        ("analytic", "hydraulic", "servo 'hydraulic' is not accepted. It may be position, "),
         ("bullet", "position", "engine 'bullet' is not accepted. It may be pymunk or analytic"),
     ],
 )

@@ -47,12 +47,9 @@ class Lagrangian:
     @staticmethod
     def stretched(p, joint):
         """Inertia of the stretched arm about a joint, by cutting it into small pieces."""
-        lengths, masses = p.segment_lengths[joint:], p.masses[joint:]
-        total = start = 0.0
-        for length, mass in zip(lengths, masses, strict=True):
-            total += mass * np.mean(np.linspace(start, start + length, 100_001) ** 2)
-            start += length
-        return total
+        ends = np.cumsum(p.segment_lengths[joint:])
+        places = np.linspace(ends - p.segment_lengths[joint:], ends, 100_001)
+        return p.masses[joint:] @ np.mean(places**2, axis=0)
 
     def __call__(self, time, state):
         angles, speeds = np.split(state, 2)

@@ -14,17 +14,11 @@ from mmc_gym.measures import (
     MEASURES,
     SET_MEASURES,
     Episode,
+    catalogue,
     leave_out_failures,
     measure,
     measure_all,
     set_measure,
-)
-from mmc_gym.measures.catalogue import (
-    digest,
-    measures_of,
-    own_measures,
-    set_measures_of,
-    shown_measures,
 )
 
 
@@ -32,7 +26,7 @@ from mmc_gym.measures.catalogue import (
 def forget_what_is_registered():
     yield
     for registry in (MEASURES, SET_MEASURES):
-        for one in own_measures():
+        for one in catalogue.own_measures():
             registry.pop(one.name, None)
 
 
@@ -51,9 +45,9 @@ def test_a_measure_of_your_own_is_one_decorated_function(make_episode):
     assert measure_all(episode)["half_way_time"] == function(episode) == 0.04
     own = MEASURES["half_way_time"]
     assert (own.label, own.unit, own.best, own.statistic) == ("half-way time", "s", "low", "median")
-    assert list(MEASURES)[-1] == "half_way_time" and own_measures() == (own,)
+    assert list(MEASURES)[-1] == "half_way_time" and catalogue.own_measures() == (own,)
     register_half_way_time()  # as a notebook does that runs a cell twice
-    assert len(own_measures()) == 1
+    assert len(catalogue.own_measures()) == 1
 
 
 @pytest.mark.parametrize(
@@ -93,12 +87,12 @@ def test_a_decorator_that_is_used_wrongly_says_how_it_is_used(decorator, wrong):
 def test_a_store_knows_measures_whose_functions_are_not_here():
     register_half_way_time()
     set_measure(label="episodes", environment="random")(lambda episodes: float(len(episodes)))
-    own, of_sets = own_measures()
-    facts = json.loads(json.dumps({one.name: one.facts for one in own_measures()}))
+    own, of_sets = catalogue.own_measures()
+    facts = json.loads(json.dumps({one.name: one.facts for one in catalogue.own_measures()}))
     del MEASURES[own.name], SET_MEASURES[of_sets.name]
-    found = measures_of({own.name: facts[own.name], "success": "fraction"})
+    found = catalogue.measures_of({own.name: facts[own.name], "success": "fraction"})
     assert (found[own.name], list(found)) == (own, [*MEASURES, own.name])
-    assert set_measures_of({of_sets.name: facts[of_sets.name]})[of_sets.name] == of_sets
+    assert catalogue.set_measures_of({of_sets.name: facts[of_sets.name]})[of_sets.name] == of_sets
     with pytest.raises(RuntimeError, match="its function is not loaded"):
         found[own.name].of(None)
 
@@ -114,14 +108,14 @@ def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypat
             f"def x(episode):\n    return {value}\n"
         )
         import_modules([f"measures_{number}"])
-        found.append(digest(MEASURES.pop("x")))
+        found.append(catalogue.digest(MEASURES.pop("x")))
     assert len(set(found[:3])) == 3 and found[3] == found[0]
     with pytest.raises(ValueError, match="module 'nobody' cannot be imported"):
         import_modules(["nobody"])
 
 
 def test_values_labels_and_intervals_are_written_as_the_measure_wants():
-    shown = shown_measures()
+    shown = catalogue.shown_measures()
     assert 8 <= len(shown) <= 14 and max(len(one.label) for one in shown) <= 20
     for name, value, number, quantity in (
         ("success", 0.975, "97.5", "97.5 %"),

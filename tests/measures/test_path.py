@@ -3,14 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from mmc_gym.measures.path import (
-    hand_over_joint_straightness,
-    linearity_index,
-    maximal_deviation,
-    path_efficiency,
-    path_ratio,
-    straightness,
-)
+from mmc_gym.measures import path
 
 
 def half_circle(points=1001):
@@ -20,15 +13,15 @@ def half_circle(points=1001):
 
 def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(make_episode):
     hands = half_circle()
-    assert straightness(hands) == pytest.approx(2 / math.pi, rel=1e-5)
-    assert linearity_index(hands) == pytest.approx(0.5)
+    assert path.straightness(hands) == pytest.approx(2 / math.pi, rel=1e-5)
+    assert path.linearity_index(hands) == pytest.approx(0.5)
     episode = make_episode(hands, hands[-1])
-    assert path_ratio(episode) == pytest.approx(math.pi / 2, rel=1e-5)
-    assert path_efficiency(episode) == pytest.approx(2 / math.pi, rel=1e-5)
-    assert maximal_deviation(episode) == pytest.approx(0.5)
+    assert path.path_ratio(episode) == pytest.approx(math.pi / 2, rel=1e-5)
+    assert path.path_efficiency(episode) == pytest.approx(2 / math.pi, rel=1e-5)
+    assert path.maximal_deviation(episode) == pytest.approx(0.5)
     there_and_back = make_episode([*hands, *hands[::-1]], [9.0, 9.0])
-    assert math.isnan(maximal_deviation(there_and_back))
-    for index in (straightness, linearity_index):
+    assert math.isnan(path.maximal_deviation(there_and_back))
+    for index in (path.straightness, path.linearity_index):
         assert math.isnan(index(np.ones((5, 2))))
 
 
@@ -42,14 +35,14 @@ def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(
     ],
 )
 def test_path_ratio_is_over_the_line_to_a_standing_target(make_episode, hands, target, ratio):
-    found = path_ratio(make_episode(hands, target))
+    found = path.path_ratio(make_episode(hands, target))
     assert found == pytest.approx(ratio, nan_ok=True)
 
 
 def test_under_a_rotation_path_ratio_is_that_of_the_cursor(make_episode):
     cursors = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     episode = make_episode([[0, 0], [0, 0.1], [0, 0.2]], [1.0, 1.0], cursors=cursors)
-    assert path_ratio(episode) == pytest.approx(math.sqrt(2))
+    assert path.path_ratio(episode) == pytest.approx(math.sqrt(2))
 
 
 def hands_of(joint_angles):
@@ -65,7 +58,7 @@ def test_a_line_in_hand_space_differs_from_one_in_joint_space(make_episode):
 
     def straighter_in_hand_space(hands, joint_angles):
         episode = make_episode(hands, hands[-1], joint_angles=joint_angles)
-        return hand_over_joint_straightness(episode)
+        return path.hand_over_joint_straightness(episode)
 
     assert straighter_in_hand_space(hands, joint_angles) == pytest.approx(-1)
     assert straighter_in_hand_space(line, bent) == pytest.approx(1)

@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.measures import SET_MEASURES
-from mmc_gym.measures.sets import (
-    fitts_law,
-    posture_spread,
-    posture_variability,
-    speed_curvature_law,
-)
+from mmc_gym.measures import SET_MEASURES, sets
 
 STEP = 0.02
 
@@ -48,15 +42,15 @@ TURNS = math.tau * np.random.default_rng(0).integers(-3, 4, size=(20, 3))
     ],
 )
 def test_postures_spread_from_none_to_the_root_of_two(postures, spread):
-    assert posture_spread(postures) == pytest.approx(spread, abs=1e-7, nan_ok=True)
+    assert sets.posture_spread(postures) == pytest.approx(spread, abs=1e-7, nan_ok=True)
 
 
 def test_small_spreads_are_standard_deviations_across_the_seam_too():
     angles = np.random.default_rng(1).normal(math.pi, 0.05, size=(4000, 1))
     wrapped = (angles + math.pi) % math.tau - math.pi
-    assert posture_spread(wrapped) == pytest.approx(angles.std(), rel=1e-3)
+    assert sets.posture_spread(wrapped) == pytest.approx(angles.std(), rel=1e-3)
     both = np.concatenate([wrapped, np.zeros_like(wrapped)], axis=-1)
-    assert posture_spread(both) == pytest.approx(angles.std() / math.sqrt(2), rel=1e-3)
+    assert sets.posture_spread(both) == pytest.approx(angles.std() / math.sqrt(2), rel=1e-3)
 
 
 def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(make_episode):
@@ -67,19 +61,19 @@ def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(
     here, there = [1.0, 0.0], [0.0, 2.0]
     met = [ending(0.0, here), ending(math.pi / 2, here), *[ending(1.0, there)] * 2]
     missed, alone = ending(3.0, there, hand=[0.0, 1.0]), ending(3.0, [5.0, 5.0])
-    found = posture_variability([*met, missed, alone])
+    found = sets.posture_variability([*met, missed, alone])
     assert found == pytest.approx(math.sqrt(2 * (1 - math.sqrt(0.5))) / 2)
-    assert math.isnan(posture_variability([alone]))
+    assert math.isnan(sets.posture_variability([alone]))
 
 
 def test_fitts_line_through_exact_conditions_is_found():
     amplitudes, widths = np.meshgrid([0.3, 0.6, 1.2], [0.02, 0.05, 0.1])
     times = 0.15 + 0.08 * np.log2(2 * amplitudes / widths)
-    line = fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel())
+    line = sets.fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel())
     assert line == pytest.approx((0.15, 0.08, 1.0))
     times[0, 0] = math.nan
-    assert fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel()) == pytest.approx(line)
-    assert np.isnan(fitts_law([1, 1, 1], [0.1, 0.1, 0.1], [0.4, 0.5, 0.6])).all()
+    assert sets.fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel()) == pytest.approx(line)
+    assert np.isnan(sets.fitts_law([1, 1, 1], [0.1, 0.1, 0.1], [0.4, 0.5, 0.6])).all()
 
 
 FITTS = ("fitts_slope", "fitts_intercept", "fitts_r_squared")
@@ -110,7 +104,7 @@ def ellipse(phase, axes=(1.0, 0.4)):
 def test_a_harmonic_ellipse_follows_the_two_thirds_power_law(axes):
     # κ = a b ω³ / v³, and so v = ω (a b)^{1/3} κ^{−1/3}.
     turn, omega = np.array([[0.8, -0.6], [0.6, 0.8]]), 1.5
-    law = speed_curvature_law(ellipse(omega * STEP * np.arange(400), axes) @ turn.T, STEP)
+    law = sets.speed_curvature_law(ellipse(omega * STEP * np.arange(400), axes) @ turn.T, STEP)
     expected = math.log(omega * np.prod(axes) ** (1 / 3)), -1 / 3, 1
     assert law == pytest.approx(expected, abs=1e-3)
 
@@ -120,14 +114,14 @@ def test_the_same_ellipse_at_constant_speed_has_the_exponent_zero():
     lengths = np.linalg.norm(np.diff(ellipse(phase), axis=0), axis=-1)
     way = np.concatenate([[0], np.cumsum(lengths)])
     even = np.interp(np.linspace(0, way[-1], 400), way, phase)
-    assert speed_curvature_law(ellipse(even), STEP).slope == pytest.approx(0, abs=5e-3)
+    assert sets.speed_curvature_law(ellipse(even), STEP).slope == pytest.approx(0, abs=5e-3)
 
 
 def test_straight_paths_and_hands_at_rest_have_no_power_law():
     line = np.linspace(0, 1, 50)[:, None] ** 2 * [1.0, 2.0]
     trembling = 1e-4 * np.random.default_rng(0).standard_normal((50, 2)) * STEP
     for hands in (line, trembling, np.zeros((50, 2)), np.zeros((2, 2)), np.zeros((0, 2))):
-        assert math.isnan(speed_curvature_law(hands, STEP).slope)
+        assert math.isnan(sets.speed_curvature_law(hands, STEP).slope)
 
 
 POWER = ("speed_curvature_exponent", "speed_curvature_r_squared")

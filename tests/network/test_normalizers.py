@@ -47,12 +47,10 @@ def test_a_learned_normalizer_is_its_layers_one_after_the_other():
     normalizer = small_normalizer()
     vectors = np.random.default_rng(1).normal(size=(5, 6, 2))
     values = vectors / 0.7
-    activations = normalizer.activations(values)
-    for weight, bias, activation in zip(
-        normalizer.weights, normalizer.biases, activations, strict=True
-    ):
+    outputs = normalizer.activations(values)
+    for weight, bias, output in zip(normalizer.weights, normalizer.biases, outputs, strict=True):
         values = np.tanh(values @ weight.T + bias)
-        np.testing.assert_allclose(activation, values, atol=1e-14)
+        np.testing.assert_allclose(output, values, atol=1e-14)
     np.testing.assert_allclose(normalizer(vectors, 0.7), 0.7 * values, atol=1e-14)
     assert normalizer.hidden_units == (3, 4)
 
@@ -71,9 +69,8 @@ def test_a_shipped_normalizer_turns_no_vector_much(name, near, lengths, largest)
     errors = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21), directions=720))
     assert errors.mean() < near
     assert f"name='{name}'" in normalizer.card["recipe"] and normalizer.card["seed"] == "0, run 0"
-    assert float(normalizer.card["mean_angle_error_deg"].split()[0]) == pytest.approx(
-        errors.mean(), rel=1e-2
-    )
+    written = float(normalizer.card["mean_angle_error_deg"].split()[0])
+    assert written == pytest.approx(errors.mean(), rel=1e-2)
     assert np.degrees(angle_errors(normalizer, lengths, directions=720).max()) < largest
     assert mean_squared_error(normalizer, directions=360) < 0.00053  # that of the published one
 

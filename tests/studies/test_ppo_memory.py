@@ -9,15 +9,7 @@ import torch
 from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.interface import ReachInterface
 from mmc_gym.training.training import Training, make_vec_env
-from studies.learners.ppo_memory import (
-    HERE,
-    Memory,
-    TaughtPolicy,
-    TaughtPPO,
-    TaughtTraining,
-    TruthfulScenarios,
-    taught_recipe,
-)
+from studies.learners import ppo_memory as study
 
 pytestmark = pytest.mark.slow
 
@@ -25,9 +17,9 @@ ARMS = 8
 SCENARIOS = {"names": ["random"], "groups": 1}
 
 
-def truthful(**arguments: Any) -> TruthfulScenarios:
+def truthful(**arguments: Any) -> study.TruthfulScenarios:
     plain = make_vec_env("MMCReach-v0", ARMS, {"engine": "analytic", "control": "joint_delta"})
-    return TruthfulScenarios(plain, **{**SCENARIOS, **arguments})
+    return study.TruthfulScenarios(plain, **{**SCENARIOS, **arguments})
 
 
 def truth(name: str, steps: int, action: float = 0.3) -> np.ndarray:
@@ -85,15 +77,18 @@ def test_the_velocity_of_a_target_is_true_and_a_jump_is_none():
 def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_trained(tmp_path):
     changes = {"n_timesteps": 1, "n_envs": 32, "n_steps": 8, "batch_size": 64}
     changes |= {"policy_kwargs": {"net_arch": [8], "teacher": [8]}}
-    wrappers = [{f"{HERE}.TruthfulScenarios": SCENARIOS}, {f"{HERE}.Memory": {"blocks": [1, 2, 3]}}]
+    wrappers = [
+        {f"{study.HERE}.TruthfulScenarios": SCENARIOS},
+        {f"{study.HERE}.Memory": {"blocks": [1, 2, 3]}},
+    ]
     models: list[Any] = []
-    recipe = taught_recipe(**changes, vec_env_wrapper=wrappers)
-    one = TaughtTraining(recipe, 0, tmp_path, evaluations=1)
+    recipe = study.taught_recipe(**changes, vec_env_wrapper=wrappers)
+    one = study.TaughtTraining(recipe, 0, tmp_path, evaluations=1)
     one.save = lambda model: (models.append(model), Training.save(one, model))  # type: ignore[method-assign, assignment]
     card = one.run()
     network, same = load_policy(tmp_path / "ppo-memory-0.json")
     assert (card.blocks, same.blocks) == ((1, 2, 3), (1, 2, 3))
-    env = Memory(truthful(), card.blocks)
+    env = study.Memory(truthful(), card.blocks)
     agent, model = PolicyAgent(network, card, ReachInterface.of(env)), models[-1]
     shown, state, started = env.reset(), None, np.ones(ARMS, dtype=bool)
     for _ in range(120):  # over the end of episodes
@@ -106,8 +101,8 @@ def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_traine
 
 
 def test_a_student_learns_to_act_as_its_teacher_which_stays_as_it_is():
-    env = Memory(truthful(), (1, 2, 3))
-    model = TaughtPPO(TaughtPolicy, env, lessons=1.0, n_steps=50, batch_size=50, seed=0)
+    env = study.Memory(truthful(), (1, 2, 3))
+    model = study.TaughtPPO(study.TaughtPolicy, env, lessons=1.0, n_steps=50, batch_size=50, seed=0)
     observations = torch.as_tensor(env.reset())
 
     def off() -> tuple[float, np.ndarray]:

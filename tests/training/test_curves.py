@@ -107,8 +107,6 @@ def test_the_figure_has_a_panel_for_steps_and_one_for_minutes():
     curves = curve_rows(cards)
     figure = draw_learning_curves(mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds"))
     _, right = figure.axes
-    names = [text.get_text() for text in figure.legends[0].texts]
-    assert names == ["ppo (3 seeds)", "sac (1 seed)"]
     drawn = [line for line in right.lines if len(line.get_xdata()) > 2]
     assert drawn[0].get_xdata() == pytest.approx([1, 2, 3, 4, 5])
     assert drawn[0].get_ydata() == pytest.approx(RISE)

@@ -35,22 +35,15 @@ from mmc_gym.training.training import (
 LEGS = 4
 RANDOM_SCENARIOS = "mmc_gym.training.vec_env.RandomScenarios"
 RESIDUAL = "mmc_gym.training.vec_env.Residual"
-SMALL = {"n_timesteps": 1600, "n_envs": 4}
-OFF_POLICY = {"learning_starts": 64, "batch_size": 32, "buffer_size": 1200}  # it overflows
+SMALL = {"n_timesteps": 1600, "n_envs": 4, "policy_kwargs": {"net_arch": [8]}}
+DELAYS = {RANDOM_SCENARIOS: {"groups": 2, "ranges": {"delay": [0, 100]}}}
+OFF_POLICY = {"batch_size": 32, "buffer_size": 1200, "gradient_steps": 1}  # it overflows
 TINY: dict[str, dict[str, Any]] = {
-    "ppo": {"n_steps": 100, "batch_size": 100, "n_epochs": 2, "policy_kwargs": {"net_arch": [8]}},
-    "ppo-residual": {
-        **{"n_steps": 50, "batch_size": 50, "policy_kwargs": {"net_arch": [8]}},
-        "vec_env_wrapper": [
-            {RANDOM_SCENARIOS: {"groups": 2, "ranges": {"delay": [0, 100]}}},
-            RESIDUAL,
-        ],
-    },
-    "sac": {**OFF_POLICY, "gradient_steps": 1, "policy_kwargs": {"net_arch": [8]}},
+    "ppo": {"n_steps": 100, "batch_size": 100, "n_epochs": 2},
+    "ppo-residual": {"n_steps": 50, "batch_size": 50, "vec_env_wrapper": [DELAYS, RESIDUAL]},
+    "sac": {**OFF_POLICY, "learning_starts": 64},
     "tqc-her": {
-        **OFF_POLICY,
-        "learning_starts": 440,  # hindsight needs a finished episode
-        "gradient_steps": 1,
+        **{**OFF_POLICY, "learning_starts": 440},  # hindsight needs a finished episode
         "policy_kwargs": {"net_arch": [8], "n_critics": 1},
     },
 }
@@ -166,9 +159,8 @@ def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(tmp_path):
     network, card = load_policy(tmp_path / "ppo-3.json")
     envs = gym.make_vec(card.env_id, 5, control="joint_delta")
     observations, _ = envs.reset(seed=0)
-    actions, _ = PolicyAgent(network, card, ReachInterface.of(envs)).predict(
-        observations, deterministic=True
-    )
+    agent = PolicyAgent(network, card, ReachInterface.of(envs))
+    actions, _ = agent.predict(observations, deterministic=True)
     expected, _ = models[-1].predict(observations, deterministic=True)
     np.testing.assert_allclose(actions, expected, atol=1e-6)
 

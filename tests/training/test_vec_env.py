@@ -118,14 +118,10 @@ def test_renders_a_grid_of_pictures_and_closes():
 ARMS = 6
 
 
-def wrapped() -> Residual:
-    env = native(count=ARMS, control="joint_delta")
-    env.seed(3)
-    return Residual(env)
-
-
 def test_without_a_correction_it_is_the_base_agent():
-    residual, envs = wrapped(), native(count=ARMS, control="joint_delta").vector_env
+    residual = Residual(native(count=ARMS, control="joint_delta"))
+    residual.seed(3)
+    envs = native(count=ARMS, control="joint_delta").vector_env
     agent, state = make_agent("mmc", envs), None  # type: ignore[arg-type]
     seen, (observed, _) = residual.reset(), envs.reset(seed=3)
     assert residual.observation_space.contains(seen[0])
