@@ -6,13 +6,9 @@ import pytest
 from mmc_gym.measures import path
 
 
-def half_circle(points=1001):
-    angles = np.linspace(0, math.pi, points)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-
-
 def test_a_half_circle_is_half_pi_times_its_diameter_and_deviates_by_half_of_it(make_episode):
-    hands = half_circle()
+    angles = np.linspace(0, math.pi, 1001)
+    hands = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     assert path.straightness(hands) == pytest.approx(2 / math.pi, rel=1e-5)
     assert path.linearity_index(hands) == pytest.approx(0.5)
     episode = make_episode(hands, hands[-1])

@@ -81,17 +81,13 @@ def test_posture_and_hand_are_fused_where_the_squares_of_what_they_miss_are_leas
     assert (np.linalg.norm(missed, axis=-1) > 1e-4).any()
 
 
-@st.composite
-def locked_arms(draw):
-    count = draw(st.integers(2, 5))
-    locked = draw(st.lists(st.booleans(), min_size=count, max_size=count))
-    lengths = draw(st.lists(st.floats(0.3, 2.0), min_size=count, max_size=count))
-    return np.array(locked), tuple(lengths), draw(st.integers(0, 2**31))
-
-
-@given(locked_arms(), st.sampled_from(DYNAMICS))
-def test_locked_joints_stay_and_lengths_too_whatever_the_target(arm, dynamics):
-    locked, lengths, seed = arm
+@given(
+    joints=st.lists(st.tuples(st.booleans(), st.floats(0.3, 2.0)), min_size=2, max_size=5),
+    dynamics=st.sampled_from(DYNAMICS),
+    seed=st.integers(0, 2**31),
+)
+def test_locked_joints_stay_and_lengths_too_whatever_the_target(joints, dynamics, seed):
+    locked, lengths = map(np.array, zip(*joints))
     network = MMCNetwork(lengths, len(lengths) + 1, dynamics=dynamics)
     start = network.state_from_joint_angles(postures(seed, 4, len(lengths)))
     body = Embodiment(locked=locked, joint_angles=start.joint_angles)

@@ -22,15 +22,7 @@ from mmc_gym.body import ArmParameters
 from mmc_gym.interface import ReachInterface
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
-from mmc_gym.training.training import (
-    CHECKPOINT,
-    PolicyName,
-    Training,
-    library_versions,
-    shipped_policies,
-    train,
-    train_all,
-)
+from mmc_gym.training.training import CHECKPOINT, Training, train_all
 
 LEGS = 4
 RANDOM_SCENARIOS = "mmc_gym.training.vec_env.RandomScenarios"
@@ -199,7 +191,7 @@ def test_nothing_is_overwritten_unasked(trained, tmp_path, file):
 )
 def test_a_checkpoint_of_another_training_is_refused(trained, changes, message, monkeypatch):
     if not changes:
-        versions = {**library_versions(), "numpy": "0.1"}
+        versions = {**module.library_versions(), "numpy": "0.1"}
         monkeypatch.setattr(module, "library_versions", lambda: versions)
     with pytest.raises(UserError, match=message):
         training("ppo", trained, 3 if changes else 4, **changes).run(resume=True)
@@ -282,7 +274,7 @@ def test_a_short_training_with_the_shipped_hyperparameters_reaches(tmp_path):
 
 def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    agent = train("ppo", seed=3, steps=1)
+    agent = module.train("ppo", seed=3, steps=1)
     assert not list(tmp_path.iterdir())
     env = gym.make("MMCReach-v0")
     observation, _ = env.reset(seed=0)
@@ -291,12 +283,12 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
     assert saved == Path("mine/ppo-3.json")
     again = mmc_gym.make_agent(str(saved), env)
     np.testing.assert_array_equal(action, again.predict(observation, deterministic=True)[0])
-    kept = train("ppo", seed=3, steps=1, out="kept")
+    kept = module.train("ppo", seed=3, steps=1, out="kept")
     np.testing.assert_array_equal(action, kept.predict(observation, deterministic=True)[0])
     assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}
 
 
-POLICIES = [PolicyName("ppo", 0), PolicyName("ppo", 1)]
+POLICIES = [module.PolicyName("ppo", 0), module.PolicyName("ppo", 1)]
 STEPS = 4_096  # one rollout
 
 
@@ -357,6 +349,6 @@ def test_mistakes_are_named_before_anything_is_trained(trained, tmp_path, option
 
 
 def test_the_seeds_that_ship_are_those_asked_for():
-    counts = Counter(policy.name for policy in set(shipped_policies()))
+    counts = Counter(policy.name for policy in set(module.shipped_policies()))
     assert (counts["ppo"], counts["sac"], counts["tqc-her"]) == (10, 5, 5)
     assert "ppo-memory" not in counts  # a study trains it
