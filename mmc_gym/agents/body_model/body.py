@@ -41,9 +41,10 @@ Literature: G. Schwarz (1978), Estimating the dimension of a model, Ann. Statist
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmc_gym.agents.base import every, some, where
 from mmc_gym.agents.body_model.arm import Bools, Points, unit_vectors
@@ -148,6 +149,15 @@ class BodyEvidence(NamedTuple):
         return body
 
 
+def _product(matrices: Floats, vectors: NDArray[Any]) -> NDArray[Any]:
+    """Return the products of matrices (..., N, N) and vectors (..., N), the same in any batch.
+
+    The order in which a library for matrices sums may differ between batches.
+    """
+    product: NDArray[Any] = (matrices * vectors[..., None, :]).sum(axis=-1)
+    return product
+
+
 class Hypothesis(NamedTuple):
     """A hypothesis about the bodies of n arms."""
 
@@ -161,18 +171,18 @@ def hypotheses(g: Floats, h: Points, given: Floats) -> list[Hypothesis]:
     segments = len(given)
     lengths: Floats = np.tile(given, (len(h), 1))
     unturned: Points = np.ones(len(h), complex)
-    turn = np.exp(1j * np.angle(h @ given))
-    change = (h.real - g @ given) / (np.diagonal(g, axis1=1, axis2=2) + RIDGE)
+    turn = np.exp(1j * np.angle((h * given).sum(axis=-1)))
+    change = (h.real - (g * given).sum(axis=-1)) / (np.diagonal(g, axis1=1, axis2=2) + RIDGE)
     inverse = np.linalg.inv(g + RIDGE * np.eye(segments))
-    double = (h * (inverse @ h[..., None])[..., 0]).sum(axis=-1)
+    double = (h * _product(inverse, h)).sum(axis=-1)
     half_turn: Points = np.exp(0.5j * np.angle(double))
     # Of two opposite turns, the one that leaves lengths positive.
-    is_opposite = (half_turn.conj()[:, None] * h).real @ given < 0
+    is_opposite = ((half_turn.conj()[:, None] * h).real * given).sum(axis=-1) < 0
     both_turn = half_turn * np.where(is_opposite, -1, 1)
 
     def all_lengths(turn: Points) -> Floats:
         back = (turn.conj()[:, None] * h).real + RIDGE * given
-        return (inverse @ back[..., None])[..., 0]
+        return _product(inverse, back)
 
     return [
         Hypothesis(lengths, unturned, parameters=0),
@@ -200,7 +210,7 @@ def most_likely(sums: Points, given: Floats) -> Body:
         shift = is_shifted * (hand_sum - body.seen(unit_sum)) / count
         bodies.append(body._replace(shift=shift))
         back = (body.turn.conj()[..., None] * h).real
-        own = ((g @ lengths[..., None])[..., 0] * lengths).sum(axis=-1)
+        own = (_product(g, lengths) * lengths).sum(axis=-1)
         square_error = np.maximum(s - 2 * (back * lengths).sum(axis=-1) + own, 0.0)
         parameters = np.array([one.parameters + 2 * is_shifted for one in each])[:, None]
         criterion = count * np.log((square_error + EXACT) / (count + 1))

@@ -152,7 +152,7 @@ class Drive(NamedTuple):
         if some(noise):
             square = left * left
             trust = square / (square + (3 * noise) ** 2 + 1e-12)
-            lead = left + trust * (lead - left)
+            lead = np.where(noise > 0, left + trust * (lead - left), lead)
         lead = bounded(lead, LONGEST)
         return posture + lead, self._replace(lead=lead)
 

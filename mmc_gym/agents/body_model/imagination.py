@@ -73,6 +73,15 @@ def settled_network(network: MMCNetwork, problem: ReachProblem, iterations: int)
     because it takes longer until all segments are affected by the target.
     """
     joint_angles, aim, lengths, held = problem
+    if held is not None:
+        is_held = np.asarray(held.any(axis=-1))
+        if not every(is_held):  # each arm moves as it does alone
+            free = settled_network(network, problem.of(~is_held)._replace(held=None), iterations)
+            angles = np.empty_like(joint_angles)
+            angles[~is_held] = free
+            if some(is_held):
+                angles[is_held] = settled_network(network, problem.of(is_held), iterations)
+            return angles
     iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
     # Single precision is as precise as the senses, and four times as fast.
     start = network.state_from_segments(_vectors(lengths * unit_vectors(joint_angles)))
@@ -128,9 +137,12 @@ class Imagination:
         postures = self.solver(problem, iterations)
         within = self.interface.within_limits(postures)
         is_beyond = np.abs(wrap_angle(postures - within)) > BEYOND
-        if some(is_beyond):
+        again = np.asarray(is_beyond.any(axis=-1))
+        if some(again):
             held = is_beyond if problem.held is None else problem.held | is_beyond
-            within = self.solver(problem._replace(joint_angles=within, held=held), iterations)
+            stopped = problem._replace(joint_angles=within, held=held).of(again)
+            within = within.copy()
+            within[again] = self.solver(stopped, iterations)
         return self.interface.within_limits(within)
 
     def followed(self, goal: Floats, problem: ReachProblem) -> Floats:
@@ -158,6 +170,7 @@ class Imagination:
         if held is not None:
             starts = np.where(held, joint_angles, starts)
             held = np.broadcast_to(held, starts.shape)
+        lengths = np.broadcast_to(lengths, starts.shape)
         aims = np.broadcast_to(aim, starts.shape[:-1])
         postures = self.settle(ReachProblem(starts, aims, lengths, held), SETTLE)
         return postures, self.cost(problem, postures)
@@ -189,4 +202,4 @@ def within_reach(aim: Points, lengths: Floats) -> Points:
     if every(allowed == distance):
         return aim
     direction = np.where(distance > 0, aim / np.maximum(distance, 1e-12), 1.0)
-    return direction * allowed
+    return np.where(allowed == distance, aim, direction * allowed)

@@ -114,6 +114,7 @@ class Contacts(NamedTuple):
         actual = _across(units, lengths, posture.turn)
         lost = (_across(units, lengths, before.turn) - actual) * np.sign(wanted)
         after = self._pressed(wanted, actual, lost, lacks[:, None], is_still)
+        after = where(lacks | is_still, after, self._released())
         is_new, point = after._point_of_contact(wanted)
         after = after._replace(is_new=is_new)
         if not some(is_new):

@@ -86,15 +86,18 @@ class PostureTrack(NamedTuple):
         unclear = half * np.abs(speeds - self.speeds) + MODEL_ERROR
         strange = np.abs(wrap_angle(joint_angles - self.seen - turn)) - unclear
         median = np.sort(strange, axis=-1)[:, (strange.shape[-1] - 1) // 2, None]
-        if not some(median > 0.0) and not some(self.noise):
-            return self.unfiltered(joint_angles, speeds)
+        is_noisy = (median > 0.0) | (self.noise > 0.0)
+        exact = wrap_angle(joint_angles - self.joint_angles)
+        if not some(is_noisy):
+            return self._turned(exact, joint_angles, speeds)
         median = np.clip(median, 0.0, LARGEST)
         rate = np.maximum(NOISE_RATE, 1 / self.age)
         noise = self.noise + rate * (median * median / (2 * MIDDLE) - self.noise)
         doubt = np.where(self.age == 1, noise, self.doubt)
         doubt = doubt + (unclear * unclear).mean(axis=-1, keepdims=True)
         gain = doubt / (doubt + noise)
-        turn = turn + gain * wrap_angle(joint_angles - self.joint_angles - turn)
+        filtered = turn + gain * wrap_angle(joint_angles - self.joint_angles - turn)
+        turn = np.where(is_noisy, filtered, exact)
         after = self._turned(turn, joint_angles, speeds)
         return after._replace(noise=noise, doubt=(1 - gain) * doubt)
 
@@ -155,8 +158,11 @@ class TargetTrack(NamedTuple):
     def observed(self, target: Points, control_step: float) -> TargetTrack:
         """Return the estimate after one more observation, a control step later."""
         age, seen = self.age + 1, self.seen + 1
-        if np.abs(target[:, None] - self.history).max() < SAME and not some(self.velocity):
-            return self._replace(age=age, seen=seen, has_jumped=np.zeros(len(target), bool))
+        stays = np.abs(target[:, None] - self.history).max(axis=-1) < SAME
+        stays &= self.velocity == 0
+        same = self._replace(age=age, seen=seen, has_jumped=np.zeros(len(target), bool))
+        if every(stays):
+            return same
         expected = self.place + self.velocity + self.curve
         error, stray = target - expected, target - self.mean
         jumps = self._jumps(error, stray)
@@ -192,10 +198,10 @@ class TargetTrack(NamedTuple):
             has_jumped=jumps,
             is_moving=(moving < 0.5 * resting) & (age > SETTLED),
         )
-        if not some(jumps):
-            return after
-        fresh = TargetTrack.start(target)._replace(noise=noise, seen=seen, has_jumped=jumps)
-        return where(jumps, fresh, after)
+        if some(jumps):
+            fresh = TargetTrack.start(target)._replace(noise=noise, seen=seen, has_jumped=jumps)
+            after = where(jumps, fresh, after)
+        return where(stays, same, after) if some(stays) else after
 
     def _jumps(self, error: Points, stray: Points) -> Bools:
         """Return which targets jump, from their errors to the moving and the resting prediction."""
