@@ -83,13 +83,7 @@ class Quantity:
         return f"{self.label} ({self.unit})" if self.unit in METHODS else self.label
 
     def number(self, value: float) -> str:
-        """Write a value without its unit, a fraction in percent.
-
-        Example:
-            >>> from mmc_gym.measures import MEASURES
-            >>> MEASURES["success"].number(0.975)
-            '97.5'
-        """
+        """Write a value without its unit, a fraction in percent."""
         scale, decimals = (100, 1) if self.unit == "fraction" else (1, self.decimals)
         return number(scale * value, decimals)
 
@@ -278,8 +272,5 @@ def leave_out_failures(
     """
     known = MEASURES.values() if measures is None else measures
     names = [one.name for one in known if one.successes_only and one.name in episodes]
-    arrived = episodes["success"].to_numpy() == 1.0
-    columns: dict[str, Any] = {
-        name: np.where(arrived, episodes[name].to_numpy(np.float64), np.nan) for name in names
-    }
-    return episodes.assign(**columns)
+    arrived = episodes["success"] == 1.0
+    return episodes.assign(**episodes[names].astype(np.float64).where(arrived))

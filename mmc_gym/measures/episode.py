@@ -93,17 +93,16 @@ class Episode:
 
 
 def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
-    """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T.
+    """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T, (steps,).
 
-    In segment lengths/s, (steps,).  It is the mean over a straight step, and so the speed in the
-    middle of the step up to terms in T².
+    It is that in the middle of the step, in segment lengths/s, up to terms in T².
 
     Args:
         hands: positions p, segment lengths, (steps + 1, 2).
         control_step: T, seconds.
     """
-    displacements = np.diff(np.asarray(hands, dtype=np.float64), axis=0)
-    speeds: Floats = np.linalg.norm(displacements, axis=-1) / control_step
+    steps = np.diff(np.asarray(hands, dtype=np.float64), axis=0)
+    speeds: Floats = np.linalg.norm(steps, axis=-1) / control_step
     return speeds
 
 
@@ -111,10 +110,6 @@ def moving_part(speeds: ArrayLike) -> slice:
     """Return the steps from the first to the last with at least 5 % of the peak speed.
 
     The slice is empty at rest.
-
-    Example:
-        >>> moving_part([0.01, 0.2, 1.0, 0.02, 0.1, 0.04])
-        slice(1, 5, None)
     """
     profile = np.asarray(speeds, dtype=np.float64)
     highest = profile.max(initial=0.0)

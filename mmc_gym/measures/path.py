@@ -18,10 +18,6 @@ def straightness(points: ArrayLike) -> float:
 
     Args:
         points: positions of the hand, or joint angles, (points, dimensions).
-
-    Example:
-        >>> straightness([[0, 0], [3, 0], [3, 4]])  # 5 on the line, 7 on the path
-        0.714286
     """
     path = np.asarray(points, dtype=np.float64)
     length = _length(path)
@@ -42,18 +38,13 @@ def linearity_index(points: ArrayLike) -> float:
     Source:
         Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
         https://doi.org/10.1523/JNEUROSCI.05-09-02318.1985.
-
-    Example:
-        >>> linearity_index([[0, 0], [1, 1], [4, 0]])
-        0.25
     """
     path = np.asarray(points, dtype=np.float64)
-    line = path[-1] - path[0]
-    length = float(np.linalg.norm(line))
+    away = path - path[0]
+    length = float(np.linalg.norm(away[-1]))
     if length == 0.0:
         return math.nan
-    along = line / length
-    away = path - path[0]
+    along = away[-1] / length
     across = away - (away @ along)[:, None] * along
     return float(np.linalg.norm(across, axis=-1).max()) / length
 
@@ -112,8 +103,6 @@ def hand_over_joint_straightness(episode: Episode) -> float:
         223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
     """
     points = episode.movement_points
-    if episode.joint_angles.shape[-1] == 0:
-        return math.nan
     of_hand = linearity_index(episode.hands[points])
     of_joints = linearity_index(episode.joint_angles[points])
     total = of_hand + of_joints

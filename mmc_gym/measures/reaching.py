@@ -7,6 +7,7 @@ control step in seconds, and ε the distance within which a target counts as rea
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,10 +29,6 @@ def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool
         distances: from hand to target, segment lengths, (steps + 1,).
         tolerance: ε, segment lengths; a distance of exactly ε is within, as in the environment.
         steps: number of control steps; a shorter episode counts as a whole.
-
-    Example:
-        >>> [stays_within([1.0, 0.3, 0.05], 0.05, steps) for steps in (0, 1)]
-        [True, False]
     """
     return bool((np.asarray(distances)[-steps - 1 :] <= tolerance).all())
 
@@ -40,9 +37,8 @@ def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) ->
     """Return the seconds until the hand is within `tolerance` and stays until the episode ends.
 
     T · min{k : d_j ≤ ε for every j ≥ k}, where T is the `control_step`: 0 for a hand that is there
-    from the start, NaN if the episode ends outside.  It is not the first entry, because a
-    hand that rushes through the target would then be the quickest.  For the other arguments see
-    `stays_within`.
+    from the start, NaN if the episode ends outside.  The first entry would make a hand the quickest
+    that rushes through the target.  For the other arguments see `stays_within`.
 
     Example:
         >>> arrival_time([1.0, 0.0, 0.5, 0.04, 0.01], 0.05, 0.02)  # enters, leaves, settles
@@ -57,23 +53,15 @@ def largest_retreat(distances: ArrayLike) -> float:
     """Return how far the hand retreats from the target: max_{k>j} (d_k − d_j), at least 0.
 
     The published figures call more than 0.01 of the way from start to target an overshoot.
-
-    Example:
-        >>> largest_retreat([1.0, 0.5, 0.0]), largest_retreat([1.0, 0.25, 0.5, 0.0])
-        (0.0, 0.25)
     """
     profile = np.asarray(distances, dtype=np.float64)
     return float((profile - np.minimum.accumulate(profile)).max())
 
 
-@measure(
-    label="success at the end",
-    unit="fraction",
-    best="high",
-    statistic="mean",
-    decimals=3,
-    shown=True,
-)
+_SHARE: Any = {"unit": "fraction", "best": "high", "statistic": "mean", "decimals": 3}
+
+
+@measure(label="success at the end", shown=True, **_SHARE)
 def success(episode: Episode) -> float:
     """Return 1 if the hand is within ε of the target when the episode ends, else 0.
 
@@ -82,26 +70,19 @@ def success(episode: Episode) -> float:
     return float(stays_within(episode.distances, episode.tolerance))
 
 
-@measure(
-    label="within 1 % of reach",
-    unit="fraction",
-    best="high",
-    statistic="mean",
-    decimals=3,
-    shown=True,
-)
+@measure(label="within 1 % of reach", shown=True, **_SHARE)
 def success_1_percent(episode: Episode) -> float:
     """Return 1 if the hand stays within 1 % of the reach for the last `DWELL` seconds, else 0."""
     return _success_with_dwell(episode, part_of_reach=0.01)
 
 
-@measure(label="within 2 % of reach", unit="fraction", best="high", statistic="mean", decimals=3)
+@measure(label="within 2 % of reach", **_SHARE)
 def success_2_percent(episode: Episode) -> float:
     """Return 1 if the hand stays within 2 % of the reach for the last `DWELL` seconds, else 0."""
     return _success_with_dwell(episode, part_of_reach=0.02)
 
 
-@measure(label="within 5 % of reach", unit="fraction", best="high", statistic="mean", decimals=3)
+@measure(label="within 5 % of reach", **_SHARE)
 def success_5_percent(episode: Episode) -> float:
     """Return 1 if the hand stays within 5 % of the reach for the last `DWELL` seconds, else 0."""
     return _success_with_dwell(episode, part_of_reach=0.05)
@@ -134,11 +115,8 @@ def settling_time(episode: Episode) -> float:
     `time_to_target` less T · min{k : d_k ≤ ε}: 0 for a hand that arrives and stays, NaN for one
     that does not stay.
     """
-    arrived = time_to_target(episode)
-    if math.isnan(arrived):
-        return math.nan
     first = int(np.argmax(episode.distances <= episode.tolerance))
-    return arrived - first * episode.control_step
+    return time_to_target(episode) - first * episode.control_step
 
 
 @measure(label="overshoot", unit="lengths", best="low", decimals=3, successes_only=True)

@@ -114,9 +114,8 @@ def run_episodes(
     require(fine, "seeds", seeds, "whole numbers of at least 0, one per episode")
     asked = [{}] * len(seeds) if options is None else options
     fine = isinstance(asked, Sequence) and all(isinstance(one, Mapping) for one in asked)
-    require(fine, "options", asked, "a list of mappings, one per seed")
-    if len(asked) != len(seeds):
-        raise UserError(f"options must be {len(seeds)}, one per seed, got {len(asked)}")
+    fine = fine and len(asked) == len(seeds)
+    require(fine, "options", asked, f"a list of {len(seeds)} mappings, one per seed")
     if isinstance(env, gym.vector.VectorEnv):
         arm: Any = _check_vector(env, len(seeds)).arms
         groups = [(seeds, asked)]

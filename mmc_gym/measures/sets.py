@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ FEWEST = 10  # samples for a fit
 
 
 class Line(NamedTuple):
-    """A straight line through points (x, y): intercept, slope, and explained share R²."""
+    """A straight line through points (x, y), and the share R² of the variance that it explains."""
 
     intercept: float
     slope: float
@@ -59,12 +60,6 @@ def posture_spread(joint_angles: ArrayLike) -> float:
     Source:
         Angular deviation: Batschelet (1981), Circular Statistics in Biology.  Donders' law for the
         arm: Soechting, Buneo, Herrmann & Flanders (1995), J. Neurosci. 15, 6271–6280.
-
-    Example:
-        >>> posture_spread([[0.1, 3.2], [0.1, 3.2 - 2 * np.pi]])
-        0.0
-        >>> posture_spread([[0.0], [np.pi / 2], [np.pi], [-np.pi / 2]]) ** 2
-        2.0
     """
     angles = np.asarray(joint_angles, dtype=np.float64)
     if angles.size == 0:
@@ -101,10 +96,6 @@ def fitts_law(amplitudes: ArrayLike, widths: ArrayLike, times: ArrayLike) -> Lin
 
     Source:
         Fitts (1954), J. Exp. Psychol. 47, 381–391.
-
-    Example:
-        >>> fitts_law([1, 2, 4], [0.5, 0.5, 0.5], [0.4, 0.5, 0.6])
-        Line(intercept=0.2, slope=0.1, r_squared=1.0)
     """
     bits = np.log2(2 * np.asarray(amplitudes, dtype=np.float64) / np.asarray(widths))
     return _fit_line(bits, np.asarray(times, dtype=np.float64), fewest=3)
@@ -120,10 +111,9 @@ def fitts_line(episodes: Sequence[Episode]) -> Line:
     for episode in episodes:
         groups[round(float(episode.distances[0]), 3)].append(episode)
     conditions = []
-    for distance, group in groups.items():
-        for width in FITTS_WIDTHS:
-            times = [arrival_time(one.distances, width / 2, one.control_step) for one in group]
-            conditions.append((distance, width, float(np.mean(times))))
+    for (distance, group), width in product(groups.items(), FITTS_WIDTHS):
+        times = [arrival_time(one.distances, width / 2, one.control_step) for one in group]
+        conditions.append((distance, width, float(np.mean(times))))
     return fitts_law(*np.transpose(conditions)) if conditions else NO_LINE
 
 

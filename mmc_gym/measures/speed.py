@@ -68,14 +68,9 @@ def phase_of_peak(speeds: ArrayLike) -> float:
 
     (p + ½)/n for the fastest of the steps p = 0 … n − 1, the first if several are.  ½ for every
     symmetric profile with one peak and an odd number of steps.
-
-    Example:
-        >>> phase_of_peak([0.1, 1.0, 0.5, 0.2]), phase_of_peak([0.5, 1.0, 0.5])
-        (0.375, 0.5)
     """
-    if highest_speed(speeds) == 0.0:
-        return math.nan
-    return (int(np.argmax(speeds)) + 0.5) / np.size(speeds)
+    is_moving = highest_speed(speeds) > 0.0
+    return (int(np.argmax(speeds)) + 0.5) / np.size(speeds) if is_moving else math.nan
 
 
 @measure(label="time to peak speed", unit="of duration", shown=True, successes_only=True)
@@ -94,16 +89,9 @@ def count_peaks(speeds: ArrayLike) -> float:
     Source:
         Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
         8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
-
-    Example:
-        >>> count_peaks([1.0, 0.5, 0.1]), count_peaks([0.1, 1.0, 0.2, 0.3, 0.1])
-        (1.0, 2.0)
     """
-    highest = highest_speed(speeds)
-    if highest == 0.0:
-        return 0.0
     profile = np.pad(np.asarray(speeds, dtype=np.float64), 1)
-    peaks, _ = find_peaks(profile, prominence=PEAK_PROMINENCE * highest)
+    peaks, _ = find_peaks(profile, prominence=PEAK_PROMINENCE * profile.max())
     return float(len(peaks))
 
 
@@ -171,7 +159,8 @@ def _minimum_jerk_profile(steps: int, span: tuple[float, float]) -> Floats:
     return profile
 
 
-def spectral_arc_length(speeds: ArrayLike, control_step: float) -> float:
+@measure(label="smoothness", unit="SPARC", best="high", shown=True, successes_only=True)
+def sparc(episode: Episode) -> float:
     """Return minus the arc length of the profile's spectrum (SPARC), about −1.4 if smooth.
 
     −∫₀^{f_c} √((1/f_c)² + (dM̂/df)²) df, where M̂ is the magnitude of the profile's Fourier
@@ -180,36 +169,21 @@ def spectral_arc_length(speeds: ArrayLike, control_step: float) -> float:
     not.  It hardly distinguishes an exponential decay from a bell; `time_to_peak` and
     `peak_to_mean` do.
 
-    Args:
-        speeds: the profile, (steps,), without rest before and after the movement.
-        control_step: T, seconds.
-
     Source:
         Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), J. NeuroEng. Rehabil. 12,
         112, https://doi.org/10.1186/s12984-015-0090-9; parameters as published.
-
-    Example:
-        >>> time = np.arange(-1, 1, 0.01)
-        >>> round(spectral_arc_length(np.exp(-5 * time**2), 0.01), 3)
-        -1.414
     """
-    profile = np.asarray(speeds, dtype=np.float64)
+    profile = episode.movement_speeds
     if highest_speed(profile) == 0.0:
         return math.nan
     count = 2 ** (math.ceil(math.log2(profile.size)) + SPARC_PADDING)
-    frequencies = np.fft.rfftfreq(count, control_step)
+    frequencies = np.fft.rfftfreq(count, episode.control_step)
     magnitudes = np.abs(np.fft.rfft(profile, count))
     magnitudes = magnitudes[frequencies <= SPARC_CUTOFF] / magnitudes.max()
     selected = magnitudes[: np.flatnonzero(magnitudes >= SPARC_THRESHOLD)[-1] + 1]
     if selected.size < 2:
         return math.nan
     return -float(np.hypot(1 / (selected.size - 1), np.diff(selected)).sum())
-
-
-@measure(label="smoothness", unit="SPARC", best="high", shown=True, successes_only=True)
-def sparc(episode: Episode) -> float:
-    """Return the `spectral_arc_length` of the movement."""
-    return spectral_arc_length(episode.movement_speeds, episode.control_step)
 
 
 @measure(label="smoothness", unit="log dimensionless jerk", best="high", successes_only=True)
@@ -222,7 +196,7 @@ def log_dimensionless_jerk(episode: Episode) -> float:
     rest, and without any jerk.
 
     Source:
-        Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), see `spectral_arc_length`.
+        Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), see `sparc`.
     """
     profile = episode.movement_speeds
     highest = highest_speed(profile)

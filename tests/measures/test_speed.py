@@ -13,25 +13,24 @@ from mmc_gym.measures.speed import (
     minimum_jerk_rmse,
     peakedness,
     phase_of_peak,
-    spectral_arc_length,
+    sparc,
 )
 
 STEP = 0.02
 
 
-def sparc(speeds):
-    return spectral_arc_length(speeds, STEP)
-
-
-def of_speeds(measure):
+def of_speeds(measure, step=STEP):
     """Return a measure of episodes as a function of the speeds of a movement."""
-    return lambda speeds: measure(SimpleNamespace(movement_speeds=np.asarray(speeds)))
+    return lambda speeds: measure(
+        SimpleNamespace(movement_speeds=np.asarray(speeds), control_step=step)
+    )
 
 
+smoothness = of_speeds(sparc)
 unlike_minimum_jerk = of_speeds(minimum_jerk_rmse)
 smoothness_by_jerk = of_speeds(log_dimensionless_jerk)
 SHAPES = (peakedness, phase_of_peak, correlation_with_minimum_jerk, unlike_minimum_jerk)
-SMOOTHNESS = (sparc, smoothness_by_jerk)
+SMOOTHNESS = (smoothness, smoothness_by_jerk)
 
 
 def bell(steps):
@@ -126,11 +125,11 @@ def test_the_log_dimensionless_jerk_is_that_of_the_integral(speeds, jerk, error)
 
 def test_sparc_is_that_of_the_authors_own_example():
     time = np.arange(-1, 1, 0.01)
-    found = spectral_arc_length(np.exp(-5 * time**2), 0.01)
+    found = of_speeds(sparc, 0.01)(np.exp(-5 * time**2))
     assert found == pytest.approx(-1.41403, abs=5e-6)
 
 
-@pytest.mark.parametrize(("measure", "close"), [(sparc, 0.02), (smoothness_by_jerk, 0.1)])
+@pytest.mark.parametrize(("measure", "close"), [(smoothness, 0.02), (smoothness_by_jerk, 0.1)])
 def test_smoothness_ignores_duration_and_punishes_a_second_submovement(measure, close):
     assert measure(bell(120)) == pytest.approx(measure(bell(60)), abs=close)
     assert measure(np.concatenate([bell(60), 0.5 * bell(60)])) < measure(bell(60)) - 0.1
