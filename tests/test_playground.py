@@ -68,11 +68,12 @@ def page(browser):
 
 
 def load(browser, width, *, runs=False):
-    """Load the page; unless it runs, only `settle` moves the arm."""
+    """Load the page and touch it; unless it runs, only `settle` moves the arm."""
     width, height, scale = SIZES[width]
     metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 500}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     browser.get((FOLDER / "index.html").as_uri())
+    browser.execute_script("document.dispatchEvent(new Event('pointerdown'))")
     if not runs:
         browser.execute_script("document.getElementById('run').click()")
 
@@ -180,6 +181,35 @@ def test_the_hand_follows_a_target_that_is_dragged(browser, width):
     wait_until_there(browser)
     sizes = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
     assert sizes[0] <= sizes[1] == width
+
+
+@marked
+def test_new_targets_come_until_the_page_is_touched(page):
+    page.get((FOLDER / "index.html").as_uri())
+    first = ask(page, "scene.target")
+    moved = lambda _: ask(page, "scene.target") != first  # noqa: E731
+    WebDriverWait(page, PATIENCE, 0.05).until(moved)
+    press(page, ".target", Keys.ARROW_RIGHT)
+    wait_until_there(page)
+    there = ask(page, "scene.target")
+    page.execute_async_script("setTimeout(arguments[0], 1500)")  # at rest for 75 steps
+    assert ask(page, "scene.target") == there
+
+
+@marked
+def test_the_ring_is_what_a_lock_leaves(page):
+    assert ask(page, "scene.ring") == {"centre": [0, 0], "outer": 3, "inner": 0}
+    ask(page, "scene.setLocked(1, true)")
+    bent = ask(page, "scene.bodies.mmc.angles[1]")
+    link = 2 * math.cos(bent / 2)  # of the first two segments
+    ring = ask(page, "scene.ring")
+    assert (ring["outer"], ring["inner"]) == pytest.approx((link + 1, link - 1))
+    ask(page, "scene.setLocked(0, true)")
+    assert ask(page, "scene.ring.outer") == 1
+    assert math.hypot(*ask(page, "scene.ring.centre")) == pytest.approx(link)
+    for _ in range(3):  # the hand arrives at targets that are drawn from it
+        ask(page, "scene.drawTarget()")
+        settle(page)
 
 
 @marked

@@ -6,7 +6,7 @@
   const find = (name) => document.getElementById(name);
   const scene = new Scene(data), view = new View(find("stage"), find("chart")), { stage } = view;
   const still = matchMedia("(prefers-reduced-motion: reduce)");
-  let isRunning = true, drag = null, announced = "";
+  let isRunning = true, isTouched = false, isSeen = true, drag = null, announced = "";
 
   // After every change.  With reduced motion the end of the movement is shown at once.
   const changed = () => {
@@ -25,9 +25,7 @@
   };
   const policyNote = () => {
     if (!scene.bodies.ppo) return `PPO has ${scene.policy.joints} actions, one for each joint of its body.`;
-    return scene.isAsTrained ? "PPO was trained with this body."
-      : "PPO was trained with three free segments of length 1. It sees its posture, its hand and the "
-        + "target, as in training; the network is told lengths and locks.";
+    return scene.isAsTrained ? "" : "This is not the body that PPO was trained with.";
   };
   const show = () => {
     view.draw(scene);
@@ -49,7 +47,8 @@
     };
     for (const name in texts) find(name).textContent = texts[name];
     if (scene.hasSettled && !announced) {  // once a movement, to screen readers
-      const far = Math.hypot(...scene.target), isOut = far > scene.reach || far < scene.inner;
+      const { centre, outer, inner } = scene.ring, [x, y] = scene.target;
+      const far = Math.hypot(x - centre[0], y - centre[1]), isOut = far > outer || far < inner;
       const distance = scene.distance(scene.bodies.mmc).toFixed(3);
       announced = `At rest, ${distance} from the target${isOut ? ", which is out of reach" : ""}.`;
       find("announcer").textContent = announced;
@@ -156,25 +155,27 @@
   on("policy", ({ checked }) => { view.showsPolicy = checked; });
   on("run", () => { isRunning = !isRunning; });
   on("once", () => { isRunning = false; scene.step(1); });
-  on("random", () => {
-    const radius = scene.inner + (scene.reach - scene.inner) * Math.sqrt(Math.random());
-    const bearing = 2 * Math.PI * Math.random();
-    scene.setTarget([radius * Math.cos(bearing), radius * Math.sin(bearing)]);
-  });
+  on("random", () => scene.drawTarget());
   on("restart", () => { scene.lengths = scene.lengths.map(() => 1); scene.begin(); rebuild(); });
 
   // Control steps of 20 ms, whatever the screen's rate; a slow page falls behind.
   let before = performance.now(), due = 0;
   const tick = (now) => {
-    const isHeld = drag?.kind === "length" || still.matches || !isRunning;
+    const isHeld = drag?.kind === "length" || still.matches || !isRunning || !isSeen;
     due = isHeld ? 0 : Math.min(due + Math.max(0, now - before), 5 * FRAME);
     before = now;
     if (due >= FRAME) {
       for (; due >= FRAME; due -= FRAME) scene.step();
+      if (!isTouched && scene.hasSettled) scene.drawTarget();
       show();
     }
     requestAnimationFrame(tick);
   };
+  for (const kind of ["pointerdown", "keydown", "click", "input"]) {
+    document.addEventListener(kind, () => { isTouched = true; }, { capture: true });
+  }
+  new IntersectionObserver(([{ isIntersecting }]) => { isSeen = isIntersecting; }).observe(stage);
+  document.documentElement.classList.toggle("is-embedded", self !== top);
   find("form").reset();  // browsers may keep what was chosen before a reload
   rebuild();
   still.addEventListener("change", changed);

@@ -1,7 +1,7 @@
 // The scene: a target, the network and its body, and the policy with a body like it.
 "use strict";
 {
-  const { Network, Policy, Body, exact, learned, leaveLine, nodes, observe, segmentsOf } = playground;
+  const { Network, Policy, Body, add, exact, learned, leaveLine, nodes, observe, segmentsOf } = playground;
   const TRAIL = 100, HISTORY = 250;  // control steps
   const STILL = 25;  // control steps without motion, after which the network has settled
 
@@ -19,7 +19,25 @@
 
     get count() { return this.lengths.length; }
     get reach() { return this.lengths.reduce((a, b) => a + b); }
-    get inner() { return Math.max(0, 2 * Math.max(...this.lengths) - this.reach); }
+    // What the hand can reach: a ring.  A locked joint makes two segments one link, and the first
+    // joint, if it is locked, moves the centre.
+    get ring() {
+      const links = [];
+      segmentsOf(this.bodies.mmc.angles, this.lengths).forEach((segment, i) =>
+        links.push(i && this.locked[i] ? add(links.pop(), segment) : segment));
+      const centre = this.locked[0] ? links.shift() : [0, 0];
+      const lengths = links.map((link) => Math.hypot(...link));
+      const outer = lengths.reduce((a, b) => a + b, 0);
+      return { centre, outer, inner: Math.max(0, 2 * Math.max(0, ...lengths) - outer) };
+    }
+
+    // A target anywhere in the ring.
+    drawTarget() {
+      const { centre, outer, inner } = this.ring, bearing = 2 * Math.PI * Math.random();
+      const radius = Math.sqrt(inner ** 2 + (outer ** 2 - inner ** 2) * Math.random());
+      this.setTarget(add(centre, [Math.cos(bearing), Math.sin(bearing)], radius));
+    }
+
     get hasSettled() { return this.still >= STILL; }
     get isAsTrained() {
       return this.lengths.every((length) => length === 1) && !this.locked.includes(true);

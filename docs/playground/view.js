@@ -19,9 +19,8 @@
   class View {
     constructor(stage, chart) {
       Object.assign(this, { stage, chart, showsMeans: false, showsPolicy: true, shapes: {} });
-      for (const name of ["outer", "inner"]) {
-        this.shapes[name] = element(stage, "circle", { class: "reach" });
-      }
+      this.shapes.ring = element(stage, "path", { class: "ring" });
+      this.axes = element(stage, "g", { class: "axes", "aria-hidden": true });
       for (const name of PATHS) this.shapes[name] = element(stage, "path", { class: name });
       this.numbers = element(stage, "g", { class: "numbers", "aria-hidden": true });
       this.handles = element(stage, "g");
@@ -74,6 +73,22 @@
       this.stage.style.setProperty("--thick", `${Math.min(14, Math.max(8, spacing / 3))}px`);
       this.stage.style.setProperty("--hit", `${Math.min(22, Math.max(12, spacing / 2))}px`);
       this.numbers.style.display = spacing < 28 ? "none" : "";
+      this.drawAxes(scene.reach);
+    }
+
+    // Coordinates at the picture's edges.
+    drawAxes(reach) {
+      const edge = this.size / 2, every = 2 ** Math.max(0, Math.ceil(Math.log2(reach / 4)));
+      const write = (x, y, words) => {
+        element(this.axes, "text", { x, y }).textContent = words;
+      };
+      this.axes.replaceChildren();
+      for (let at = every * Math.ceil(-reach / every); at <= reach; at += every) {
+        write(at * this.scale, edge - 6, at);
+        write(12 - edge, -at * this.scale + 4, at);
+      }
+      write(edge - 66, edge - 20, "x [segment lengths]");
+      write(66 - edge, 14 - edge, "y [segment lengths]");
     }
 
     place([x, y]) { return [x * this.scale, -y * this.scale]; }
@@ -92,8 +107,9 @@
       const drawn = { mmc: body, ppo: other, network: place(own), "mmc-trail": place(trails.mmc),
         "ppo-trail": policy ? place(trails.ppo) : [] };
       for (const name in drawn) set(this.shapes[name], { d: path(drawn[name]) });
-      set(this.shapes.outer, { r: scene.reach * this.scale });
-      set(this.shapes.inner, { r: scene.inner * this.scale });
+      const { centre, outer, inner } = scene.ring, [x, y] = this.place(centre);
+      const circle = (r) => `M${x - r} ${y}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0Z`;
+      set(this.shapes.ring, { d: circle(outer * this.scale) + circle(inner * this.scale) });
       this.drawMeans(scene, own);
       this.drawHandles(scene, body);
       this.drawHistory("mmc", scene.history.mmc);
@@ -140,7 +156,8 @@
     // Distances on a logarithmic scale: 25 for each tenth, from 10 down to 0.001.
     drawHistory(name, distances) {
       const height = (distance) => Math.min(100, 25 - 25 * Math.log10(distance + 1e-9));
-      const points = distances.map((distance, i) => [2 * i, Math.max(0, height(distance))]);
+      const ago = (i) => 2 * (distances.length - 1 - i);
+      const points = distances.map((one, i) => [500 - ago(i), Math.max(0, height(one))]);
       set(this.shapes[`${name}-line`], { d: path(points) });
     }
   }

@@ -1,0 +1,139 @@
+"""The code and the commands of every page run as they stand, each in a new process.
+
+They run in a folder that has what the pages speak of: a benchmark, trainings, a model of
+stable-baselines3, and modules of the reader.  Long ones are shortened: see `SHORTER` and `SMALL`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from filelock import FileLock
+
+from mmc_gym.benchmark.suite import SCENARIOS
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+SHIPPED = ROOT / "mmc_gym" / "agents" / "pretrained"
+PAGES = [ROOT / "README.md"]
+for folder in (".", "concepts", "how-to", "results"):
+    PAGES += sorted((DOCS / folder).glob("*.md"))
+
+SHORTER = {r"\.learn\([\d_]+\)": ".learn(1)"}  # one rollout
+SMALL = {  # options for less work, unless the command has them
+    "benchmark": {"--episodes": "1", "--jobs": "1", "--agents": "mmc", "--environments": "random"},
+    "compare": {"--episodes": "2"},
+    "train": {"--steps": "2000", "--out": "trained"},
+}
+# A window, a cluster, and every training: their options are checked only.
+TOO_MUCH = ("play", "--cluster", "--all")
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not DOCS.is_dir(), reason="the documentation is not here"),
+]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def commands(text: str) -> list[str]:
+    """Return the commands of mmc-gym on a page, without their comments."""
+    lines = "\n".join(blocks(text, "sh")).replace("\\\n", "").splitlines()
+    return [shlex.join(shlex.split(one, comments=True)) for one in lines if one[:8] == "mmc-gym "]
+
+
+def run(folder: Path, *command: str) -> str:
+    """Run a command of Python in a folder; return what it prints."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
+    command = (sys.executable, *command)
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+MODEL = """
+import mmc_gym
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
+model = PPO("MlpPolicy", make_vec_env("MMCReach-v0", 1))
+model.save("model")
+model.save("mine")
+"""
+
+
+@pytest.fixture(scope="session")
+def readers_folder(tmp_path_factory):
+    """What the reader of the pages has made before, by the first process that needs it."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder, lock = base / "reader", FileLock(base / "reader.lock")
+    with lock:
+        if not folder.is_dir():
+            folder.mkdir()
+            for name in ("ppo-1", "mine-1", "mine-2"):
+                (folder / "runs" / name).mkdir(parents=True)
+                for file in SHIPPED.glob("ppo-1.*"):
+                    shutil.copy(file, folder / "runs" / name)
+            (folder / "my").mkdir()
+            hyperparameters = ROOT / "mmc_gym" / "training" / "hyperparams" / "ppo.yml"
+            shutil.copy(hyperparameters, folder / "my" / "ppo-mine.yml")
+            for name in ("my_agents.py", "my_tasks.py", "my_measures.py"):
+                shutil.copy(ROOT / "examples" / "bring_your_own.py", folder / name)
+            run(folder, "-c", MODEL)
+            run(folder, "-m", "mmc_gym.cli", *small("mmc-gym benchmark"))
+    return folder
+
+
+def small(command: str) -> list[str]:
+    """Return the arguments of a command, with options for less work."""
+    _, name, *given = shlex.split(command)
+    more = {key: value for key, value in SMALL.get(name, {}).items() if key not in given}
+    return [name, *given, *(part for option in more.items() for part in option)]
+
+
+PYTHON = [
+    pytest.param(code, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, code in enumerate(blocks(page.read_text(), "python"), start=1)
+]
+COMMANDS = sorted({command for page in PAGES for command in commands(page.read_text())})
+
+
+@pytest.mark.parametrize("code", PYTHON)
+def test_the_code_of_a_page_runs(code, readers_folder, tmp_path):
+    for long, short in SHORTER.items():
+        code = re.sub(long, short, code)
+    shutil.copytree(readers_folder, tmp_path / "here")
+    run(tmp_path / "here", "-W", "error", "-c", code)
+
+
+@pytest.mark.parametrize("command", [one for one in COMMANDS if not {*one.split()} & {*TOO_MUCH}])
+def test_the_command_of_a_page_runs(command, readers_folder, tmp_path):
+    shutil.copytree(readers_folder, tmp_path / "here")
+    assert run(tmp_path / "here", "-m", "mmc_gym.cli", *small(command))
+
+
+def test_options_of_commands_that_take_too_much_exist(tmp_path):
+    chosen = [one.split() for one in COMMANDS if {*one.split()} & {*TOO_MUCH}]
+    assert chosen
+    for _, name, *given in chosen:
+        options = run(tmp_path, "-m", "mmc_gym.cli", name, "--help")
+        assert all(re.search(rf"{one}\b", options) for one in given if one[:2] == "--")
+
+
+def test_the_code_of_the_pages_of_scenarios_runs(tmp_path):
+    generate = runpy.run_path(str(DOCS / "generate.py"))
+    scenarios = generate["all_scenarios"]()
+    assert {*SCENARIOS} <= {*scenarios}
+    pages = [generate["scenario_page"](one, "", None) for one in scenarios.values()]
+    run(tmp_path, "-c", "\n".join(code for page in pages for code in blocks(page, "python")))
