@@ -124,5 +124,5 @@ def test_the_archives_hold_every_file_of_the_package_and_the_wheel_nothing_else(
     with tarfile.open(build("sdist", tmp_path)) as archive:
         sdist = {name.partition("/")[2] for name in archive.getnames()}
     needed = {"LICENSE", "README.md", "pyproject.toml", "constraints.txt", "Makefile"}
-    needed |= {"SECURITY.md", "tests/test_packaging.py", "docs/contact-sheet.png"}
+    needed |= {"SECURITY.md", "tests/test_packaging.py", "docs/compare.png"}
     assert package | needed | {"studies/README.md", "benchmarks/speed.py"} <= sdist

@@ -137,26 +137,6 @@ def test_equations_are_set_and_keep_their_lines(site):
     assert re.search(r"^dynamic: +v ← rule\(L̃ − L, v\)", lines, re.MULTILINE)
 
 
-def blocks(path):
-    return re.findall(r"^```python\n(.*?)^```", path.read_text(), re.DOTALL | re.MULTILINE)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "page",
-    [
-        path.relative_to(DOCS).as_posix()
-        for path in sorted(DOCS.rglob("*.md"))
-        if not {*path.relative_to(DOCS).parts} & {*MADE} and blocks(path)
-    ],
-)
-def test_the_code_of_a_page_runs(page, tmp_path):
-    code = "\n".join(blocks(DOCS / page))
-    command = [sys.executable, "-W", "error", "-c", code]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "index.md"])
 def test_the_first_screen_counts_what_is_available(page):
     counts = {
