@@ -59,7 +59,7 @@ format: $(DEV_READY) ## let ruff repair and format everything
 packages: $(VENV_READY) ## build wheel and source archive, try each in an empty environment
 	$(BIN)/python .ci/packages.py $(ARGS)
 
-docs: $(DOCS_READY) ## build the site into build/site; examples run, so it takes some minutes
+docs: $(DOCS_READY) ## build the site into build/site (2 minutes, later seconds; all films: ARGS="-D films=all")
 	$(BIN)/python -m sphinx -n -W --keep-going $(ARGS) docs build/site
 
 paper: $(PACKAGE_READY) ## run the paper's experiments: figures, data, published beside measured

@@ -58,9 +58,13 @@ napoleon_use_ivar = True
 nitpick_ignore_regex = [
     # The build needs no network, and so has no lists of what other projects document.
     (r"py:.*", r"(?!mmc_gym\.).*"),
-    # Private classes, and the parts of an agent: annotations name them.
+    # Private classes, parts and states of agents, and bases: annotations name them.
     (r"py:.*", r"mmc_gym\.(\w+\.)*_\w+"),
-    (r"py:.*", r"mmc_gym\.agents\.body_model\.(?!agent\.).*"),
+    (r"py:.*", r"mmc_gym\.agents\.(body_model\.(?!agent\.).*|\w+\.(Belief|SavedModel))"),
+    (r"py:.*", r"mmc_gym\.agents\.([a-z_]+\.)+\w+State"),
+    (r"py:.*", r"mmc_gym\.envs\.(spec\.(Options|ReachEnvironment)|reach\.GoalEnvironment)"),
+    (r"py:.*", r"mmc_gym\.benchmark\.store\.(CellKey|Policy)"),
+    (r"py:.*", r"mmc_gym\.training\.training\.PolicyName"),
     # Type variables, and names of types that are no classes.
     (r"py:.*", r"mmc_gym\.agents\.base\.State"),
     (r"py:.*", r"mmc_gym\.envs\.perturbations\.Coordinate"),
@@ -86,9 +90,9 @@ html_show_sourcelink = False
 sphinx_gallery_conf = {
     "examples_dirs": ["../examples"],
     "gallery_dirs": ["examples"],
-    "subsection_order": [
-        f"../examples/{folder}" for folder in ("network", "arm", "learning", "comparing")
-    ],
+    "subsection_order": [f"../examples/{folder}" for folder in generate.GALLERY],
+    "within_subsection_order": "generate.FromEasyToDeep",
+    "image_scrapers": ["generate.scrape"],
     "filename_pattern": r"plot_",
     "ignore_pattern": r"__init__\.py",
     "download_all_examples": False,
@@ -161,6 +165,7 @@ def setup(app: Any) -> None:
     app.add_config_value("films", "some", "env", types=ENUM("all", "some", "none"))
     app.add_html_math_renderer("mathml", (_set_math, None), (_set_math, None))
     app.connect("builder-inited", generate.write_all, priority=100)
+    app.connect("builder-inited", generate.write_thumbnails, priority=600)  # after the gallery
     app.connect("autodoc-process-docstring", _shorten_environments, priority=100)
     app.connect("object-description-transform", _shorten_array_types, priority=100)
     app.connect("autodoc-process-docstring", _to_restructured_text, priority=101)

@@ -19,9 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import matplotlib.pyplot as plt
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 from sphinx.util.display import progress_message, status_iterator
+from sphinx_gallery.scrapers import matplotlib_scraper
 
 import mmc_gym
 from mmc_gym._files import write_atomically
@@ -50,6 +52,15 @@ FILMED = {
     "Forces and senses": ("force-field-60", "rotation-30", "delay-100", "vision-noise-0.1"),
 }
 FILMED_ROOMS = ("agents", "body", "envs", "network", "interface.py")
+
+GALLERY = {  # from easy to deep
+    "arm": "a_movement contact_sheet locked_joint own_task million_arms",
+    "comparing": "mmc_ik_rl own_agent own_measure benchmark_with_pandas",
+    "network": "three_tasks one_iteration redundancy velocity_profiles longer_arms "
+    "learned_normalizer population_code",
+    "learning": "plain_sb3 residual learning_curves normalizer_in_the_loop backpropagation",
+}
+THUMBNAIL = (400, 280)  # pixels
 
 REPORT = {
     "agents": ["mmc", "mmc-body", "ik-dls", "ppo-0", "sac-0"],
@@ -122,6 +133,45 @@ def write_report(generated: Path, with_pictures: bool) -> None:
             benchmark(REPORT["agents"], store, REPORT["environments"], REPORT["episodes"], jobs=1)
             write_html(store, small)
         shutil.copyfile(small, page)
+
+
+# The gallery
+
+
+class FromEasyToDeep:
+    """Sorts the examples of a folder as `GALLERY` does."""
+
+    def __init__(self, folder: str) -> None:
+        """Take the folder."""
+        self.names = GALLERY.get(Path(folder).name, "").split()
+
+    def __call__(self, file: str) -> int:
+        """Return the place of a file; one that is not listed comes last."""
+        name = Path(file).stem.removeprefix("plot_")
+        return self.names.index(name) if name in self.names else len(self.names)
+
+
+def scrape(block: Any, variables: dict[str, Any], config: Any) -> str:
+    """Let sphinx-gallery save the figures of a block; keep the first panel for the thumbnail."""
+    path = Path(variables["image_path_iterator"].image_path.format(1))
+    panel = path.with_name(f"{Path(variables['src_file']).stem}_panel.png")
+    if plt.get_fignums() and len(variables["image_path_iterator"]) == 0:
+        figure = plt.figure(plt.get_fignums()[0])
+        figure.canvas.draw()
+        axes = next(one for one in figure.axes if one.axison or one.images)
+        box = axes.get_tightbbox().transformed(figure.dpi_scale_trans.inverted())
+        figure.savefig(panel, bbox_inches=box.padded(0.08), dpi=160)
+    found: str = matplotlib_scraper(block, variables, config)
+    return found
+
+
+def write_thumbnails(app: Any) -> None:
+    """Make the gallery's thumbnails of the panels, which are read more easily than figures."""
+    for path in (Path(app.srcdir) / "examples").rglob("*_panel.png"):
+        with Image.open(path) as panel:
+            small = ImageOps.pad(panel.convert("RGB"), THUMBNAIL, color="white")
+        name = path.stem.removesuffix("_panel")
+        small.save(path.parent / "thumb" / f"sphx_glr_{name}_thumb.png")
 
 
 # Environments

@@ -22,7 +22,6 @@ SQUARE = 8
 
 # Picture, the command that draws it, its file, and the frames that are compared.
 PICTURES = [
-    ("contact-sheet.png", "examples/arm/plot_contact_sheet.py sheet.png", "sheet.png", (0,)),
     # Starts, the joint locks, ends.
     ("film.gif", "docs/draw_film.py film.gif", "film.gif", (0, 3, 25, 51)),
     ("learning-curves.png", "-m mmc_gym.cli curves --out .", "learning_curves.png", (0,)),

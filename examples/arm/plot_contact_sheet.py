@@ -5,12 +5,8 @@ Which tasks and perturbations are there?
 One picture of each, a moment after the start. The thin arm is the network's internal model, which
 is ahead of the body; the cross is the target. A task says where the target is, a perturbation what
 goes wrong.
-
-``python examples/arm/plot_contact_sheet.py docs/contact-sheet.png`` writes the sheet of the
-README.
 """
 
-import sys
 from math import ceil
 
 import matplotlib.pyplot as plt
@@ -57,7 +53,4 @@ for axis, name in zip(axes.flat, names):
     axis.set_title(name, fontsize=8)
 figure.tight_layout(pad=0.3)
 print(f"{len(tasks)} tasks, {len(perturbations)} perturbations")
-
-if len(sys.argv) > 1:
-    figure.savefig(sys.argv[1], format="png")
 plt.show()

@@ -3,7 +3,7 @@ Can a controller learn by backpropagation through the body model?
 =================================================================
 
 Yes. The network imagines where a posture puts the hand, and the gradient of the hand's error flows
-back through its iterations into the controller. The controller learns in seconds, without a step of
+back through its iterations into the controller. The controller learns in 10 s, without a step of
 the environment, and masters the bodies that were imagined, one or many.
 """
 

@@ -2,7 +2,7 @@
 How long does plain PPO take from nothing to 95 %?
 ==================================================
 
-Some seconds on one core, if it learns on many arms at once. Nothing else here is special: PPO of
+About 12 s on one core, if it learns on many arms at once. Nothing else here is special: PPO of
 stable-baselines3 with its ``MlpPolicy``, and a native vector environment on the compiled engine
 (extra ``fast``).
 """
