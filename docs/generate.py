@@ -298,8 +298,8 @@ def scenario_page(one: Scenario, picture: str, counts: dict[str, int] | None) ->
     )
     lines += code(
         "sh",
-        f"mmc-gym compare --agents {' '.join(AGENTS)} --episodes {EPISODES} --env {one.name}",
-        f"mmc-gym record movement.gif --agent {AGENTS[0]} --env {one.name}",
+        f"mmc-gym compare --agents {' '.join(AGENTS)} --episodes {EPISODES} --scenarios {one.name}",
+        f"mmc-gym record --agents {AGENTS[0]} --scenarios {one.name}",
         benchmark,
     )
     for heading, text in facts[2:]:

@@ -7,8 +7,9 @@ Put your agents, environment, reward, task, perturbation and measure into a modu
 
 .. code-block:: sh
 
-    mmc-gym compare --agents mmc examples.bring_your_own:still --env examples.bring_your_own:Squared
-    mmc-gym benchmark --import examples.bring_your_own --agents mmc --environments ahead weak-30
+    mmc-gym compare --agents mmc examples.bring_your_own:still \
+        --scenarios examples.bring_your_own:Squared
+    mmc-gym benchmark --import examples.bring_your_own --agents mmc --scenarios ahead weak-30
 """
 
 from dataclasses import dataclass, replace

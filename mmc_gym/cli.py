@@ -9,11 +9,12 @@ environment each ends with the traceback instead.
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +25,7 @@ import yaml
 from tyro.conf import Positional
 
 from mmc_gym._console import make_console, print_list, progress_bar
-from mmc_gym._errors import MismatchWarning, UserError, require
+from mmc_gym._errors import MismatchWarning, UserError, require, unknown
 from mmc_gym._files import import_modules
 from mmc_gym._grid import CellError
 
@@ -38,7 +39,88 @@ TRACEBACK = "MMC_GYM_TRACEBACK"
 _PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
 
 _app = tyro.extras.SubcommandApp()
+_commands: dict[str, Callable[..., None]] = {}
+_FORMER = {"--agent": "--agents", "--env": "--scenarios", "--environments": "--scenarios"}
+_MEANT = {"--perturbations": "--scenarios", "--tasks": "--scenarios", "--models": "--agents"}
+_ARGUMENT = {"report": "--store", "train": "--name", "list": "--what", "show": "--scenario"}
 
+
+def _command(function: Callable[..., None]) -> Callable[..., None]:
+    """Register a command under the function's name."""
+    name = function.__name__.rstrip("_")
+    _commands[name] = function
+    return _app.command(name=name)(function)
+
+
+def _options(command: str) -> list[str]:
+    """Return the options of a command."""
+    taken = inspect.signature(_commands[command]).parameters
+    shared = fields(taken["more"].default) if "more" in taken else ()
+    names = [name for name in taken if name != "more"]
+    names += ["import" if one.name == "imports" else one.name for one in shared]
+    options = [f"--{name.replace('_', '-')}" for name in names]
+    return [one for one in options if one != _ARGUMENT.get(command)]
+
+
+def _spelt(arguments: list[str]) -> list[str]:
+    """Return the arguments of the command line, with options that had other words by their own.
+
+    Raises:
+        UserError: for a command or an option that is misspelt.
+    """
+    if not arguments or arguments[0].startswith("-"):
+        return arguments
+    command, *others = arguments
+    if command not in _commands:
+        raise unknown("command", command, _commands)
+    known = _options(command)
+    first = next((one for one in others[:1] if not one.startswith("-")), None)
+    if first is not None and command == "record":
+        _told("record takes its file as --out FILE")
+        others = ["--out", *others]
+    elif first is not None and command not in _ARGUMENT:
+        also = f"; did you mean --agents {first}?" if "--agents" in known else ""
+        raise UserError(f"{command} must be followed by options, got {first!r}{also}")
+    found = [command]
+    for text in others:
+        word, sign, value = text.partition("=")
+        option, present = word.replace("_", "-"), _FORMER.get(word)
+        if not word.startswith("--") or option in (*known, "--help"):
+            found.append(text)
+        elif command == "report" and option == "--store":
+            _told("report takes its folder without --store")
+            found += [value] if value else []
+        elif present in known:
+            _told(f"{option} is called {present} now")
+            found.append(f"{present}{sign}{value}")
+        else:
+            raise unknown(f"option of {command}", word, known, guess=_MEANT.get(option, ""))
+    return found
+
+
+def _told(message: str) -> None:
+    print(f"mmc-gym: {message}", file=sys.stderr)
+
+
+def _default(value: str) -> str:
+    """Return what help texts say of a default value: nothing if there is none."""
+    return "" if value in ("", "''", "None") else f"(default: {value})"
+
+
+# Types of options, as help texts show them.
+def _arg(metavar: str, **others: Any) -> Any:
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=_default, **others)
+
+
+Names = Annotated[tuple[str, ...], _arg("NAME...")]
+Pairs = Annotated[tuple[str, ...], _arg("NAME=VALUE...")]
+Modules = Annotated[tuple[str, ...], _arg("MODULE...", name="import")]
+Text = Annotated[str | None, _arg("TEXT")]
+Number = Annotated[int | None, _arg("N")]
+Seed = Annotated[int, _arg("N")]
+Place = Annotated[Path, _arg("PATH")]
+OtherPlace = Annotated[Path | None, _arg("PATH")]
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
 # Options that commands share.
 
@@ -47,9 +129,8 @@ _app = tyro.extras.SubcommandApp()
 class Imports:
     """The option of commands that look things up by name."""
 
-    imports: Annotated[tuple[str, ...], tyro.conf.arg(name="import")] = ()
-    """Your own modules to import first, which register environments, tasks, perturbations or
-    measures."""
+    imports: Modules = ()
+    """Your own modules, imported first."""
 
     def load(self) -> None:
         """Import the modules."""
@@ -60,8 +141,8 @@ class Imports:
 class World(Imports):
     """The options of commands that make environments."""
 
-    env_kwargs: tuple[str, ...] = ()
-    """Arguments of the environment: NAME=VALUE, values in YAML."""
+    env_kwargs: Pairs = ()
+    """Arguments of the environment, values in YAML."""
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -81,17 +162,16 @@ class World(Imports):
 class Played(World):
     """The options of commands in which agents play."""
 
-    allow_pickle: bool = False
-    """Load files that hold pickles, as .zip files of stable-baselines3 do: that runs whatever code
-    they name."""
+    allow_pickle: Switch = False
+    """Load .zip files of stable-baselines3, which may run any code."""
 
 
 NO_IMPORTS, WORLD, PLAYED = Imports(), World(), Played()
 
 
-@_app.command
+@_command
 def compare(
-    agents: tuple[str, ...] = (
+    agents: Names = (
         "mmc-body",
         "ik-body",
         "mmc",
@@ -102,125 +182,151 @@ def compare(
         "tqc-her",
         "random",
     ),
-    env: str = "MMCReach-v0",
-    episodes: int = 200,
-    seed: int = 0,
-    out: Path = Path("runs/compare"),
-    given: Played = PLAYED,
+    scenarios: Names = ("random",),
+    focus: Names = (),
+    episodes: Seed = 200,
+    seed: Seed = 0,
+    out: Place = Path("runs/compare"),
+    more: Played = PLAYED,
 ) -> None:
     """Let agents play the same starts and targets; print a table, write data and figure.
 
     Args:
-        agents: Names, files or folders of policies, .zip files of stable-baselines3, module:name;
-            'runs/mine-*' for several trainings of one agent, LABEL=... for another name.
-        env: Environment id, module:Id or module:function.
-        episodes: Episodes per agent.
+        agents: Names; files or folders of policies; .zip files of stable-baselines3; module:name;
+            'runs/mine-*' for several trainings of one agent; LABEL=... for another name.
+        scenarios: One scenario, such as centre-out or delay-150; or your own environment, by id,
+            module:Id or module:function.
+        focus: The agents in question, compared with each other one; your own if not given.
+        episodes: Episodes of each agent.
         seed: Seed of the starts and targets.
-        out: Folder for episodes.csv, the summary and the figure.
+        out: Folder for the data and the figure.
     """
     from mmc_gym.benchmark import compare
 
-    given.load()
+    more.load()
     compare.compare(
         agents,
-        env,
+        _one("scenarios", scenarios, "benchmark plays several"),
         episodes,
         seed,
         out,
         make_console(),
-        env_kwargs=given.arguments,
-        allow_pickle=given.allow_pickle,
+        focus=focus,
+        env_kwargs=more.arguments,
+        allow_pickle=more.allow_pickle,
     )
 
 
-@_app.command
+def _one(option: str, values: tuple[str, ...], otherwise: str = "") -> str:
+    """Return the only value of an option."""
+    if len(values) != 1:
+        also = f"; {otherwise}" if otherwise else ""
+        raise UserError(f"--{option} must be exactly one here{also}, got {' '.join(values)}")
+    return values[0]
+
+
+@_command
 def benchmark(
-    agents: tuple[str, ...] = (),
-    environments: tuple[str, ...] = (),
-    episodes: int = 100,
-    seed: int = 0,
-    out: Path = Path("runs/benchmark"),
-    jobs: int | None = None,
-    cluster: str | None = None,
-    given: Played = PLAYED,
+    agents: Names = (),
+    scenarios: Names = (),
+    episodes: Seed = 100,
+    seed: Seed = 0,
+    out: Place = Path("runs/benchmark"),
+    jobs: Number = None,
+    cluster: Text = None,
+    more: Played = PLAYED,
 ) -> None:
     """Let agents play many scenarios; keep all in a store, and print a ranking.
 
     Args:
         agents: Names (ppo: all its training seeds; ppo-3: one), and everything else that compare
-            accepts (default: most that ship).
-        environments: Names of scenarios, such as random or delay-100, or your own environments, by
-            id, module:Id or module:function (default: all scenarios).
+            accepts; most that ship, if not given.
+        scenarios: Names, such as random or centre-out+delay-150, or your own environments, by id,
+            module:Id or module:function; all that ship, if not given.
         episodes: Episodes in each scenario; numbered trials are played once each.
         seed: Seed of the starts and targets.
         out: Folder of the store; an existing benchmark is resumed, or added to.
-        jobs: Number of cells at once (default: one per core).
-        cluster: "ray", or "ray://HOST:PORT", to play on a Ray cluster instead of here.
+        jobs: Number of cells at once; one per core, if not given.
+        cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
     """
     from mmc_gym.benchmark import ranking, runner, suite
 
-    given.load()
+    more.load()
+    failed: list[str] = []
     with progress_bar() as bar:
         task = bar.add_task("cells")
+
+        def on_progress(progress: runner.Progress) -> None:
+            bar.update(task, completed=progress.done, total=progress.total)
+            if one := progress.failed:
+                failed.append(f"{one.agent} in {one.environment}: {one.reason}")
+
         runner.benchmark(
             agents or suite.default_agents(),
             out,
-            environments,
+            scenarios,
             episodes,
             seed,
             jobs=jobs,
             cluster=cluster,
-            env_kwargs=given.arguments,
-            allow_pickle=given.allow_pickle,
-            on_progress=lambda cells: bar.update(task, completed=cells.done, total=cells.total),
+            env_kwargs=more.arguments,
+            allow_pickle=more.allow_pickle,
+            on_progress=on_progress,
         )
     ranking.print_ranking(make_console(), out)
+    if failed:
+        number = "a cell" if len(failed) == 1 else f"{len(failed)} cells"
+        _told(f"{number} failed, and counts as no success: {failed[0]}")
+        raise SystemExit(1)
 
 
-@_app.command
-def report(store: Path = Path("runs/benchmark"), out: Path | None = None) -> None:
-    """Write the report of a benchmark: one HTML file that needs nothing beside it.
+@_command
+def report(
+    store: Positional[Place] = Path("runs/benchmark"),
+    out: OtherPlace = None,
+) -> None:
+    """Write the report of a benchmark: one file that needs nothing beside it.
 
     Args:
         store: Folder of the benchmark.
-        out: The file to write (default: report.html in the store).
+        out: The file to write; report.html in the store, if not given.
     """
     from mmc_gym import report
 
     print(f"wrote {report.write_report(store, out or store / 'report.html')}")
 
 
-@_app.command
+@_command
 def train(
-    name: Positional[str] = "",
-    all: bool = False,
-    env: str | None = None,
-    seed: int = 0,
-    steps: int | None = None,
-    out: Path | None = None,
-    resume: bool = False,
-    tensorboard: Path | None = None,
-    device: str = "cpu",
-    jobs: int | None = None,
-    cluster: str | None = None,
-    given: World = WORLD,
+    name: Annotated[Positional[str], _arg("NAME")] = "",
+    all: Switch = False,
+    env: Text = None,
+    seed: Seed = 0,
+    steps: Number = None,
+    out: OtherPlace = None,
+    resume: Switch = False,
+    tensorboard: OtherPlace = None,
+    device: Annotated[str, _arg("TEXT")] = "cpu",
+    jobs: Number = None,
+    cluster: Text = None,
+    more: World = WORLD,
 ) -> None:
     """Train an agent with YAML hyperparameters; --resume continues a killed training.
 
     Args:
         name: A name that ships, such as ppo or tqc-her, or your own YAML file: my/ppo-mine.yml.
-        all: Train every policy that ships (ppo-memory is a study); resumes where interrupted.
-        env: One of the environment ids in the YAML file (default: the first).
+        all: Train every policy that ships (ppo-memory is a study).
+        env: One of the environment ids in the YAML file; the first, if not given.
         seed: Seed of everything random.
         steps: Environment steps, instead of those in the YAML file.
-        out: Folder for checkpoint and policy (default: runs/NAME-SEED, or runs/train-all).
-        resume: Continue from the checkpoint in the folder, if there is one; --all always does.
+        out: Folder for checkpoint and policy; runs/NAME-SEED or runs/train-all, if not given.
+        resume: Continue from a checkpoint in the folder; --all always does.
         tensorboard: Folder for TensorBoard's logs.
-        device: Device that PyTorch computes on: cpu, cuda, cuda:1, auto.
-        jobs: With --all: number of trainings at once (default: one per core).
-        cluster: With --all: "ray", or "ray://HOST:PORT", to train on a Ray cluster.
+        device: For PyTorch: cpu, cuda, cuda:1, auto.
+        jobs: With --all: number of trainings at once; one per core, if not given.
+        cluster: With --all: ray, or ray://HOST:PORT, to train on a Ray cluster.
     """
-    given.load()
+    more.load()
     from mmc_gym.training.hyperparameters import names, read_recipe
 
     if all == bool(name):
@@ -229,14 +335,14 @@ def train(
             f"or else give --all, got {name!r}{' and --all' if all else ''}"
         )
     if all:
-        env_kwargs = " ".join(given.env_kwargs)
+        env_kwargs = " ".join(more.env_kwargs)
         _only_for(
             "a single training", env=env, seed=seed, tensorboard=tensorboard, env_kwargs=env_kwargs
         )
         _train_all(out or Path("runs/train-all"), steps, device, jobs, cluster)
     else:
         _only_for("--all", jobs=jobs, cluster=cluster)
-        recipe = read_recipe(name, env, steps, given.arguments)
+        recipe = read_recipe(name, env, steps, more.arguments)
         _train_one(recipe, seed, out, resume, tensorboard, device)
 
 
@@ -307,12 +413,12 @@ def _train_all(
         )
 
 
-@_app.command
-def curves(folder: Path | None = None, out: Path = Path("runs/curves")) -> None:
+@_command
+def curves(folder: OtherPlace = None, out: Place = Path("runs/curves")) -> None:
     """Draw learning curves over training seeds; write figure and data, print where they end.
 
     Args:
-        folder: Folder of trained policies (default: those that ship with the package).
+        folder: Folder of trained policies; those that ship, if not given.
         out: Folder for curves.csv and the figure.
     """
     from mmc_gym.training.curves import learning_curves
@@ -320,18 +426,18 @@ def curves(folder: Path | None = None, out: Path = Path("runs/curves")) -> None:
     learning_curves(folder, out)
 
 
-@_app.command
+@_command
 def play(
-    agent: str = "mmc",
-    env: str = "MMCReach-v0",
-    seed: int | None = None,
-    given: Played = PLAYED,
+    agents: Names = ("mmc",),
+    scenarios: Names = ("random",),
+    seed: Number = None,
+    more: Played = PLAYED,
 ) -> None:
     """Open a window in which the mouse is the target of an agent's arm.
 
     Args:
-        agent: The agent to start with, see compare.
-        env: Environment id, module:Id or module:function.
+        agents: The agent to start with, see compare.
+        scenarios: The scenario, see compare.
         seed: Seed of the first posture.
     """
     from mmc_gym.envs.render import open_display
@@ -339,14 +445,15 @@ def play(
     open_display(must_be_seen=True)  # at once: what follows takes a while to load
     from mmc_gym import play
 
-    given.load()
-    play.play(agent, env, seed, env_kwargs=given.arguments, allow_pickle=given.allow_pickle)
+    more.load()
+    agent, env = _one("agents", agents), _one("scenarios", scenarios)
+    play.play(agent, env, seed, env_kwargs=more.arguments, allow_pickle=more.allow_pickle)
 
 
-@_app.command(name="list")
+@_command
 def list_(
     what: Positional[Literal["agents", "tasks", "perturbations", "scenarios", "measures"]],
-    given: Imports = NO_IMPORTS,
+    more: Imports = NO_IMPORTS,
 ) -> None:
     """List the available agents, tasks, ..., a line each: name, description and needs.
 
@@ -355,13 +462,13 @@ def list_(
     """
     from mmc_gym import listing
 
-    given.load()
+    more.load()
     found: listing.Listing = getattr(listing, f"list_{what}")()
     print_list(make_console(), found.rows, found.headings)
 
 
-@_app.command
-def show(scenario: Positional[str], given: Imports = NO_IMPORTS) -> None:
+@_command
+def show(scenario: Annotated[Positional[str], _arg("NAME")], more: Imports = NO_IMPORTS) -> None:
     """Describe a scenario: how to make it, what happens in it, and what agents are given.
 
     Args:
@@ -369,56 +476,58 @@ def show(scenario: Positional[str], given: Imports = NO_IMPORTS) -> None:
     """
     from mmc_gym import listing
 
-    given.load()
+    more.load()
     print_list(make_console(), listing.describe(scenario))
 
 
-@_app.command
+@_command
 def record(
-    out: Positional[Path],
-    agent: str = "mmc",
-    env: str = "MMCReach-v0",
-    episodes: int = 1,
-    seed: int = 0,
-    given: Played = PLAYED,
+    agents: Names = ("mmc",),
+    scenarios: Names = ("random",),
+    episodes: Seed = 1,
+    seed: Seed = 0,
+    out: Place = Path("runs/film.gif"),
+    more: Played = PLAYED,
 ) -> None:
     """Write a film of an agent at work, as .gif or .mp4; this needs no display.
 
     Args:
-        out: The file to write; .mp4 needs the extra "video".
-        agent: The agent, see compare.
-        env: Environment id, module:Id or module:function.
+        agents: The agent, see compare.
+        scenarios: The scenario, see compare.
         episodes: How many episodes follow each other.
         seed: Seed of the starts and targets; the episodes are those of compare.
+        out: The file to write; .mp4 needs the extra "video".
     """
     from mmc_gym.record import record
 
-    given.load()
+    more.load()
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes)
         record(
             out,
-            agent,
-            env,
+            _one("agents", agents),
+            _one("scenarios", scenarios),
             episodes,
             seed,
             lambda _: bar.advance(task),
-            env_kwargs=given.arguments,
-            allow_pickle=given.allow_pickle,
+            env_kwargs=more.arguments,
+            allow_pickle=more.allow_pickle,
         )
     print(f"wrote {out}")
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command."""
-    if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
         print(f"mmc-gym {version('mmc-gym')}")
         return
     try:
-        config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --given.env-kwargs
+        given = _spelt(given)
+        config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --more.env-kwargs
         with warnings.catch_warnings():
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
-            _app.cli(prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config)
+            _app.cli(prog="mmc-gym", args=given, description=DESCRIPTION, config=config)
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
@@ -446,7 +555,7 @@ def _show_warning(
 ) -> None:
     """Print a `MismatchWarning` as errors are printed: without its place in the code."""
     if issubclass(category, MismatchWarning):
-        print(f"mmc-gym: {message}", file=sys.stderr)
+        _told(str(message))
     else:
         usual(message, category, *place)
 

@@ -8,6 +8,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mmc_gym._errors import UserError
+from mmc_gym._notebook import html_table
 from mmc_gym.agents import AGENTS, AgentEntry
 from mmc_gym.envs.perturbations import FAMILIES, Family
 from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, environment_id, find_task, scenario
@@ -41,7 +42,7 @@ class Listing(list[str]):
     def _repr_html_(self) -> str:
         import pandas as pd
 
-        return pd.DataFrame(self.rows, columns=self.headings).to_html(index=False, border=0)
+        return html_table(pd.DataFrame(self.rows, columns=self.headings), index=False)
 
 
 def list_agents() -> Listing:

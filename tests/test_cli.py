@@ -1,5 +1,6 @@
 """The commands, as a user types them."""
 
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -7,7 +8,7 @@ from importlib.metadata import version
 import pytest
 
 from mmc_gym._grid import CellError
-from mmc_gym.cli import main
+from mmc_gym.cli import _commands, _spelt, main
 
 
 def test_compare_writes_data_and_figure(tmp_path, capsys):
@@ -97,6 +98,87 @@ def test_mistakes_end_with_one_line_that_names_them(arguments, message, capsys):
     error = capsys.readouterr().err
     assert message in error
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("compar", "command 'compar' is not accepted; did you mean 'compare'?"),
+        (
+            "compare --agnts mmc",
+            "option of compare '--agnts' is not accepted; did you mean '--agents'",
+        ),
+        ("compare --perturbations delay", "did you mean '--scenarios'?"),
+        (
+            "compare mmc",
+            "compare must be followed by options, got 'mmc'; did you mean --agents mmc?",
+        ),
+        (
+            "compare --scenarios random paper",
+            "--scenarios must be exactly one here; benchmark plays",
+        ),
+        ("record --agents mmc ppo", "--agents must be exactly one here, got mmc ppo"),
+        ("compare --agents mmc --focus ppo", "focus 'ppo' is not accepted. It may be mmc"),
+    ],
+)
+def test_what_is_misspelt_is_one_line_that_says_what_was_meant(arguments, message, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments.split())
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert message in error and len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("former", "present", "told"),
+    [
+        (
+            "compare --env MMCReach-v0",
+            ["--scenarios", "MMCReach-v0"],
+            "--env is called --scenarios",
+        ),
+        ("compare --agent=mmc", ["--agents=mmc"], "--agent is called --agents now"),
+        ("benchmark --environments random", ["--scenarios", "random"], "called --scenarios now"),
+        ("play --agent mmc", ["--agents", "mmc"], "--agent is called --agents now"),
+        ("record film.gif", ["--out", "film.gif"], "record takes its file as --out FILE"),
+        ("report --store runs/mine", ["runs/mine"], "report takes its folder without --store"),
+    ],
+)
+def test_former_options_are_accepted_with_a_line(former, present, told, capsys):
+    command, *others = former.split()
+    assert _spelt([command, *others]) == [command, *present]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("mmc-gym: ") and told in line
+    assert _spelt([command, *present]) == [command, *present]
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("command", _commands)
+def test_the_help_of_a_command_fits_a_screen_and_names_no_empty_default(command, capsys):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    text = capsys.readouterr().out
+    assert "(default: )" not in text and "None" not in text and "STR" not in text
+    assert len(text.splitlines()) <= 40
+
+
+def test_a_failed_cell_of_the_benchmark_is_the_last_line_and_the_exit_status(
+    tmp_path, capsys, monkeypatch
+):
+    (tmp_path / "dying24.py").write_text(
+        "import os\nclass Dying:\n    def __init__(self, env): os._exit(9)\n"
+        "    def predict(self, *_, **__): pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    agents = ["--agents", "mmc", "dying24:Dying", "--out", str(tmp_path / "store")]
+    with pytest.raises(SystemExit) as stop:
+        main(["benchmark", "--scenarios", "random", "--episodes", "2", "--jobs", "2", *agents])
+    assert stop.value.code == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(
+        "mmc-gym: a cell failed, and counts as no success: dying24:Dying in random: its process"
+    )
 
 
 def test_the_version_is_printed_and_help_says_so(capsys):

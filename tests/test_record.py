@@ -69,14 +69,14 @@ def test_a_film_that_fails_leaves_the_old_one(tmp_path):
 
 def test_the_command_names_the_file_the_agent_and_the_missing_extra(tmp_path, monkeypatch, capsys):
     steps = ["--env-kwargs", "max_episode_steps=5"]
-    main(["record", "--agent", "ik-dls", *steps, str(tmp_path / "film.gif")])
+    main(["record", "--agents", "ik-dls", *steps, "--out", str(tmp_path / "film.gif")])
     assert capsys.readouterr() == (f"wrote {tmp_path / 'film.gif'}\n", "")
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     for arguments, message in (
-        (["film.avi"], "out must be a file that ends in .gif or .mp4, got 'film.avi'"),
-        (["film.mp4"], 'pip install "mmc-gym[video]"'),
-        (["film.gif", "--env", "CartPole-v1"], "env must be a reaching environment"),
-        (["film.gif", "--episodes", "0"], "episodes must be a whole number of at least 1, got 0"),
+        (["--out", "film.avi"], "out must be a file that ends in .gif or .mp4, got 'film.avi'"),
+        (["--out", "film.mp4"], 'pip install "mmc-gym[video]"'),
+        (["--scenarios", "CartPole-v1"], "env must be a reaching environment"),
+        (["--episodes", "0"], "episodes must be a whole number of at least 1, got 0"),
     ):
         with pytest.raises(SystemExit):
             main(["record", *arguments])

@@ -3,7 +3,7 @@ How do I look at a movement?
 ============================
 
 Make the environment with ``render_mode="rgb_array"``: it draws itself into an array, without a
-display. ``mmc-gym record movement.gif`` makes a film of it, and ``mmc-gym play`` opens a window.
+display. ``mmc-gym record`` makes a film of it, and ``mmc-gym play`` opens a window.
 """
 
 import gymnasium as gym

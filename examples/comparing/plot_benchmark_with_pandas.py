@@ -14,7 +14,7 @@ from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
 
 # %%
-# ``mmc-gym benchmark --agents mmc ik-dls mmc-body --environments …`` runs the same small benchmark.
+# ``mmc-gym benchmark --agents mmc ik-dls mmc-body --scenarios …`` runs the same small benchmark.
 # Usually you already have a folder, ``runs/benchmark``.
 
 agents = ["mmc", "ik-dls", "mmc-body"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+import numpy as np
 import pandas as pd
 from rich.console import Console
 
@@ -27,10 +29,18 @@ from mmc_gym._console import (
 )
 from mmc_gym._errors import require_choice
 from mmc_gym._files import check_folder, write_atomically
+from mmc_gym._notebook import html_table
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve, resolve_all
-from mmc_gym.benchmark.statistics import CONFIDENCE, RESAMPLES, summarize
+from mmc_gym.benchmark.statistics import (
+    CONFIDENCE,
+    RESAMPLES,
+    Bootstrap,
+    Estimate,
+    Scores,
+    summarize,
+)
 from mmc_gym.benchmark.store import episode_columns
 from mmc_gym.benchmark.suite import (
     has_reference,
@@ -41,7 +51,7 @@ from mmc_gym.benchmark.suite import (
 )
 from mmc_gym.envs.scenarios import EnvLike, Scenario
 from mmc_gym.interface import read_attribute
-from mmc_gym.measures import MEASURES, Episode, episode_seeds, leave_out_failures
+from mmc_gym.measures import MEASURES, Episode, Measure, episode_seeds, leave_out_failures
 from mmc_gym.measures.catalogue import shown_measures
 from mmc_gym.measures.rollout import check_environment
 
@@ -62,6 +72,7 @@ def compare(
     out: Path | str | None = None,
     console: Console | None = None,
     *,
+    focus: str | Sequence[str] = (),
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
 ) -> Comparison:
@@ -74,12 +85,14 @@ def compare(
         agents: names, paths of files, functions, classes, models of stable-baselines3, or other
             objects with `predict`, see `mmc_gym.agents.resolve`.  A mapping gives them labels.  A
             list in it holds several trainings of one agent; so does a pattern, "runs/mine-*".
-        env: id of a reaching environment, "module:Id", "module:function", or a function or class
-            that returns one.
+        env: name of a scenario, such as "rotation-30", id of a reaching environment, "module:Id",
+            "module:function", or a function or class that returns one.
         episodes: how many each agent plays.
         seed: of the starts and targets, see `episode_seeds`, and of the bootstrap.
         out: folder for data and figure; None writes none.
         console: to print the table to; None prints nothing.  `print(comparison)` does, too.
+        focus: labels of the agents in question.  They stand first, and are compared with each
+            other one.  By default your own agents, or else the first.
         env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
             several control modes, or do not tell theirs.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
@@ -100,6 +113,8 @@ def compare(
     given = dict(env_kwargs or {})
     asked = {"control": given.pop("control", None)}
     found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
+    chosen = _focus(found, [focus] if isinstance(focus, str) else focus)
+    found.sort(key=lambda agent: [*chosen, agent.label].index(agent.label))
     seeds = episode_seeds(seed, episodes)
     if out is not None:
         out = check_folder(out, "out")
@@ -133,6 +148,7 @@ def compare(
         env=scenario.name,
         seed=seed,
         reach=reach,
+        focus=chosen,
         recorded=recorded,
         training_steps=steps,
         episodes=table,
@@ -160,6 +176,7 @@ class Comparison:
         env: id of the environment.
         seed: of the starts, the targets and the resampling.
         reach: of the arm, segment lengths.
+        focus: the agents in question, which stand first.
         recorded: the episodes of each agent, of one training after the other, and of `REFERENCE`
             if there are any; the i-th of each training have the same start and target.
         training_steps: environment steps spent in training each agent; None if unknown.
@@ -174,6 +191,7 @@ class Comparison:
     env: str
     seed: int
     reach: float
+    focus: tuple[str, ...]
     recorded: Mapping[str, tuple[Episode, ...]]
     training_steps: Mapping[str, int | None]
     episodes: pd.DataFrame
@@ -205,6 +223,51 @@ class Comparison:
         return f"{success.label}: {shares}"
 
     @property
+    def differences(self) -> str:
+        """How much better or worse each agent in focus is than each other one, in plain lines.
+
+        Differences of the statistics in the table, with intervals over episodes that both played;
+        of the time to the target, over those in which both ended there.
+        """
+        lines = []
+        for number, agent in enumerate(self.focus):
+            others = [one for one in self.agents if one not in self.focus[: number + 1]]
+            for measure, unit, more, less in (
+                (MEASURES["success"], "points", "higher", "lower"),
+                (MEASURES["time_to_target"], "s", "slower", "faster"),
+            ):
+                found = {other: self._difference(measure, agent, other) for other in others}
+                texts = []
+                for other, one in found.items():
+                    if not math.isfinite(one.estimate):
+                        continue
+                    ends, word = (one.low, one.high), more
+                    if one.estimate < 0:
+                        ends, word = (-one.high, -one.low), less
+                    size = measure.number(abs(one.estimate))
+                    what = f"{size} {unit} {word} than" if one.estimate else "equal to"
+                    texts.append(f"{what} {other} {measure.interval(*ends)}")
+                if texts:
+                    lines.append(f"{agent}, {measure.label}: {', '.join(texts)}")
+        return "\n".join(lines)
+
+    def _difference(self, measure: Measure, agent: str, other: str) -> Estimate:
+        """Estimate the statistic of one agent less that of another, NaN without common episodes."""
+        tables = {}
+        for label in (agent, other):
+            values = self.episodes.loc[self.episodes["agent"] == label, measure.name]
+            tables[label] = values.to_numpy(np.float64).reshape(-1, self._episodes)
+        both = np.all([np.isfinite(one).any(axis=0) for one in tables.values()], axis=0)
+        scores = Scores(
+            instances=(int(both.sum()),),
+            values={label: (table[:, both],) for label, table in tables.items()},
+            seeds={label: len(table) for label, table in tables.items()},
+        )
+        if not both.any():
+            return Estimate(math.nan, math.nan, math.nan, (), 0, 1)
+        return Bootstrap(scores, seed=self.seed).difference(agent, other, measure.statistic)
+
+    @property
     def note(self) -> str:
         """How to read the numbers: the lines below the table, and in summary.json."""
         one, shown = next(iter(self.recorded.values())), shown_measures()
@@ -212,6 +275,10 @@ class Comparison:
         timed = MEASURES["action_time"]
         of_all = ", ".join(one.label for one in shown if not (one.successes_only or one == timed))
         reference = f"{REFERENCE}: a hand without an arm, through the same measures. "
+        differences = (
+            f"Differences are of the same episodes of both ({MEASURES['time_to_target'].label}: "
+            "where both ended there). "
+        )
         arguments = ", ".join(f"{name}={value}" for name, value in self.env_kwargs.items())
         where = f"{self.env} with {arguments}" if arguments else self.env
         several = [f"{agent} ({number})" for agent, number in self.trainings.items() if number > 1]
@@ -225,6 +292,7 @@ class Comparison:
             f"{self._episodes} have a value (none where the hand started there); {timed.label}: of "
             f"those played one by one, the first {TIMED} of an agent that can play all at once. "
             f"{reference if REFERENCE in self.recorded else ''}"
+            f"{differences if self.differences else ''}"
             f"Of {len(MEASURES)} measures {len(shown)} are shown; files hold all. "
             f"{trained}The intervals{' of the others' if several else ''} replicate over episodes "
             "(starts and targets), NOT over training seeds: each agent is the result of one "
@@ -240,6 +308,7 @@ class Comparison:
             "env_kwargs": json.loads(json.dumps(dict(self.env_kwargs), default=repr)),
             "controls": dict(self.controls),
             "agents": self.agents,
+            "focus": list(self.focus),
             "reference": REFERENCE if REFERENCE in self.recorded else None,
             "training_steps": {agent: self.training_steps[agent] for agent in self.agents},
             "trainings": {agent: self.trainings[agent] for agent in self.agents},
@@ -294,7 +363,8 @@ class Comparison:
         table = self._table()
         best = [MEASURES[one.name].best.replace("neither", "") for one in shown_measures()]
         labels = {"": list(table.index), "best": [*best, ""]}
-        console.print(text_for(console, self.headline))
+        for text in (self.headline, *self.differences.splitlines()):
+            console.print(text_for(console, text))
         columns = {str(agent): list(cells) for agent, cells in table.items()}
         print_columns(console, labels, columns, self.note)
 
@@ -324,8 +394,9 @@ class Comparison:
         return text.getvalue().rstrip()
 
     def _repr_html_(self) -> str:
-        table = self._table().to_html(border=0)
-        return f"<p><b>{escape(self.headline)}</b></p>{table}<p>{escape(self.note)}</p>"
+        table = html_table(self._table())
+        lines = [f"<b>{escape(self.headline)}</b>", *map(escape, self.differences.splitlines())]
+        return f"<p>{'<br>'.join(lines)}</p>{table}<p>{escape(self.note)}</p>"
 
     def _table(self) -> pd.DataFrame:
         """Return the table as it is printed, all text: a row a measure, a column an agent."""
@@ -341,6 +412,15 @@ class Comparison:
             columns[agent].append("unknown" if steps is None else f"{steps:,}")
         headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
         return pd.DataFrame(columns, index=[*headings, "training\n[env steps]"])
+
+
+def _focus(agents: Sequence[ResolvedAgent], asked: Sequence[str]) -> tuple[str, ...]:
+    """Return the labels of the agents in question."""
+    labels = [agent.label for agent in agents]
+    for name in asked:
+        require_choice("focus", name, dict.fromkeys(labels))
+    own = [agent.label for agent in agents if agent.knowledge.kind == "yours"]
+    return tuple(dict.fromkeys(asked or own or labels[:1]))
 
 
 def _tidy(agents: Sequence[ResolvedAgent], played: Sequence[Sequence[Episode]]) -> pd.DataFrame:

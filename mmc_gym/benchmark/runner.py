@@ -220,11 +220,13 @@ class Progress:
         done: number of cells that are finished, those of earlier runs included.
         total: number of cells.
         key: name of the cell that was finished last; None at the start.
+        failed: why that cell failed; None if it did not.
     """
 
     done: int
     total: int
     key: CellKey | None = None
+    failed: NotPlayed | None = None
 
 
 def benchmark(
@@ -297,10 +299,11 @@ def benchmark(
     def keep(index: int, outcome: Outcome) -> None:
         key = missing[index].key
         write_cell(store, key, outcome.files)  # or remove it, if it was played by a former agent
-        finished[key] = outcome.not_played
+        finished[key] = why = outcome.not_played
         for text in outcome.warned:
             warnings.warn(text, MismatchWarning, stacklevel=1)
-        on_progress(Progress(len(finished), len(cells), key))
+        failed = why if why is not None and why.status == "failed" else None
+        on_progress(Progress(len(finished), len(cells), key, failed))
 
     def bury(index: int, error: CellError) -> None:
         keep(index, Outcome(missing[index].not_played("failed", str(error.__cause__))))

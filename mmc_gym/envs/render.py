@@ -175,7 +175,7 @@ def open_display(*, must_be_seen: bool = False) -> None:
         reason = str(error)
     raise UserError(
         f"a window needs a display, and there is none: {reason}. Without one, `mmc-gym record "
-        '--agent mmc movement.gif` makes a film, and render_mode="rgb_array" gives pictures'
+        '--agents mmc` makes a film, and render_mode="rgb_array" gives pictures'
     )
 
 

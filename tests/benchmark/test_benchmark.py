@@ -383,7 +383,7 @@ def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):
 
 
 def test_the_command_prints_the_ranking(tmp_path, capsys):
-    arguments = ["--agents", "mmc", "twin=mmc", "random", "--environments", "random"]
+    arguments = ["--agents", "mmc", "twin=mmc", "random", "--scenarios", "random"]
     cli.main(["benchmark", *arguments, "--episodes", "3", "--jobs", "1", "--out", str(tmp_path)])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     rows = [line[:2] for line in lines if line and line[0].isdecimal()]

@@ -94,7 +94,7 @@ def test_a_scenario_is_played_by_its_name():
     other = compare(["mmc"], episodes=3, env_kwargs={"perturbations": ["rotation-30"]})
     for one, two in zip(found.recorded["mmc"], other.recorded["mmc"], strict=True):
         np.testing.assert_array_equal(one.hands, two.hands)
-    with pytest.raises(UserError, match="did you mean 'rotation'"):
+    with pytest.raises(UserError, match="did you mean 'rotation"):
         compare(["mmc"], "rotaton-30", 3)
 
 
@@ -152,6 +152,7 @@ def test_a_comparison_is_a_table_in_a_notebook(frozen):
     html = found._repr_html_()
     assert html.count("<th>") > len(shown_measures())
     assert "50 % &lt;b&gt;_still" in html and "<b>_still" not in html
+    assert "success at the end<br>[fraction]" in html and "\\n" not in html
 
 
 def test_its_frame_has_a_row_for_each_agent_and_its_figure_a_column(oracle, frozen):
@@ -177,6 +178,37 @@ def test_a_terminal_gets_all_signs(frozen):
     terminal = console(terminal=True)
     compare({"frozen": frozen}, episodes=2, console=terminal)
     assert "[µs]" in printed(terminal)
+
+
+def test_your_own_agents_stand_first_and_are_compared_with_each_other_one(oracle, frozen):
+    terminal = console(width=300, terminal=True)
+    found = compare(["mmc", oracle, "random"], episodes=20, console=terminal)
+    assert found.focus == ("Oracle",) and found.agents == ["Oracle", "mmc", "random"]
+    headline, success, time, *_ = printed(terminal).splitlines()
+    assert headline.startswith("success at the end: Oracle 100.0 %, mmc")
+    assert success == (
+        "Oracle, success at the end: equal to mmc [0.0, 0.0], "
+        "100.0 points higher than random [100.0, 100.0]"
+    )
+    ours, theirs = (
+        np.median([MEASURES["time_to_target"].of(one) for one in found.recorded[agent]])
+        for agent in ("Oracle", "mmc")
+    )
+    word = "slower" if ours > theirs else "faster"
+    assert time.startswith(f"Oracle, time to target: {abs(ours - theirs):.2f} s {word} than mmc [")
+    assert "random" not in time  # it never ends there
+
+
+def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
+    found = compare(["mmc", "random", "ik-dls"], episodes=3)
+    assert found.focus == ("mmc",)
+    found = compare(["mmc", "random", "ik-dls"], episodes=3, focus=["ik-dls", "random"])
+    assert found.agents == ["ik-dls", "random", "mmc"]
+    first, *_, last = found.differences.splitlines()
+    assert first.count(" than ") + first.count("equal to") == 2
+    assert last == "random, success at the end: 100.0 points lower than mmc [100.0, 100.0]"
+    with pytest.raises(UserError, match="did you mean 'ik-dls'"):
+        compare(["mmc", "ik-dls"], focus="ik-dsl")
 
 
 def test_a_name_or_folder_that_the_encoding_lacks_costs_nobody_the_results(tmp_path, frozen):

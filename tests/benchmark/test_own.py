@@ -157,7 +157,7 @@ def test_arguments_of_the_environment_are_heeded(tmp_path, monkeypatch):
     assert found.settings["env_kwargs"] == given
     main(["compare", *arguments, "control=joint_velocity"])
     assert (tmp_path / "runs/compare/summary.json").read_text().count("joint_velocity") == 3
-    main(["benchmark", *arguments, "--environments", "random", "--jobs", "1"])
+    main(["benchmark", *arguments, "--scenarios", "random", "--jobs", "1"])
     (kept,) = read_manifest(tmp_path / "runs/benchmark").environments.values()
     assert kept["kwargs"] == {"gravity": [0, -9]}
 
@@ -212,14 +212,15 @@ def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
 
     mine = ("--import", "my_things")
     agents = ("--agents", "mmc", "still=my_things:still", "--episodes", "3")
-    names = ("--environments", "short", "heavy-3", "my_things:Flat", "my_things:MyArm-v0")
+    names = ("--scenarios", "short", "heavy-3", "my_things:Flat", "my_things:MyArm-v0")
     run("benchmark", *mine, *agents, *names, "--jobs", "2")
     frame = read_episodes(tmp_path / "runs/benchmark")
     steps = frame.groupby("environment")["number_of_steps"].first().to_dict()
     assert steps == dict(zip(names[1:], (4.0, 100.0, 100.0, 7.0)))
     assert len(frame) == 2 * 4 * 3
     run("report")
-    run("compare", *agents, "--env", "my_things:MyArm-v0")
-    run("record", "film.gif", "--agent", "my_things:still", "--env", "MMCReachShort-v0", *mine)
+    run("compare", *agents, "--scenarios", "my_things:MyArm-v0")
+    film = ("--out", "film.gif", "--scenarios", "MMCReachShort-v0")
+    run("record", *film, "--agents", "my_things:still", *mine)
     assert "short episodes" in run("list", "tasks", *mine).stdout
     assert "7 masses at the hand" in run("show", "heavy-7", *mine).stdout

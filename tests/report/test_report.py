@@ -128,11 +128,11 @@ def test_the_command_writes_the_report_and_refuses_a_folder_without_a_store(
         (tmp_path / "store" / "report.html", []),
         (elsewhere, ["--out", str(elsewhere)]),
     ):
-        main(["report", "--store", str(tmp_path / "store"), *options])
+        main(["report", str(tmp_path / "store"), *options])
         assert file.read_text(encoding="utf-8").startswith("<!doctype html>")
         assert str(file) in capsys.readouterr().out
     with pytest.raises(UserError, match="out must be a file"):
         write_report(tmp_path / "store", tmp_path)
     with pytest.raises(SystemExit, match="2"):
-        main(["report", "--store", str(tmp_path), "--out", str(tmp_path / "report.html")])
+        main(["report", str(tmp_path), "--out", str(tmp_path / "report.html")])
     assert "store" in capsys.readouterr().err
