@@ -284,16 +284,21 @@ def benchmark(
 def report(
     store: Positional[Place] = Path("runs/benchmark"),
     out: OtherPlace = None,
+    focus: Names = (),
+    format: Annotated[Literal["html", "md"], _arg("html|md")] = "html",
 ) -> None:
     """Write the report of a benchmark: one file that needs nothing beside it.
 
     Args:
         store: Folder of the benchmark.
-        out: The file to write; report.html in the store, if not given.
+        out: The file to write; report.html or report.md in the store if not given.
+        focus: The agents that the report is about; your own, or else the first, if not given.
+        format: html, or md for the tables in Markdown, as in a pull request.
     """
     from mmc_gym import report
 
-    print(f"wrote {report.write_report(store, out or store / 'report.html')}")
+    file = out or store / f"report.{format}"
+    print(f"wrote {report.write_report(store, file, focus=focus, format=format)}")
 
 
 @_command

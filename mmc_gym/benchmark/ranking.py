@@ -64,7 +64,7 @@ def rank_agents(
         UserError: if no environment was attempted by all agents.
     """
     missing = [key for key in not_played if key.agent != REFERENCE]
-    scores = ranked_scores(episodes, missing)
+    scores = ranked_scores(attempted_scores(episodes, missing))
     success, settled = (
         Bootstrap.of(scores, value, resamples, seed) for value in ("success", "settled")
     )
@@ -98,34 +98,12 @@ def rank_agents(
     return ordered
 
 
-def success_by_environment(
-    episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()
-) -> pd.DataFrame:
-    """Return the success of each agent (rows) in each environment (columns).
-
-    Args:
-        episodes: as `read_episodes` returns them.
-        not_played: cells that were attempted but have no episodes; they count as failures.
-
-    Returns:
-        Means over training seeds and instances; NaN where nothing was attempted.
-    """
-    lost = pd.DataFrame([{**key._asdict(), "success": 0.0} for key in not_played])
-    cells = pd.concat([episodes[[*_POLICY, "environment", "success"]], lost], ignore_index=True)
-    policies = cells.groupby([*_POLICY, "environment"], sort=False, dropna=False)["success"].mean()
-    table: pd.DataFrame = policies.groupby(["agent", "environment"], sort=False).mean().unstack()
-    return table
-
-
-def ranked_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
-    """Return the scores that a ranking uses, in the environments that all agents have attempted.
+def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
+    """Return the scores of all policies, without the ideal hand.
 
     Returns:
         A row for each episode of each policy, played or not: agent, training_seed, environment,
         instance, success, time_to_target, settled.
-
-    Raises:
-        UserError: if there is no such environment.
     """
     played = episodes[episodes["agent"] != REFERENCE]
     scores = played[[*_POLICY, "environment", "instance", "success", "time_to_target"]].copy()
@@ -138,10 +116,20 @@ def ranked_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) ->
         {**key._asdict(), "instance": instance, **nothing}
         for key in not_played
         for instance in instances.get(key.environment, ())
+        if key.agent != REFERENCE
     ]
     if empty:
         scores = pd.concat([scores, pd.DataFrame(empty)], ignore_index=True)
         scores["training_seed"] = scores["training_seed"].astype("Int64")
+    return scores
+
+
+def ranked_scores(scores: pd.DataFrame) -> pd.DataFrame:
+    """Return the `attempted_scores` that a ranking uses: where all agents have attempted.
+
+    Raises:
+        UserError: if there is no such environment.
+    """
     policies = len(scores[_POLICY].drop_duplicates())
     attempts = scores[[*_POLICY, "environment"]].drop_duplicates()["environment"].value_counts()
     common = attempts.index[attempts == policies]

@@ -133,33 +133,43 @@ def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
     Raises:
         ValueError: if a column is missing, an episode occurs twice, or a policy lacks instances.
     """
-    missing = [column for column in (*COLUMNS, value) if column not in frame.columns]
+    return arrange_all(frame, [value])[value]
+
+
+def arrange_all(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:
+    """Return the scores of several columns of a tidy frame, as `arrange` does for one."""
+    missing = [column for column in (*COLUMNS, *names) if column not in frame.columns]
     if missing or frame.empty:
-        raise ValueError(f"frame must have rows with {[*COLUMNS, value]}, it lacks {missing}")
+        raise ValueError(f"frame must have rows with {[*COLUMNS, *names]}, it lacks {missing}")
     is_twice = frame.duplicated(COLUMNS).to_numpy()
     if is_twice.any():
         first = frame.loc[is_twice, COLUMNS].iloc[0].to_dict()
         raise ValueError(f"frame must have each episode once, got {first} repeatedly")
+    agent, agents = pd.factorize(frame["agent"])
     environment = pd.factorize(frame["environment"])[0]
     seed = pd.factorize(frame["training_seed"])[0]  # -1 without training
     instance = pd.factorize(frame["instance"], sort=True)[0]
     most = instance.max() + 1
     sizes = tuple(np.bincount(np.unique(environment * most + instance) // most).tolist())
-    scores = frame[value].to_numpy(dtype=np.float64)
-    values, count = {}, {}
-    for agent in frame["agent"].unique():
-        mine = np.flatnonzero(frame["agent"] == agent)
+    places, count = {}, {}
+    for number, name in enumerate(agents):
+        mine = np.flatnonzero(agent == number)
         policy, policies = pd.factorize(seed[mine])
         if len(mine) != len(policies) * sum(sizes):
             raise ValueError(
                 f"frame must have all instances of all environments for each of the training seeds "
-                f"of {agent!r}, {len(policies)} × {sum(sizes)} episodes, got {len(mine)}"
+                f"of {name!r}, {len(policies)} × {sum(sizes)} episodes, got {len(mine)}"
             )
         order = np.lexsort((instance[mine], policy, environment[mine]))
-        tables = np.split(scores[mine][order], len(policies) * np.cumsum(sizes)[:-1])
-        values[str(agent)] = tuple(table.reshape(len(policies), -1) for table in tables)
-        count[str(agent)] = 0 if policies.tolist() == [-1] else len(policies)
-    return Scores(sizes, values, count)
+        tables = np.split(mine[order], len(policies) * np.cumsum(sizes)[:-1])
+        places[str(name)] = [table.reshape(len(policies), -1) for table in tables]
+        count[str(name)] = 0 if policies.tolist() == [-1] else len(policies)
+    found = {}
+    for column in names:
+        scores = frame[column].to_numpy(dtype=np.float64)
+        values = {name: tuple(scores[table] for table in tables) for name, tables in places.items()}
+        found[column] = Scores(sizes, values, count)
+    return found
 
 
 @lru_cache(maxsize=32)
@@ -264,6 +274,8 @@ class Bootstrap:
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
         tables, policies = self.scores.values[agent], self.policies[agent]
+        if statistic == "median" and len(tables) == 1:
+            return _median_of_counts(tables[0], policies, self.instances[0])
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
@@ -284,11 +296,26 @@ class Bootstrap:
             found.append(_WEIGHTED[statistic](distinct, np.ascontiguousarray(weights.T)))
         return np.concatenate(found)
 
-    def summarize(self, distribution: Floats, *agents: str) -> Estimate:
-        """Return the `Estimate` of a distribution, of one agent or of the difference of two."""
+    def estimates(self, statistic: PooledStatistic) -> dict[str, Estimate]:
+        """Estimate a statistic of all agents, as `estimate` does of one."""
+        found = {agent: self.distribution(agent, statistic) for agent in self.scores.values}
+        table = np.array(list(found.values()))
+        ends = np.quantile(table[:, 1:], TAILS, axis=1).T.tolist()  # NaN if there is one
+        return {
+            agent: self.summarize(one, agent, ends=None if math.isnan(low) else (low, high))
+            for (agent, one), (low, high) in zip(found.items(), ends, strict=True)
+        }
+
+    def summarize(
+        self, distribution: Floats, *agents: str, ends: tuple[float, float] | None = None
+    ) -> Estimate:
+        """Return the `Estimate` of a distribution, of one agent or of the difference of two.
+
+        The `ends` of the interval may be known.
+        """
         return Estimate(
             float(distribution[0]),
-            *percentile_interval(distribution[1:]),
+            *(ends or percentile_interval(distribution[1:])),
             seeds=tuple(self.scores.seeds[agent] for agent in agents),
             instances=sum(self.scores.instances),
             environments=len(self.scores.instances),
@@ -298,6 +325,31 @@ class Bootstrap:
                 for table in self.scores.values[agent]
             ),
         )
+
+
+def _median_of_counts(table: Floats, policies: Floats, instances: Floats) -> Floats:
+    """Return what `weighted_median` does, for one environment, where weights are whole numbers.
+
+    Args:
+        table: values (policies, instances), NaN for none.
+        policies: how often each is drawn, (R, policies).
+        instances: how often each is drawn, (R, instances).
+    """
+    values = table.ravel()
+    order = np.argsort(values, kind="stable")[: np.count_nonzero(~np.isnan(values))]  # NaN last
+    if not len(order):
+        return np.full(len(policies), np.nan)
+    values = values[order]
+    kind = np.int16 if 2 * table.size < 2**15 else np.int64  # the sum of all weights is the size
+    seeds, trials = (one.T.astype(kind, order="C") for one in (policies, instances))
+    weights = np.multiply(seeds[:, None], trials).reshape(table.size, -1)[order]
+    twice = 2 * np.cumsum(weights, axis=0, dtype=kind)
+    whole = twice[-1] // 2
+    low, high = (  # whole numbers: no rounding
+        np.minimum(np.sum(below, axis=0, dtype=kind), len(values) - 1)
+        for below in (twice < whole, twice <= whole)
+    )
+    return np.where(whole > 0, (values[low] + values[high]) / 2, np.nan)
 
 
 @dataclass(frozen=True)

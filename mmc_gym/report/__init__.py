@@ -1,4 +1,4 @@
-"""The report of a benchmark: one HTML file with tables, figures and a replay.
+"""The report of a benchmark, about the agents that were asked about: one HTML file, or Markdown.
 
 The file needs nothing beside it.  No result is written here: every number is computed from the
 benchmark's store.
@@ -6,44 +6,66 @@ benchmark's store.
 
 from __future__ import annotations
 
+import base64
+import io
+import re
+from collections.abc import Sequence
+from html import escape
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib import rc_context
 
-from mmc_gym._errors import UserError, require
+from mmc_gym._errors import UserError, require, require_choice
 from mmc_gym._files import write_atomically
+from mmc_gym._plotting import STYLE
 from mmc_gym.benchmark.statistics import RESAMPLES
 from mmc_gym.benchmark.store import reasons
-from mmc_gym.report import figures, tables
+from mmc_gym.measures import MEASURES
+from mmc_gym.report import tables
 from mmc_gym.report.replay import replay
-from mmc_gym.report.results import Results, count, read_results
+from mmc_gym.report.results import Results, count, listed, read_results
 
 __all__ = ["write_report"]
 
+Format = Literal["html", "md"]
 
-def write_report(store: Path | str, out: Path | str, resamples: int = RESAMPLES) -> Path:
+
+def write_report(
+    store: Path | str,
+    out: Path | str,
+    resamples: int = RESAMPLES,
+    *,
+    focus: Sequence[str] = (),
+    format: Format = "html",
+) -> Path:
     """Write the report of a benchmark, and return its file.
 
     Args:
         store: folder of the benchmark.
-        out: the HTML file.
+        out: the file.
         resamples: number for the ranking's intervals; the other tables use at most 500.
+        focus: names of the agents that it is about; by default your own (files, models, modules
+            and objects), or else the first that took part.
+        format: "html", or "md" for its tables in Markdown.
 
     Raises:
-        UserError: if there is no store, it is damaged or has no episodes, or `out` is a folder.
+        UserError: if there is no store, it is damaged or has no episodes, an agent in `focus` did
+            not take part, or `out` is a folder.
     """
     for name, path in (("store", store), ("out", out)):
         require(isinstance(path, str | Path), name, path, "a path")
+    require_choice("format", format, get_args(Format))
     out = Path(out)
     if out.is_dir():
         raise UserError(f"out must be a file, got the folder {str(out)!r}")
-    return write_atomically(out, _render(read_results(Path(store), resamples), resamples))
+    return write_atomically(out, _render(read_results(Path(store), resamples, focus), format))
 
 
-def _render(results: Results, resamples: int) -> str:
-    """Return the report as HTML."""
+def _render(results: Results, format: Format) -> str:
+    """Return the report as HTML or Markdown."""
     pages = Environment(
         loader=PackageLoader("mmc_gym.report"),
         autoescape=True,  # users choose the names of agents
@@ -52,25 +74,64 @@ def _render(results: Results, resamples: int) -> str:
         lstrip_blocks=True,
     )
     pages.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-    of_scores = min(resamples, tables.SCORE_RESAMPLES)
+    pages.filters["plain"] = _plain
     shown: dict[str, Any] = {
         "results": results,
-        "manifest": results.manifest,
-        "policies": results.episodes[["agent", "training_seed"]].drop_duplicates(),
+        "title": listed(results.focus),
+        "headline": _headline(results),
         "count": count,
         "ranking": tables.ranking_table(results),
-        "heat": tables.heat_table(results),
+        "scenarios": [tables.scenario_table(results, agent) for agent in results.focus],
         "given": tables.given_table(results),
-        "replay": replay(results),
-        "movements": figures.movements(results),
+        "failures": tables.failure_table(results),
         "laws": tables.law_table(results),
-        "learning": figures.learning(results),
-        "tables": {
-            key: tables.score_table(results, key, of_scores) for key in results.environments
-        },
+        "tables": {key: tables.score_table(results, key) for key in results.environments},
         "not_played": reasons(results.manifest.not_played),
-        "resamples": resamples,
-        "score_resamples": of_scores,
         "version": version("mmc-gym"),
     }
-    return pages.get_template("report.html.j2").render(shown)
+    if format == "html":
+        shown |= {"replay": replay(results), "learning": _learning(results)}
+    return pages.get_template(f"report.{format}.j2").render(shown)
+
+
+def _plain(text: str) -> str:
+    """Return a text for Markdown, in which names of agents are no markup."""
+    return re.sub(r"([\\|*_`\[\]])", r"\\\1", escape(text, quote=False))
+
+
+def _headline(results: Results) -> str:
+    """Return how good the agents in focus are, in a sentence for each."""
+    success, said = MEASURES["success"], []
+    for row in results.ranking.to_dict("records"):
+        if row["agent"] in results.focus:
+            interval = success.interval(row["success_low"], row["success_high"])
+            said.append(
+                f"{row['agent']} ends at the target in {success.quantity(row['success'])} of its "
+                f"episodes {interval}, rank {row['rank']} of {len(results.ranking)}."
+            )
+    return " ".join(said)
+
+
+def _learning(results: Results) -> dict[str, str] | None:
+    """Draw the learning curves of the agents in focus, and beside them those of the others.
+
+    Return None if no agent in focus has one.
+    """
+    if not any(results.identities[agent].cards for agent in results.focus):
+        return None
+    from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves
+
+    cards = {agent: results.identities[agent].cards for agent in results.agents}
+    curves = curve_rows({agent: found for agent, found in cards.items() if found})
+    against = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
+    if min(map(len, against)) == 0:
+        return None
+    buffer = io.BytesIO()
+    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+        figure = draw_learning_curves(*against)
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    source = f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    return {
+        "source": source,
+        "description": "Success during training against environment steps, and against time",
+    }

@@ -1,4 +1,4 @@
-"""The data of the replay: a few movements of the main agents, as compact JSON.
+"""The data of the replay: a few movements, as compact JSON, first those in which the focus fails.
 
 Positions and angles are in thousandths, distances from the target in ten-thousandths.  Every value
 but the first of a series is the difference from the one before, so that most have one to three
@@ -17,10 +17,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.envs import shapes
-from mmc_gym.report.results import Results
-
-INSTANCES = 6
-ENVIRONMENTS = 5
+from mmc_gym.report.results import REPLAYED_INSTANCES, Results
 
 _SIDE_BY_SIDE = 4  # agents shown at first
 _COLOURS = ("BACKGROUND", "REACHABLE", "BORDER", "OUTLINE", "ROD", "TRACE", "TARGET")
@@ -30,16 +27,13 @@ _COARSE, _FINE = 1_000, 10_000  # parts of one
 
 
 def replay(results: Results) -> dict[str, Any]:
-    """Return movements of the main agents by environment, instance and agent, and the settings.
+    """Return movements by scenario, instance and agent, and the settings of the scenarios.
 
-    Trained agents are shown by their first training seed.
+    Trained agents are shown by their first training.
     """
-    agents = results.main_agents
-    scenes = {
-        key: found
-        for key in _shown_environments(results)
-        if (found := _scenes(results, key, agents))
-    }
+    agents = results.replayed
+    recorded = set() if results.paths.empty else set(results.paths["environment"])
+    scenes = {key: _scenes(results, key) for key in results.replayed_scenarios if key in recorded}
     there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
     return {
         "worlds": {
@@ -54,37 +48,27 @@ def replay(results: Results) -> dict[str, Any]:
     }
 
 
-def _shown_environments(results: Results) -> list[str]:
-    """Return the base, another unperturbed environment, and the strongest of each family."""
-    if results.paths.empty:
-        return []
-    recorded = set(results.paths["environment"])
-    plain = [
-        key for key, one in results.environments.items() if not one.family and key != results.base
-    ]
-    strongest = [keys[-1] for keys in results.families.values()]
-    found = dict.fromkeys([results.base, *plain[:1], *strongest, *plain[1:]])
-    return [key for key in found if key in recorded][:ENVIRONMENTS]
-
-
 def _hex(colour: Sequence[int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
-def _scenes(results: Results, environment: str, agents: Sequence[str]) -> list[dict[str, Any]]:
-    paths = results.paths
-    here = paths[(paths["environment"] == environment) & paths["agent"].isin(list(agents))]
+def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
+    here = results.paths[results.paths["environment"] == environment]
+    failed: dict[int, list[str]] = {}
+    for agent in results.focus:
+        for instance in results.replayed_failures(agent, environment):
+            failed.setdefault(instance, []).append(agent)
+    instances = sorted(here["instance"].unique(), key=lambda one: (one not in failed, one))
     scenes = []
-    for instance in sorted(here["instance"].unique())[:INSTANCES]:
+    for instance in instances[: max(REPLAYED_INSTANCES, len(failed))]:
         rows = here[here["instance"] == instance]
         movements = {}
         target: NDArray[np.float64] = np.zeros((0, 2))
         for agent, mine in rows.groupby("agent", sort=False, observed=True):
             seed = mine["training_seed"].fillna(0)
             steps = mine[seed == seed.min()].sort_values("step")
-            movements[str(agent)] = _movement(
-                steps, results.environments[environment].segment_lengths
-            )
+            lengths = results.environments[environment].segment_lengths
+            movements[str(agent)] = _movement(steps, lengths)
             own = steps[["target_x", "target_y"]].to_numpy(np.float64)
             target = own if len(own) > len(target) else target
         moving = bool(np.ptp(target, axis=0).max() > 0)
@@ -92,8 +76,9 @@ def _scenes(results: Results, environment: str, agents: Sequence[str]) -> list[d
         scenes.append(
             {
                 "instance": int(instance) + 1,
+                "failed": failed.get(instance, []),
                 "target": [_compact(column) for column in shown.T],
-                "agents": {agent: movements[agent] for agent in agents if agent in movements},
+                "agents": {one: movements[one] for one in results.replayed if one in movements},
             }
         )
     return scenes
@@ -106,6 +91,7 @@ def _movement(steps: pd.DataFrame, given: Sequence[float]) -> dict[str, Any]:
     )
     names = [name for name in steps.columns if name.startswith("joint_angle_")]
     angles = steps[names].to_numpy(np.float64)
+    angles = angles[:, ~np.isnan(angles).all(axis=0)]  # others may have arms of more segments
     distance = np.linalg.norm(cursor - target, axis=-1)
     movement: dict[str, Any] = {
         "hand": [_compact(column) for column in hand.T],
@@ -113,7 +99,7 @@ def _movement(steps: pd.DataFrame, given: Sequence[float]) -> dict[str, Any]:
     }
     if np.abs(cursor - hand).max() > _SEEN_APART:
         movement["cursor"] = [_compact(column) for column in cursor.T]
-    if angles.size > 0 and not np.isnan(angles).any():
+    if angles.size and angles.shape[1] == len(given) and not np.isnan(angles).any():
         movement["angles"] = [_compact(column) for column in angles.T]
         movement["lengths"] = [round(length, 3) for length in _lengths(angles, hand, given)]
     return movement

@@ -1,26 +1,29 @@
-"""Read a benchmark's store: episodes, paths, environments, and the identity of agents."""
+"""Read a benchmark's store: episodes, scenarios, the agents, and which the report is about."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from mmc_gym._errors import UserError
+from mmc_gym._errors import UserError, unknown
 from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
-from mmc_gym.benchmark.ranking import rank_agents
-from mmc_gym.benchmark.statistics import RESAMPLES
+from mmc_gym.benchmark.ranking import attempted_scores, rank_agents, ranked_scores
+from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap
 from mmc_gym.benchmark.store import (
     CellKey,
     Manifest,
+    Policy,
     read_episodes,
     read_manifest,
     read_paths,
@@ -29,14 +32,16 @@ from mmc_gym.benchmark.store import (
 from mmc_gym.envs.scenarios import BASELINE
 from mmc_gym.measures import Measure, SetMeasure, leave_out_failures
 from mmc_gym.measures.catalogue import measures_of, set_measures_of
+from mmc_gym.measures.episode import Floats
 
-_KINDS: tuple[Kind, ...] = get_args(Kind)
-"""In the order of the report, the reader's own agents first."""
+REPLAYED_AGENTS, REPLAYED_SCENARIOS, REPLAYED_INSTANCES = 7, 8, 6
 
-_SHOWN_AT_MOST = 7
+SCORE_RESAMPLES = 500  # at most, for each of the thousands of intervals of single scenarios
 
-_USED = ("success", "time_to_target", "duration")
-"""Columns of episodes that the ranking needs, whatever the tables show."""
+_USED = ("success", "time_to_target", "duration", "final_distance")
+"""Columns of episodes that the report needs, whatever the tables of measures show."""
+
+ALL = "all scenarios"
 
 
 @dataclass(frozen=True)
@@ -46,46 +51,55 @@ class AgentIdentity:
     Attributes:
         name: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
         knowledge: its kind, what it is given, and what it senses.
-        cards: one for each of its trainings in the benchmark; empty if a card is missing.
-        damaged: for each card that cannot be read, the reason.
+        training_steps: of each of its trainings, 0 without one; None where it is unknown.
+        sources: of its trainings.
     """
 
     name: str = ""
     knowledge: Knowledge = UNKNOWN
-    cards: tuple[PolicyCard, ...] = ()
-    damaged: tuple[str, ...] = ()
+    training_steps: tuple[int | None, ...] = ()
+    sources: tuple[str, ...] = ()
 
     @property
     def description(self) -> str:
         """One line of description; empty if the agent does not ship with the package."""
         return AGENTS[self.name].description if self.name in AGENTS else ""
 
+    @property
+    def training(self) -> str:
+        """How long it was trained, in words."""
+        if self.knowledge.kind not in ("learned", "yours"):
+            return "not trained"
+        known = sorted(steps for steps in self.training_steps if steps)
+        if not known or len(known) < len(self.training_steps):
+            return "unknown"
+        span = f"{known[0]:,}" + (f" to {known[-1]:,}" if known[-1] > known[0] else "")
+        each = f", each of {len(known)} trainings" if len(known) > 1 else ""
+        return f"{span} environment steps{each}"
 
-def identify(sources: Iterable[str]) -> AgentIdentity:
-    """Identify an agent by the sources of its trainings in the manifest."""
-    found = [_identify(source) for source in sources]
-    damaged = tuple(line for one in found for line in one.damaged)
-    if len({(one.name, one.knowledge) for one in found}) != 1:
-        return AgentIdentity(damaged=damaged)
-    cards = tuple(card for one in found for card in one.cards)
-    return replace(found[0], cards=cards if len(cards) == len(found) else (), damaged=damaged)
+    @property
+    def cards(self) -> tuple[PolicyCard, ...]:
+        """Cards of its trainings that have a learning curve; empty if one of them is missing."""
+        found = []
+        for source in self.sources:
+            with suppress(UserError, OSError):  # its file may have gone since it was played
+                card = resolve(source).card
+                found += [card] if card and len(card.learning_curve) > 1 else []
+        return tuple(found) if len(found) == len(self.sources) else ()
 
 
-def _identify(source: str) -> AgentIdentity:
-    try:
-        agent = resolve(source)
-    except UserError:
-        return AgentIdentity()  # its file or module has gone since it was played
-    try:
-        return AgentIdentity(agent.name, agent.knowledge, (agent.card,) if agent.card else ())
-    except (FileNotFoundError, UserError) as error:
-        known = agent.entry.knowledge if agent.entry else UNKNOWN
-        return AgentIdentity(agent.name, known, damaged=(str(error),))
+def identify(policies: Iterable[Policy]) -> AgentIdentity:
+    """Identify an agent by its trainings in the manifest."""
+    found = list(policies)
+    facts = {(one.name, one.knowledge) for one in found}
+    name, knowledge = facts.pop() if len(facts) == 1 else ("", UNKNOWN)
+    steps = tuple(one.training_steps for one in found)
+    return AgentIdentity(name, knowledge, steps, tuple(one.source for one in found))
 
 
 @dataclass(frozen=True)
 class Environment:
-    """An environment of the benchmark, as the manifest describes it.
+    """A scenario of the benchmark, as the manifest describes it.
 
     Attributes:
         family: of the perturbation; empty without one.
@@ -114,108 +128,161 @@ class Results:
     Attributes:
         manifest: how they were made, and which cells could not be played.
         episodes: with the measures that tables show, after `leave_out_failures`.
-        paths: of the `main_agents`, as `read_paths` returns them.
-        environments: by key, in the order of the manifest.
+        environments: the scenarios by name, in the order of the manifest.
         identities: who each agent is.
-        agents: by kind, and within a kind as `AGENTS` lists them.
+        focus: the agents that the report is about.
         measures: those that tables show and that have a value in some episode.
         set_measures: measures of all episodes of a policy together, by name.
         sets: values of the `set_measures`, as `read_sets` returns them.
-        ranking: as `rank_agents` returns it; empty if no environment was attempted by all agents.
+        ranking: as `rank_agents` returns it; empty if no scenario was attempted by all agents.
+        resamples: number of bootstrap resamples in the tables of scenarios.
+        store: the folder.
     """
 
     manifest: Manifest
     episodes: pd.DataFrame
-    paths: pd.DataFrame
     environments: Mapping[str, Environment]
     identities: Mapping[str, AgentIdentity]
-    agents: tuple[str, ...]
+    focus: tuple[str, ...]
     measures: tuple[Measure, ...]
     set_measures: Mapping[str, SetMeasure]
     sets: pd.DataFrame
     ranking: pd.DataFrame
+    resamples: int
+    store: Path
 
     def kind(self, agent: str) -> Kind:
         """Return the kind of an agent."""
         return self.identities[agent].knowledge.kind
 
-    @property
-    def ranked(self) -> list[str]:
-        """All agents except the ideal hand: the ranked ones, best first, then the others."""
+    @cached_property
+    def agents(self) -> tuple[str, ...]:
+        """The agents in the order of tables: those in focus, the others by rank, the ideal hand."""
         best_first = [] if self.ranking.empty else map(str, self.ranking["agent"])
-        return [one for one in dict.fromkeys([*best_first, *self.agents]) if one != REFERENCE]
+        found = dict.fromkeys([*self.focus, *best_first, *self.identities])
+        return tuple(sorted(found, key=lambda agent: agent == REFERENCE))
 
-    @property
-    def main_agents(self) -> tuple[str, ...]:
-        """Agents that figures show: yours, the best of each kind, then the next best."""
+    @cached_property
+    def by_scenario(self) -> dict[str, pd.DataFrame]:
+        """The episodes of each scenario."""
+        return {str(name): rows for name, rows in self.episodes.groupby("environment", sort=False)}
+
+    @cached_property
+    def replayed(self) -> tuple[str, ...]:
+        """Agents that the replay shows: those in focus, then the best of the others."""
         played = set(self.episodes["agent"])
-        shown = [one for one in self.ranked if one in played and self.kind(one) != "baseline"]
-        yours = [one for one in shown if self.kind(one) == "yours"]
-        best: dict[str, str] = {}
-        for one in shown:
-            best.setdefault(self.kind(one), one)
-        return tuple(dict.fromkeys([*yours, *best.values(), *shown]))[:_SHOWN_AT_MOST]
-
-    @property
-    def cards(self) -> dict[str, tuple[PolicyCard, ...]]:
-        """Cards of the policies that took part, by agent, for agents whose cards are known."""
-        return {agent: one.cards for agent, one in self.identities.items() if one.cards}
-
-    @property
-    def curves(self) -> dict[str, tuple[PolicyCard, ...]]:
-        """Cards by agent, for agents whose learning curves are known."""
-        return {
-            agent: cards
-            for agent, cards in self.cards.items()
-            if all(card.learning_curve for card in cards)
-        }
-
-    @property
-    def damaged(self) -> list[str]:
-        """A line for each card that cannot be read: the agent and the reason."""
-        return [
-            f"{agent}: {line}" for agent, one in self.identities.items() for line in one.damaged
-        ]
+        shown = [one for one in self.agents if one in played and one != REFERENCE]
+        return tuple(shown[:REPLAYED_AGENTS])
 
     @property
     def base(self) -> str:
-        """The baseline environment, else another without perturbation, else the first."""
+        """The baseline scenario, else another without perturbation, else the first."""
         plain = [key for key, one in self.environments.items() if not one.family]
         return BASELINE if BASELINE in plain else next(iter([*plain, *self.environments]))
 
-    @property
-    def families(self) -> dict[str, list[str]]:
-        """Keys of the perturbed environments by family, the weakest first."""
-        found: dict[str, list[str]] = {}
-        for key, environment in self.environments.items():
-            if environment.family:
-                found.setdefault(environment.family, []).append(key)
-        return {
-            family: sorted(keys, key=lambda key: self.environments[key].strength)
-            for family, keys in found.items()
-        }
+    @cached_property
+    def replayed_scenarios(self) -> list[str]:
+        """The scenarios that the replay shows, those first in which the focus fails most often."""
+        mine = self.episodes[self.episodes["agent"].isin(self.focus)]
+        success = mine.groupby("environment")["success"].mean()
+        order = sorted(self.environments, key=lambda key: (success.get(key, 1.0), key != self.base))
+        return order[:REPLAYED_SCENARIOS]
+
+    @cached_property
+    def paths(self) -> pd.DataFrame:
+        """Paths of the replayed agents and scenarios, as `read_paths` returns them."""
+        keys = [
+            CellKey(agent, policy.training_seed, environment)
+            for agent in self.replayed
+            for policy in self.manifest.agents.get(agent, ())
+            for environment in self.replayed_scenarios
+        ]
+        paths = read_paths(self.store, keys)
+        if paths.empty:
+            return paths  # the report can do without
+        # Categories are quick to compare.
+        return _plain_seeds(paths).astype({"agent": "category", "environment": "category"})
+
+    def replayed_failures(self, agent: str, environment: str) -> list[int]:
+        """Return the instances of failures of an agent in focus that the replay shows."""
+        if self.paths.empty:
+            return []
+        here, kept = self.by_scenario[environment], self.paths
+        is_mine = (kept["agent"] == agent) & (kept["environment"] == environment)
+        mine = kept.loc[is_mine, ["agent", "training_seed", "instance"]].drop_duplicates()
+        failed = here[here["success"] == 0].merge(mine.astype({"agent": str}))
+        return sorted(failed["instance"].tolist())[:REPLAYED_INSTANCES]
+
+    @cached_property
+    def successes(self) -> dict[str, tuple[Bootstrap, dict[str, Floats]]]:
+        """For `ALL` and each scenario, the resampled success of each agent that attempted it."""
+        scores = attempted_scores(self.episodes, [one.key for one in self.manifest.not_played])
+        frames = {str(name): rows for name, rows in scores.groupby("environment", sort=False)}
+        if not self.ranking.empty and len(frames) > 1:
+            frames[ALL] = ranked_scores(scores)
+        found = {}
+        for name in (ALL, *self.environments):
+            if name in frames:
+                bootstrap = Bootstrap.of(frames[name], "success", self.resamples)
+                agents = bootstrap.scores.values
+                found[name] = (
+                    bootstrap,
+                    {agent: bootstrap.distribution(agent, "mean").round(12) for agent in agents},
+                )
+        return found
 
     @property
-    def cells_not_played(self) -> list[CellKey]:
-        """Cells without episodes, except those of the ideal hand."""
-        return [one.key for one in self.manifest.not_played if one.agent != REFERENCE]
+    def sample_sizes(self) -> str:
+        """The number of episodes, and of the trainings of agents that have several, in words."""
+        instances = self.episodes.groupby("environment")["instance"].nunique()
+        seeds = self.episodes.groupby("agent")["training_seed"].nunique()
+        several = [f"{agent} {number}" for agent, number in seeds.items() if number > 1]
+        trainings = (
+            f" Trainings: {', '.join(several)}; of the others one or none." if several else ""
+        )
+        each = "in each scenario" if len(instances) > 1 else ""
+        return (
+            f"Episodes {each}: {_span(instances)}, the same starts and targets for all.{trainings}"
+        )
 
-    def sample_sizes(self, agents: Iterable[str], environments: Iterable[str]) -> str:
-        """Return the number of instances, and of training seeds of each agent, as a sentence."""
-        keys, names = tuple(environments), tuple(agents)
-        rows = self.episodes
-        rows = rows[rows["environment"].isin(keys) & rows["agent"].isin(names)]
-        instances = rows.groupby("environment")["instance"].nunique()
-        each = " in each environment" if instances.nunique() > 1 else ""
-        seeds = rows.groupby(["agent", "environment"])["training_seed"].nunique().groupby("agent")
-        spans = {str(agent): _span(of) for agent, of in seeds if of.any()}
-        by_span = {
-            span: [name for name in names if spans.get(name) == span]
-            for span in sorted(set(spans.values()))
-        }
-        trained = "; ".join(f"{listed(found)} {span}" for span, found in by_span.items())
-        training = f"Training seeds: {trained}." if trained else "Not trained: all agents."
-        return f"Instances: {_span(instances)}{each}. {training}"
+    @property
+    def settings(self) -> list[str]:
+        """What the scenarios were played with, a line each."""
+        worlds = self.environments.items()
+        own = {"task", "perturbations"}
+        return [
+            f"{what}: {_alike({name: show(one) for name, one in worlds})}."
+            for what, show in (
+                ("Success: distance to the target at the end of at most", _tolerance),
+                ("Control step", lambda one: f"{one.control_step:g} s"),
+                ("Segment lengths that agents are given", _lengths),
+                ("Other arguments of the environment", lambda one: _arguments(one, own)),
+            )
+            if any(map(show, self.environments.values()))
+        ]
+
+
+def _tolerance(one: Environment) -> str:
+    return f"{one.tolerance:g}"
+
+
+def _lengths(one: Environment) -> str:
+    return ", ".join(f"{length:g}" for length in one.segment_lengths)
+
+
+def _arguments(one: Environment, without: Iterable[str]) -> str:
+    given = {name: value for name, value in one.kwargs.items() if name not in without}
+    return ", ".join(f"{name}={value}" for name, value in given.items())
+
+
+def _alike(texts: Mapping[str, str]) -> str:
+    """Return the text of most scenarios, and the others with the names of theirs."""
+    most, *others = [text for text, _ in Counter(texts.values()).most_common()]
+    rest = [
+        f"{text or 'none'} in {listed([name for name, one in texts.items() if one == text])}"
+        for text in others
+    ]
+    return "; ".join([most or "none", *rest])
 
 
 def count(number_of: int, noun: str) -> str:
@@ -243,34 +310,41 @@ def _span(counts: pd.Series[int]) -> str:
     return str(least) if least == most else f"{least} to {most}"
 
 
-def read_results(store: Path, resamples: int = RESAMPLES) -> Results:
+def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] = ()) -> Results:
     """Read the store in a folder, and rank its agents with so many `resamples`.
+
+    Args:
+        store: the folder.
+        resamples: of the ranking; those of single scenarios are at most `SCORE_RESAMPLES`.
+        focus: names of the agents that the report is about; by default the user's own, or else
+            the first that was named.
 
     Raises:
         UserError: if there is no store, it is damaged, or it has no episodes; the message then
-            says why its cells were not played.
+            says why its cells were not played.  If no agent in the store has a name in `focus`.
     """
     manifest = read_manifest(store)
     measures = measures_of(manifest.measures)
     shown = [one.name for one in measures.values() if one.shown]
     played = read_episodes(store, [*shown, *_USED])
     episodes = leave_out_failures(_plain_seeds(played), measures.values())
-    present = set(episodes["environment"])
-    identities = {
-        agent: identify([policy.source for policy in manifest.agents.get(agent, ())])
-        for agent in dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
-    }
-    results = Results(
+    names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
+    identities = {agent: identify(manifest.agents.get(agent, ())) for agent in names}
+    chosen = _focus(identities, [focus] if isinstance(focus, str) else focus)
+    ranking, present = pd.DataFrame(), set(episodes["environment"])
+    with suppress(UserError):  # no scenario was attempted by all
+        lost = [one.key for one in manifest.not_played]
+        ranking = rank_agents(episodes, lost, baseline=chosen[0], resamples=resamples)
+    return Results(
         manifest=manifest,
         episodes=episodes,
-        paths=pd.DataFrame(),
         environments={
             key: _environment(manifest.environments.get(key, {}))
             for key in dict.fromkeys([*manifest.environments, *sorted(present)])
             if key in present
         },
         identities=identities,
-        agents=_ordered(identities),
+        focus=chosen,
         measures=tuple(
             one
             for name, one in measures.items()
@@ -278,42 +352,24 @@ def read_results(store: Path, resamples: int = RESAMPLES) -> Results:
         ),
         set_measures=set_measures_of(manifest.set_measures),
         sets=_plain_seeds(read_sets(store)),
-        ranking=pd.DataFrame(),
+        ranking=ranking,
+        resamples=min(resamples, SCORE_RESAMPLES),
+        store=store,
     )
-    with suppress(UserError):  # no environment was attempted by all
-        ranking = rank_agents(results.episodes, results.cells_not_played, resamples=resamples)
-        results = replace(results, ranking=ranking)
-    return replace(results, paths=_paths(store, results))
 
 
-def _ordered(identities: Mapping[str, AgentIdentity]) -> tuple[str, ...]:
-    names = list(AGENTS)
-
-    def place(agent: str) -> tuple[int, int, str]:
-        one = identities[agent]
-        position = names.index(one.name) if one.name in AGENTS else len(names)
-        return _KINDS.index(one.knowledge.kind), position, agent
-
-    return tuple(sorted(identities, key=place))
+def _focus(identities: Mapping[str, AgentIdentity], asked: Sequence[str]) -> tuple[str, ...]:
+    for name in asked:
+        if name not in identities:
+            raise unknown("focus", name, identities)
+    own = [name for name, one in identities.items() if one.knowledge.kind == "yours"]
+    named = [name for name in identities if name != REFERENCE] or list(identities)
+    return tuple(dict.fromkeys(asked)) or tuple(own) or (named[0],)
 
 
 def _environment(settings: Mapping[str, Any]) -> Environment:
     names = {one.name for one in fields(Environment)} & settings.keys()
     return Environment(**{name: settings[name] for name in names if settings[name] is not None})
-
-
-def _paths(store: Path, results: Results) -> pd.DataFrame:
-    keys = [
-        CellKey(agent, policy.training_seed, environment)
-        for agent in results.main_agents
-        for policy in results.manifest.agents.get(agent, ())
-        for environment in results.environments
-    ]
-    paths = read_paths(store, keys)
-    if paths.empty:
-        return paths  # the report can do without
-    # Categories are quick to compare.
-    return _plain_seeds(paths).astype({"agent": "category", "environment": "category"})
 
 
 def _plain_seeds(frame: pd.DataFrame) -> pd.DataFrame:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Mapping, Sequence
-from statistics import median
+from itertools import product
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from mmc_gym._console import number
-from mmc_gym.benchmark.ranking import BASELINE_AGENT, success_by_environment
-from mmc_gym.benchmark.statistics import Bootstrap
+from mmc_gym.agents.registry import REFERENCE
+from mmc_gym.benchmark.statistics import Bootstrap, Scores, arrange_all
 from mmc_gym.measures import MEASURES, Measure, SetMeasure
+from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results, count
 
 PRESENT = 0.5  # share of its episodes in which the best agent needs a value
 
-SCORE_RESAMPLES = 500  # for each of the thousands of intervals in the tables of all measures
-
 _BETTER = {"high": "more is better", "low": "less is better", "neither": ""}
-_SHADES = 10
+_SUCCESS = MEASURES["success"]
 
 
 class Heading(NamedTuple):
@@ -32,12 +31,16 @@ class Heading(NamedTuple):
 
 
 class TableCell(NamedTuple):
-    """A cell: its text, notes in small print, whether it is the best, and its CSS class."""
+    """A cell: its text, notes in small print, whether it is the best, its CSS class, and links.
+
+    A link is a scenario and the number of an episode that the replay shows.
+    """
 
     text: str
     notes: tuple[str, ...] = ()
     best: bool = False
     look: str = ""
+    links: tuple[tuple[str, int], ...] = ()
 
 
 class TableRow(NamedTuple):
@@ -60,94 +63,108 @@ class Table(NamedTuple):
 
 
 def ranking_table(results: Results) -> Table | None:
-    """Return the ranking; None if there is no environment that all agents have attempted."""
+    """Return the ranking; None if there is no scenario that all agents have attempted."""
     ranking = results.ranking
     if ranking.empty:
         return None
+    first = results.focus[0]
     shares = {
         "success": Heading("success", "%", _BETTER["high"]),
         "settled": Heading("settled", "% of the episode", _BETTER["high"]),
     }
     explained = ""
-    if ranking["improvement"].notna().any():
-        shares["improvement"] = Heading(f"better than {BASELINE_AGENT}", "%", _BETTER["high"])
+    if len(ranking) > 1 and ranking["improvement"].notna().any():
+        shares["improvement"] = Heading(f"settled for longer than {first}", "%", _BETTER["high"])
         explained = (
-            f"Better than {BASELINE_AGENT}: the probability of being settled for longer in the "
-            "same episode, 50 % if equal. "
+            f" Settled for longer than {first}: in what part of the same episodes, 50 % if equal."
         )
     environments = int(ranking["environments"].iloc[0])
     left_out = len(results.environments) - environments
     partly = f" ({left_out} more were not attempted by all)" if left_out else ""
-    rows = [_ranked(results, row, list(shares)) for row in ranking.to_dict("records")]
     return Table(
-        "Ranking",
+        "How good the agents are",
         "scores ranking",
         (
             Heading("agent"),
             Heading("rank"),
             *shares.values(),
             Heading("time to target", "s", _BETTER["low"]),
-            Heading("training seeds"),
         ),
-        tuple(rows),
-        f"Ranked by success over {count(environments, 'environment')}{partly}, each weighing the "
-        "same; then by time to target, the mean of the medians of the environments where an agent "
-        "arrives. Settled: interquartile mean of the part of an episode after which the hand stays "
-        f"at the target. {explained}In brackets: 95 % intervals. Cells that could not be played "
-        "count as without success. "
-        f"{results.sample_sizes([row.name for row in rows], results.environments)}",
+        tuple(_ranked(results, row, list(shares)) for row in ranking.to_dict("records")),
+        f"Ranked by success over {count(environments, 'scenario')}{partly}, each weighing the "
+        "same, then by time to target (mean of medians). Settled: interquartile mean of the part "
+        f"of an episode after which the hand stays at the target.{explained} In brackets: 95 % "
+        f"intervals. {results.sample_sizes}",
     )
 
 
 def _ranked(results: Results, row: Mapping[Hashable, Any], shares: Sequence[str]) -> TableRow:
     share = MEASURES["success"]
-    intervals = [share.interval(row[f"{name}_low"], row[f"{name}_high"]) for name in shares]
     cells = (
         TableCell(str(row["rank"])),
-        *(TableCell(share.number(row[name]), _notes(of)) for name, of in zip(shares, intervals)),
+        *(
+            TableCell(
+                share.number(row[name]),
+                _notes(share.interval(row[f"{name}_low"], row[f"{name}_high"])),
+            )
+            for name in shares
+        ),
         TableCell(MEASURES["time_to_target"].number(row["time_to_target"])),
-        TableCell(str(row["training_seeds"] or "–")),
     )
-    agent = str(row["agent"])
-    return TableRow(agent, cells, results.kind(agent))
+    return _row(results, str(row["agent"]), cells)
 
 
-def heat_table(results: Results) -> Table:
-    """Return success by environment and agent, the agents in the order of the ranking."""
-    table = success_by_environment(results.episodes, results.cells_not_played)
+def _row(results: Results, agent: str, cells: Sequence[TableCell], note: str = "") -> TableRow:
+    """Return the row of an agent, marked if it is in focus."""
+    return TableRow(agent, tuple(cells), note, "focus" if agent in results.focus else "")
+
+
+def scenario_table(results: Results, agent: str) -> Table:
+    """Return the success of an agent in each scenario, and of the others with the difference."""
+    others = [one for one in results.agents if one not in (agent, REFERENCE)]
     rows, family = [], ""
-    for key, environment in results.environments.items():
-        shares = [float(table[key].get(agent, math.nan)) for agent in results.ranked]
-        known = [share for share in shares if share > 0]
-        most = _whole(max(known)) if known else ""
-        cells = tuple(
-            TableCell(_whole(share), best=_whole(share) == most, look=_shade(share))
-            for share in shares
-        )
-        rows.append(TableRow(key, cells, look="begins" if environment.family != family else ""))
-        family = environment.family
+    for name, (bootstrap, found) in results.successes.items():
+        if agent in found:
+            environment = results.environments.get(name)
+            begins = environment is not None and environment.family != family
+            family = environment.family if environment else family
+            mine = bootstrap.summarize(found[agent], agent)
+            text = _SUCCESS.number(mine.estimate)
+            own = TableCell(text, _notes(_SUCCESS.interval(mine.low, mine.high)), look="mine")
+            cells = [own, *(_compared(bootstrap, found, agent, other) for other in others)]
+            look = "all" if environment is None else "begins" if begins else ""
+            rows.append(TableRow(name, tuple(cells), look=look))
+    against = (
+        f" Below the success of each other agent: how much more or less {agent} has in the same "
+        f"episodes. + and blue: {agent} is clearly better; − and orange: clearly worse (the "
+        "interval leaves out 0)."
+        if others
+        else ""
+    )
     return Table(
-        "Success in each environment",
-        "heat",
-        tuple(map(Heading, ("environment", *results.ranked))),
+        f"Success of {agent} in each scenario",
+        "scores scenarios",
+        tuple(map(Heading, ("scenario", agent, *others))),
         tuple(rows),
-        "Success at the end of the episode, %: the darker the more; underlined: the most; ·: not "
-        "attempted; 0 also where an agent could not act. "
-        f"{results.sample_sizes(results.ranked, results.environments)}",
+        f"Success at the end of the episode, %, with 95 % intervals.{against}",
     )
 
 
-def _whole(share: float) -> str:
-    """Return a share in whole percents, 0 and 100 only where they are exact."""
-    if math.isnan(share):
-        return "·"
-    if 0 < share < 0.005:
-        return "<1"
-    return ">99" if 0.995 <= share < 1 else f"{100 * share:.0f}"
+def _compared(
+    bootstrap: Bootstrap, found: Mapping[str, Floats], agent: str, other: str
+) -> TableCell:
+    if other not in found:
+        return TableCell("·")
+    less = bootstrap.summarize(found[agent] - found[other], agent, other)
+    ends = [100 * end for end in (less.estimate, less.low, less.high)]
+    middle, low, high = map(_signed, ends)
+    look = "better" if less.low > 0 else "worse" if less.high < 0 else ""
+    return TableCell(_SUCCESS.number(found[other][0]), (f"{middle} [{low}, {high}]",), look=look)
 
 
-def _shade(share: float) -> str:
-    return "" if math.isnan(share) else f"s{round(_SHADES * share):d}"
+def _signed(value: float) -> str:
+    text = f"{value:+.1f}"
+    return text.replace("-", "−") if float(text) else "0.0"
 
 
 def given_table(results: Results) -> Table:
@@ -157,30 +174,66 @@ def given_table(results: Results) -> Table:
         one = results.identities[agent]
         known = one.knowledge
         name = f"{one.name}: " if one.description and one.name != agent else ""
-        texts = (known.kind, known.lengths, known.actions, known.senses, _learned(results, agent))
-        note = f"{name}{one.description}"
-        rows.append(TableRow(agent, tuple(map(TableCell, texts)), note))
-    labels = ("agent", "kind", "segment lengths", "what actions do", "senses", "learned from")
-    return Table("What each agent is given", "given", tuple(map(Heading, labels)), tuple(rows))
+        texts = (one.training, known.lengths, known.actions, known.senses)
+        kind = one.description or ("your own" if known.kind == "yours" else known.kind)
+        rows.append(_row(results, agent, [TableCell(text) for text in texts], f"{name}{kind}"))
+    labels = ("agent", "training", "segment lengths", "what actions do", "senses")
+    return Table(
+        "What each agent is given, and its training",
+        "given",
+        tuple(map(Heading, labels)),
+        tuple(rows),
+    )
 
 
-def _learned(results: Results, agent: str) -> str:
-    if agent in results.cards:
-        cards = results.cards[agent]
-        steps = median(card.training_steps for card in cards)
-        minutes = median(card.training_cpu_seconds for card in cards) / 60
-        seeds = count(len(cards), "training seed")
-        return f"{steps:,.0f} environment steps ({minutes:.1f} min on one core) in each of {seeds}"
-    unknown = results.kind(agent) in ("learned", "yours")
-    return "unknown" if unknown else "nothing: not trained"
+def failure_table(results: Results) -> Table | None:
+    """Return where the agents in focus fail, with links to the replay; None if nowhere."""
+    rows = []
+    for agent, name in product(results.focus, results.environments):
+        here = results.by_scenario[name]
+        mine = here[here["agent"] == agent]
+        failed = mine[mine["success"] == 0]
+        if failed.empty:
+            continue
+        others = here[(here["agent"] != REFERENCE) & (here["success"] == 1)]
+        instances = set(failed["instance"])
+        possible = len(instances & set(others["instance"]))
+        shown = results.replayed_failures(agent, name)
+        cells = (
+            TableCell(f"{len(failed)} of {len(mine)}"),
+            TableCell(f"{possible} of {len(instances)}"),
+            TableCell(MEASURES["final_distance"].number(failed["final_distance"].median())),
+            TableCell("" if shown else "–", links=tuple((name, number + 1) for number in shown)),
+        )
+        share = len(failed) / len(mine)
+        rows.append((share, _row(results, f"{agent} in {name}", cells)))
+    if not rows:
+        return None
+    return Table(
+        "Where it fails",
+        "scores failures",
+        (
+            Heading("agent and scenario"),
+            Heading("failed"),
+            Heading("where another agent arrives"),
+            Heading("median distance at the end", "lengths"),
+            Heading("replay of episode"),
+        ),
+        tuple(row for _, row in sorted(rows, key=lambda pair: -pair[0])),
+        "Failed: the hand is not at the target at the end of the episode. A number shows that "
+        "episode in the replay below.",
+    )
 
 
-def score_table(results: Results, environment: str, resamples: int = SCORE_RESAMPLES) -> Table:
-    """Return all measures of all agents in an environment, with `resamples` for each interval."""
-    episodes = results.episodes[results.episodes["environment"] == environment]
-    columns = [_column(results, episodes, measure, resamples) for measure in results.measures]
+def score_table(results: Results, environment: str) -> Table:
+    """Return all measures of all agents in a scenario."""
+    episodes = results.by_scenario[environment]
+    scores = arrange_all(episodes, [one.name for one in results.measures])
+    columns = [
+        _column(results, Bootstrap(scores[measure.name], results.resamples), measure)
+        for measure in results.measures
+    ]
     played = set(episodes["agent"])
-    agents = [agent for agent in results.agents if agent in played]
     return Table(
         f"Measures in {environment}",
         "scores",
@@ -189,31 +242,26 @@ def score_table(results: Results, environment: str, resamples: int = SCORE_RESAM
             *(Heading(one.label, one.shown_unit, _BETTER[one.best]) for one in results.measures),
         ),
         tuple(
-            TableRow(agent, tuple(column[agent] for column in columns), results.kind(agent))
-            for agent in agents
+            _row(results, agent, [column[agent] for column in columns])
+            for agent in results.agents
+            if agent in played
         ),
-        results.sample_sizes(agents, [environment]),
     )
 
 
-def _column(
-    results: Results, episodes: pd.DataFrame, measure: Measure, resamples: int
-) -> dict[str, TableCell]:
-    """Return the cell of each agent that has played an environment, by name.
+def _column(results: Results, bootstrap: Bootstrap, measure: Measure) -> dict[str, TableCell]:
+    """Return the cell of each agent that has played a scenario, by name.
 
     An agent can be the best only if enough of its episodes have a value.  Otherwise one that hardly
     ever arrives could win with a few short movements.
     """
-    bootstrap = Bootstrap.of(episodes, measure.name, resamples)
-    found = {
-        agent: bootstrap.estimate(agent, measure.statistic) for agent in bootstrap.scores.values
-    }
-    present = _present(episodes, measure.name)
+    found = bootstrap.estimates(measure.statistic)
+    present = _present(bootstrap.scores)
     values = {agent: measure.number(one.estimate) for agent, one in found.items()}
     racing = [
         agent
         for agent in found
-        if present.get(agent, 0.0) >= PRESENT and results.kind(agent) not in ("ideal", "baseline")
+        if present[agent] >= PRESENT and results.kind(agent) not in ("ideal", "baseline")
     ]
     best = ""
     if measure.best != "neither" and racing:
@@ -224,7 +272,7 @@ def _column(
             values[agent],
             _notes(
                 measure.interval(one.low, one.high),
-                f"{100 * present[agent]:.0f} %" if 0 < present.get(agent, 0.0) < 1 else "",
+                f"{100 * present[agent]:.0f} %" if 0 < present[agent] < 1 else "",
             ),
             best=agent in racing and values[agent] == best,
         )
@@ -232,15 +280,16 @@ def _column(
     }
 
 
-def _present(episodes: pd.DataFrame, measure: str) -> dict[str, float]:
+def _present(scores: Scores) -> dict[str, float]:
     """Return the share of its episodes in which each agent has a value, by name.
 
     Count only instances where some agent has a value, because few record the time per action.
     """
-    known = episodes[measure].notna()
-    anyone = known.groupby(episodes["instance"]).transform("any")
-    shares = known[anyone].groupby(episodes.loc[anyone, "agent"]).mean()
-    return {str(agent): float(share) for agent, share in shares.items()}
+    known = {agent: ~np.isnan(tables[0]) for agent, tables in scores.values.items()}
+    anyone = np.any([table.any(axis=0) for table in known.values()], axis=0)
+    if not anyone.any():
+        return dict.fromkeys(known, 0.0)
+    return {agent: float(table[:, anyone].mean()) for agent, table in known.items()}
 
 
 def _notes(*notes: str) -> tuple[str, ...]:
@@ -280,7 +329,7 @@ def law_table(results: Results) -> Table | None:
     for agent in agents:
         mine = known[known["agent"] == agent]
         cells = tuple(_kept(mine, law, one) for law, one in zip(laws, measures))
-        rows.append(TableRow(agent, cells, results.kind(agent)))
+        rows.append(_row(results, agent, cells))
     return Table(
         "Laws of human movement",
         "scores",
@@ -290,8 +339,8 @@ def law_table(results: Results) -> Table | None:
         "different starts; 0 is Donders' law. Fitts' slope: time for each bit of difficulty; no "
         "agent is given the width of a target. Speed-curvature exponent: how much slower the hand "
         "is where its path bends. Means over training seeds, and their range; R²: the part of the "
-        "variance that the law explains; –: too few movements arrived. Environments: "
-        f"{', '.join(environments)}. {results.sample_sizes(agents, environments)}",
+        "variance that the law explains; –: too few movements arrived. Scenarios: "
+        f"{', '.join(environments)}.",
     )
 
 

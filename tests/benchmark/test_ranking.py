@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.ranking import print_ranking, rank_agents, success_by_environment
+from mmc_gym.benchmark.ranking import print_ranking, rank_agents
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
 
@@ -99,19 +99,6 @@ def test_the_ideal_hand_is_not_ranked_and_no_baseline_is_no_comparison():
     assert ranking.index.tolist() == ["other"]
     assert np.isnan(ranking.loc["other", "improvement"])
     assert ranking.loc["other", "settled"] == 0.75  # from 0.5 s to the end, at 2 s
-
-
-def test_success_by_environment_is_a_mean_over_training_seeds():
-    frames = [
-        played("ppo", "one", [0.5, 0.5], 0),
-        played("ppo", "one", [NAN, 0.5], 1),
-        played("mmc", "two", [0.5, NAN]),
-    ]
-    table = success_by_environment(pd.concat(frames), [CellKey("mmc", None, "one")])
-    assert table.loc["ppo", "one"] == 0.75
-    assert table.loc["mmc", "one"] == 0.0
-    assert table.loc["mmc", "two"] == 0.5
-    assert np.isnan(table.loc["ppo", "two"])
 
 
 def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):

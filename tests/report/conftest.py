@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from mmc_gym.agents import resolve
 from mmc_gym.agents.inverse_kinematics import hand_position
 from mmc_gym.agents.policy import PRETRAINED
-from mmc_gym.agents.registry import REFERENCE
+from mmc_gym.agents.registry import IDEAL, REFERENCE
 from mmc_gym.benchmark.store import (
     EPISODES,
     PATHS,
@@ -87,15 +88,29 @@ def episode(instance, duration, trembling, error, seed=0):
     )
 
 
-def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCES):
-    """Write a store of agents in `AGENTS`, or of movers by name, without the `missing` cells."""
+def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCES, worlds=None):
+    """Write a store of agents in `AGENTS`, or of movers by name, without the `missing` cells.
+
+    The `worlds` are other settings of environments, by name.
+    """
     movers = agents if isinstance(agents, dict) else {name: AGENTS[name] for name in agents}
-    environments = {key: SCENARIOS[key].settings | WORLD for key in keys}
-    policies = {REFERENCE: [Policy(training_seed=None, source=REFERENCE)]}
+    environments = {
+        key: SCENARIOS[key].settings | WORLD | (worlds or {}).get(key, {}) for key in keys
+    }
+    ideal = {"source": REFERENCE, "name": REFERENCE, "knowledge": IDEAL}
+    policies = {REFERENCE: [Policy(training_seed=None, **ideal)]}
     for name, (duration, trembling, lost, seeds, source) in movers.items():
         sources = {seed: name if seed is None else f"{name}-{seed}" for seed in seeds}
+        known = [resolve(source or own) for own in sources.values()]
         policies[name] = [
-            Policy(training_seed=seed, source=source or own) for seed, own in sources.items()
+            Policy(
+                training_seed=seed,
+                source=one.source_name,
+                name=one.name,
+                knowledge=one.knowledge,
+                training_steps=one.card.training_steps if one.card else None,
+            )
+            for seed, one in zip(seeds, known)
         ]
         for key, settings in environments.items():
             error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)

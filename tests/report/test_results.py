@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from mmc_gym._errors import UserError
-from mmc_gym.agents import AGENTS
+from mmc_gym.agents import resolve
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.store import CellKey, NotPlayed, Policy, update_manifest
 from mmc_gym.report import write_report
-from mmc_gym.report.results import AgentIdentity, identify, read_results
+from mmc_gym.report.results import identify, read_results
 from mmc_gym.report.tables import given_table, ranking_table
 
 
@@ -32,8 +32,14 @@ def fail(store, agent):
     change_manifest(store, not_played=[failed])
 
 
-def test_every_agent_of_the_package_is_known():
-    assert "yours" not in {identify([name]).knowledge.kind for name in AGENTS}
+def policies(*sources, steps=None):
+    """Return trainings as the benchmark writes them into the manifest."""
+    found = [resolve(source) for source in sources]
+    known = [{"name": one.name, "knowledge": one.knowledge} for one in found]
+    return [
+        Policy(training_seed=None, source=source, training_steps=steps, **facts)
+        for source, facts in zip(sources, known)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -44,29 +50,40 @@ def test_every_agent_of_the_package_is_known():
         (["mmc"], "mmc", "network", "given"),
         ([REFERENCE], REFERENCE, "ideal", "has no arm"),
         (["mmc:make"], "", "yours", "unknown"),
-        (["mine:ppo"], "", "yours", "unknown"),
         (["ppo-0", "mmc"], "", "yours", "unknown"),
-        (["of another version"], "", "yours", "unknown"),
         ([], "", "yours", "unknown"),
     ],
 )
 def test_who_an_agent_is_follows_from_what_it_was_made_of(sources, name, kind, lengths):
-    one = identify(sources)
+    one = identify(policies(*sources))
     assert (one.name, one.knowledge.kind, one.knowledge.lengths) == (name, kind, lengths)
     assert [card.file_stem for card in one.cards] == (sources if name == "ppo" else [])
 
 
+@pytest.mark.parametrize(
+    ("sources", "steps", "said"),
+    [
+        (["mine.zip"], 114_688, "114,688 environment steps"),
+        (["mine.zip"], None, "unknown"),
+        (["mine.zip"], 0, "unknown"),
+        (["ppo-0", "ppo-1"], 500_000, "500,000 environment steps, each of 2 trainings"),
+        (["mmc"], 0, "not trained"),
+        (["mmc"], None, "not trained"),
+    ],
+)
+def test_how_an_agent_was_trained(sources, steps, said):
+    assert identify(policies(*sources, steps=steps)).training == said
+
+
 def test_a_policy_given_by_its_file_is_known_by_its_card(make_policy, tmp_path):
-    one = identify(
-        [make_policy(tmp_path, view="target", control="joint_position", training_steps=480_000)]
-    )
+    path = make_policy(tmp_path, view="target", control="joint_position")
+    one = identify(policies(path))
     assert (one.name, one.knowledge.kind) == ("", "yours")
     assert one.knowledge.lengths.startswith("not given")
     assert one.knowledge.senses.startswith("all joint angles")
-    assert [card.training_steps for card in one.cards] == [480_000]
-    gone = identify([str(tmp_path / "gone.json")])
-    assert gone == replace(AgentIdentity(), damaged=gone.damaged)
-    assert "gone.json" in gone.damaged[0]
+    assert len(one.cards) == 1
+    Path(path).unlink()  # what it is stands in the store
+    assert (one.knowledge.kind, one.cards) == ("yours", ())
 
 
 def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, movers, tmp_path):
@@ -79,41 +96,17 @@ def test_another_name_changes_nothing_and_a_name_proves_nothing(make_store, move
         "old": "learned",
         "ppo-mine": "yours",
     }
-    assert set(sources) <= set(results.main_agents)
+    assert results.focus == ("ppo-mine",)
     rows = {row.name: row for row in given_table(results).rows}
     assert rows["twin"].note.startswith("mmc: dynamic MMC network")
-    assert [cell.text for cell in rows["ppo-mine"].cells[1:]] == ["unknown"] * 4
-
-
-def test_cards_are_of_the_seeds_that_took_part(results):
-    assert [card.seed for card in results.cards["ppo"]] == [0, 1]  # of ten that ship
-    learned = {row.name: row.cells[-1].text for row in given_table(results).rows}
-    assert learned["ppo"].endswith("in each of 2 training seeds")
-
-
-@pytest.mark.parametrize(
-    ("curve", "said"),
-    [([], None), ([{"reward": 1.0}], "mine does not hold a policy")],
-    ids=["no curve", "a curve of another form"],
-)
-def test_a_report_without_a_learning_curve_says_why(
-    curve, said, make_store, movers, make_policy, tmp_path
-):
-    mine = movers["mmc"]._replace(source=make_policy(tmp_path, learning_curve=curve))
-    make_store(tmp_path / "store", {"mine": mine}, ("random",))
-    results = read_results(tmp_path / "store", 20)
-    assert results.curves == {}
-    assert [said in line for line in results.damaged] == ([True] if said else [])
-    text = write_report(tmp_path / "store", tmp_path / "report.html", 20).read_text()
-    assert (said or "mine") in text
-    assert "Learning curves" not in text
+    assert [cell.text for cell in rows["ppo-mine"].cells] == ["unknown"] * 4
 
 
 def test_a_damaged_file_of_paths_is_named(small):
     file = next((small / "paths").glob("mmc*"))
     file.write_bytes(file.read_bytes()[:-100])
     with pytest.raises(ValueError, match=file.name):
-        read_results(small)
+        write_report(small, small / "report.html")
 
 
 def test_a_store_without_paths_has_no_replay_and_an_agent_may_lack_in_the_manifest(small, tmp_path):
@@ -122,8 +115,7 @@ def test_a_store_without_paths_has_no_replay_and_an_agent_may_lack_in_the_manife
     for file in (small / "paths").iterdir():
         file.unlink()
     text = write_report(small, tmp_path / "report.html", 20).read_text()
-    assert "replay-section" not in text
-    assert "Hand paths" not in text
+    assert 'id="replay-section"' not in text and "Where it fails" in text
 
 
 def test_where_nothing_could_be_played_the_reasons_are_named(small):
@@ -140,9 +132,32 @@ def test_an_agent_that_failed_everywhere_stands_beside_the_others(small, tmp_pat
     results = read_results(small, resamples=20)
     ranking = ranking_table(results)
     assert [(row.name, row.cells[1].text) for row in ranking.rows][1] == ("ik-dls", "0.0")
-    assert results.main_agents == ("mmc",)
+    assert results.replayed == ("mmc",)
     text = write_report(small, tmp_path / "report.html", 20).read_text()
     assert "ik-dls in random: ValueError: no" in text
+
+
+def test_the_focus_are_the_agents_asked_for_or_your_own_or_the_first(make_store, movers, tmp_path):
+    agents = {name: movers[name] for name in ("ik-dls", "mmc")}
+    make_store(tmp_path / "none", agents, ("random",))
+    assert read_results(tmp_path / "none", 20).focus == ("ik-dls",)
+    assert read_results(tmp_path / "none", 20, ["mmc"]).focus == ("mmc",)
+    mine = movers["mmc"]._replace(lost=1, source="mine:make")
+    make_store(tmp_path / "own", {**agents, "mine": mine}, ("random",))
+    results = read_results(tmp_path / "own", 20)
+    assert results.focus == ("mine",) and results.agents[0] == "mine"
+    assert results.agents[-1] == REFERENCE
+
+
+def test_settings_are_said_for_each_scenario_where_they_differ(make_store, tmp_path):
+    other = {"tolerance": 3.0, "segment_lengths": [1, 2], "kwargs": {"gravity": [0, -9]}}
+    make_store(tmp_path, ["mmc"], ("random", "centre-out", "delay-100"), worlds={"random": other})
+    assert read_results(tmp_path, 20).settings == [
+        "Success: distance to the target at the end of at most: 0.05; 3 in random.",
+        "Control step: 0.02 s.",
+        "Segment lengths that agents are given: 1, 1, 1; 1, 2 in random.",
+        "Other arguments of the environment: none; gravity=[0, -9] in random.",
+    ]
 
 
 def test_the_base_is_an_environment_without_perturbation_if_there_is_one(make_store, tmp_path):

@@ -13,9 +13,15 @@ from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.measures import SET_MEASURES
 from mmc_gym.report import write_report
-from mmc_gym.report.figures import movements
-from mmc_gym.report.results import read_results
-from mmc_gym.report.tables import LAWS, heat_table, law_table, ranking_table, score_table
+from mmc_gym.report.replay import replay
+from mmc_gym.report.tables import (
+    LAWS,
+    failure_table,
+    law_table,
+    ranking_table,
+    scenario_table,
+    score_table,
+)
 
 
 def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
@@ -28,36 +34,50 @@ def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
     success = table.rows[0].cells[1]
     assert success.text == f"{100 * best['success']:.1f}"
     assert success.notes == (f"[{low:.1f}, {high:.1f}]",)
-    assert {row.name: row.cells[-1].text for row in table.rows}["ppo"] == "2"
-    assert "success over 7 environments, each weighing the same" in table.caption
-    assert "Training seeds: ppo and ppo-smooth 2" in " ".join(table.caption.split())
+    assert [row.name for row in table.rows if row.look == "focus"] == list(results.focus)
+    assert "success over 7 scenarios, each weighing the same" in table.caption
+    assert "Trainings: ppo 2, ppo-smooth 2;" in table.caption
+    assert f"settled for longer than {results.focus[0]}" in [one.label for one in table.headings]
 
 
-def test_figures_show_yours_then_the_best_of_each_kind_then_the_next_best(results):
-    first, *others = results.main_agents
-    assert results.kind(first) == "yours"
-    kinds = [results.kind(agent) for agent in others]
-    assert sorted(kinds[:3]) == ["inverse kinematics", "learned", "network"]
-    by_rank = results.ranking["agent"].to_list()
-    for kind in set(kinds):
-        of_kind = [agent for agent in others if results.kind(agent) == kind]
-        assert of_kind == [agent for agent in by_rank if agent in of_kind]
-    assert REFERENCE not in results.main_agents
+def test_each_scenario_has_the_difference_to_every_other_agent_on_the_same_episodes(results):
+    (agent,) = results.focus
+    table = scenario_table(results, agent)
+    names = [heading.label for heading in table.headings[2:]]
+    assert REFERENCE not in names and len(names) == 5
+    assert [row.name for row in table.rows] == ["all scenarios", *results.environments]
+    cells = {row.name: dict(zip([agent, *names], row.cells)) for row in table.rows}
+    rows = results.by_scenario["rotation-15"]
+    expected = Bootstrap.of(rows[rows["agent"] != REFERENCE], "success", 200)
+    less = expected.difference(agent, "ppo")
+    cell = cells["rotation-15"]["ppo"]
+    assert cell.text == f"{100 * expected.estimate('ppo', 'mean').estimate:.1f}"
+    assert cell.notes[0].startswith(f"{100 * less.estimate:+.1f} [".replace("-", "−"))
+    assert (cell.look, less.high < 0) == ("worse", True)
+    assert cells["random"]["mmc"][:2] == ("100.0", ("0.0 [0.0, 0.0]",))
+    ranked = {row.name: row.cells[1].text for row in ranking_table(results).rows}
+    assert {name: cells["all scenarios"][name].text for name in ranked} == ranked
 
 
-def test_success_stands_for_each_agent_and_environment(results):
-    heat = heat_table(results)
-    agents = [heading.label for heading in heat.headings[1:]]
-    assert REFERENCE not in agents
-    assert [row.name for row in heat.rows] == list(results.environments)
-    cells = {row.name: dict(zip(agents, row.cells)) for row in heat.rows}
-    assert cells["random"]["mmc"] == ("100", (), True, "s10")
-    assert cells["rotation-60"]["mmc"] == ("0", (), False, "s0")
-    assert [row.name for row in heat.rows if row.look] == ["rotation-15", "delay-100", "locked-1"]
+def test_where_it_fails_is_counted_and_replayed_first(results):
+    (agent,) = results.focus
+    rows = {row.name: row.cells for row in failure_table(results).rows}
+    here = results.by_scenario["rotation-15"]
+    mine = here[(here["agent"] == agent) & (here["success"] == 0)]
+    failed, possible, distance, links = rows[f"{agent} in rotation-15"]
+    assert failed.text == f"{len(mine)} of 14" and possible.text == f"{len(mine)} of {len(mine)}"
+    assert distance.text == f"{mine['final_distance'].median():.3f}"
+    expected = sorted(one + 1 for one in mine["instance"] if one < 12)[:6]
+    assert list(links.links) == [("rotation-15", number) for number in expected]
+    scenes = replay(results)["scenes"]
+    assert [one["instance"] for one in scenes["rotation-15"]][: len(expected)] == expected
+    assert scenes["rotation-15"][0]["failed"] == [agent]
+    assert list(scenes)[:2] == ["rotation-15", "rotation-60"]  # where it fails most often
+    assert f"{agent} in random" not in rows
 
 
 def test_scores_are_those_of_the_bootstrap_and_the_best_is_marked(results):
-    table = score_table(results, "rotation-15", resamples=200)
+    table = score_table(results, "rotation-15")
     numbers = {heading.label: number for number, heading in enumerate(table.headings[1:])}
     distance = results.measures[numbers["final distance"]]
     rows = results.episodes[results.episodes["environment"] == "rotation-15"]
@@ -98,13 +118,5 @@ def test_an_agent_without_all_seeds_everywhere_does_not_end_the_report(make_stor
     keys = ("random", "centre-out", "rotation-15", "rotation-60")
     make_store(tmp_path, ["mmc", "ik-dls", "ppo"], keys, missing)
     text = write_report(tmp_path, tmp_path / "report.html", 50).read_text()
-    assert "Training seeds: ppo 1 to 2." in text
+    assert "Trainings: ppo 2;" in text
     assert "(2 more were not attempted by all)" in text
-
-
-def test_the_movements_are_of_the_lowest_seed_that_took_part(make_store, movers, tmp_path):
-    agents = {"mmc": movers["mmc"], "ppo": movers["ppo"]._replace(seeds=(3,))}
-    make_store(tmp_path, agents, ("random",))
-    shown = movements(read_results(tmp_path, resamples=20))
-    assert {image.title for image in shown.images} == {"mmc", "ppo"}
-    assert "Training seeds: seed 3 of ppo." in shown.caption

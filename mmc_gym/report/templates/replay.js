@@ -6,6 +6,12 @@
   });
   addEventListener("afterprint", () => { for (const one of opened.splice(0)) one.open = false; });
 
+  // A table says that it goes on to the right where it does.
+  const seen = new ResizeObserver((entries) => {
+    for (const { target } of entries) target.classList.toggle("scrolls", target.scrollWidth > target.clientWidth + 1);
+  });
+  for (const one of document.querySelectorAll(".scroll")) seen.observe(one);
+
   const source = document.getElementById("replay-data");
   if (!source) return;
   const data = JSON.parse(source.textContent), { colours } = data;
@@ -37,7 +43,8 @@
   }
 
   function fillInstances() {
-    instance.replaceChildren(...data.scenes[environment.value].map((one) => option(one.instance, one.instance)));
+    instance.replaceChildren(...data.scenes[environment.value].map((one) => (
+      option(one.instance, `${one.instance}${one.failed.length ? `: ${one.failed.join(", ")} failed` : ""}`))));
   }
 
   function build(atEnd) {
@@ -208,6 +215,16 @@
   environment.addEventListener("change", () => { setPlaying(false); fillInstances(); build(true); });
   instance.addEventListener("change", () => { setPlaying(false); build(true); });
   agents.addEventListener("change", () => build(false));
+  for (const link of document.querySelectorAll("button.show")) {
+    link.addEventListener("click", () => {
+      setPlaying(false);
+      environment.value = link.dataset.scenario;
+      fillInstances();
+      instance.value = link.dataset.instance;
+      build(true);
+      document.getElementById("replay-section").scrollIntoView();
+    });
+  }
   play.addEventListener("click", () => setPlaying(!playing));
   slider.addEventListener("input", () => seek(Number(slider.value)));
   stage.addEventListener("keydown", (event) => {
