@@ -6,8 +6,7 @@ seeds, is smooth and hardly minds a rotation; ppo-smooth moves with minimum jerk
 
 from __future__ import annotations
 
-import json
-import shutil
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ import pytest
 
 from mmc_gym.agents import resolve
 from mmc_gym.agents.inverse_kinematics import hand_position
-from mmc_gym.agents.policy import PRETRAINED
+from mmc_gym.agents.policy import PRETRAINED, load_policy, save_policy
 from mmc_gym.agents.registry import IDEAL, REFERENCE
 from mmc_gym.benchmark.store import (
     EPISODES,
@@ -153,10 +152,9 @@ def write(folder, key, episodes, keeps_paths=True):
 
 def own_policy(folder, **changes):
     """Write a copy of ppo-0 whose card has these changes; return the path of its card."""
-    card = json.loads((PRETRAINED / "ppo-0.json").read_text()) | changes
-    (folder / "mine.json").write_text(json.dumps(card))
-    shutil.copy(PRETRAINED / "ppo-0.safetensors", folder / "mine.safetensors")
-    return str(folder / "mine.json")
+    network, card = load_policy(PRETRAINED / "ppo-0.json")
+    save_policy(network, replace(card, name="mine", **changes), folder)
+    return str(folder / "mine-0.json")
 
 
 @pytest.fixture(scope="session")
