@@ -12,8 +12,10 @@ from functools import cached_property
 from math import cos, sin, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
+import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError, require, require_array
@@ -215,10 +217,14 @@ class ObservationLayout:
         sizes = {"observation": self.posture_size, "achieved_goal": 2, "desired_goal": 2}
         accepted = f"a mapping with {', '.join(sizes)}"
         require(sizes.keys() <= observation.keys(), "observation", sorted(observation), accepted)
-        return {
+        rows = {
             name: _finite_rows(f"observation[{name!r}]", observation[name], size)
             for name, size in sizes.items()
         }
+        shapes = {name: one.shape for name, one in rows.items()}
+        fine = len({shape[:-1] for shape in shapes.values()}) == 1
+        require(fine, "observation", shapes, "of arrays with the same batch axes")
+        return rows
 
     def flatten(self, observation: Any, arrays: Any = np) -> Any:
         """Return observations of either kind as those of `MMCReach-v0`.
@@ -480,6 +486,61 @@ def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
     # np.stack would take four times as long for few arms.
     turned[..., 0], turned[..., 1] = turned_back(*_components(vectors), cosine, -sine)
     return turned
+
+
+_HARMLESS = frozenset(
+    {
+        *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"),
+        *("RecordEpisodeStatistics", "RecordVideo", "HumanRendering", "RenderCollection"),
+        *("AddWhiteNoise", "ObstructView", "DictInfoToList", "NormalizeReward", "ClipReward"),
+        *("TransformReward", "Monitor", "VecMonitor", "VecCheckNan", "VecVideoRecorder"),
+    }
+)
+"""Names of wrappers that leave observations as they are, and what actions do."""
+
+
+def wrappers_of(env: Any) -> list[Any]:
+    """Return the wrappers around an environment, the outermost first.
+
+    Those around the first environment of a vector follow, as far as it can be reached.
+    """
+    found = []
+    while env is not None:
+        if hasattr(env, "venv") or isinstance(env, (gym.Wrapper, VectorWrapper)):
+            found.append(env)
+            env = env.venv if hasattr(env, "venv") else env.env
+        else:
+            env = next(iter(getattr(env, "envs", ())), None)
+    return found
+
+
+def is_harmless(name: str) -> bool:
+    """Return whether a wrapper of this name, of a library, changes no observation or action."""
+    return name in _HARMLESS
+
+
+def changes_contract(wrapper: Any) -> bool:
+    """Return whether a wrapper changes what agents see, or what their actions do.
+
+    Of Gymnasium and stable-baselines3 only wrappers that are known not to are trusted.  Your own
+    are, if they keep both spaces.
+    """
+    if type(wrapper).__module__.startswith(("gymnasium.", "stable_baselines3.", "sb3_contrib.")):
+        is_off = getattr(wrapper, "norm_obs", True) is False  # VecNormalize, of rewards alone
+        return not (is_off or is_harmless(type(wrapper).__name__))
+    inner = getattr(wrapper, "venv", None) or wrapper.env
+    names = ("observation_space", "action_space")
+    return any(getattr(wrapper, name) != getattr(inner, name) for name in names)
+
+
+def require_plain(env: Any) -> None:
+    """Raise a `CannotActError` for a wrapper that changes observations or actions."""
+    for wrapper in wrappers_of(env):
+        if changes_contract(wrapper):
+            raise CannotActError(
+                "env must show its own observations and take its own actions, got it in "
+                f"{type(wrapper).__name__}: make the agent for the environment inside"
+            )
 
 
 def read_attribute(env: Any, name: str) -> Any:

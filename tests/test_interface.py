@@ -160,12 +160,19 @@ def wrong_observations():
         "NaN of one arm": (np.stack([flat, nan]), "observation must be finite numbers"),
         "no goals": ({"observation": goals["observation"]}, "mapping with observation, achieved_"),
         "NaN goal": (goals | {"desired_goal": [0, np.nan]}, r"\['desired_goal'\] must be finite"),
+        "none": (None, "observation must be an array of numbers, got None"),
+        "scalar": (3.0, r"observation must have shape \(..., 15\), got \(\)"),
+        "empty": ([], r"observation must have shape \(..., 15\), got \(0,\)"),
+        "one goal for two": (
+            goals | {"desired_goal": np.zeros((2, 2))},
+            "observation must be of arrays with the same batch axes, got {'observation': ",
+        ),
         "long goal": (goals | {"achieved_goal": [0, 0, 0]}, r"\['achieved_goal'\] must have shape"),
     }
 
 
 @pytest.mark.parametrize("case", wrong_observations())
-@pytest.mark.parametrize("name", ["mmc", "mmc-body", "optimal-control", "ppo"])
+@pytest.mark.parametrize("name", ["mmc", "mmc-body", "optimal-control", "ppo", "random"])
 def test_every_agent_refuses_what_is_no_observation(name, case, env):
     agent, (observation, message) = make_agent(name, env), wrong_observations()[case]
     with pytest.raises(UserError, match=message):

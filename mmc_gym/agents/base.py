@@ -175,6 +175,12 @@ def resumed(
     return where(np.broadcast_to(starts, batch), start(), state)
 
 
+def check_no_state(state: object) -> None:
+    """Raise a `UserError` if an agent without memory is handed a state."""
+    accepted = "None, which is what predict returned for this agent"
+    require(state is None, "state", state, accepted)
+
+
 # A state is an array with the batch in front, a network's state, or a named tuple of such.
 
 
@@ -246,8 +252,8 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
 class RandomAgent(Agent[None]):
     """Draws every action uniformly from −1 to 1."""
 
-    def __init__(self, action_size: int) -> None:
-        self._action_size = action_size
+    def __init__(self, interface: ReachInterface) -> None:
+        self._layout = interface.layout
         self._random = np.random.default_rng(0)
 
     @override
@@ -258,7 +264,9 @@ class RandomAgent(Agent[None]):
         episode_start: Started = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], None]:
+        check_no_state(state)
+        observation = self._layout.check(observation)
         if isinstance(observation, Mapping):
             observation = observation["observation"]
-        shape = (*np.shape(observation)[:-1], self._action_size)
+        shape = (*observation.shape[:-1], self._layout.joint_count)
         return self._random.uniform(-1.0, 1.0, shape).astype(np.float32), None

@@ -30,7 +30,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import UserError, explain
 from mmc_gym._files import write_atomically
-from mmc_gym.agents.base import Agent, Layouts, Started, resumed
+from mmc_gym.agents.base import Agent, Layouts, Started, check_no_state, resumed
 from mmc_gym.agents.mmc import dynamic_mmc
 from mmc_gym.agents.policy_network import (
     Activation,
@@ -274,6 +274,7 @@ class PolicyAgent(Agent[Any]):
             action = self._network.act(np.concatenate((seen, recalled), axis=-1), random)
             state = history.extended(now, action, memory)
         elif self._base is None:
+            check_no_state(state)
             action = self._network.act(seen, random)
             if self.card.view == "target":
                 action = turned_actions(np, action, observation, layout)

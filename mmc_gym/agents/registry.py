@@ -21,7 +21,7 @@ from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_
 from mmc_gym.agents.optimal_control import OptimalControlAgent
 from mmc_gym.agents.planners import MinimumJerkAgent
 from mmc_gym.agents.policy_network import VIEWS, View
-from mmc_gym.interface import Control, ReachInterface
+from mmc_gym.interface import Control, ReachInterface, require_plain
 from mmc_gym.network import LearnedNormalizer
 
 Kind = Literal[
@@ -99,7 +99,8 @@ class AgentEntry:
     by_default: bool = True
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
-        """Make it for an environment."""
+        """Make it for an environment, whose wrappers may change no observation or action."""
+        require_plain(env)
         return self.build(ReachInterface.of(env))
 
 
@@ -210,7 +211,7 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "random": AgentEntry(
         "uniformly random actions, the same at every run",
-        lambda interface: RandomAgent(len(interface.segment_lengths)),
+        RandomAgent,
         Knowledge("baseline", "not given", "not given", "nothing"),
     ),
     "ik-nullspace": _ik(

@@ -47,7 +47,7 @@ from mmc_gym.agents.registry import (
     learned_knowledge,
 )
 from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, models_in
-from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface
+from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface, require_plain
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -401,6 +401,7 @@ def _make_policy(path: Path, env: gym.Env[Any, Any]) -> Predictor:
     """Make the agent of a policy; warn of an arm that differs from the one on its card."""
     from mmc_gym.agents.policy import PolicyAgent, load_policy
 
+    require_plain(env)
     network, card = load_policy(path)
     agent = PolicyAgent(network, card, ReachInterface.of(env))
     warn_of_another_arm(card.file_stem, card.body, env)

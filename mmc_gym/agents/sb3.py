@@ -15,6 +15,7 @@ import inspect
 import io
 import json
 import pickle
+import re
 import sys
 import warnings
 import zipfile
@@ -39,7 +40,10 @@ from mmc_gym.interface import (
     Control,
     ControlError,
     Observation,
+    changes_contract,
+    is_harmless,
     read_attribute,
+    wrappers_of,
 )
 
 if TYPE_CHECKING:
@@ -48,6 +52,7 @@ if TYPE_CHECKING:
 SUFFIX = ".zip"
 # Entries that a policy is made of; no others in a zip file are unpickled.
 _NEEDED = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde")
+_LAST = "_last_obs"  # the last observation of its training, as it saw it
 
 
 class World(NamedTuple):
@@ -57,11 +62,13 @@ class World(NamedTuple):
         control: its control mode.
         body: its arm, without perturbations.
         wrappers: class names of the wrappers that change observations or actions.
+        others: and of your own wrappers of observations or actions that keep both spaces.
     """
 
     control: Control | None = None
     body: ArmParameters | None = None
     wrappers: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
 
 class ModelAgent(Agent[Any]):
@@ -101,12 +108,13 @@ class ModelAgent(Agent[Any]):
     def acting_in(self, env: Any) -> ModelAgent:
         """Return the agent itself if it can act in an environment.
 
-        Warn, by a `MismatchWarning`, of another arm than in training, and of wrappers that `env`
-        lacks.
+        Warn, by a `MismatchWarning`, of another arm than in training, and of your own wrappers that
+        `env` lacks but that keep the spaces.
 
         Raises:
             ControlError: if its actions are of another control mode.
-            CannotActError: if its observations or actions have another shape.
+            CannotActError: if its observations or actions have another shape, or passed a wrapper
+                in training that `env` lacks.
         """
         for name in ("observation_space", "action_space"):
             own = _shape(getattr(self._policy, name))
@@ -119,7 +127,12 @@ class ModelAgent(Agent[Any]):
                 f"control must be {self.control!r} for {self.label}, got {control!r}", self.control
             )
         warn_of_another_arm(self.label, self.trained_in.body, env)
-        missing = [one for one in self.trained_in.wrappers if one not in _wrappers(env)]
+        changing, others = _wrappers(env)
+        missing = [one for one in self.trained_in.wrappers if one not in changing]
+        if missing:
+            lacks = f"{', '.join(missing)}, as in the training of {self.label}"
+            raise CannotActError(f"env must be wrapped in {lacks}, got it without")
+        missing = [one for one in self.trained_in.others if one not in others]
         if missing:
             _warn(f"{self.label} was trained behind {', '.join(missing)}, which env lacks")
         return self
@@ -171,23 +184,22 @@ def _world(env: Any) -> World:
         control, body = (read_attribute(env, name) for name in ("control", "unperturbed"))
     except (OSError, EOFError, UserError):  # its processes have ended, or its arms differ
         return World()
-    return World(control, body, _wrappers(env))
+    return World(control, body, *_wrappers(env))
 
 
-def _wrappers(env: Any) -> tuple[str, ...]:
-    """Name the wrappers around an environment that change observations or actions."""
-    harmless = ("VecNormalize", "VecMonitor", "VecCheckNan", "ClipAction")
-    found = []
-    while hasattr(env, "venv"):
-        found.append(env)
-        env = env.venv
-    env = next(iter(getattr(env, "envs", ())), env)
-    while isinstance(env, gym.Wrapper):
-        if isinstance(env, (gym.ObservationWrapper, gym.ActionWrapper)):
-            found.append(env)
-        env = env.env
-    names = [type(one).__name__ for one in found]
-    return tuple(name for name in names if name not in harmless)
+def _wrappers(env: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Name the wrappers that change observations or actions, and those that may; see `World`.
+
+    `VecNormalize` is not among them: a model has its statistics with it.
+    """
+    changing, others = [], []
+    for one in wrappers_of(env):
+        name = type(one).__name__
+        if changes_contract(one):
+            changing += [name] if name != "VecNormalize" else []
+        elif isinstance(one, (gym.ObservationWrapper, gym.ActionWrapper)) and name != "ClipAction":
+            others.append(name)
+    return tuple(changing), tuple(others)
 
 
 @dataclass(frozen=True)
@@ -265,8 +277,15 @@ class SavedModel:
             except (TypeError, ValueError):  # another version took these arguments
                 pass
         names = ("env_wrapper", "vec_env_wrapper", "frame_stack")
-        wrappers = [f"{name} {self.recipe[name]}" for name in names if self.recipe.get(name)]
+        wrappers = [f"{name} {self.recipe[name]}" for name in names if self._has(name)]
         return known._replace(wrappers=tuple(wrappers))
+
+    def _has(self, name: str) -> bool:
+        """Return whether rl_zoo3's files have an entry, other than names of harmless wrappers."""
+        entry = self.recipe.get(name)
+        listed = entry if isinstance(entry, list) else [entry]
+        named = [one for each in listed for one in (each if isinstance(each, dict) else [each])]
+        return any(one and not is_harmless(str(one).rpartition(".")[2]) for one in named)
 
     @cached_property
     def statistics(self) -> Path | None:
@@ -299,29 +318,26 @@ class SavedModel:
     def load(self) -> ModelAgent:
         """Load the model, which runs the code that its pickles name.
 
-        Warn, by a `MismatchWarning`, of missing statistics.
-
         Raises:
             FileNotFoundError: if there is no such file.
-            UserError: if pickles are not allowed, or it cannot be loaded.
+            UserError: if pickles are not allowed, it cannot be loaded, or the statistics of its
+                `VecNormalize` are missing.
         """
         facts = self.facts  # read first: it names a missing or wrong file
+        if self.statistics is None and self._was_normalized:
+            raise self._without_statistics()
         if not self.allow_pickle:
             raise UserError(
                 f"agent '{self.path}' holds pickles, and to load them runs whatever code they "
                 "name: if you trust the file, say --allow-pickle (in Python: allow_pickle=True)"
-            )
-        was_normalized = facts.get("_last_original_obs") is not None and "gae_lambda" in facts
-        if was_normalized and self.statistics is None:
-            _warn(
-                f"{self.path} was trained behind VecNormalize, but no statistics lie beside it: "
-                "env.save('vecnormalize.pkl') writes them"
             )
         try:
             policy = self._load_policy()
             normalizer = self.statistics and pickle.loads(self.statistics.read_bytes())
             if not (normalizer is None or hasattr(normalizer, "normalize_obs")):
                 raise TypeError(f"{self.statistics} holds no VecNormalize")
+        except UserError:
+            raise
         except Exception as error:  # whatever unpickled code raises
             raise UserError(f"{self.path} cannot be loaded: {error}") from error
         return ModelAgent(
@@ -332,14 +348,30 @@ class SavedModel:
             trained_in=self.trained_in,
         )
 
+    @property
+    def _was_normalized(self) -> bool:
+        """Whether it was trained behind `VecNormalize`, as far as its readable entries show."""
+        said = self.recipe.get("normalize")
+        if said:
+            return re.search(r"norm_obs\W+False", str(said)) is None
+        return self.facts.get("_last_original_obs") is not None and "gae_lambda" in self.facts
+
+    def _without_statistics(self) -> UserError:
+        return UserError(
+            f"{self.path} must have the statistics of its VecNormalize beside it, as "
+            "env.save('vecnormalize.pkl') writes them, got none"
+        )
+
     def _load_policy(self) -> Any:
         from stable_baselines3.common.save_util import load_from_zip_file
 
         # Entries in `custom_objects` are not unpickled.
-        others = {name: None for name in self.facts if name not in _NEEDED}
+        others = {name: None for name in self.facts if name not in (*_NEEDED, _LAST)}
         content = io.BytesIO(self.path.read_bytes())
         data, weights, _ = load_from_zip_file(content, custom_objects=others, device="cpu")
         assert data is not None
+        if self.statistics is None and _is_normalized(data.get(_LAST), data["action_space"]):
+            raise self._without_statistics()
         kind, options = data["policy_class"], dict(data.get("policy_kwargs") or {})
         if data.get("use_sde") and "use_sde" in inspect.signature(kind).parameters:
             options.setdefault("use_sde", True)
@@ -353,6 +385,19 @@ class SavedModel:
         folder = self.path.parent
         inside = [one.parent for one in folder.glob("*/args.yml")]
         return [file for one in (folder, *inside) for file in one.glob("*") if file.is_file()]
+
+
+def _is_normalized(observation: Any, actions: gym.Space[Any]) -> bool:
+    """Return whether an observation of `MMCReach-v0` or `MMCReachGoal-v0` has been normalized.
+
+    Then cosines and sines of its joint angles are none.
+    """
+    posture = observation["observation"] if isinstance(observation, Mapping) else observation
+    joints, size = (actions.shape or (0,))[0], np.shape(posture)[-1:]
+    if size not in ((3 * joints,), (3 * joints + 6,)):
+        return False  # of another environment
+    circle = posture[..., :joints] ** 2 + posture[..., joints : 2 * joints] ** 2
+    return not np.allclose(circle, 1.0, atol=1e-3)
 
 
 class _PlainLoader(yaml.SafeLoader):

@@ -52,7 +52,7 @@ from mmc_gym.benchmark.suite import (
     play_episodes,
 )
 from mmc_gym.envs.scenarios import Scenario
-from mmc_gym.interface import CannotActError, read_attribute
+from mmc_gym.interface import CannotActError, ReachInterface, read_attribute
 from mmc_gym.measures import (
     MEASURES,
     SET_MEASURES,
@@ -207,7 +207,7 @@ def _play_reference(
     env: Any = cell.scenario.make()
     if cell.scenario.family or not has_reference(env):
         raise CannotActError("targets wait for the hand, and an ideal one has no arm to perturb")
-    anybody = RandomAgent(len(env.unwrapped.parameters.segment_lengths))
+    anybody = RandomAgent(ReachInterface.of(env))
     with closing(cell.scenario.make_vec(len(seeds)) or env) as played:
         return minimum_jerk_episodes(run_episodes(anybody, played, seeds, options=instances))
 

@@ -6,8 +6,17 @@ from functools import partial
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.wrappers import (
+    FrameStackObservation,
+    NormalizeObservation,
+    RepeatAction,
+    RescaleAction,
+    TransformAction,
+    vector,
+)
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
@@ -15,6 +24,7 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.body_model.agent import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_least_squares
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, network_of_arm, out_of_line
+from mmc_gym.agents.policy import shipped_file
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.measures import run_episodes
@@ -200,11 +210,58 @@ def test_a_state_of_another_agent_or_of_other_arms_is_an_error(name):
             agent.predict(observation, one)
     with pytest.raises(UserError, match="state must be what predict returned for this agent"):
         agent.predict(many[:3], state)
+    assert agent.predict(many[:0])[0].shape == (0, 3)
     with pytest.raises(UserError, match=r"episode_start must be of shape \(4,\)"):
         agent.predict(many, state, [True, False, False])
     alone, state = agent.predict(observation, deterministic=True)
     again, _ = agent.predict(observation, state, [True], deterministic=True)
     np.testing.assert_array_equal(again, alone)
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac", "random"])
+def test_an_agent_without_memory_takes_no_state(name):
+    env = gym.make("MMCReach-v0")
+    agent, (observation, _) = make_agent(name, env), env.reset(seed=0)
+    for state in (np.zeros(3), make_agent("mmc", env).predict(observation)[1], ()):
+        with pytest.raises(UserError, match="state must be None, which is what predict"):
+            agent.predict(observation, state)
+
+
+TWICE = np.float32([-2.0, 2.0])
+WRAPPERS = {
+    "NormalizeObservation": NormalizeObservation,
+    "RescaleAction": lambda env: RescaleAction(env, *TWICE),
+    "FrameStackObservation": lambda env: FrameStackObservation(env, 2),
+    "RepeatAction": lambda env: RepeatAction(env, 2),
+    "TransformAction": lambda env: TransformAction(env, lambda action: action / 2, None),
+}
+
+
+@pytest.mark.parametrize("agent", ["mmc", "ppo", "mmc-body", "random", str(shipped_file("ppo", 1))])
+@pytest.mark.parametrize("name", WRAPPERS)
+def test_wrappers_that_change_what_is_seen_or_done_are_refused_by_their_names(name, agent):
+    inner = gym.make("MMCReach-v0")
+    wrapped = WRAPPERS[name](inner)
+    envs = gym.make_vec("MMCReach-v0", 1, vectorization_mode="sync", wrappers=[WRAPPERS[name]])
+    for env in (wrapped, gym.wrappers.RecordEpisodeStatistics(wrapped), envs):
+        with pytest.raises(CannotActError, match=f"env must show its own .* got it in {name}: "):
+            make_agent(agent, env)
+
+
+def test_wrappers_of_vectors_are_refused_and_harmless_ones_are_not():
+    class Paid(gym.Wrapper):
+        """A reward of your own."""
+
+    native, many = gym.make_vec("MMCReach-v0", 2), make_vec_env("MMCReach-v0", n_envs=2)
+    for env in (vector.NormalizeObservation(native), VecNormalize(many), VecFrameStack(many, 2)):
+        with pytest.raises(CannotActError, match=f"got it in {type(env).__name__}: "):
+            make_agent("mmc", env)
+    harmless = (gym.wrappers.ClipAction, gym.wrappers.RecordEpisodeStatistics, Paid)
+    env = gym.make("MMCReach-v0", render_mode="rgb_array")
+    for wrap in (*harmless, gym.wrappers.RenderCollection, gym.wrappers.NormalizeReward):
+        env = wrap(env)
+    for each in (env, vector.RecordEpisodeStatistics(native), VecNormalize(many, norm_obs=False)):
+        assert make_agent("ppo", each)
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta", "joint_velocity"])

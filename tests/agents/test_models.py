@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
+from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
@@ -22,6 +23,7 @@ from mmc_gym.benchmark.suite import make_player
 from mmc_gym.interface import CannotActError, ControlError
 
 CONTROL = "joint_velocity"
+TWICE = np.float32([-2.0, 2.0])
 TINY = {"n_steps": 8, "batch_size": 8, "n_epochs": 1, "policy_kwargs": {"net_arch": [4]}}
 
 
@@ -136,10 +138,8 @@ def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
     inside = run / "MMCReach-v0"
     (inside / "vecnormalize.pkl").unlink()
     (inside / "config.yml").write_text("{frame_stack: 4}")
-    with pytest.warns(MismatchWarning, match="behind VecNormalize, but no statistics lie beside"):
-        make = resolve(str(run), allow_pickle=True).factory
-    with pytest.warns(MismatchWarning, match="trained behind frame_stack 4, which env lacks"):
-        make(env)
+    with pytest.raises(UserError, match="must have the statistics of its VecNormalize beside it"):
+        resolve(str(run)).check()
 
 
 def test_objects_in_files_of_rl_zoo3_are_never_made(run):
@@ -189,6 +189,39 @@ def test_missing_wrappers_are_told(env):
     with pytest.warns(MismatchWarning, match="trained behind Noisy, which env lacks"):
         mmc_gym.make_agent(behind, env)
     assert mmc_gym.make_agent(behind, Noisy(env))
+    behind = trained(wrap=lambda env: env)
+    behind.get_env().envs[0] = RescaleAction(behind.get_env().envs[0], *TWICE)
+    with pytest.raises(CannotActError, match="env must be wrapped in RescaleAction, as in the tr"):
+        mmc_gym.make_agent(behind, env)
+    assert mmc_gym.make_agent(behind, RescaleAction(env, *TWICE))
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ("frame_stack: 4", "env must be wrapped in frame_stack 4, as in the training of MMC"),
+        ("env_wrapper: [own.Wrapper: {scale: 2}]", "env must be wrapped in env_wrapper"),
+        ("env_wrapper: gymnasium.wrappers.TimeLimit", None),
+    ],
+)
+def test_what_a_model_of_rl_zoo3_saw_is_seen_again_or_it_is_refused(run, env, entry, message):
+    (run / "MMCReach-v0" / "config.yml").write_text(f"{{{entry}}}")
+    make = resolve(str(run), allow_pickle=True).factory
+    if message is None:
+        assert make(env)
+    else:
+        with pytest.raises(CannotActError, match=message):
+            make(env)
+
+
+def test_an_off_policy_model_without_its_statistics_is_refused(tmp_path, env):
+    for name, wrap in (("plain", lambda envs: envs), ("normalized", VecNormalize)):
+        envs = wrap(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
+        small = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
+        SAC("MlpPolicy", envs, device="cpu", **small).learn(12).save(tmp_path / name)
+    assert mmc_gym.make_agent(tmp_path / "plain.zip", env, allow_pickle=True)
+    with pytest.raises(UserError, match="must have the statistics of its VecNormalize beside it"):
+        mmc_gym.make_agent(tmp_path / "normalized.zip", env, allow_pickle=True)
 
 
 def test_another_arm_and_other_observations_are_told(env):

@@ -17,6 +17,7 @@ Perturbations are not given.  Arrays lead with the batch, (n, …); a single arm
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -138,13 +139,14 @@ class BodyAgent(InternalModelAgent[BodyState]):
     ) -> tuple[NDArray[np.float32], BodyState]:
         seen = self.interface.see(observation)
         batch = seen.joint_angles.shape[:-1]
-        seen = Seen(**{key: each.reshape(-1, each.shape[-1]) for key, each in vars(seen).items()})
+        arms = math.prod(batch)
+        seen = Seen(**{key: each.reshape(arms, each.shape[-1]) for key, each in vars(seen).items()})
         state = self._sense(self.resumed(state, seen, episode_start), seen)
         problem = self._forecast(state)
         plan = self._plan(state, problem)
         joint_targets, state = self._drive(state, problem, plan)
         action = self.interface.act(joint_targets, Sensed(problem.joint_angles, seen.target))
-        return action.reshape(*batch, -1), state
+        return action.reshape(*batch, action.shape[-1]), state
 
     def _sense(self, state: BodyState, seen: Seen) -> BodyState:
         """Update the memory of the parts; `start` has entered the first observation already."""
