@@ -88,7 +88,7 @@ def commands() -> list[str]:
     """Return a line on every command."""
     from mmc_gym import cli
 
-    names = re.findall(r"^@_app\.command.*\ndef (\w+)", inspect.getsource(cli), re.MULTILINE)
+    names = re.findall(r"^@_command\ndef (\w+)", inspect.getsource(cli), re.MULTILINE)
     docs = {name: inspect.getdoc(getattr(cli, name)) or "" for name in names}
     return [f"- `mmc-gym {name.strip('_')}`: {text.splitlines()[0]}" for name, text in docs.items()]
 

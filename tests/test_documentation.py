@@ -25,7 +25,12 @@ PICTURES = [
     # Starts, the joint locks, ends.
     ("film.gif", "docs/draw_film.py film.gif", "film.gif", (0, 3, 25, 51)),
     ("learning-curves.png", "-m mmc_gym.cli curves --out .", "learning_curves.png", (0,)),
-    ("compare.png", "-m mmc_gym.cli compare --out .", "paths_and_profiles.png", (0,)),
+    (
+        "compare.png",
+        "-m mmc_gym.cli compare --agents mmc-body mmc ik-dls ppo sac --out .",
+        "paths_and_profiles.png",
+        (0,),
+    ),
 ]
 
 # Another matplotlib may put labels elsewhere.
