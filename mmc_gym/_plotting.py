@@ -22,6 +22,7 @@ from mmc_gym._files import write_atomically
 Floats = NDArray[np.float64]
 
 EXAMPLES = 4  # paths shown per agent
+IN_A_ROW = 6  # agents
 POSTURES = 16  # of a network, at most
 LINES = ("-", "--", "-.", (0, (1, 1)))  # so that paths differ without colour, too
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#7f3b8c")  # by Okabe and Ito, for the colour-blind
@@ -78,33 +79,42 @@ def paths_and_profiles(
     control_step: float,
     figure: Figure | None = None,
 ) -> Figure:
-    """Draw hand paths above and the speed profile of all movements below, a column per agent.
+    """Draw the hand paths of each agent and, below, the speed profile of all its movements.
 
     Args:
-        movements: of each agent, by the heading of its column.
+        movements: of each agent, by its heading; at most `IN_A_ROW` stand side by side.
         reach: radius of the disc that the hand can reach, segment lengths.
         tolerance: distance from the target that counts as success, segment lengths.
         control_step: seconds.
-        figure: to draw on; a new one if None.
+        figure: to draw on; a new one if None, that can be read at a width of 800 pixels.
     """
-    columns = len(movements)
+    rows = -(-len(movements) // IN_A_ROW)
+    columns = -(-len(movements) // rows)
+    side = min(max(5.0 / columns, 1.45), 2.5)  # inches
     with rc_context(STYLE):
         if figure is None:
-            figure = ShownFigure(figsize=(max(2.3 * columns, 5.0), 5.2), layout="constrained")
+            size = (max(columns * side, 5.0), rows * (side + 1.8) + 0.6)
+            figure = ShownFigure(figsize=size, layout="constrained")
             FigureCanvasAgg(figure)
         width = figure.get_figwidth()
         axes = figure.subplots(
-            2, columns, squeeze=False, sharex="row", sharey="row", height_ratios=(1.3, 1)
+            2 * rows, columns, squeeze=False, sharey="row", height_ratios=(side, 1.1) * rows
         )
-        for (above, below), (name, drawn) in zip(axes.T, movements.items(), strict=True):
-            above.set_title(name)
-            draw_paths(above, drawn, reach, tolerance)
-            above.set_xlabel("x [segment lengths]")
-            draw_speed(below, speed_quartiles(drawn), control_step)
+        pairs = np.moveaxis(axes.reshape(rows, 2, columns), 1, 0).reshape(2, -1)
+        for above, below in pairs[:, len(movements) :].T:
+            above.axis("off")
+            below.axis("off")
+        drawn = pairs[:, : len(movements)].T
+        for (above, below), (name, each) in zip(drawn, movements.items(), strict=True):
+            above.set_title(textwrap.fill(name, 16))
+            draw_paths(above, each, reach, tolerance)
+            draw_speed(below, speed_quartiles(each), control_step)
             below.set_xlabel("time [s]")
-        axes[0, 0].set_ylabel("y [segment lengths]")
-        axes[1, 0].set_ylabel("hand speed\n[segment lengths/s]")
-        axes[1, 0].set_ylim(bottom=0)
+        top = max(below.get_ylim()[1] for _, below in drawn)
+        for above, below in axes.reshape(rows, 2, columns)[:, :, 0]:
+            above.set_ylabel("[segment lengths]")
+            below.set_ylabel("hand speed\n[segment lengths/s]")
+            below.set_ylim(0, top)
         axes[1, 0].legend(frameon=False, loc="upper right")
         count = len(next(iter(movements.values())))
         caption = (
@@ -114,7 +124,7 @@ def paths_and_profiles(
             "episodes (starts and targets, the same for all agents; not training seeds: one "
             "training run each)."
         )
-        figure.supxlabel(textwrap.fill(caption, round(18 * width)), fontsize=7, linespacing=1.4)
+        figure.supxlabel(textwrap.fill(caption, round(17 * width)), fontsize=7, linespacing=1.4)
     return figure
 
 

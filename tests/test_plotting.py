@@ -38,6 +38,19 @@ def test_the_profile_is_the_median_speed_in_the_middle_of_the_steps(movements):
     assert line.get_ydata() == pytest.approx(movements["oracle"][1].speeds)
 
 
+def test_at_most_six_agents_stand_side_by_side_at_one_scale():
+    ten = {f"agent {number}": [movement(number)] for number in range(10)}
+    figure = draw(ten)
+    assert figure.get_figwidth() * 150 < 1400
+    shown = [axes for axes in figure.axes if axes.axison]
+    above = [axes for axes in shown if axes.get_title()]
+    assert [axes.get_title() for axes in above] == list(ten)
+    tops = [axes.get_position().y0 for axes in above]
+    assert tops[:5] == pytest.approx([tops[0]] * 5) and max(tops[5:]) < min(tops[:5])
+    below = [axes for axes in shown if not axes.get_title()]
+    assert len({axes.get_ylim() for axes in below}) == 1 and below[0].get_ylim()[1] >= 10
+
+
 def test_both_files_are_complete_and_the_same_figure_gives_the_same_file(movements, tmp_path):
     before = dict(matplotlib.rcParams)
     png, svg = save_figure(draw(movements), tmp_path / "a")

@@ -236,19 +236,19 @@ class Comparison:
                 (MEASURES["success"], "points", "higher", "lower"),
                 (MEASURES["time_to_target"], "s", "slower", "faster"),
             ):
-                found = {other: self._difference(measure, agent, other) for other in others}
-                texts = []
-                for other, one in found.items():
-                    if not math.isfinite(one.estimate):
-                        continue
+                found: dict[tuple[str, str], list[str]] = {}
+                for other in others:
+                    one = self._difference(measure, agent, other)
                     ends, word = (one.low, one.high), more
                     if one.estimate < 0:
                         ends, word = (-one.high, -one.low), less
-                    size = measure.number(abs(one.estimate))
-                    what = f"{size} {unit} {word} than" if one.estimate else "equal to"
-                    texts.append(f"{what} {other} {measure.interval(*ends)}")
+                    what = f"{measure.number(abs(one.estimate))} {unit} {word} than"
+                    what = what if one.estimate else "equal to"
+                    if math.isfinite(one.estimate):
+                        found.setdefault((what, measure.interval(*ends)), []).append(other)
+                texts = [f"{what} {', '.join(them)} {by}" for (what, by), them in found.items()]
                 if texts:
-                    lines.append(f"{agent}, {measure.label}: {', '.join(texts)}")
+                    lines.append(f"{agent}, {measure.label}: {'; '.join(texts)}")
         return "\n".join(lines)
 
     def _difference(self, measure: Measure, agent: str, other: str) -> Estimate:
