@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Class = TypeVar("Class", bound=type)
 Numbers = tuple[float, ...]
 _LONGEST_VALUE = 200  # characters
+_MOST = 2**31 - 1  # of anything that is counted
 
 
 class UserError(ValueError):
@@ -112,9 +113,10 @@ def require_not_negative(**values: Any) -> None:
         require_number(name, value, accepted, lambda number: 0 <= number < math.inf)
 
 
-def require_whole(name: str, value: Any, least: int = 1) -> int:
-    """Return a whole number of at least `least`."""
+def require_whole(name: str, value: Any, least: int = 1, most: float = _MOST) -> int:
+    """Return a whole number of at least `least` and at most `most`."""
     require(is_whole(value) and value >= least, name, value, f"a whole number of at least {least}")
+    require(value <= most, name, value, f"at most {most}")
     return int(value)
 
 

@@ -1,4 +1,4 @@
-"""Write files so that a reader sees the old content or the new one, and import users' modules."""
+"""Write files so that a reader sees the old content or the new one; read YAML; import modules."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import yaml
+from typing_extensions import override
+
 from mmc_gym._errors import UserError, require
 
 
@@ -18,6 +21,9 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
     """Write `content` to a temporary file beside `path`, flush it to disk, and rename it.
 
     Missing parent folders are made.  A text is written as UTF-8.
+
+    Raises:
+        OSError: if it cannot be written, as on a full disk; it names the file.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -29,9 +35,10 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException:
+    except OSError as error:  # it may name no file, or the temporary one
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
         temporary.unlink(missing_ok=True)
-        raise
     return path
 
 
@@ -47,6 +54,32 @@ def check_folder(path: Path | str, name: str) -> Path:
     if not existing.is_dir():
         raise UserError(f"{name} must be a folder, got the file {str(existing)!r}")
     return path
+
+
+class _YamlLoader(yaml.SafeLoader):
+    """Read YAML, run no code, and refuse a key that occurs twice in a mapping."""
+
+    @override
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
+        keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := next((key for key in keys if keys.count(key) > 1), None):
+            raise yaml.YAMLError(f"the key {twice[1]!r} occurs twice")
+        return node
+
+
+def read_yaml(text: str) -> Any:
+    """Return what a YAML text holds; no code in it is run.
+
+    Raises:
+        ValueError: if it is not YAML, a key occurs twice, or it is nested too deeply.
+    """
+    try:
+        return yaml.load(text, Loader=_YamlLoader)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+    except Exception as error:  # whatever "!!float 5e" or a date that cannot be raises
+        raise ValueError(" ".join(str(error).split())) from error
 
 
 def look_here() -> None:
@@ -65,7 +98,7 @@ def import_modules(names: Iterable[str]) -> None:
     look_here()
     for name in names:
         try:
-            require(bool(name), "the name of a module", name, "a text")
+            require("" not in name.split("."), "import", name, "the name of a module")
             importlib.import_module(name)
         except ImportError as error:
             raise UserError(f"module {name!r} cannot be imported: {error}") from error

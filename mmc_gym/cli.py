@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-import yaml
 from tyro.conf import Positional
 
 from mmc_gym._console import make_console, print_list, progress_bar
-from mmc_gym._errors import MismatchWarning, UserError, require, unknown
-from mmc_gym._files import import_modules
+from mmc_gym._errors import MismatchWarning, UserError, require, shown, unknown
+from mmc_gym._files import import_modules, read_yaml
 from mmc_gym._grid import CellError
 
 if TYPE_CHECKING:
@@ -147,14 +146,15 @@ class World(Imports):
     @property
     def arguments(self) -> dict[str, Any]:
         """The arguments of the environment; reading a value as YAML runs no code."""
-        found = {}
+        found: dict[str, Any] = {}
         for text in self.env_kwargs:
             name, _, value = text.partition("=")
+            require(name.isidentifier() and bool(value), "env-kwargs", text, _PAIR)
+            require(name not in found, "env-kwargs", text, f"given once for {name}")
             try:
-                require(name.isidentifier() and bool(value), "env-kwargs", text, _PAIR)
-                found[name] = yaml.safe_load(value)
-            except yaml.YAMLError as error:
-                raise UserError(f"env-kwargs must be {_PAIR}, got {text!r}") from error
+                found[name] = read_yaml(value)
+            except ValueError as error:
+                raise UserError(f"env-kwargs must be {_PAIR}, got {shown(text)}: {error}") from None
         return found
 
 
@@ -523,33 +523,66 @@ def record(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given == ["--version"]:
-        print(f"mmc-gym {version('mmc-gym')}")
-        return
+    _open_streams()
     try:
-        given = _spelt(given)
-        config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --more.env-kwargs
-        with warnings.catch_warnings():
-            warnings.showwarning = partial(_show_warning, warnings.showwarning)
-            _app.cli(prog="mmc-gym", args=given, description=DESCRIPTION, config=config)
+        try:
+            _run(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            _flush()
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(1) from None
     except KeyboardInterrupt:
         if os.environ.get(TRACEBACK):
             raise
         print("mmc-gym: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
-    except (UserError, OSError, CellError) as error:
+    except (UserError, OSError, MemoryError, CellError) as error:
         if os.environ.get(TRACEBACK):
             raise
         message, status = str(error), 2
         if isinstance(error, CellError):
             message = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)"
             status = 1
+        elif isinstance(error, MemoryError):
+            message = f"not enough memory. {message}"
         print(f"mmc-gym: {message}", file=sys.stderr)
         raise SystemExit(status) from error
+
+
+def _run(arguments: list[str]) -> None:
+    for text in arguments:
+        is_utf8 = text.isascii() or text.encode(errors="replace").decode() == text
+        require(is_utf8, "arguments", text, "in UTF-8")
+    if arguments == ["--version"]:
+        print(f"mmc-gym {version('mmc-gym')}")
+        return
+    config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --more.env-kwargs
+    with warnings.catch_warnings():
+        warnings.showwarning = partial(_show_warning, warnings.showwarning)
+        _app.cli(prog="mmc-gym", args=_spelt(arguments), description=DESCRIPTION, config=config)
+
+
+def _open_streams() -> None:
+    """Open standard streams that are closed, as by `>&-`, to the null device: workers need them."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
+
+
+def _flush() -> None:
+    """Print what waits to be printed.  If that fails, drop it, or it fails again when Python ends.
+
+    Raises:
+        OSError: as on a full disk.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        error.filename = "standard output"
+        raise
 
 
 def _show_warning(

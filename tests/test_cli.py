@@ -10,6 +10,8 @@ import pytest
 from mmc_gym._grid import CellError
 from mmc_gym.cli import _commands, _spelt, main
 
+ENV_KWARGS = ["compare", "--agents", "mmc", "--env-kwargs"]
+
 
 def test_compare_writes_data_and_figure(tmp_path, capsys):
     main(["compare", "--agents", "mmc", "random", "--episodes", "3", "--out", str(tmp_path)])
@@ -88,6 +90,17 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
         (["train", "ppo", "--out", __file__], "out must be a folder, got the file"),
         (["train", "ppo", "--cluster", "ray"], "--cluster is for --all only, got ray"),
         (["train", "--all", "--jobs", "-3"], "jobs must be a whole number of at least 1, got -3"),
+        (
+            ["list", "agents", "--import", "../.."],
+            "import must be the name of a module",
+        ),
+        (["compare", "--agents", "\udcff=mmc"], "arguments must be in UTF-8, got '\\udcff=mmc'"),
+        (["compare", "--episodes", "9" * 20], f"episodes must be at most 1000000, got {'9' * 20}"),
+        ([*ENV_KWARGS, "x=!!float 5e"], "could not convert string to float: '5e'"),
+        ([*ENV_KWARGS, "x=2020-99-99"], "month must be in 1..12"),
+        ([*ENV_KWARGS, "x=" + "[" * 5000], "nested too deeply"),
+        ([*ENV_KWARGS, "x={a: 1, a: 2}"], "the key 'a' occurs twice"),
+        ([*ENV_KWARGS, "x=1", "x=2"], "env-kwargs must be given once for x, got 'x=2'"),
         (["train", "--all", "--seed", "3"], "--seed is for a single training only, got 3"),
     ],
 )
@@ -179,6 +192,51 @@ def test_a_failed_cell_of_the_benchmark_is_the_last_line_and_the_exit_status(
     assert last.startswith(
         "mmc-gym: a cell failed, and counts as no success: dying24:Dying in random: its process"
     )
+
+
+@pytest.mark.parametrize("command", ["--version", "list tasks", "--help"])
+def test_a_full_disk_under_the_output_is_one_line(command):
+    script = f"{sys.executable} -m mmc_gym.cli {command} >/dev/full"
+    buffered = {**os.environ, "PYTHONUNBUFFERED": ""}
+    done = subprocess.run(
+        script, shell=True, stderr=subprocess.PIPE, text=True, check=False, env=buffered
+    )
+    assert done.returncode == 2
+    assert done.stderr == "mmc-gym: [Errno 28] No space left on device: 'standard output'\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])
+def test_workers_start_where_a_standard_stream_is_closed(tmp_path, closed):
+    options = f"--agents mmc random --scenarios random --episodes 2 --jobs 2 --out {tmp_path}"
+    script = f"{sys.executable} -m mmc_gym.cli benchmark {options} {closed}"
+    done = subprocess.run(script, shell=True, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "ranking.csv").exists()
+
+
+def test_an_interruption_during_an_import_that_swallows_it_is_one_line(tmp_path):
+    code = (
+        "import sys; sys.argv = ['mmc-gym']; import mmc_gym._interrupt\n"
+        "sys.path.insert(0, '.'); import interrupted"
+    )
+    (tmp_path / "interrupted.py").write_text(
+        "import os, signal\ntry: os.kill(os.getpid(), signal.SIGINT)\nexcept BaseException: pass\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "mmc-gym: interrupted\n")
+
+
+def test_too_little_memory_is_one_line(monkeypatch, capsys):
+    def fail(*arguments, **options):
+        raise MemoryError("Unable to allocate 9 TiB")
+
+    monkeypatch.setattr("mmc_gym.report.write_report", fail)
+    with pytest.raises(SystemExit) as stop:
+        main(["report"])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == "mmc-gym: not enough memory. Unable to allocate 9 TiB\n"
 
 
 def test_the_version_is_printed_and_help_says_so(capsys):

@@ -1,5 +1,6 @@
 """A file is written whole or not at all."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -7,7 +8,7 @@ import sys
 
 import pytest
 
-from mmc_gym._files import check_folder, write_atomically
+from mmc_gym._files import check_folder, read_yaml, write_atomically
 
 # Writes again and again, and is killed in the middle of it.
 SCRIPT = """
@@ -61,6 +62,21 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
     with pytest.raises(OSError):
         write_atomically(tmp_path / "result", b"new")
     assert list(tmp_path.iterdir()) == [tmp_path / "result"]
+
+
+def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
+    def fail(number):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match=r"No space left on device: '.*result'$") as error:
+        write_atomically(tmp_path / "result", b"new")
+    assert error.value.errno == errno.ENOSPC
+    assert not list(tmp_path.iterdir())
+
+
+def test_yaml_may_override_what_it_merges():
+    assert read_yaml("{a: &a {x: 1}, b: {<<: *a, x: 2}}") == {"a": {"x": 1}, "b": {"x": 2}}
 
 
 def test_a_file_is_no_folder(tmp_path):

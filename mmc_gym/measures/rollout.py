@@ -26,6 +26,7 @@ from mmc_gym.measures.episode import Episode, Floats
 from mmc_gym.measures.reaching import final_distance, success, time_to_target
 
 MAX_STEPS = 100_000
+MOST_EPISODES = 1_000_000
 
 # Attributes of an `Episode` and the entries of info that they record; "cursor" may be missing.
 _SEEN = {"hands": "end_effector", "distances": "distance", "targets": "target", "cursors": "cursor"}
@@ -45,8 +46,8 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
     Raises:
         UserError: if `episodes` is not a whole number of at least 1, or `seed` of at least 0.
     """
-    require_whole("episodes", episodes)
-    require_whole("seed", seed, least=0)
+    require_whole("episodes", episodes, most=MOST_EPISODES)
+    require_whole("seed", seed, least=0, most=math.inf)
     return [int(word) for word in np.random.SeedSequence(seed).generate_state(episodes)]
 
 

@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
-import yaml
 from pydantic import ConfigDict, Field, ValidationError, create_model
 from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
@@ -37,6 +36,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 
 from mmc_gym._errors import UserError, explain, require, require_whole, shown, unknown
+from mmc_gym._files import read_yaml
 from mmc_gym.agents.policy import Algorithm
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES
 from mmc_gym.training.vec_env import RandomScenarios, Residual
@@ -217,8 +217,8 @@ class Recipe:
     def _policy_options(self, value: Any) -> Any:
         if isinstance(value, str):  # a mapping of YAML, but for the brackets
             text = value.replace("dict(", "{").replace(")", "}").replace("=", ": ")
-            with suppress(yaml.YAMLError):
-                value = yaml.safe_load(text)
+            with suppress(ValueError):
+                value = read_yaml(text)
         if isinstance(value, dict) and "activation_fn" in value:
             name = str(value["activation_fn"]).removeprefix("nn.").lower()
             known = {str(each): kind for each, kind in ACTIVATIONS.items()}
@@ -267,8 +267,8 @@ def read_recipe(
             raise unknown("name", source, names(), "the path of a YAML file")
         path = _SHIPPED / f"{source}.yml"
     try:
-        entries = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        entries = read_yaml(path.read_text(encoding="utf-8"))
+    except ValueError as error:
         raise UserError(f"{source} must be YAML: {error}") from error
     if not isinstance(entries, dict) or not entries:
         raise UserError(f"{source} must map environments to hyperparameters, got {entries!r}")

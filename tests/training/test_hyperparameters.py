@@ -69,6 +69,10 @@ def test_your_own_file_is_read_by_its_path(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
+        (b"A: {", "must be YAML"),
+        (b"A: {gamma: 0.5, gamma: 0.6}", "must be YAML: the key 'gamma' occurs twice"),
+        (b"A: {gamma: !!float 5e}", "must be YAML: could not convert string to float"),
+        (b"[" * 5000, "must be YAML: it is nested too deeply"),
         (b"\xff\xff", "must be YAML"),
         (b"", "must map environments to hyperparameters, got None"),
         (b"A: 1", "must have hyperparameters for A, got 1"),
