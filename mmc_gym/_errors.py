@@ -227,12 +227,17 @@ def spelt(cls: Class) -> Class:
     return cls
 
 
+_COUNTS = ("n_segments", "num_segments", "segments", "n_joints", "num_joints", "n_links")
+"""What users call the number of segments, which the lengths tell."""
+
+
 def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
     """Raise a `UserError` for the first argument in `given` that is not in `known`."""
     known = tuple(known)
     for name in given:
         if name not in known:
-            guess = _question(nearest(name, known))
+            other = "segment_lengths" if name in _COUNTS and "segment_lengths" in known else ""
+            guess = _question(other or nearest(name, known))
             raise UserError(f"{what} takes no argument {name!r}{guess} It takes {', '.join(known)}")
 
 

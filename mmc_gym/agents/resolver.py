@@ -25,6 +25,7 @@ from functools import cache, cached_property, partial
 from glob import glob
 from importlib.resources import files
 from importlib.util import find_spec
+from os.path import exists
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
@@ -32,8 +33,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias, cast
 import cloudpickle
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector import VectorEnv
 
-from mmc_gym._errors import UserError, require, unknown
+from mmc_gym._errors import UserError, is_whole, require, unknown
 from mmc_gym._files import import_object, look_here
 from mmc_gym.agents.base import Agent, Predictor, warn_of_another_arm
 from mmc_gym.agents.registry import (
@@ -56,6 +58,8 @@ Factory: TypeAlias = Callable[[gym.Env[Any, Any]], Predictor]
 AgentLike: TypeAlias = "str | Path | Predictor | Factory | Callable[[Any], Any]"
 Agents: TypeAlias = "str | Iterable[AgentLike] | Mapping[str, AgentLike | Sequence[AgentLike]]"
 """Agents, in order; a mapping gives them labels, and a list in it is several trainings of one."""
+
+_LONGEST_LABEL = 100  # labels are part of the names of files
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +136,16 @@ class ResolvedAgent:
         if self.card is not None:
             return self.card.seed
         return None if self.model is None else self.model.training_seed
+
+    @property
+    def training_steps(self) -> int | None:
+        """Environment steps of its training; 0 without one, None if they are not known."""
+        if self.card is not None:
+            return self.card.training_steps
+        if self.model is not None:
+            return self.model.training_steps
+        steps = 0 if self.name else getattr(self._thing, "training_steps", None)
+        return int(steps) if is_whole(steps) else None
 
     @property
     def source_name(self) -> str:
@@ -255,7 +269,7 @@ def resolve_all(
     listed = [agents] if isinstance(agents, str) else agents
     pairs: Any = agents.items() if isinstance(agents, Mapping) else (("", one) for one in listed)
     for label, given in pairs:
-        require(isinstance(label, str), "the label of an agent", label, "a text")
+        _check_label(label)
         several = given if isinstance(given, (list, tuple)) else [given]
         found += _trainings(several, label, allow_pickle, every_training)
     if not found:
@@ -297,11 +311,19 @@ def _labelled(text: str) -> tuple[str, str]:
     """Split `LABEL=SOURCE`; without a label it is ""."""
     label, sign, source = text.partition("=")
     # An = may also be part of a path.
-    if not sign or "/" in label or "\\" in label or Path(text).exists() or glob(text):
+    if not sign or "/" in label or "\\" in label or exists(text) or glob(text):
         return "", text
     if not label:
         raise UserError(f"agents must have names, got {text!r}")
+    _check_label(label)
     return label, source
+
+
+def _check_label(label: object) -> None:
+    """Raise a `UserError` unless it is a label that a file's name can hold."""
+    accepted = f"a text of at most {_LONGEST_LABEL} characters"
+    fine = isinstance(label, str) and len(label.encode(errors="replace")) <= _LONGEST_LABEL
+    require(fine, "the label of an agent", label, accepted)
 
 
 def _expanded(name: str, every_training: bool) -> tuple[str, list[str]]:
@@ -384,6 +406,19 @@ def _unknown(agent: object) -> UserError:
     is_path = isinstance(agent, str) and ("/" in agent or "\\" in agent)
     if is_path and not Path(str(agent)).exists():
         return UserError(f"agent {agent!r} must be a name or a path, and there is no such file")
+    if isinstance(agent, (gym.Env, VectorEnv)):
+        accepted = "a name, a model or an object with predict; environments come after it"
+        return UserError(f"agent must be {accepted}, got the environment {agent}")
+    kind, _, seed = str(agent).rpartition("-")
+    if kind in AGENTS and seed.isdigit():
+        count = AGENTS[kind].training_seeds
+        known = f"{count} are shipped, {kind}-0 to {kind}-{count - 1}"
+        known = known if count else f"{kind} is not trained, so it has no number"
+        return UserError(f"agent {agent!r} is not accepted: {known}")
+    names = [name for name in re.split(r"[,;\s]+", str(agent)) if name]
+    if len(names) > 1 and not AGENTS.keys().isdisjoint(names):
+        apart = f"separate names, {' '.join(names)} (in Python a list, {names})"
+        return UserError(f"agents must be {apart}, got {agent!r}")
     return unknown(
         "agent",
         agent,

@@ -256,6 +256,12 @@ class SavedModel:
         return seed if isinstance(seed, int) and seed >= 0 else None
 
     @property
+    def training_steps(self) -> int | None:
+        """The steps of its training; None if they are not known."""
+        steps = self.facts.get("num_timesteps")
+        return steps if isinstance(steps, int) else None
+
+    @property
     def control(self) -> Control | None:
         """The control mode that it was trained in; None if it is not known."""
         return self.trained_in.control
@@ -323,7 +329,7 @@ class SavedModel:
             UserError: if pickles are not allowed, it cannot be loaded, or the statistics of its
                 `VecNormalize` are missing.
         """
-        facts = self.facts  # read first: it names a missing or wrong file
+        _ = self.facts  # read first: it names a missing or wrong file
         if self.statistics is None and self._was_normalized:
             raise self._without_statistics()
         if not self.allow_pickle:
@@ -344,7 +350,7 @@ class SavedModel:
             policy,
             normalizer,
             label=self.path.name,
-            training_steps=facts.get("num_timesteps", 0),
+            training_steps=self.training_steps or 0,
             trained_in=self.trained_in,
         )
 

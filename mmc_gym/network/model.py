@@ -40,6 +40,7 @@ from mmc_gym._errors import (
     require_numbers,
     require_whole,
     spelt,
+    unknown,
 )
 from mmc_gym._notebook import facts_table
 from mmc_gym.network import chain
@@ -198,6 +199,8 @@ class MMCNetwork:
         require_number("damping", self.damping, accepted, lambda d: half < d < np.inf)
         accepted = "a Normalizer, such as EuclideanNormalizer() or LearnedNormalizer.shipped()"
         require(isinstance(self.normalizer, Normalizer), "normalizer", self.normalizer, accepted)
+        if str(self.dynamics) == "dynamic":  # there are two rules; the paper's is the first to try
+            raise unknown("dynamics", self.dynamics, get_args(Dynamics), guess="paper")
         require_choice("dynamics", self.dynamics, get_args(Dynamics))
         require_choice("schedule", self.schedule, get_args(Schedule))
         least, value = 1 if self.dynamics == "paper" else 0, self.velocity_damping

@@ -89,7 +89,7 @@ def test_a_model_acts_on_observations_normalized_as_in_training(model, folder, e
     given = {"model": model, "model.zip": folder / "model.zip", "folder": folder}[source]
     agent = mmc_gym.make_agent(given, env, allow_pickle=True)
     assert acts_as(model, agent, env)
-    assert agent.training_steps == 8
+    assert agent.training_steps == resolve(given, allow_pickle=True).training_steps == 8
 
 
 def test_a_file_of_pickles_is_loaded_only_if_the_user_says_so(folder, monkeypatch):

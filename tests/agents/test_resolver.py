@@ -146,6 +146,12 @@ def test_functions_and_objects_are_called_by_their_own_names_or_class(monkeypatc
     assert resolve(make).fingerprint != resolve(thing).fingerprint
 
 
+def test_the_steps_of_a_training_are_known_or_none(folder, frozen):
+    found = resolve_all(["ppo-3", "mmc", REFERENCE, frozen, "runs/mine-9.json", "my_agents:Still"])
+    steps = [one.training_steps for one in found]
+    assert steps == [load_policy(found[0].policy)[1].training_steps, 0, 0, None, steps[0], None]
+
+
 def test_the_ideal_hand_takes_part_and_acts_in_no_environment():
     assert REFERENCE in default_agents() and "ik-nullspace" not in default_agents()
     ideal = resolve(REFERENCE)
@@ -162,7 +168,13 @@ def test_the_ideal_hand_takes_part_and_acts_in_no_environment():
             for name in ("xyzzy", "")
         ),
         ("mcm", "agent 'mcm' is not accepted; did you mean 'mmc'"),
-        *((name, "did you mean 'ppo") for name in ("ppo-10", "ppo--1", "ppo-01")),
+        ("ppo--1", "did you mean 'ppo"),
+        *((name, "10 are shipped, ppo-0 to ppo-9") for name in ("ppo-10", "ppo-77", "ppo-01")),
+        ("mmc-3", "agent 'mmc-3' is not accepted: mmc is not trained"),
+        ("mmc,ppo", r"agents must be separate names, mmc ppo \(in Python a list, .*got 'mmc,ppo'"),
+        ("mmc; own", "agents must be separate names, mmc own"),
+        (gym.make("MMCReach-v0"), "environments come after it, got the environment <TimeLimit"),
+        (f"{'x' * 300}=mmc", "the label of an agent must be a text of at most 100 characters"),
         *((thing, f"agent {thing} is not accepted. It may be mmc") for thing in (None, 3)),
         ("runs/nowhere", "agent 'runs/nowhere' must be .* there is no such file"),
         ("runs", "must be a folder with one policy, .* got mine-10.json"),
@@ -189,6 +201,7 @@ def test_what_is_no_agent_is_an_error_of_the_user(folder, agent, message):
         (3, "agents must be a list of agents"),
         ({"x": []}, "at least one training, got none of 'x'"),
         ({3: "mmc"}, "the label of an agent must be a text"),
+        ({"é" * 60: "mmc"}, "the label of an agent must be a text of at most 100 characters"),
         (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
         (["x=ppo", "x=ppo-3"], "got x repeatedly"),
     ],

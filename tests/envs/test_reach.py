@@ -263,6 +263,7 @@ def test_what_the_arm_cannot_do_is_refused(arm: Any, options: Any, message: str)
         ({"control_weight": "a"}, "control_weight must be finite and not negative, got 'a'"),
         ({"success_distance": math.nan}, "success_distance must be finite and not negative"),
         ({"segment_length": (1.0,)}, "'segment_length'; did you mean 'segment_lengths'"),
+        ({"n_segments": 4}, "no argument 'n_segments'; did you mean 'segment_lengths'"),
         ({"colour": 1}, "takes no argument 'colour'. It takes render_mode, control, "),
     ],
 )

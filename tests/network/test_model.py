@@ -274,6 +274,7 @@ def at_rest(network):
         ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping must .*1.* got 0.5"),
         ({"velocity_decay": 1.1}, "velocity_decay must be between 0 and 1, got 1.1"),
         ({"dampening": 4}, "takes no argument 'dampening'; did you mean 'damping'"),
+        ({"dynamics": "dynamic"}, "'dynamic' is not accepted; did you mean 'paper'.* or reference"),
         ({"dynamics": "newton"}, "dynamics 'newton' is not accepted. It may be kinematic, "),
         ({"schedule": "late"}, "schedule 'late' is not accepted. It may be synchronous"),
         ({"engine": "jax"}, "engine 'jax' is not accepted. It may be numpy or numba"),
