@@ -92,8 +92,12 @@ def require_number(
 ) -> float:
     """Return a real number that satisfies `fine`, as a float; bools are not numbers."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
-    require(is_number and fine(float(value)), name, value, accepted)
-    return float(value)
+    try:
+        number = float(value) if is_number else math.nan
+    except OverflowError:  # a whole number beyond floats
+        number = math.nan
+    require(is_number and fine(number), name, value, accepted)
+    return number
 
 
 def require_finite(name: str, value: Any) -> float:

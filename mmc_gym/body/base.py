@@ -51,7 +51,7 @@ class SingleArm(ABC):
             UserError: for an unknown kind of servo, or an arm that the engine cannot simulate.
         """
         require_choice("servo", servo, get_args(Servo))
-        self.parameters = parameters or ArmParameters()
+        self.parameters = _checked(parameters)
         self._servo: Servo = servo
         self._count = len(self.parameters.segment_lengths)
         self.servo_impulses = self.servo_work = [nan] * self._count
@@ -149,7 +149,7 @@ class ArmBatch(ABC):
         require_choice("servo", servo, get_args(Servo))
         self._count = require_whole("count", count)
         self._threads = require_whole("threads", threads)
-        self.parameters = parameters or ArmParameters()
+        self.parameters = _checked(parameters)
         self._servo: Servo = servo
         self._shape = self._count, len(self.parameters.segment_lengths)
         self.servo_impulses: Floats = np.full(self._shape, nan)
@@ -234,6 +234,22 @@ class ArmBatch(ABC):
         fine = fine and len(np.unique(rows)) == len(rows)
         require(fine, "arms", arms, f"different indices from 0 to {self._count - 1}")
         return np.ascontiguousarray(rows, np.intp)
+
+
+def _checked(parameters: ArmParameters | None) -> ArmParameters:
+    """Return the parameters; raise a `UserError` if the force field cannot be simulated."""
+    p = parameters or ArmParameters()
+    if p.force_field is not None:
+        field = np.array(p.force_field)
+        accepted = f"at most {p.strongest_field:.4g} mass/s strong in substeps of {p.substep:g} s"
+        accepted += " (shorter ones or a heavier last segment allow more)"
+        fine = bool(np.linalg.norm(field, 2) <= p.strongest_field)
+        require(fine, "force_field", p.force_field, accepted)
+        accepted = f"one that pushes along the movement by at most {p.strongest_push:.4g} mass/s"
+        accepted += ", or servos of this torque_limit cannot stop the arm"
+        fine = bool(np.linalg.eigvalsh(field + field.T).max() <= 2 * p.strongest_push)
+        require(fine, "force_field", p.force_field, accepted)
+    return p
 
 
 def _table(name: str, values: ArrayLike, shape: tuple[int, int]) -> Floats:

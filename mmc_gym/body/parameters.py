@@ -21,6 +21,7 @@ from mmc_gym._errors import (
 
 Servo = Literal["position", "velocity", "torque"]
 _DEFAULT_INERTIA = 9.0  # of the default arm, stretched, about its base
+_SMALLEST, _LARGEST, _MOST_SUBSTEPS = 1e-9, 1e9, 10_000  # what can be computed, and awaited
 
 
 class Rod(NamedTuple):
@@ -66,7 +67,8 @@ class ArmParameters:
             joint on; 0 for bare rods.
         hand_mass: point mass carried at the hand, mass.
         force_field: 2 × 2 matrix of a viscous force field, mass / s, or None.  The force on the
-            hand is `force_field` · (velocity of the hand).
+            hand is `force_field` · (velocity of the hand).  Engines refuse a field stronger than
+            `strongest_field`, or that pushes more than `strongest_push`.
         obstacles: fixed discs (x, y, radius) that the segments collide with, without friction.
         segment_radius: half the thickness of the segments in collisions, length.
         lockable_joints: indices of the joints that `lock` makes rigid where they are.
@@ -96,12 +98,13 @@ class ArmParameters:
     def __post_init__(self) -> None:
         # All fields become floats: arrays made from whole numbers would round later values.
         write = partial(object.__setattr__, self)
-        accepted = "positive and finite lengths, one or more"
+        sizes = f"from {_SMALLEST:g} to {_LARGEST:g}"
+        accepted = f"positive and finite lengths {sizes}, one or more"
         lengths = require_numbers("segment_lengths", self.segment_lengths, accepted, _are_positive)
         write("segment_lengths", lengths)
         count = len(lengths)
         if self.segment_masses is not None:
-            accepted = f"{count} positive and finite masses, one per segment"
+            accepted = f"{count} positive and finite masses {sizes}, one per segment"
             masses = require_numbers("segment_masses", self.segment_masses, accepted, _are_positive)
             require(len(masses) == count, "segment_masses", masses, accepted)
             write("segment_masses", masses)
@@ -113,11 +116,16 @@ class ArmParameters:
         for name in ("speed_limit", "torque_limit", "servo_gain", "substep", "segment_radius"):
             write(name, require_positive(name, getattr(self, name)))
         require_not_negative(drive_inertia=self.drive_inertia, hand_mass=self.hand_mass)
+        for name, least in (("speed_limit", _SMALLEST), ("substep", _SMALLEST), ("hand_mass", 0.0)):
+            value = getattr(self, name)
+            require(least <= value <= _LARGEST, name, value, f"from {least:g} to {_LARGEST:g}")
         write("drive_inertia", float(self.drive_inertia))
         write("hand_mass", float(self.hand_mass))
-        require_whole("substeps", self.substeps)
+        require_whole("substeps", self.substeps, most=_MOST_SUBSTEPS)
         accepted = "two finite values (x, y)"
-        write("gravity", require_numbers("gravity", self.gravity, accepted, is_point))
+        gravity = require_numbers("gravity", self.gravity, accepted, is_point)
+        require(math.hypot(*gravity) <= _LARGEST, "gravity", gravity, f"at most {_LARGEST:g}")
+        write("gravity", gravity)
         if self.joint_limits is not None:
             accepted = f"{count} pairs low < high within -pi and pi, one per joint"
             limits = require_rows("joint_limits", self.joint_limits, accepted, _is_range, (count,))
@@ -167,13 +175,36 @@ class ArmParameters:
         return inertias
 
     @property
+    def strongest_field(self) -> float:
+        """Largest force field (its spectral norm) that the substeps can simulate, mass / s.
+
+        In a substep h the field F turns the hand's velocity by up to 2 arctan(h |F| Λ / 2), with
+        the hand's mobility Λ (`mmc_gym.body.force_field`).  Pivots, servos and loads only lower
+        the mobility of the last segment when it flies free, Λ = 1/m + (l/2)²/I.  The bound is a
+        turn of 90°.  Twice as strong fields throw arms at up to thirty times their speed limit;
+        four times as strong ones tear pivots open by 20 lengths.
+        """
+        mobility = (1 + 3 / (1 + 4 * self.drive_inertia)) / self.masses[-1]
+        return 2 / (self.substep * mobility)
+
+    @property
+    def strongest_push(self) -> float:
+        """Largest rate at which a force field may push along the movement of the hand, mass / s.
+
+        It is the larger eigenvalue of the field's symmetric part.  Up to it, servos at their torque
+        limit stop an arm that turns at three times its speed limit; beyond, arms may run away.
+        """
+        reaches = [sum(self.segment_lengths[joint:]) for joint in range(len(self.masses))]
+        return self.torque_limit / (3 * self.speed_limit * reaches[0] * sum(reaches))
+
+    @property
     def control_step(self) -> float:
         """Duration of a control step, s."""
         return self.substep * self.substeps
 
 
 def _are_positive(numbers: tuple[float, ...]) -> bool:
-    return len(numbers) > 0 and all(0 < number < math.inf for number in numbers)
+    return len(numbers) > 0 and all(_SMALLEST <= number <= _LARGEST for number in numbers)
 
 
 def _is_range(numbers: tuple[float, ...]) -> bool:

@@ -303,13 +303,14 @@ class SensoryDelay(Perturbation):
     wrap a vector environment.
 
     Attributes:
-        seconds: the delay, rounded to control steps; several add.
+        seconds: the delay, at most 1,000, rounded to control steps; several add.
     """
 
     seconds: float = 0.1
 
     def __post_init__(self) -> None:
         require_not_negative(seconds=self.seconds)
+        require(self.seconds <= 1000, "seconds", self.seconds, "at most 1000")
 
 
 def _index(name: str, index: int, count: int) -> int:
@@ -349,7 +350,7 @@ class Family:
 
 
 def _joint(strength: float, time: float = 0.0) -> LockedJoint:
-    fine = strength >= 1 and strength == int(strength)
+    fine = strength >= 1 and float(strength).is_integer()
     require(fine, "the joint that locks", strength, "a whole number from 1 (at the base) on")
     return LockedJoint(int(strength) - 1, time)
 

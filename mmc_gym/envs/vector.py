@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 _EVERY = slice(None)
+_MOST_ARMS = 10**8
 
 
 class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -92,7 +93,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if max_episode_steps is not None:
             max_episode_steps = require_whole("max_episode_steps", max_episode_steps)
         self.max_episode_steps = max_episode_steps
-        self.num_envs = num_envs = require_whole("num_envs", num_envs)
+        self.num_envs = num_envs = require_whole("num_envs", num_envs, most=_MOST_ARMS)
         if not isinstance(autoreset_mode, AutoresetMode):
             require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -148,8 +149,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         Raises:
             UserError: if a seed or an option is not accepted; the arms stay as they were.
         """
-        options = dict(options or {})
-        mask = check_mask(options.pop("reset_mask", None), self.num_envs)
+        if isinstance(options, Mapping):
+            options = dict(options)
+        mask = options.pop("reset_mask", None) if isinstance(options, dict) else None
+        mask = check_mask(mask, self.num_envs)
         checked = self.setup.check_options(options)
         seeds = check_seeds(seed, self.num_envs)
         self._seed([one if chosen else None for one, chosen in zip(seeds, mask, strict=True)])

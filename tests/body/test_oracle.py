@@ -126,10 +126,10 @@ def energy_changes(engine, curl, speed, substep=0.005):
 @pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 @pytest.mark.parametrize(
     ("curl", "speed", "median", "largest"),
-    [(120.0, 0.05, 0.005, 0.03), (120.0, 0.5, 0.025, 0.1), (500.0, 0.5, 0.3, 10)],
+    [(120.0, 0.05, 0.005, 0.03), (120.0, 0.5, 0.025, 0.1), (159.9, 0.5, 0.05, 0.2)],
 )
 def test_a_strong_curl_field_leaves_a_slack_arm_its_energy(engine, curl, speed, median, largest):
-    """The impulse is implicit: it stays bounded where a field is too strong for the substep."""
+    """The impulse is implicit: up to the strongest field that is accepted it hardly gains."""
     changes = energy_changes(engine, curl, speed)
     assert np.median(changes) < median
     assert changes.max() < largest

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
-from mmc_gym.body import Arm, ArmParameters
+from mmc_gym.body import Arm, ArmParameters, make_arm, make_arms
 
 
 def pivot_gap(arm):
@@ -151,6 +151,57 @@ def memory_in_use():
     if not statistics.exists():
         pytest.skip("knows no other way to ask for it")
     return int(statistics.read_text().split()[1]) * resource.getpagesize() / 1e6
+
+
+STRONG = {  # near the strongest that are accepted
+    "three": ({}, 159.9),
+    "light": ({"segment_masses": (0.03,) * 3}, 4.79),
+    "light hand": ({"segment_masses": (1.0, 1.0, 0.1)}, 15.9),
+    "heavy hand": ({"hand_mass": 10.0}, 159.9),
+    "bare rods": ({"drive_inertia": 0.0}, 99.9),
+    "five": ({"segment_lengths": (1.0, 0.7, 1.3, 0.4, 1.0)}, 159.9),
+    "short substeps": ({"substep": 0.001, "substeps": 20}, 799.0),
+}
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize("case", STRONG)
+def test_in_a_strong_field_arms_stay_closed_and_a_stronger_one_is_refused(case, engine):
+    made, curl = STRONG[case]
+    p = ArmParameters(**made, force_field=((0.0, curl), (-curl, 0.0)))
+    for servo in ("position", "torque"):
+        arm, random, speeds, gaps = make_arm(engine, p, servo), np.random.default_rng(1), [], []
+        for _ in range(10):
+            arm.reset(random.uniform(-math.pi, math.pi, len(p.segment_lengths)))
+            for _ in range(10):
+                share = random.uniform(-1, 1, len(p.segment_lengths))
+                arm.command(share * (math.pi if servo == "position" else p.torque_limit))
+                for _ in range(4):
+                    arm.step()
+                    speeds.append(np.abs(arm.joint_velocities).max())
+                    gaps.append(pivot_gap(arm) if engine == "pymunk" else 0.0)
+        assert max(speeds) < 20 * p.speed_limit  # NaN is not; light hands reach 6 without a field
+        assert max(gaps) < 0.05 * sum(p.segment_lengths)
+    stronger = dataclasses.replace(p, force_field=((0.0, 1.01 * curl), (-1.01 * curl, 0.0)))
+    with pytest.raises(UserError, match=r"force_field must be at most .* in substeps of 0\.00"):
+        make_arm(engine, stronger)
+
+
+@pytest.mark.parametrize("engine", ["pymunk", "analytic"])
+@pytest.mark.parametrize(
+    ("masses", "field", "message"),
+    [
+        (None, ((0, 1000), (-1000, 0)), "force_field must be at most 160 mass/s"),
+        ((0.03,) * 3, ((0, 60), (-60, 0)), "force_field must be at most 4.8 mass/s"),
+        ((1, 1, 0.001), ((0, 60), (-60, 0)), "force_field must be at most 0.16 mass/s"),
+        (None, ((15, 0), (0, 15)), "force_field must be one that pushes .* by at most 1.47"),
+    ],
+)
+def test_fields_that_tore_arms_apart_are_refused(masses, field, message, engine):
+    p = ArmParameters(segment_masses=masses, force_field=field)
+    for make in (make_arm, make_arms):
+        with pytest.raises(UserError, match=message):
+            make(engine, p)
 
 
 @pytest.mark.slow

@@ -82,7 +82,7 @@ DISC = (1.5, 1.0, 0.25)
         ("vision-noise-0.00001", "vision-noise-0.00001", VisionNoise(0.00001)),
         ("vision-noise-distance", "vision-noise-distance-0.05", VisionNoise(0.0, 0.05)),
         ("obstacles-1", "obstacles-1", Obstacles((DISC,))),
-        ("force-field-1000000", "force-field-1000000", ForceField(1e6)),
+        ("rotation-1000000", "rotation-1000000", VisuomotorRotation(1e6)),
     ],
 )
 def test_a_name_with_any_strength_makes_a_perturbation(
@@ -113,6 +113,8 @@ def test_a_name_with_any_strength_makes_a_perturbation(
         ("locks-1.5", "joint that locks must be a whole number from 1"),
         ("obstacles-5", "number of obstacles must be a whole number from 1 to 4"),
         ("delay--40", "delay--40 has no such strength: seconds must be"),
+        (f"locked-1{400 * '0'}", "locked-inf has no such strength: the joint that locks must be"),
+        (f"delay-1{30 * '0'}", "delay-1000.* has no such strength: seconds must be at most 1000"),
         ("shorter-100", "shorter-100 has no such strength: factor must be"),
         ("delay-", "did you mean 'delay'"),
         ("centre-out+", "scenario '' is not accepted"),

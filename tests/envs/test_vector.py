@@ -202,6 +202,7 @@ REFUSED: dict[str, tuple[Callable[[VectorEnv], Any], str]] = {
         lambda env: env.reset(options={"reset_mask": np.zeros(COUNT, bool)}),
         "reset_mask.*not all False",
     ),
+    "options that are none": (lambda env: env.reset(options=5), "options must be a mapping.*got 5"),
     "unknown option": (lambda env: env.reset(seed=1, options={"goal": 0}), "options 'goal'"),
     "target": (lambda env: env.reset(seed=1, options={"target": (9, 9)}), r"options\['target'\]"),
 }
