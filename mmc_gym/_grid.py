@@ -8,10 +8,12 @@ cells are computed again.
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import logging
 import os
 import pickle
+import platform
 import re
 import sys
 import threading
@@ -22,6 +24,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
 
 import cloudpickle
@@ -73,8 +77,8 @@ def run_grid(
             number of processors of this machine, or of the cluster.
         cluster: None for this machine; "ray" for the Ray cluster that `RAY_ADDRESS` names or this
             machine belongs to, or a local one if there is none; "ray://HOST:PORT" for the one
-            whose client server listens there.  Every node needs this machine's version of
-            `mmc_gym`.
+            whose client server listens there.  A node with other sources of `mmc_gym` than this
+            machine's refuses work.
         on_result: called here with (index, result) as soon as a cell is finished.
         on_failure: called here with (index, error) for a cell whose worker dies twice; the grid
             continues without it.  Then even a single cell is computed in another process, unless
@@ -248,7 +252,7 @@ class _Ray:
         return self._jobs or int(self._ray.cluster_resources().get("CPU", 0)) + 1
 
     def submit(self, packed: bytes) -> Any:
-        return self._work.remote(packed)
+        return self._work.remote(packed, _sources())
 
     def finished(self, calls: Collection[Any]) -> Collection[Any]:
         ready: Collection[Any] = self._ray.wait(list(calls), timeout=_GROWTH_SECONDS)[0]
@@ -276,9 +280,11 @@ def _packed(function: Callable[[Any], Any], index: int, cell: object) -> bytes:
         raise _failure(index, cell, TypeError(f"it cannot be pickled: {error}")) from error
 
 
-def _work(packed: bytes) -> bytes:
+def _work(packed: bytes, sources: str | None = None) -> bytes:
     """In a worker: return the value of a packed call and None, or None and its error, packed."""
     try:
+        if sources not in (None, _sources()):
+            raise RuntimeError(f"node {platform.node()} must have the caller's sources of mmc_gym")
         function, cell = pickle.loads(packed)
         with one_torch_thread():
             return bytes(cloudpickle.dumps((function(cell), None)))
@@ -300,3 +306,13 @@ def _outcome(workers: _Processes | _Ray, call: Any) -> tuple[Any, BaseException 
         return None, WorkerDied(f"its process died, twice ({type(error).__name__})")
     value, failure = pickle.loads(packed)
     return value, failure
+
+
+@cache
+def _sources() -> str:
+    """Return the SHA-256 of all files of this package that results depend on."""
+    digest, package = hashlib.sha256(), Path(__file__).parent
+    for path in sorted(package.rglob("*")):
+        if path.suffix in (".py", ".json", ".safetensors", ".yml"):
+            digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()

@@ -292,6 +292,9 @@ def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeyp
     assert len(seen) < 80
     with pytest.raises(CellError, match="cell 0, 1, failed: SystemExit: 3"):
         run_grid(end, [1], cluster="ray")
+    monkeypatch.setattr(_grid, "_sources", lambda: "others")
+    with pytest.raises(CellError, match="must have the caller's sources of mmc_gym"):
+        run_grid(square, [1], cluster="ray")
     assert ray.is_initialized()  # what was there stays
 
 
