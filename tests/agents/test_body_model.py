@@ -28,14 +28,14 @@ ALL = Parts()
 INTERFACE = ReachInterface((1.0, 1.0, 1.0), "joint_position", 6.0, 12.0, STEP)
 
 
-def postures(looks: int, seed: int = 0) -> np.ndarray:
+def postures(looks, seed=0):
     """Arms that move from somewhere by small steps, (looks, ARMS, 3)."""
     random = np.random.default_rng(seed)
     start, velocity = random.uniform(-3, 3, (2, ARMS, 3))
     return start + 0.05 * np.arange(looks)[:, None, None] * velocity
 
 
-def complex_normals(random) -> np.ndarray:
+def complex_normals(random):
     first, second = random.standard_normal((2, ARMS))
     return first + 1j * second
 

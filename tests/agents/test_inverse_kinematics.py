@@ -1,7 +1,5 @@
 """Every inverse kinematics solver: where it arrives, and what it does in the hard cases."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,11 +23,11 @@ CASES = [(name, arm) for name in SOLVERS for arm in ARMS if name != "closed-form
 angles = st.floats(-np.pi, np.pi)
 
 
-def polar(radius: object, angle: object) -> np.ndarray:
+def polar(radius, angle):
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
-def random_reaches(lengths: tuple[float, ...], count: int = 200) -> tuple[np.ndarray, np.ndarray]:
+def random_reaches(lengths, count=200):
     """Postures uniform in the joint angles, targets area-uniform over the reachable set."""
     random = np.random.default_rng(1)
     inner, outer = reachable_radii(lengths)
@@ -38,7 +36,7 @@ def random_reaches(lengths: tuple[float, ...], count: int = 200) -> tuple[np.nda
     return random.uniform(-np.pi, np.pi, (count, len(lengths))), targets
 
 
-def distances(joint_angles: np.ndarray, target: np.ndarray, lengths: tuple[float, ...]) -> object:
+def distances(joint_angles, target, lengths):
     return np.linalg.norm(hand_position(joint_angles, lengths) - target, axis=-1)
 
 
@@ -87,14 +85,14 @@ def test_joints_turn_the_short_way_round_so_angles_do_not_jump_at_pi(name, lengt
     np.testing.assert_allclose(wrap_angle(turned - change), 0, atol=1e-6)
 
 
-def settled(name: str, posture: object, target: object, lengths: tuple[float, ...]) -> np.ndarray:
+def settled(name, posture, target, lengths):
     posture = np.array(posture)
     for _ in range(60):
         posture = iterate(SOLVERS[name], posture, np.array(target), lengths, 10)
     return posture
 
 
-def hard_cases() -> Iterator[tuple[tuple[float, ...], object, object]]:
+def hard_cases():
     """Arms, postures and targets where a naive iteration gets stuck."""
     for lengths in ((1.0, 1.0), (1.0, 1.0, 1.0), (0.5,) * 7):  # stretched, in line with the target
         for share in (-0.9, -0.3, 0.3, 0.9):

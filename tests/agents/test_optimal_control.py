@@ -14,7 +14,7 @@ from mmc_gym.measures.speed import correlation_with_minimum_jerk, count_peaks
 STEP = 0.02
 
 
-def expected_cost(gain: np.ndarray) -> np.ndarray:
+def expected_cost(gain):
     """P with cost xᵀPx of u = −L x for ever under noise that grows with the command, by iteration.
 
     P = Q + LᵀrL + (A − BL)ᵀP(A − BL) + c² LᵀBᵀPBL
@@ -28,7 +28,7 @@ def expected_cost(gain: np.ndarray) -> np.ndarray:
     return p
 
 
-def best() -> np.ndarray:
+def best():
     return oc.optimal_gain(oc.DEFAULT, STEP, oc.staying_value(oc.DEFAULT, STEP, 1.0))
 
 
@@ -66,7 +66,7 @@ def test_the_kalman_gain_is_the_one_of_least_error():
     a, c = np.array([[1.0, STEP], [0.0, 1.0]]), np.eye(1, 2)
     disturbance, noise = 0.01 * np.eye(2), np.eye(1)
 
-    def error(k: np.ndarray) -> float:
+    def error(k):
         """Trace of the covariance of x after readings, for any constant gain."""
         keep = np.eye(2) - k @ c
         spread = keep @ disturbance @ keep.T + k @ noise @ k.T
@@ -87,7 +87,7 @@ def test_speeds_are_bell_shaped_from_the_centre_to_targets_around_it():
     assert np.mean(likeness) > 0.8
 
 
-def success(perturbation: str, control: str = "joint_velocity", delay: float = 0.0) -> float:
+def success(perturbation, control="joint_velocity", delay=0.0):
     env = gym.make_vec("MMCReach-v0", 50, control=control, perturbations=perturbation)
     agent = oc.OptimalControlAgent(ReachInterface.of(env), oc.Assumptions(delay=delay))
     episodes = run_episodes(agent, env, range(50), records_effort=False)

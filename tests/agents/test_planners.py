@@ -18,7 +18,7 @@ POSTURE = np.array([0.3, 0.9, 0.8])
 points = st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)).map(np.array)
 
 
-def internal_hands(name, posture, targets, lengths=(1.0, 1.0, 1.0)) -> np.ndarray:
+def internal_hands(name, posture, targets, lengths=(1.0, 1.0, 1.0)):
     """Hand positions of the internal model, as if the servos were perfect, (steps + 1, ..., 2)."""
     agent = AGENTS[name].build(ReachInterface(lengths, "joint_position", 6.28, 12.0, DT))
     state, hands = None, [hand_position(posture, lengths)]
@@ -30,7 +30,7 @@ def internal_hands(name, posture, targets, lengths=(1.0, 1.0, 1.0)) -> np.ndarra
     return np.array(hands)
 
 
-def planned(start: np.ndarray, targets: list[np.ndarray]) -> planners.HandPlan:
+def planned(start, targets):
     """The plan in each control step, with the target in each, (steps + 1, 2)."""
     plans = [planners.HandPlan(start, np.zeros(2), np.zeros(2))]
     for done, target in enumerate(targets):

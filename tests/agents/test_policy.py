@@ -4,8 +4,6 @@ import json
 import shutil
 import warnings
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -34,13 +32,13 @@ KINDS = [name for name, entry in AGENTS.items() if entry.training_seeds]
 
 
 @pytest.fixture
-def copy(tmp_path: Path) -> Path:
+def copy(tmp_path):
     for suffix in SUFFIXES:
         shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path)
     return tmp_path / "ppo-0.json"
 
 
-def rewrite(card: Path, **changes: Any) -> None:
+def rewrite(card, **changes):
     """Change entries of a card as its writer would: with the digest that belongs to them."""
     entries = json.loads(card.read_text()) | changes
     del entries[policy._DIGEST]
@@ -152,7 +150,7 @@ def test_a_card_is_loaded_as_it_was_written_or_not_at_all(copy, change):
     assert loaded == (change == "order") or change == "bits"
 
 
-def flipped(content: bytes, bit: int) -> bytes:
+def flipped(content, bit):
     changed = bytearray(content)
     changed[bit // 8] ^= 1 << bit % 8
     return bytes(changed)

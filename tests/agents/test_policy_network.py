@@ -1,7 +1,5 @@
 """The plain network acts as the stable-baselines3 policy that its weights are from."""
 
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from sb3_contrib.tqc.policies import TQCPolicy
 from stable_baselines3.common.policies import ActorCriticPolicy, MultiInputActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 
-from mmc_gym.agents.policy_network import History, PolicyNetwork, View, features, turned_actions
+from mmc_gym.agents.policy_network import History, PolicyNetwork, features, turned_actions
 from mmc_gym.interface import ObservationLayout
 from mmc_gym.training.policies import ACTIVATIONS, POLICIES, export_policy
 
@@ -28,12 +26,12 @@ KINDS = {kind.__name__: kind for kind in (ActorCriticPolicy, SACPolicy, TQCPolic
 LAYOUT = ObservationLayout(joint_count=3, reach=3.0)
 
 
-def make_policy(name: str, env_id: str, **options: Any) -> Any:
+def make_policy(name, env_id, **options):
     env = gym.make(env_id)
     torch.manual_seed(0)
     if "activation_fn" in options:
         options["activation_fn"] = ACTIVATIONS[options["activation_fn"]]
-    kind: Any = KINDS[name]
+    kind = KINDS[name]
     options["net_arch"] = [16, 8]
     policy = kind(env.observation_space, env.action_space, lambda _: 1e-3, **options)
     for parameter in policy.parameters():  # an untrained policy's actions are all but zero
@@ -42,7 +40,7 @@ def make_policy(name: str, env_id: str, **options: Any) -> Any:
     return policy
 
 
-def observations(env_id: str, count: int = 20) -> Any:
+def observations(env_id, count=20):
     envs = gym.make_vec(env_id, count)
     envs.reset(seed=0)
     random = np.random.default_rng(0)
@@ -52,12 +50,12 @@ def observations(env_id: str, count: int = 20) -> Any:
     return observed
 
 
-def act(network: PolicyNetwork, view: View, observed: Any, random: Any = None) -> np.ndarray:
+def act(network, view, observed, random=None):
     action = network.act(seen(observed, view), random)
     return turned_actions(np, action, observed, LAYOUT) if view == "target" else action
 
 
-def seen(observed: Any, view: View = "arm") -> np.ndarray:
+def seen(observed, view="arm"):
     return features(np, view, observed, LAYOUT).astype(np.float32)
 
 

@@ -4,7 +4,6 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import partial
 from unittest.mock import Mock, call
 
@@ -32,34 +31,34 @@ DAILY = ("longer", "obstacles", "delay")
 
 
 @pytest.fixture(autouse=True)
-def no_display_before_or_after() -> Iterator[None]:
+def no_display_before_or_after():
     pygame.display.quit()
     yield
     pygame.display.quit()
 
 
-def drawn(setup: ReachSetup, scene: Scene) -> np.ndarray:
+def drawn(setup, scene):
     frame = Renderer(setup, "rgb_array").draw(scene)
     assert frame is not None
     return frame.astype(float)
 
 
-def picture(angles: list[float], target: tuple[float, float] = FAR) -> np.ndarray:
+def picture(angles, target=FAR):
     return drawn(ReachSetup(), Scene(angles, target))
 
 
-def gray(image: np.ndarray, point: tuple[float, float], size: int = 5) -> np.ndarray:
+def gray(image, point, size=5):
     """The surroundings of a point of the world, of an arm of reach 3, without colour."""
     x, y = map(round, View(3.0).pixel(point))
     return image[y - size : y + size + 1, x - size : x + size + 1].mean(axis=-1)
 
 
-def differ(one: np.ndarray, other: np.ndarray, point: tuple[float, float], size: int = 5) -> bool:
+def differ(one, other, point, size=5):
     """Whether pictures differ near a point of the world, were there no colour."""
     return bool(np.abs(gray(one, point, size) - gray(other, point, size)).max() > 30)
 
 
-def test_pictures_are_new_arrays_and_need_a_mode_but_no_display() -> None:
+def test_pictures_are_new_arrays_and_need_a_mode_but_no_display():
     env, unseen = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("rgb_array", None))
     for one in (env, unseen):
         one.reset(seed=0)
@@ -76,7 +75,7 @@ def test_pictures_are_new_arrays_and_need_a_mode_but_no_display() -> None:
     assert not pygame.display.get_init()
 
 
-def test_the_arm_is_where_its_angles_say_with_y_up() -> None:
+def test_the_arm_is_where_its_angles_say_with_y_up():
     empty, up = picture([math.pi] * 3), picture([math.pi / 2] * 3)
     for height in (0.5, 1.5, 2.5):
         assert differ(empty, up, (0.0, height), 1)
@@ -84,7 +83,7 @@ def test_the_arm_is_where_its_angles_say_with_y_up() -> None:
         assert not differ(empty, up, (height, 0.0), 1)
 
 
-def test_the_target_is_a_cross_and_a_ring_of_the_success_radius_that_shows_success() -> None:
+def test_the_target_is_a_cross_and_a_ring_of_the_success_radius_that_shows_success():
     elsewhere = picture([0.0] * 3, FAR)
     target = (-1.0, 1.0)
     there = picture([0.0] * 3, target)
@@ -99,14 +98,14 @@ def test_the_target_is_a_cross_and_a_ring_of_the_success_radius_that_shows_succe
 
 
 @pytest.mark.parametrize("vectorized", [False, True])
-def test_the_trace_is_the_hands_path_whatever_frames_are_drawn(vectorized: bool) -> None:
+def test_the_trace_is_the_hands_path_whatever_frames_are_drawn(vectorized):
     """It fades within a second, and a reset clears it."""
     make = partial(gym.make_vec, num_envs=2) if vectorized else gym.make
     often, once, resting = (make("MMCReach-v0", render_mode="rgb_array") for _ in range(3))
     posture = [0.5, 0.5, 0.5]
     start = tuple(np.cumsum([(math.cos(a), math.sin(a)) for a in (0.5, 1.0, 1.5)], axis=0)[-1])
 
-    def seen(env: gym.Env) -> np.ndarray:
+    def seen(env):
         return np.array(env.render()[0] if vectorized else env.render())
 
     darkness = []
@@ -124,14 +123,14 @@ def test_the_trace_is_the_hands_path_whatever_frames_are_drawn(vectorized: bool)
 
 
 @pytest.mark.parametrize("lengths", [(1.0,), (2.0, 0.5), (1.0, 0.6, 0.4, 0.2, 0.1), (30.0,) * 8])
-def test_arms_of_any_segments_fill_the_same_picture(lengths: tuple[float, ...]) -> None:
+def test_arms_of_any_segments_fill_the_same_picture(lengths):
     env = gym.make("MMCReach-v0", render_mode="rgb_array", segment_lengths=lengths)
     env.reset(seed=0, options={"joint_angles": [0.0] * len(lengths)})
     x, y = map(round, View(sum(lengths)).pixel((sum(lengths) * 0.9, 0.0)))
     assert env.render()[y, x].tolist() == list(drawing.ROD)
 
 
-def test_an_environment_shows_the_posture_it_is_given() -> None:
+def test_an_environment_shows_the_posture_it_is_given():
     env = gym.make("MMCReach-v0", render_mode="rgb_array").unwrapped
     env.reset(seed=0, options={"joint_angles": [0.0] * 3, "target": FAR})
     plain = env.render()
@@ -143,7 +142,7 @@ def test_an_environment_shows_the_posture_it_is_given() -> None:
     np.testing.assert_array_equal(env.render(), plain)
 
 
-def test_targets_to_come_are_shown_and_those_that_were_are_not() -> None:
+def test_targets_to_come_are_shown_and_those_that_were_are_not():
     setup = ReachSetup(task="via-points")
     path = [(-1.0, 1.0), (-1.0, -1.0), (1.0, -2.0)]
     for now, target in enumerate(path):
@@ -151,12 +150,9 @@ def test_targets_to_come_are_shown_and_those_that_were_are_not() -> None:
         assert not any(differ(*images, place) for place in path[:now])
         assert all(differ(*images, place) for place in path[now + 1 :])
     np.testing.assert_array_equal(*images)  # nothing comes after the last
-
-
-def test_the_whole_path_of_a_pursued_target_is_shown() -> None:
-    setup = ReachSetup(task="pursuit")
-    path = setup.draw_trial(np.random.default_rng(0), Options()).targets
-    images = [drawn(setup, Scene([0.0] * 3, path[0], path=shown)) for shown in (path, ())]
+    pursuit = ReachSetup(task="pursuit")
+    path = pursuit.draw_trial(np.random.default_rng(0), Options()).targets
+    images = [drawn(pursuit, Scene([0.0] * 3, path[0], path=shown)) for shown in (path, ())]
     assert all(differ(*images, path[place]) for place in (100, 250, 400))
 
 
@@ -164,13 +160,13 @@ POSTURE = [0.5, 1.0, 1.5]  # absolute angles
 NODES = np.cumsum([(0.0, 0.0), *((math.cos(a), math.sin(a)) for a in POSTURE)], axis=0)
 
 
-def looks_perturbed(perturbation: object, point: tuple[float, float], **scene: object) -> bool:
+def looks_perturbed(perturbation, point, **scene):
     """Whether a picture differs near a point from one without the perturbation."""
     setup = ReachSetup(perturbations=[perturbation])
     return differ(drawn(setup, Scene(POSTURE, FAR, **scene)), picture(POSTURE), point)
 
 
-def test_a_hand_mass_is_at_the_hand_and_larger_the_heavier() -> None:
+def test_a_hand_mass_is_at_the_hand_and_larger_the_heavier():
     x, y = NODES[-1]
     beside = (x + 0.16, y - 0.05)
     assert looks_perturbed(HandMass(1.0), (x + 0.05, y))
@@ -179,13 +175,19 @@ def test_a_hand_mass_is_at_the_hand_and_larger_the_heavier() -> None:
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_a_lock_is_on_its_joint_and_only_once_it_is_locked(joint: int) -> None:
+def test_a_lock_is_on_its_joint_and_only_once_it_is_locked(joint):
     lock, point = LockedJoint(joint, time=0.2), tuple(NODES[joint])
     assert looks_perturbed(lock, point, steps=10)
     assert not looks_perturbed(lock, point, steps=9)
 
 
-def test_arrows_turn_as_the_field_bends() -> None:
+def test_a_picture_is_named_by_its_task_and_perturbations():
+    assert ReachSetup().caption == ""
+    setup = ReachSetup(task="pursuit", perturbations=["locked", ForceField(3.0)])
+    assert setup.caption == "pursuit, locked, ForceField"
+
+
+def test_arrows_turn_as_the_field_bends():
     """Upside down, a field's arrows are the opposite field's."""
     scene = Scene([0.0] * 3, FAR)  # the same upside down
     fields = [ReachSetup(perturbations=[ForceField(curl)]) for curl in (9.0, -9.0)]
@@ -194,7 +196,7 @@ def test_arrows_turn_as_the_field_bends() -> None:
     assert np.abs(one - other[::-1]).mean() < 0.5 * np.abs(one - other).mean()
 
 
-def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target() -> None:
+def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target():
     rotation = VisuomotorRotation(90.0)
     setup = ReachSetup(perturbations=[rotation])
     cursor = rotation.cursor(3.0, 0.0)
@@ -205,17 +207,11 @@ def test_a_cursor_is_where_the_rotation_puts_it_and_reaches_the_target() -> None
     assert dark[0] > dark[1] + 20
 
 
-def test_a_picture_is_named_by_its_task_and_perturbations() -> None:
-    assert ReachSetup().caption == ""
-    setup = ReachSetup(task="pursuit", perturbations=["locked", ForceField(3.0)])
-    assert setup.caption == "pursuit, locked, ForceField"
-
-
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name in DAILY else pytest.mark.slow) for name in FAMILIES],
 )
-def test_every_perturbation_can_be_seen(name: str) -> None:
+def test_every_perturbation_can_be_seen(name):
     env, plain = (
         MMCReachEnv(render_mode="rgb_array", task="centre-out", perturbations=perturbations)
         for perturbations in ((name,), ())
@@ -228,7 +224,7 @@ def test_every_perturbation_can_be_seen(name: str) -> None:
     assert np.abs(env.render()[below].astype(int) - plain.render()[below]).max() > 30
 
 
-def test_a_vector_of_environments_shows_what_single_ones_do() -> None:
+def test_a_vector_of_environments_shows_what_single_ones_do():
     names = ["locks", "delay-100", "hand-mass"]
     arguments = {"perturbations": names, "render_mode": "rgb_array"}
     vector = gym.make_vec("MMCReachViaPoints-v0", 2, **arguments)
@@ -243,7 +239,7 @@ def test_a_vector_of_environments_shows_what_single_ones_do() -> None:
     vector.close()
 
 
-def test_a_window_shows_every_step_at_the_control_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_shows_every_step_at_the_control_rate(monkeypatch):
     clock = Mock()
     monkeypatch.setattr(pygame.time, "Clock", lambda: clock)
     env, array = (gym.make("MMCReach-v0", render_mode=mode) for mode in ("human", "rgb_array"))
@@ -259,7 +255,7 @@ def test_a_window_shows_every_step_at_the_control_rate(monkeypatch: pytest.Monke
     assert not pygame.display.get_init()
 
 
-def test_an_environment_outlives_the_window_that_its_user_closes() -> None:
+def test_an_environment_outlives_the_window_that_its_user_closes():
     env = gym.make("MMCReach-v0", render_mode="human").unwrapped
     env.reset(seed=0)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
@@ -275,7 +271,7 @@ def test_an_environment_outlives_the_window_that_its_user_closes() -> None:
     env.close()
 
 
-def test_a_window_leaves_keys_to_others_and_its_queue_empty_of_motion() -> None:
+def test_a_window_leaves_keys_to_others_and_its_queue_empty_of_motion():
     window = Window(1000)
     pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_a))
     pygame.event.post(pygame.event.Event(pygame.MOUSEMOTION, pos=(1, 1), rel=(0, 0)))
@@ -284,7 +280,7 @@ def test_a_window_leaves_keys_to_others_and_its_queue_empty_of_motion() -> None:
     assert not pygame.event.peek(pygame.MOUSEMOTION)
 
 
-def test_gymnasium_approves_of_windows_where_sdl_has_no_screen() -> None:
+def test_gymnasium_approves_of_windows_where_sdl_has_no_screen():
     """As it does of CartPole: SDL opens its offscreen window."""
     code = "import gymnasium as gym, mmc_gym; from gymnasium.utils.env_checker import check_env\n"
     code += "check_env(gym.make('MMCReach-v0').unwrapped)"
@@ -293,7 +289,7 @@ def test_gymnasium_approves_of_windows_where_sdl_has_no_screen() -> None:
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
 
 
-def test_a_window_that_sdl_refuses_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_that_sdl_refuses_is_explained(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "nowhere")
     message = "a window needs a display, and there is none: nowhere not available.*mmc-gym record"
     with pytest.raises(UserError, match=message):

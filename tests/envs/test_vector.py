@@ -2,10 +2,8 @@
 
 import copy
 import pickle
-from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import cycle, product
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +11,7 @@ import pytest
 import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 
 from mmc_gym.envs.perturbations import VisuomotorRotation
 from mmc_gym.envs.tasks import TASKS
@@ -25,7 +23,7 @@ every_engine = pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 COUNT = 5
 LIMITS = ((-2.0, 2.5), (-2.5, 2.0), (0.1, 2.9))
 AROUND_A_POINT = VisuomotorRotation(45.0, (0.0, 1.5))
-VARIANTS: dict[str, dict[str, Any]] = {
+VARIANTS = {
     "default": {},
     "joint_velocity": {"control": "joint_velocity"},
     "joint_torque": {"control": "joint_torque"},
@@ -54,19 +52,19 @@ VARIANTS: dict[str, dict[str, Any]] = {
 GOAL_VARIANTS = ("default", "sparse", "pursuit", "off centre", "longer", "locked")
 
 
-def make_native(env_id: str, count: int = COUNT, **arguments: Any) -> VectorEnv:
+def make_native(env_id, count=COUNT, **arguments):
     vector = gym.make_vec(env_id, count, **arguments)
     assert isinstance(vector, MMCReachVectorEnv)
     return vector
 
 
-def random_actions(vector: VectorEnv, steps: int, seed: int = 0) -> np.ndarray:
+def random_actions(vector, steps, seed=0):
     assert vector.action_space.shape is not None
     random = np.random.default_rng(seed)
     return random.uniform(-1, 1, (steps, *vector.action_space.shape)).astype(np.float32)
 
 
-def cases(variants: Iterable[str]) -> list[Any]:
+def cases(variants):
     """Each variant in every mode of autoreset; one of them every day."""
     named = [*product(["MMCReach-v0"], variants), *product(["MMCReachGoal-v0"], GOAL_VARIANTS)]
     return [
@@ -76,13 +74,13 @@ def cases(variants: Iterable[str]) -> list[Any]:
     ]
 
 
-def native_and_sync(env_id: str, mode: AutoresetMode, **arguments: Any) -> list[VectorEnv]:
+def native_and_sync(env_id, mode, **arguments):
     arguments = {"max_episode_steps": 13, **arguments}
     sync = gym.make_vec(env_id, COUNT, "sync", vector_kwargs={"autoreset_mode": mode}, **arguments)
     return [make_native(env_id, autoreset_mode=mode, **arguments), sync]
 
 
-def agree(first: Any, second: Any, engine: str) -> bool:
+def agree(first, second, engine):
     """Whether a native and a sync environment returned the same.
 
     The analytic engine has its own cosines: observations are then the same to a rounding.
@@ -99,15 +97,13 @@ def agree(first: Any, second: Any, engine: str) -> bool:
 
 @every_engine
 @pytest.mark.parametrize(("env_id", "variant", "mode"), cases(VARIANTS))
-def test_it_returns_what_single_environments_return(
-    env_id: str, variant: str, mode: AutoresetMode, engine: str
-) -> None:
+def test_it_returns_what_single_environments_return(env_id, variant, mode, engine):
     """Over some episodes, with partial resets on the way."""
     if engine == "analytic" and variant == "obstacles":
         pytest.skip("the analytic engine has no obstacles")
     native, sync = native_and_sync(env_id, mode, **VARIANTS[variant], engine=engine)
 
-    def reset_both(mask: np.ndarray, seed: Any = None) -> bool:
+    def reset_both(mask, seed=None):
         first, second = (
             one.reset(seed=seed, options={"reset_mask": mask.copy()}) for one in (native, sync)
         )
@@ -127,7 +123,7 @@ def test_it_returns_what_single_environments_return(
 
 
 @pytest.mark.parametrize("arguments", [{}, {"engine": "analytic"}, {"perturbations": "delay-40"}])
-def test_without_copies_the_next_step_may_overwrite_observations(arguments: dict[str, Any]) -> None:
+def test_without_copies_the_next_step_may_overwrite_observations(arguments):
     fresh, reused = (
         make_native("MMCReach-v0", copy=copies, max_episode_steps=7, **arguments)
         for copies in (True, False)
@@ -143,7 +139,7 @@ def test_without_copies_the_next_step_may_overwrite_observations(arguments: dict
 
 
 @every_engine
-def test_what_it_returns_becomes_tensors_without_a_copy(engine: str) -> None:
+def test_what_it_returns_becomes_tensors_without_a_copy(engine):
     arms = make_native("MMCReach-v0", engine=engine)
     for *arrays, infos in (arms.reset(seed=0), arms.step(np.zeros((COUNT, 3), np.float32))):
         for array in (*arrays, *infos.values()):
@@ -152,7 +148,7 @@ def test_what_it_returns_becomes_tensors_without_a_copy(engine: str) -> None:
 
 
 @every_engine
-def test_an_arm_plays_the_same_in_any_number_of_arms_and_threads(engine: str) -> None:
+def test_an_arm_plays_the_same_in_any_number_of_arms_and_threads(engine):
     count, steps = 600, 25  # more than one Space of arms, and enough for two threads
     many = make_native("MMCReach-v0", count, engine=engine, threads=2, max_episode_steps=10)
     few = make_native("MMCReach-v0", 3, engine=engine, max_episode_steps=10)
@@ -166,18 +162,15 @@ def test_an_arm_plays_the_same_in_any_number_of_arms_and_threads(engine: str) ->
 
 
 @pytest.mark.parametrize("limit", [{}, {"max_episode_steps": None}])
-def test_it_has_the_time_limit_of_the_registration_or_none(limit: dict[str, Any]) -> None:
+def test_it_has_the_time_limit_of_the_registration_or_none(limit):
     vector = make_native("MMCReach-v0", 2, **limit)
     vector.reset(seed=0)
     ends = [vector.step(action)[3].all() for action in random_actions(vector, 150)]
     assert np.flatnonzero(ends).tolist() == ([] if limit else [99])
 
 
-REFUSED: dict[str, tuple[Callable[[VectorEnv], Any], str]] = {
-    "shape of actions": (
-        lambda env: env.step(np.zeros((COUNT, 2))),
-        r"actions .*\(5, 3\).*\(5, 2\)",
-    ),
+REFUSED = {
+    "shape of actions": (lambda env: env.step(np.zeros((COUNT, 2))), r"\(5, 3\).*\(5, 2\)"),
     "actions that are no numbers": (
         lambda env: env.step(np.where(np.arange(COUNT) == 3, np.nan, 0)[:, None] * np.ones(3)),
         "within -1 and 1.*arm 3",
@@ -209,7 +202,7 @@ REFUSED: dict[str, tuple[Callable[[VectorEnv], Any], str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_bad_input_is_refused_and_leaves_no_trace(case: str) -> None:
+def test_bad_input_is_refused_and_leaves_no_trace(case):
     attempt, message = REFUSED[case]
     tried, untried = make_native("MMCReach-v0"), make_native("MMCReach-v0")
     for vector in (tried, untried):
@@ -232,12 +225,12 @@ def test_bad_input_is_refused_and_leaves_no_trace(case: str) -> None:
         ({"threads": 0}, "threads must be .*got 0"),
     ],
 )
-def test_bad_arguments_are_refused(arguments: dict[str, Any], message: str) -> None:
+def test_bad_arguments_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         MMCReachVectorEnv(**{"num_envs": 2, **arguments})
 
 
-def test_a_step_before_the_reset_or_after_the_end_without_autoreset_is_refused() -> None:
+def test_a_step_before_the_reset_or_after_the_end_without_autoreset_is_refused():
     vector = make_native("MMCReach-v0", autoreset_mode=AutoresetMode.DISABLED, max_episode_steps=1)
     (action,) = random_actions(vector, 1)
     with pytest.raises(ResetNeeded, match=r"reset\(\)"):
@@ -248,7 +241,7 @@ def test_a_step_before_the_reset_or_after_the_end_without_autoreset_is_refused()
         vector.step(action)
 
 
-def test_copies_are_refused() -> None:
+def test_copies_are_refused():
     for make_copy in (pickle.dumps, copy.deepcopy):
         with pytest.raises(TypeError, match="cannot be pickled or copied"):
             make_copy(make_native("MMCReach-v0"))

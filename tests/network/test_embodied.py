@@ -17,11 +17,11 @@ def run_to(network, state, target, body, iterations=1):
     return embodied_run(network, state, network.inverse(target), body, iterations)
 
 
-def postures(seed: int, batch: int, count: int = 3) -> np.ndarray:
+def postures(seed, batch, count=3):
     return np.random.default_rng(seed).uniform(-np.pi, np.pi, (batch, count))
 
 
-def targets(seed: int, batch: int) -> np.ndarray:
+def targets(seed, batch):
     return np.random.default_rng(seed).uniform(-1.5, 1.5, (batch, 2))
 
 
