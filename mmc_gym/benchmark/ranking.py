@@ -173,7 +173,8 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
         raise UserError("; ".join([str(error), *reasons(manifest.not_played)])) from error
     write_atomically(folder / RANKING, ranking.to_csv(index=False, lineterminator="\n"))
     shows_lost = bool(ranking["not_played"].any())
-    rows = [_cells(row, shows_lost) for row in ranking.to_dict("records")]
+    compared = bool(ranking["improvement"].notna().any())
+    rows = [_cells(row, shows_lost, compared) for row in ranking.to_dict("records")]
     columns = {heading: [row[heading] for row in rows] for heading in rows[0]}
     labels = {heading: columns.pop(heading) for heading in ("#", "agent")}
     print_columns(console, labels, columns, _note(manifest, ranking))
@@ -182,13 +183,14 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     return ranking
 
 
-def _cells(row: Mapping[Hashable, Any], shows_lost: bool) -> dict[str, str]:
+def _cells(row: Mapping[Hashable, Any], shows_lost: bool, compared: bool) -> dict[str, str]:
+    better = {f"better\nthan {BASELINE_AGENT}": _with_interval(row, "improvement")}
     return {
         "#": str(row["rank"]),
         "agent": str(row["agent"]),
         "success": _with_interval(row, "success"),
         "settled": _with_interval(row, "settled"),
-        f"better\nthan {BASELINE_AGENT}": _with_interval(row, "improvement"),
+        **(better if compared else {}),
         "time\n[s]": number(row["time_to_target"], 2),
         "seeds": str(row["training_seeds"] or "–"),
         **({"not\nplayed": str(row["not_played"] or "–")} if shows_lost else {}),
@@ -200,7 +202,12 @@ def _with_interval(row: Mapping[Hashable, Any], name: str) -> str:
 
 
 def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
-    one = ranking.iloc[0]
+    one, better = ranking.iloc[0], ""
+    if ranking["improvement"].notna().any():
+        better = (
+            f" better than {BASELINE_AGENT}: probability of being settled for longer in the same "
+            "episode, ½ if equal."
+        )
     left_out = len(manifest.environments) - int(one["environments"])
     partly = f" ({left_out} more have not been attempted by all)" if left_out else ""
     versions = [f"{name} {found}" for name, found in manifest.versions.items() if ", " in found]
@@ -215,8 +222,7 @@ def _note(manifest: Manifest, ranking: pd.DataFrame) -> str:
         "agent and training seed, the same for all. Ranked by success: the fraction of episodes "
         "that end at the target, each environment weighing the same; then by time to target (mean "
         "of medians). settled: interquartile mean of the part of an episode after which the hand "
-        f"stays at the target. better than {BASELINE_AGENT}: probability of being settled for "
-        "longer in the same episode, ½ if equal. Intervals: 95 % bootstrap over training seeds and "
+        f"stays at the target.{better} Intervals: 95 % bootstrap over training seeds and "
         "instances; without several training seeds over instances alone. Cells that were not "
         "played count as without success. All cells took "
         f"{sum(manifest.cpu_seconds.values()):.0f} s of one processor's time; "

@@ -340,16 +340,12 @@ def _median_of_counts(table: Floats, policies: Floats, instances: Floats) -> Flo
     if not len(order):
         return np.full(len(policies), np.nan)
     values = values[order]
-    kind = np.int16 if 2 * table.size < 2**15 else np.int64  # the sum of all weights is the size
-    seeds, trials = (one.T.astype(kind, order="C") for one in (policies, instances))
-    weights = np.multiply(seeds[:, None], trials).reshape(table.size, -1)[order]
-    twice = 2 * np.cumsum(weights, axis=0, dtype=kind)
-    whole = twice[-1] // 2
-    low, high = (  # whole numbers: no rounding
-        np.minimum(np.sum(below, axis=0, dtype=kind), len(values) - 1)
-        for below in (twice < whole, twice <= whole)
-    )
-    return np.where(whole > 0, (values[low] + values[high]) / 2, np.nan)
+    seeds, trials = policies.astype(np.int32), instances.astype(np.int32)
+    weights = np.multiply(seeds[:, :, None], trials[:, None]).reshape(len(seeds), -1)
+    twice = 2 * np.cumsum(weights.take(order, axis=1), axis=1, dtype=np.int32)
+    whole = twice[:, -1:] // 2  # whole numbers: no rounding
+    low, high = np.argmin(twice < whole, axis=1), np.argmin(twice <= whole, axis=1)  # the first
+    return np.where(whole[:, 0] > 0, (values[low] + values[high]) / 2, np.nan)
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,8 @@ class Results:
         set_measures: measures of all episodes of a policy together, by name.
         sets: values of the `set_measures`, as `read_sets` returns them.
         ranking: as `rank_agents` returns it; empty if no scenario was attempted by all agents.
-        resamples: number of bootstrap resamples in the tables of scenarios.
+        resamples: number of bootstrap resamples in the tables of single scenarios.
+        ranking_resamples: number of those of the ranking.
         store: the folder.
     """
 
@@ -149,6 +150,7 @@ class Results:
     sets: pd.DataFrame
     ranking: pd.DataFrame
     resamples: int
+    ranking_resamples: int
     store: Path
 
     def kind(self, agent: str) -> Kind:
@@ -223,7 +225,9 @@ class Results:
         found = {}
         for name in (ALL, *self.environments):
             if name in frames:
-                bootstrap = Bootstrap.of(frames[name], "success", self.resamples)
+                # As many as the ranking has, so that both say the same.
+                resamples = self.ranking_resamples if name == ALL else self.resamples
+                bootstrap = Bootstrap.of(frames[name], "success", resamples)
                 agents = bootstrap.scores.values
                 found[name] = (
                     bootstrap,
@@ -354,6 +358,7 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
         sets=_plain_seeds(read_sets(store)),
         ranking=ranking,
         resamples=min(resamples, SCORE_RESAMPLES),
+        ranking_resamples=resamples,
         store=store,
     )
 

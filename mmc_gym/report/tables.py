@@ -201,9 +201,9 @@ def failure_table(results: Results) -> Table | None:
         shown = results.replayed_failures(agent, name)
         cells = (
             TableCell(f"{len(failed)} of {len(mine)}"),
+            TableCell("" if shown else "–", links=tuple((name, number + 1) for number in shown)),
             TableCell(f"{possible} of {len(instances)}"),
             TableCell(MEASURES["final_distance"].number(failed["final_distance"].median())),
-            TableCell("" if shown else "–", links=tuple((name, number + 1) for number in shown)),
         )
         share = len(failed) / len(mine)
         rows.append((share, _row(results, f"{agent} in {name}", cells)))
@@ -215,9 +215,9 @@ def failure_table(results: Results) -> Table | None:
         (
             Heading("agent and scenario"),
             Heading("failed"),
+            Heading("replay of episode"),
             Heading("where another agent arrives"),
             Heading("median distance at the end", "lengths"),
-            Heading("replay of episode"),
         ),
         tuple(row for _, row in sorted(rows, key=lambda pair: -pair[0])),
         "Failed: the hand is not at the target at the end of the episode. A number shows that "

@@ -64,7 +64,7 @@ def test_where_it_fails_is_counted_and_replayed_first(results):
     rows = {row.name: row.cells for row in failure_table(results).rows}
     here = results.by_scenario["rotation-15"]
     mine = here[(here["agent"] == agent) & (here["success"] == 0)]
-    failed, possible, distance, links = rows[f"{agent} in rotation-15"]
+    failed, links, possible, distance = rows[f"{agent} in rotation-15"]
     assert failed.text == f"{len(mine)} of 14" and possible.text == f"{len(mine)} of {len(mine)}"
     assert distance.text == f"{mine['final_distance'].median():.3f}"
     expected = sorted(one + 1 for one in mine["instance"] if one < 12)[:6]
