@@ -350,7 +350,7 @@ def _joined(
             source=one.source_name,
             name=one.name,
             knowledge=one.knowledge,
-            training_steps=getattr(one, "training_steps", None),
+            training_steps=one.training_steps,
         )
         policies.append(known)
     # Measures that only earlier runs knew keep their columns, and so their facts.

@@ -9,6 +9,7 @@ from scipy.stats import norm, trim_mean
 
 from mmc_gym.benchmark.statistics import (
     Bootstrap,
+    Scores,
     arrange,
     bootstrap_interval,
     success_interval,
@@ -34,6 +35,20 @@ def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_on_each_side():
     values = np.array([0.0] * 40 + [0.1, 0.7])
     weights = np.random.default_rng(0).integers(0, 4, size=(500, 42)) / 3
     assert weighted_iqm(values, weights).min() >= 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (3, 7), (10, 40)])
+@pytest.mark.parametrize("lacking", [0.0, 0.4, 1.0])
+def test_the_median_of_one_environment_is_the_weighted_median_of_its_resamples(shape, lacking):
+    random = np.random.default_rng(0)
+    table = np.where(random.random(shape) < lacking, np.nan, random.normal(size=shape).round(1))
+    bootstrap = Bootstrap(Scores((shape[1],), {"a": (table,)}, {"a": shape[0]}), 100)
+    counts = bootstrap.policies["a"][:, :, None] * bootstrap.instances[0][:, None]
+    order = np.argsort(table.ravel())[: np.count_nonzero(~np.isnan(table))]
+    expected = weighted_median(table.ravel()[order], counts.reshape(101, -1)[:, order])
+    np.testing.assert_array_equal(bootstrap.distribution("a", "median"), expected)
+    together = bootstrap.estimates("median")["a"]
+    assert repr(together) == repr(bootstrap.estimate("a", "median"))  # NaN equals NaN, too
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 13])

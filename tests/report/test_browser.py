@@ -170,6 +170,29 @@ def test_environment_instance_and_agents_can_be_chosen(page):
     assert len(pictures(page)) == 2 * (shown - 1)
 
 
+def test_a_failure_in_the_table_is_shown_by_the_replay(page):
+    first = pictures(page)
+    link = page.find_elements(By.CSS_SELECTOR, "button.show")[-1]
+    page.execute_script("arguments[0].click()", link)
+    for name in ("scenario", "instance"):
+        chosen = page.find_element(By.ID, f"replay-{name.replace('scenario', 'environment')}")
+        assert Select(chosen).first_selected_option.get_attribute("value") == link.get_attribute(
+            f"data-{name}"
+        )
+    assert "failed" in Select(chosen).first_selected_option.text
+    assert pictures(page) != first
+
+
+def test_a_table_that_scrolls_says_so_and_its_caption_is_as_wide(page):
+    resize(page, 375, 812)
+    wait_until(page, lambda: page.find_elements(By.CSS_SELECTOR, ".scroll.scrolls"))
+    resize(page, 1400, 900)
+    wide = "return [...document.querySelectorAll('figure.table')].slice(0, 3).map(one =>"
+    wide += "[one.querySelector('table'), one.querySelector('figcaption')].map(e => e.offsetWidth))"
+    wait_until(page, lambda: not page.find_elements(By.CSS_SELECTOR, "#good .scrolls"))
+    assert all(abs(one - other) <= 1 for one, other in page.execute_script(wide))
+
+
 @pytest.mark.parametrize("width", [320, 375, 768])
 def test_the_page_fits_the_width_of_a_small_screen(page, width, screenshot):
     resize(page, width, 812, scale=2)
