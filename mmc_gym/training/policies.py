@@ -243,40 +243,32 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
     """Restore the state of a model that was made with the same arguments as the checkpoint's.
 
     Args:
-        model: it is changed; in part only, if an error is raised.
-        head: of the checkpoint, see `read_head`.
+        model: it is changed.
+        head: of the checkpoint, see `read_head`, which has checked the file.
         path: of the checkpoint.
-
-    Raises:
-        UserError: if the file is not a checkpoint, or belongs to another model.
     """
-    try:
-        counts = head["model"]
-        parameters: dict[str, Any] = {
-            name: {**part, "state": {}} if "param_groups" in part else {}
-            for name, part in model.get_parameters().items()
-        }
-        variables, buffer = _variables(model), getattr(model, "replay_buffer", None)
-        arrays = _arrays(buffer) if buffer is not None else {}
-        for key, tensor in safetensors.torch.load_file(path).items():
-            kind, name, *rest = key.split("/")
-            if kind == "variable":
-                variables.pop(name).data.copy_(tensor)
-            elif kind == "module":
-                parameters[name]["/".join(rest)] = tensor
-            elif kind == "optimizer":
-                index, moment = rest
-                parameters[name]["state"].setdefault(int(index), {})[moment] = tensor
-            else:
-                arrays.pop("/".join([name, *rest]))[: len(tensor)] = tensor.numpy()
-        if lacking := sorted(variables | arrays):
-            raise ValueError(f"it lacks {lacking}")
-        model.set_parameters(parameters, exact_match=True, device=model.device)
-        if buffer is not None:
-            buffer.pos, buffer.full = counts["position"], counts["full"]
-        model.num_timesteps, model._n_updates = counts["steps"], counts["updates"]
-    except (KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
-        raise UserError(f"{path} does not hold a training of this kind: {error}") from error
+    counts = head["model"]
+    parameters: dict[str, Any] = {
+        name: {**part, "state": {}} if "param_groups" in part else {}
+        for name, part in model.get_parameters().items()
+    }
+    variables, buffer = _variables(model), getattr(model, "replay_buffer", None)
+    arrays = _arrays(buffer) if buffer is not None else {}
+    for key, tensor in safetensors.torch.load_file(path).items():
+        kind, name, *rest = key.split("/")
+        if kind == "variable":
+            variables[name].data.copy_(tensor)
+        elif kind == "module":
+            parameters[name]["/".join(rest)] = tensor
+        elif kind == "optimizer":
+            index, moment = rest
+            parameters[name]["state"].setdefault(int(index), {})[moment] = tensor
+        else:
+            arrays["/".join([name, *rest])][: len(tensor)] = tensor.numpy()
+    model.set_parameters(parameters, exact_match=True, device=model.device)
+    if buffer is not None:
+        buffer.pos, buffer.full = counts["position"], counts["full"]
+    model.num_timesteps, model._n_updates = counts["steps"], counts["updates"]
 
 
 def _variables(model: BaseAlgorithm) -> Tensors:
