@@ -1,4 +1,4 @@
-"""What objects show in a notebook: facts as HTML, pictures as PNG."""
+"""Pictures and tables of objects in a notebook: facts as HTML, pictures as PNG."""
 
 from __future__ import annotations
 

@@ -21,6 +21,7 @@ OTHER_STEPS = {"centre-out": 6, "force-field": 7, "pursuit": 60, "via-points": 3
 OPTIONS = {
     "random": {"joint_angles": [0.2, 0.4, 0.4], "target": (-1.5, 1.8)},
     "centre-out": {"trial": 3},
+    "distances": {"trial": 26},
     "paper": {"trial": 130},
 }
 

@@ -346,7 +346,7 @@ class GoalSetup(ReachSetup):
 
 
 class ReachEnvironment:
-    """What the single and the vector environment have in common."""
+    """The common part of the single and the vector environment."""
 
     make_setup: ClassVar[type[ReachSetup]] = ReachSetup
     setup: ReachSetup

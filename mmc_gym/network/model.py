@@ -167,8 +167,10 @@ class MMCNetwork:
         velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
         schedule: "synchronous" or "delayed".
         engine: "numpy"; or "numba", which compiles the iterations of a Euclidean network.  That
-            takes a quarter of the time, and the result is equal up to rounding (1e-12).  The first
-            run with N segments compiles for some seconds.
+            takes a quarter of the time, and the result is equal up to rounding (1e-12).  Only a
+            stretched arm whose target needs it bent is in a balance: rounding decides to which side
+            it bends, and differences grow (1e-9 after 60 iterations, then to another posture).
+            The first run with N segments compiles for some seconds.
 
     Raises:
         UserError: for fewer than two segments, a value outside its range, or an unknown argument;
