@@ -106,9 +106,11 @@ class Renderer:
             canvas.draw_obstacle(obstacle)
         if pull := math.hypot(*body.gravity):
             start, along = np.full(2, 0.85 * canvas.view.reach), np.array(body.gravity) / pull
-            middle, end = (start + share * canvas.view.reach * along for share in (0.15, 0.3))
-            canvas.line(shapes.TRACE, (start, middle), 4)
-            canvas.rod(shapes.TRACE, middle, end, 18, 0)
+            ways = [
+                (start + share * canvas.view.reach * along).tolist() for share in (0, 0.15, 0.3)
+            ]
+            canvas.line(shapes.TRACE, ways[:2], 4)
+            canvas.rod(shapes.TRACE, ways[1], ways[2], 18, 0)
         canvas.draw_base()
         canvas.draw_caption(self._setup.caption)
 
