@@ -83,7 +83,7 @@ def settled_network(network: MMCNetwork, problem: ReachProblem, iterations: int)
                 angles[is_held] = settled_network(network, problem.of(is_held), iterations)
             return angles
     iterations = max(iterations, round(iterations * (lengths.shape[-1] / 3) ** 2))
-    # Single precision is as precise as the senses, and four times as fast.
+    # In single precision some processors round an arm's sums otherwise in another batch.
     start = network.state_from_segments(_vectors(lengths * unit_vectors(joint_angles)))
     clamps = network.inverse(_vectors(aim))
     if held is None and every(lengths == network.segment_lengths):
@@ -91,13 +91,13 @@ def settled_network(network: MMCNetwork, problem: ReachProblem, iterations: int)
     else:
         body = Embodiment(lengths, locked=held, joint_angles=joint_angles)
         settled = embodied_run(network, start, clamps, body, iterations)
-    angles = settled.joint_angles.astype(np.float64)
+    angles = settled.joint_angles
     return angles if held is None else np.where(held, joint_angles, angles)
 
 
 def _vectors(points: Points) -> Floats:
-    """Return points (...) as vectors in single precision, (..., 2)."""
-    return np.stack([points.real, points.imag], axis=-1).astype(np.float32)
+    """Return points (...) as vectors, (..., 2)."""
+    return np.stack([points.real, points.imag], axis=-1)
 
 
 def least_squares(problem: ReachProblem, iterations: int) -> Floats:
