@@ -1,13 +1,10 @@
 """A grid has the same results in one process, in several, and on a cluster that loses a node."""
 
-import gc
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -240,21 +237,6 @@ def uses_ray(test):
     """Mark a test; Ray leaves some of its files to the garbage collector."""
     ignored = ("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
     return pytest.mark.slow(pytest.mark.filterwarnings(*ignored)(test))
-
-
-@pytest.fixture
-def ray(monkeypatch):
-    """Ray, in a temporary folder with a name short enough for sockets."""
-    module = pytest.importorskip("ray")
-    folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
-    monkeypatch.setenv("RAY_TMPDIR", folder)
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    # Otherwise the client server dies at one start in ten or so (Ray's issue 63202).
-    monkeypatch.setenv("GRPC_ENABLE_FORK_SUPPORT", "0")
-    yield module
-    module.shutdown()
-    shutil.rmtree(folder, ignore_errors=True)
-    gc.collect()
 
 
 @pytest.fixture

@@ -214,14 +214,22 @@ def test_what_a_model_of_rl_zoo3_saw_is_seen_again_or_it_is_refused(run, env, en
             make(env)
 
 
-def test_an_off_policy_model_without_its_statistics_is_refused(tmp_path, env):
-    for name, wrap in (("plain", lambda envs: envs), ("normalized", VecNormalize)):
+def test_a_model_acts_by_its_own_statistics_and_never_by_others(tmp_path, model, env):
+    small = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
+    for name, wrap in (("sac", lambda envs: envs), ("normalized", VecNormalize)):
         envs = wrap(make_vec_env("MMCReach-v0", 1, env_kwargs={"control": CONTROL}))
-        small = {"policy_kwargs": {"net_arch": [4]}, "buffer_size": 50, "learning_starts": 10}
-        SAC("MlpPolicy", envs, device="cpu", **small).learn(12).save(tmp_path / name)
-    assert mmc_gym.make_agent(tmp_path / "plain.zip", env, allow_pickle=True)
+        one = SAC("MlpPolicy", envs, device="cpu", **small).learn(12)
+        one.save(tmp_path / name)
     with pytest.raises(UserError, match="must have the statistics of its VecNormalize beside it"):
         mmc_gym.make_agent(tmp_path / "normalized.zip", env, allow_pickle=True)
+    for name, one in (("sac", SAC.load(tmp_path / "sac")), ("plain", trained())):
+        one.save(tmp_path / name)
+        agent = mmc_gym.make_agent(tmp_path / f"{name}.zip", env, allow_pickle=True)
+        observation, _ = env.reset(seed=1)
+        expected, _ = one.predict(observation, deterministic=True)
+        np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
+    model.get_env().save(str(tmp_path / "vecnormalize.pkl"))
+    assert resolve(tmp_path / "plain.zip").model.statistics is None  # it was trained without
 
 
 def test_another_arm_and_other_observations_are_told(env):
@@ -230,20 +238,6 @@ def test_another_arm_and_other_observations_are_told(env):
     for other in (trained(wrap=lambda env: VecFrameStack(env, 2)), trained(segment_lengths=(1, 1))):
         with pytest.raises(CannotActError, match="observation_space must be of shape"):
             mmc_gym.make_agent(other, env)
-
-
-def test_a_policy_of_another_algorithm_acts_without_statistics_of_a_neighbour(tmp_path, model, env):
-    sac = SAC("MlpPolicy", env, policy_kwargs={"net_arch": [4]}, device="cpu")
-    sac.save(tmp_path / "sac")
-    plain = trained()
-    plain.save(tmp_path / "plain")
-    for name, one in (("sac", sac), ("plain", plain)):
-        agent = mmc_gym.make_agent(tmp_path / f"{name}.zip", env, allow_pickle=True)
-        observation, _ = env.reset(seed=1)
-        expected, _ = one.predict(observation, deterministic=True)
-        np.testing.assert_array_equal(agent.predict(observation, deterministic=True)[0], expected)
-    model.get_env().save(str(tmp_path / "vecnormalize.pkl"))
-    assert resolve(tmp_path / "plain.zip").model.statistics is None  # it was trained without
 
 
 def test_what_is_no_model_is_an_error_of_the_user(tmp_path):

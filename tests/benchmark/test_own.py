@@ -1,7 +1,5 @@
 """Your own environments, rewards, tasks, perturbations and agents, wherever these are named."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys

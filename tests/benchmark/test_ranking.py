@@ -1,7 +1,5 @@
 """Agents are ranked by success, each environment weighing the same; copies tie."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np
