@@ -279,6 +279,8 @@ def read_recipe(
     if not isinstance(entry, dict):
         raise UserError(f"{source} must have hyperparameters for {env_id}, got {entry!r}")
     recipe = Recipe(path.stem, env_id, entry)
+    if env_kwargs is not None:
+        require(isinstance(env_kwargs, Mapping), "env_kwargs", env_kwargs, "a mapping")
     if env_kwargs:
         recipe = recipe.with_changes(env_kwargs={**(entry.get("env_kwargs") or {}), **env_kwargs})
     return recipe if steps is None else recipe.with_changes(n_timesteps=steps)

@@ -305,7 +305,7 @@ def train(
     """
     recipe = read_recipe(str(name), env, steps, env_kwargs)
     with tempfile.TemporaryDirectory() as nowhere:
-        folder = Path(out or nowhere)
+        folder = check_folder(nowhere if out is None else out, "out")
         training = Training(
             recipe, seed, folder, on_progress, device=device, tensorboard=tensorboard
         )

@@ -339,6 +339,13 @@ def test_mistakes_are_named_before_anything_is_trained(trained, tmp_path, option
     assert not list(tmp_path.glob("*.json"))
 
 
+def test_wrong_types_of_arguments_are_named():
+    with pytest.raises(UserError, match="out must be the path of a folder, got 3"):
+        mmc_gym.train("ppo", steps=1, out=3)  # type: ignore[arg-type]
+    with pytest.raises(UserError, match="env_kwargs must be a mapping, got 3"):
+        mmc_gym.train("ppo", steps=1, env_kwargs=3)  # type: ignore[arg-type]
+
+
 def test_the_seeds_that_ship_are_those_asked_for():
     counts = Counter(policy.name for policy in set(module.shipped_policies()))
     assert (counts["ppo"], counts["sac"], counts["tqc-her"]) == (10, 5, 5)
