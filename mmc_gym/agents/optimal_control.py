@@ -60,42 +60,25 @@ from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
 class Assumptions:
     """Costs to minimise, and assumptions on timing, lag, noise and delay.
 
-    Attributes:
-        shortest: T₀, duration of a movement of no length, s.
-        speed: v̄, growth of distance with duration, segment lengths / s.
-        longest: largest duration of a movement, s; at least a control step.
-        lag: τ of the drive, s.
-        velocity_cost: ρ, s.
-        joint_cost: η, lengths · s / rad; it stops movements that do not move the hand.
-        effort_cost: √r, lengths · s² / rad.
-        motor_noise: c, noise as a fraction of the command.
-        joint_noise: of felt joint angles, rad; that of felt velocities is ten times this, rad/s.
-        vision_noise: of the seen hand and target, segment lengths.
-        slip: error of a joint's turn in a control step, rad.
-        push: disturbance of a joint's velocity in a control step, rad/s.
-        drift: change of the seen hand against the felt one in a control step, segment lengths.
-        swerve: change of a target's velocity in a control step, segment lengths / s.
-        delay: delay of the senses, s; rounded to control steps.
-
     Raises:
         UserError: if a value is negative, or `speed`, `longest` or `lag` is zero.
     """
 
-    shortest: float = 0.3
-    speed: float = 4.0
-    longest: float = 1.4
-    lag: float = 0.04
-    velocity_cost: float = 0.1
-    joint_cost: float = 0.01
-    effort_cost: float = 0.002
-    motor_noise: float = 0.2
-    joint_noise: float = 0.0175
-    vision_noise: float = 0.01
-    slip: float = 0.01
-    push: float = 0.1
-    drift: float = 0.01
-    swerve: float = 0.3
-    delay: float = 0.0
+    shortest: float = 0.3  #: T₀, duration of a movement of no length, s
+    speed: float = 4.0  #: v̄, growth of distance with duration, segment lengths / s
+    longest: float = 1.4  #: largest duration of a movement, s; at least a control step
+    lag: float = 0.04  #: τ of the drive, s
+    velocity_cost: float = 0.1  #: ρ, s
+    joint_cost: float = 0.01  #: η, lengths · s / rad; stops movements that do not move the hand
+    effort_cost: float = 0.002  #: √r, lengths · s² / rad
+    motor_noise: float = 0.2  #: c, noise as a fraction of the command
+    joint_noise: float = 0.0175  #: of felt joint angles, rad; ten times this for velocities, rad/s
+    vision_noise: float = 0.01  #: of the seen hand and target, segment lengths
+    slip: float = 0.01  #: error of a joint's turn in a control step, rad
+    push: float = 0.1  #: disturbance of a joint's velocity in a control step, rad/s
+    drift: float = 0.01  #: change of the seen against the felt hand in a step, segment lengths
+    swerve: float = 0.3  #: change of a target's velocity in a control step, segment lengths / s
+    delay: float = 0.0  #: of the senses, s; rounded to control steps
 
     def __post_init__(self) -> None:
         require_not_negative(**asdict(self))
@@ -165,10 +148,9 @@ def kalman_gain(a: Floats, c: Floats, disturbance: Floats, noise: Floats) -> Flo
 
 
 def turned_joints(effects: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return U's first column, s and the first rows of Vᵀ, for J = U S Vᵀ of (..., 2, N).
+    """Return U's first column (..., 2), s (..., 2) and rows of Vᵀ (..., 2, N) of J = U S Vᵀ.
 
-    Their shapes are (..., 2), (..., 2) and (..., 2, N); U is a turn of the plane, and a row is 0
-    where s is.  `numpy.linalg.svd` takes five times as long.
+    U is a turn of the plane, and a row is 0 where s is.  `numpy.linalg.svd` is five times slower.
     """
     x, y = effects[..., 0, :], effects[..., 1, :]
     twice = np.arctan2(2.0 * (x * y).sum(axis=-1), (x * x).sum(axis=-1) - (y * y).sum(axis=-1))
@@ -181,8 +163,7 @@ def turned_joints(effects: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _turned(vector: Floats, towards: Floats) -> Floats:
     """Return the components of vectors (..., 2) along U's columns, of which this is the first."""
-    x, y = turned_back(vector[..., 0], vector[..., 1], towards[..., 0], towards[..., 1])
-    return np.stack((x, y), axis=-1)
+    return np.stack(turned_back(*np.moveaxis(vector, -1, 0), *np.moveaxis(towards, -1, 0)), axis=-1)
 
 
 def _length(vector: Floats) -> Floats:

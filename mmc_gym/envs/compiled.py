@@ -36,32 +36,18 @@ class Constants(NamedTuple):
 
 
 class Arms(NamedTuple):
-    """Arrays of n arms: what `look_and_reward` reads, and from `speeds` on what it writes.
+    """Arrays of n arms: what `look_and_reward` reads, and from `speeds` on what it writes."""
 
-    Attributes:
-        cosines: of the joint angles, (n, N).
-        sines: of the joint angles, (n, N).
-        velocities: of the joints, rad/s, (n, N).
-        hands: positions of the hands or their cursors, (n, 2).
-        targets: positions, (n, 2).
-        may_succeed: whether the target is the last one, (n,).
-        speeds: of the joints, as fractions of their limit, (n, N): those of the last step are
-            replaced by those of this step.
-        observation: (n, 3 N + 6), or (n, 3 N) of a goal environment.
-        terms: distance, minus distance, precision, control, smoothness, and dense reward, (6, n).
-        is_success: whether the target is reached, (n,).
-    """
-
-    cosines: Floats
-    sines: Floats
-    velocities: Floats
-    hands: Floats
-    targets: Floats
-    may_succeed: NDArray[np.bool_]
-    speeds: Floats
-    observation: NDArray[np.float32]
-    terms: Floats
-    is_success: NDArray[np.bool_]
+    cosines: Floats  #: of the joint angles, (n, N)
+    sines: Floats  #: of the joint angles, (n, N)
+    velocities: Floats  #: of the joints, rad/s, (n, N)
+    hands: Floats  #: positions of the hands or their cursors, (n, 2)
+    targets: Floats  #: positions, (n, 2)
+    may_succeed: NDArray[np.bool_]  #: whether the target is the last one, (n,)
+    speeds: Floats  #: of the joints before, then after the step, shares of the limit, (n, N)
+    observation: NDArray[np.float32]  #: (n, 3 N + 6), or (n, 3 N) of a goal environment
+    terms: Floats  #: distance, −distance, precision, control, smoothness, dense reward, (6, n)
+    is_success: NDArray[np.bool_]  #: whether the target is reached, (n,)
 
 
 class CompiledStep:
@@ -93,13 +79,8 @@ class CompiledStep:
     ) -> tuple[Floats, dict[str, Any]]:
         """Return rewards and infos; write observations without noise, and the `speeds` of now.
 
-        Args:
-            actions: what the arms do first, (n, N); None if they have moved already.
-            hands: see `Arms`; if the arms move, the array in which the engine writes them.
-            targets: see `Arms`.
-            may_succeed: see `Arms`.
-            speeds: see `Arms`.
-            observation: where observations go, (n, 3 N + 6), or those of a goal environment.
+        Arrays are those of `Arms`.  With actions (n, N) the arms move first, and the engine writes
+        `hands`.  The observation of a goal environment is a mapping.
         """
         engine, count = self._arms, len(targets)
         _, scale, is_relative = self._action

@@ -27,25 +27,15 @@ _OVERSAMPLING = 2
 
 @dataclass(frozen=True)
 class Scene:
-    """The part of a picture that changes from frame to frame.
+    """The part of a picture that changes from frame to frame."""
 
-    Attributes:
-        segment_angles: N absolute angles, radians.
-        target: (x, y), segment lengths.
-        trace: position of the hand at each past control step, oldest first.
-        path: all places of the target in this trial, in order; empty if it stands still.
-        ghost: N joint angles of an internal model, radians, or None.
-        steps: control steps since the reset.
-        observation: the last one; it is drawn if the senses are disturbed.
-    """
-
-    segment_angles: Sequence[float]
-    target: Sequence[float]
-    trace: Sequence[Point] = ()
-    path: Sequence[Sequence[float]] = ()
-    ghost: Sequence[float] | None = None
-    steps: int = 0
-    observation: Any = None
+    segment_angles: Sequence[float]  #: N absolute angles, radians
+    target: Sequence[float]  #: (x, y), segment lengths
+    trace: Sequence[Point] = ()  #: position of the hand at each past control step, oldest first
+    path: Sequence[Sequence[float]] = ()  #: all places of the target; empty if it stands still
+    ghost: Sequence[float] | None = None  #: N joint angles of an internal model, radians
+    steps: int = 0  #: control steps since the reset
+    observation: Any = None  #: the last one; it is drawn if the senses are disturbed
 
 
 class Renderer:
@@ -54,10 +44,7 @@ class Renderer:
     def __init__(self, setup: ReachSetup, mode: str) -> None:
         """Make a renderer for one arm.
 
-        Args:
-            setup: of its environment.
-            mode: "rgb_array" needs no display; "human" opens a window, and `draw` then waits until
-                the picture is due.
+        In `mode` "human" it opens a window, and `draw` waits until the picture is due.
         """
         self._setup = setup
         self._lengths = setup.body.segment_lengths
@@ -70,11 +57,7 @@ class Renderer:
         self._window = Window(setup.frame_rate) if mode == "human" else None
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """Paint one frame.
-
-        Returns:
-            The picture (height, width, 3) in a new array, or None if it is shown in a window.
-        """
+        """Return a picture (height, width, 3), a new array; None if it is shown in a window."""
         nodes = shapes.node_positions(scene.segment_angles, self._lengths)
         self._canvas.surface.blit(self._scenery.surface, (0, 0))
         self._paint_path(scene)
@@ -190,11 +173,7 @@ class Window:
     """A window that shows pictures at a steady rate until its user closes it."""
 
     def __init__(self, frame_rate: int) -> None:
-        """Open the window; it shows at most `frame_rate` pictures a second.
-
-        Raises:
-            UserError: if SDL cannot open a display.
-        """
+        """Open the window; it shows at most `frame_rate` pictures a second."""
         open_display()
         pygame.display.set_caption("mmc-gym")
         self._surface = pygame.display.set_mode((SIZE, SIZE))

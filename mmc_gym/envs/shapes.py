@@ -43,15 +43,10 @@ BASE_WIDTH, HAND_WIDTH = 21.0, 8.0  # thickness of the arm at its ends
 
 @dataclass(frozen=True)
 class View:
-    """The map from the world (x to the right, y up, the base in the middle) to a square picture.
+    """The map from the world (x to the right, y up, the base in the middle) to a square picture."""
 
-    Attributes:
-        reach: of the arm, segment lengths; the picture shows a little more.
-        size: width and height of the picture, pixels.
-    """
-
-    reach: float
-    size: int = SIZE
+    reach: float  #: of the arm, segment lengths; the picture shows a little more
+    size: int = SIZE  #: width and height of the picture, pixels
 
     @property
     def scale(self) -> float:

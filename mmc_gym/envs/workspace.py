@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -43,8 +43,7 @@ class Workspace:
     Attributes:
         inner: smallest distance of a reachable point from the base, with all joints free.
         outer: largest distance, likewise.
-        rotation: of the cursor that stands for the hand, or None; the workspace is then what the
-            cursor can reach.
+        rotation: of the cursor that must reach a target in place of the hand, or None.
     """
 
     rotation: VisuomotorRotation | None = None
@@ -59,8 +58,7 @@ class Workspace:
 
         Args:
             body: the arm that moves.
-            given_body: the arm that agents are given, by default the same.  The workspace is what
-                both arms can reach.
+            given_body: the arm that agents are given, by default the same; both reach all targets.
             locked: indices of joints that are always locked.
 
         Raises:
@@ -87,7 +85,9 @@ class Workspace:
         """
         x, y = point
         hand = (x, y) if self.rotation is None else self.rotation.hand(x, y)
-        fine = self._is_in_ring((x, y)) and self._is_in_ring(hand) and self._is_free(hand)
+        radius = self.body.segment_radius
+        is_free = all(math.dist(hand, disc[:2]) > disc[2] + radius for disc in self.body.obstacles)
+        fine = is_free and self._is_in_ring((x, y)) and self._is_in_ring(hand)
         if not fine or posture is None or not self.locked:
             return fine
         base, lengths = self._rigid_pieces(posture)
@@ -112,7 +112,7 @@ class Workspace:
             UserError: if the obstacles leave no room for the arm.
         """
         for _ in range(_MOST_POSTURES):
-            posture = [_between(low, high, random.random()) for low, high in self._limits]
+            posture = [random.uniform(low, high) for low, high in self._limits]
             if self.is_clear(posture):
                 return posture
         raise UserError(f"obstacles must leave room for the arm, got {self.body.obstacles}")
@@ -162,9 +162,10 @@ class Workspace:
         draws = np.empty((len(randoms), count + 2))
         for random, row in zip(randoms, draws, strict=True):
             random.random(out=row)
-        postures = _between(-math.pi, math.pi, draws[:, :count])
-        radii = np.sqrt(_between(self.inner**2, self.outer**2, draws[:, count]))
-        angles = _between(-math.pi, math.pi, draws[:, count + 1]).tolist()
+        postures = -math.pi + math.tau * draws[:, :count]
+        least = self.inner**2
+        radii = np.sqrt(least + (self.outer**2 - least) * draws[:, count])
+        angles = (-math.pi + math.tau * draws[:, count + 1]).tolist()
         # Not numpy's cosine, which may differ in the last bit.
         cosines, sines = ([*map(function, angles)] for function in (math.cos, math.sin))
         targets = radii * cosines, radii * sines
@@ -181,11 +182,10 @@ class Workspace:
             return _draw_from_ring(self.inner, self.outer, random)
         if self.body.joint_limits:
             angles = [
-                posture[joint] if joint in self.locked else _between(low, high, random.random())
+                posture[joint] if joint in self.locked else random.uniform(low, high)
                 for joint, (low, high) in enumerate(self._limits)
             ]
-            x, y = self._nodes(angles)[-1]
-            return x, y
+            return self._nodes(angles)[-1]
         base, lengths = self._rigid_pieces(posture)
         if not lengths:
             return base
@@ -196,10 +196,10 @@ class Workspace:
         """Tell whether the arm in this posture (N joint angles) touches no obstacle."""
         if not self.body.obstacles:
             return True
-        rods = list(pairwise(self._nodes(posture)))
+        rods = list(pairwise(complex(x, y) for x, y in self._nodes(posture)))
         radius = self.body.segment_radius
         return all(
-            _distance_to_rod((x, y), start, end) > disc + radius
+            _distance_to_rod(complex(x, y), start, end) > disc + radius
             for x, y, disc in self.body.obstacles
             for start, end in rods
         )
@@ -219,12 +219,11 @@ class Workspace:
         x, y = _bent_hand(lengths, bend)
         base = math.remainder(math.atan2(point[1], point[0]) - math.atan2(y, x), math.tau)
         posture = [base] + [bend] * (len(lengths) - 1)
-        for angle, (low, high) in zip(posture, self._limits, strict=True):
-            if not low <= angle <= high:
-                raise UserError(
-                    f"the evenly bent posture with the hand at {tuple(point)}, {posture}, is "
-                    f"beyond the joint limits {self.body.joint_limits}"
-                )
+        if any(not low <= angle <= high for angle, (low, high) in zip(posture, self._limits)):
+            raise UserError(
+                f"the evenly bent posture with the hand at {tuple(point)}, {posture}, is beyond "
+                f"the joint limits {self.body.joint_limits}"
+            )
         return posture
 
     def _nodes(self, posture: Sequence[float]) -> list[Point]:
@@ -242,11 +241,6 @@ class Workspace:
         slack = REACH_TOLERANCE * self.outer
         return self.inner - slack <= math.hypot(*point) <= self.outer + slack
 
-    def _is_free(self, point: Point) -> bool:
-        """Tell whether the tip of the hand at `point` touches no obstacle."""
-        radius = self.body.segment_radius
-        return all(math.dist(point, (x, y)) > disc + radius for x, y, disc in self.body.obstacles)
-
 
 def distances(hands: Floats, targets: Floats) -> Floats:
     """Return the distances (...) from hands (..., 2) to targets (..., 2)."""
@@ -261,8 +255,7 @@ def reachable_hands(
 ) -> list[Floats]:
     """Return hand positions of an arm with joint limits, an array (n, 2) per cell of a square grid.
 
-    Draw a cell, then a position from it: such positions are reachable, and area-uniform up to the
-    size of a cell (a thirtieth of the reach).
+    To draw a cell, then a position from it, is area-uniform up to the size of a cell.
     """
     random = np.random.default_rng(0)
     low, high = np.array(joint_limits).T
@@ -300,24 +293,14 @@ def _bent_hand(segment_lengths: Sequence[float], bend: float) -> Point:
     return x, y
 
 
-def _between(low: float, high: float, share: Any) -> Any:
-    """Return the numbers at shares, drawn from 0 to 1, of the way from `low` to `high`.
-
-    They are those of `Generator.uniform`, in a third of its time.
-    """
-    return low + (high - low) * share
-
-
 def _draw_from_ring(inner: float, outer: float, random: np.random.Generator) -> Point:
     """Draw a point area-uniformly between two distances from the base."""
-    radius = math.sqrt(_between(inner**2, outer**2, random.random()))
-    angle = _between(-math.pi, math.pi, random.random())
+    radius = math.sqrt(random.uniform(inner**2, outer**2))
+    angle = random.uniform(-math.pi, math.pi)
     return radius * math.cos(angle), radius * math.sin(angle)
 
 
-def _distance_to_rod(point: Point, start: Point, end: Point) -> float:
-    along = (end[0] - start[0], end[1] - start[1])
-    offset = (point[0] - start[0], point[1] - start[1])
-    squared = along[0] ** 2 + along[1] ** 2
-    share = min(max((offset[0] * along[0] + offset[1] * along[1]) / squared, 0.0), 1.0)
-    return math.hypot(offset[0] - share * along[0], offset[1] - share * along[1])
+def _distance_to_rod(point: complex, start: complex, end: complex) -> float:
+    along, offset = end - start, point - start
+    share = (offset * along.conjugate()).real / (along * along.conjugate()).real
+    return abs(offset - min(max(share, 0.0), 1.0) * along)

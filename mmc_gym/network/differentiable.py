@@ -30,14 +30,10 @@ class TorchState:
     """Values of all variables of a batch of networks, as `MMCState` has them.
 
     The properties show them with the batch first.
-
-    Attributes:
-        values: one row per variable with the batch on the last axes, (rows, 2, ...).
-        segment_count: N.
     """
 
-    values: Tensor
-    segment_count: int
+    values: Tensor  #: one row per variable with the batch on the last axes, (rows, 2, ...)
+    segment_count: int  #: N
 
     @property
     def vectors(self) -> Tensor:
@@ -143,8 +139,7 @@ class TorchNetwork(torch.nn.Module):
         """Return the network in numpy with the present parameters.
 
         Raises:
-            UserError: if a parameter is out of its range, such as a damping that is too small, or
-                if the normalizer was replaced.
+            UserError: if a parameter is out of its range, or the normalizer was replaced.
         """
         if not isinstance(self.normalizer, _Euclidean | _Learned):
             raise UserError(f"normalizer must be the original one, got {self.normalizer}")

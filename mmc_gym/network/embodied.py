@@ -48,23 +48,16 @@ SEGMENT_WEIGHT = 0.05
 class Embodiment:
     """Knowledge about the bodies of a batch of arms; None where there is none.
 
-    Attributes:
-        segment_lengths: lengths of each arm, (..., N), in place of the network's.
-        sensed: sensed segments, (..., N, 2).
-        weight: w, the weight of the sensed posture in the mean; at least 0.
-        locked: whether each joint is locked, (..., N).
-        joint_angles: angles of the locked joints, radians, (..., N); the others do not matter.
-
     Raises:
         UserError: for a negative weight, a weight without a sensed posture, or locks without
             angles.
     """
 
-    segment_lengths: Floats | None = None
-    sensed: Floats | None = None
-    weight: float = 0.0
-    locked: NDArray[np.bool_] | None = None
-    joint_angles: Floats | None = None
+    segment_lengths: Floats | None = None  #: of each arm, (..., N), in place of the network's
+    sensed: Floats | None = None  #: sensed segments, (..., N, 2)
+    weight: float = 0.0  #: w, the weight of the sensed posture in the mean; at least 0
+    locked: NDArray[np.bool_] | None = None  #: whether each joint is locked, (..., N)
+    joint_angles: Floats | None = None  #: of the locked joints, radians, (..., N)
 
     def __post_init__(self) -> None:
         require_not_negative(weight=self.weight)
@@ -99,9 +92,8 @@ def embodied_run(
     require(isinstance(body, Embodiment), "body", body, "an Embodiment")
     require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
     state = network.run(state, clamps, iterations=0)  # broadcasts, and sets R
-    values, count = state.values, network.segment_count
+    values, count, rows = state.values, network.segment_count, len(state.values)
     iteration = compile_iteration(network, clamps.rows, values.dtype.char)
-    rows = len(values)
     current = values.reshape(rows, 2, -1)
     lengths = iteration.lengths
     if body.segment_lengths is not None:
