@@ -23,26 +23,17 @@ class SingleArm(ABC):
     """A planar arm of N segments, its base at the origin.
 
     All sequences run from the base outward.  Joint angles are relative, 0 = straight on.
-
-    Attributes:
-        parameters: the arm's physical parameters.
-        segment_angles: absolute angles of the segments after the last step, rad, not wrapped.
-        joint_angles: relative angles of the joints after the last step, rad, not wrapped.
-        joint_velocities: velocities of the joints, rad/s.
-        end_effector: position of the hand, (x, y).
-        records_effort: whether steps record the effort of the servos; False by default.
-        servo_impulses: ∫ |τ| dt of each servo in the last recorded step, mass · length² / s.  NaN
-            before the first, and always on the analytic engine.  Stops and locks do not count.
-        servo_work: ∫ |τ q̇| dt of each servo in the same step, mass · length² / s².
     """
 
-    segment_angles: list[float]
-    joint_angles: list[float]
-    joint_velocities: list[float]
-    end_effector: tuple[float, float]
-    records_effort: bool = False
+    segment_angles: list[float]  #: absolute, after the last step, rad, not wrapped
+    joint_angles: list[float]  #: relative, after the last step, rad, not wrapped
+    joint_velocities: list[float]  #: rad/s
+    end_effector: tuple[float, float]  #: position of the hand, (x, y)
+    records_effort: bool = False  #: whether steps record the effort of the servos
+    #: ∫ |τ| dt of each servo in the last recorded step, mass · length² / s.  NaN before the first,
+    #: and always on the analytic engine.  Stops and locks do not count.
     servo_impulses: list[float]
-    servo_work: list[float]
+    servo_work: list[float]  #: ∫ |τ q̇| dt of each servo in the same step, mass · length² / s²
 
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
         """Build the arm, stretched along the x axis and at rest; see `command` for its servos.

@@ -40,8 +40,7 @@ from mmc_gym.network.iteration import compile_iteration, velocity_rule
 from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
 from mmc_gym.network.normalizers import Normalizer
 
-SEGMENT_WEIGHT = 0.05
-"""λ: weight of the segments of a rigid body, beside its span."""
+SEGMENT_WEIGHT = 0.05  #: λ: weight of the segments of a rigid body, beside its span
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import safetensors.numpy
@@ -40,9 +40,8 @@ class Normalizer(ABC):
         """Normalize in place.
 
         Args:
-            rows: vectors with the batch last, shape (n, 2, batch).
-            lengths: the wanted lengths, of the same dtype, shape (n, 1), or (n, batch) if they
-                differ within the batch.
+            rows: vectors with the batch last, (n, 2, batch).
+            lengths: the wanted lengths, of the same dtype, (n, 1) or (n, batch).
         """
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
@@ -105,9 +104,8 @@ class LearnedNormalizer(Normalizer):
         shapes = [weight.shape for weight in self.weights]
         bias_shapes = [bias.shape for bias in self.biases]
         widths = [2, *(bias.size for bias in self.biases)]
-        wanted = list(zip(widths[1:], widths[:-1], strict=True))
-        one_axis = all(len(shape) == 1 for shape in bias_shapes)
-        if not shapes or shapes != wanted or widths[-1] != 2 or not one_axis:
+        fine = bool(shapes) and widths[-1] == 2 and all(len(shape) == 1 for shape in bias_shapes)
+        if not fine or shapes != [*zip(widths[1:], widths[:-1], strict=True)]:
             raise UserError(
                 f"layers must lead from 2 inputs to 2 outputs, got weights of shapes {shapes} "
                 f"and biases of shapes {bias_shapes}"
@@ -136,28 +134,23 @@ class LearnedNormalizer(Normalizer):
         np.multiply(output.transpose(1, 0, 2), lengths[:, None], out=rows)
 
     def _forward(self, inputs: Floats) -> list[Floats]:
-        outputs: list[Floats] = []
-        for weight, bias in self._layers_as(inputs.dtype):
+        dtype, outputs = inputs.dtype, []
+        if dtype.char not in self._layers:
+            self._layers[dtype.char] = [
+                (weight.astype(dtype), bias.astype(dtype)[:, None])
+                for weight, bias in zip(self.weights, self.biases, strict=True)
+            ]
+        for weight, bias in self._layers[dtype.char]:
             inputs = weight @ inputs
             inputs += bias
             np.tanh(inputs, out=inputs)
             outputs.append(inputs)
         return outputs
 
-    def _layers_as(self, dtype: np.dtype[Any]) -> list[tuple[Floats, Floats]]:
-        if dtype.char not in self._layers:
-            self._layers[dtype.char] = [
-                (weight.astype(dtype), bias.astype(dtype)[:, None])
-                for weight, bias in zip(self.weights, self.biases, strict=True)
-            ]
-        return self._layers[dtype.char]
-
     def save(self, path: Path | str) -> None:
         """Write weights, biases and card as one safetensors file, atomically."""
-        tensors = {}
-        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            tensors[f"layers.{index}.weight"] = weight
-            tensors[f"layers.{index}.bias"] = bias
+        tensors = {f"layers.{index}.weight": weight for index, weight in enumerate(self.weights)}
+        tensors |= {f"layers.{index}.bias": bias for index, bias in enumerate(self.biases)}
         write_atomically(path, safetensors.numpy.save(tensors, metadata=self.card))
 
     @classmethod

@@ -39,16 +39,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym._errors import UserError, require, require_array, require_positive, require_whole
+from mmc_gym._errors import require, require_array, require_positive
 from mmc_gym.network.chain import Floats, triangle_products
 from mmc_gym.network.model import MMCNetwork, MMCState
 
-CORRECTIONS = 4
-"""Steps that correct the gain of an iteration."""
+CORRECTIONS = 4  #: steps that correct the gain of an iteration
 
 
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
@@ -121,9 +121,8 @@ def timed_step(
         network.normalizer.normalize_rows(segments, lengths)
         return segments
 
-    def hand_step(gain: Floats) -> Floats:
-        step: Floats = np.hypot(*(segments_with(gain).sum(axis=0) - hand))
-        return step
+    def hand_step(gain: Floats) -> Any:
+        return np.hypot(*(segments_with(gain).sum(axis=0) - hand))
 
     largest = 2 / (count + 3)
     gain = _solve(hand_step, wanted, np.minimum(shares / 2, largest), largest)
@@ -133,23 +132,18 @@ def timed_step(
 
 
 def timed_trajectory(
-    network: MMCNetwork,
-    state: MMCState,
-    target: ArrayLike,
-    duration: float,
-    iterations: int | None = None,
+    network: MMCNetwork, state: MMCState, target: ArrayLike, duration: float
 ) -> tuple[MMCState, Floats]:
-    """Move to a target in `duration` iterations, and record the segments after every iteration.
+    """Move to a target, and record the segments after every iteration.
 
     Args:
         network: a kinematic and synchronous network.
         state: where the movement starts.
         target: target of the end effector, (..., 2).
         duration: T, in iterations.
-        iterations: number of recorded iterations, by default `duration`.
 
     Returns:
-        The last state, and the segments of all iterations, (iterations, ..., N, 2).
+        The last state, and the segments of all iterations, (round(T), ..., N, 2).
 
     >>> network = MMCNetwork()
     >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -159,9 +153,7 @@ def timed_trajectory(
     ([-0.98, 1.5], 24)
     """
     _check(network)
-    require_positive("duration", duration)
-    iterations = round(duration) if iterations is None else iterations
-    require_whole("iterations", iterations, least=0)
+    iterations = round(require_positive("duration", duration))
     state = network.run(state, network.inverse(target), iterations=0)
     postures = np.empty((iterations, *state.segments.shape), dtype=state.values.dtype)
     for number, part in enumerate(share(np.arange(1, iterations + 1), duration)):
@@ -205,8 +197,5 @@ def _coupling(segment_count: int) -> NDArray[np.float64]:
 
 
 def _check(network: MMCNetwork) -> None:
-    if network.dynamics != "kinematic" or network.schedule != "synchronous":
-        raise UserError(
-            "network must be kinematic and synchronous to follow a time base, "
-            f"got dynamics={network.dynamics!r}, schedule={network.schedule!r}"
-        )
+    fine = network.dynamics == "kinematic" and network.schedule == "synchronous"
+    require(fine, "network", network, "kinematic and synchronous to follow a time base")

@@ -64,7 +64,7 @@ def test_arms_of_a_batch_move_as_each_alone():
     for index in range(3):
         alone = timed_step(NETWORK, START, targets[index], shares[index])
         np.testing.assert_allclose(together.segments[index], alone.segments, atol=1e-12)
-    state, postures = timed_trajectory(NETWORK, START, targets, 20, iterations=25)
+    state, postures = timed_trajectory(NETWORK, START, targets, 25)
     assert postures.shape == (25, 3, 3, 2) and state.batch_shape == (3,)
     np.testing.assert_array_equal(postures[-1], state.segments)
 

@@ -260,10 +260,8 @@ class PymunkArmBatch(ArmBatch):
                 group.linkages[member].lock(angles.tolist())
 
     def __reduce__(self) -> NoReturn:
-        raise TypeError(
-            "a PymunkArmBatch cannot be pickled or copied: Chipmunk does not expose the impulses "
-            "that its joints remember; pickle the parameters and build new arms, or use `Arm`"
-        )
+        # Chipmunk does not expose the impulses that its joints remember.
+        raise TypeError("a PymunkArmBatch cannot be pickled or copied: pickle its parameters")
 
     def _by_group(self, arms: Indices) -> Iterable[tuple[ArmGroup, Indices, list[int]]]:
         """Yield each group with some of `arms`, their rows in `arms`, and their numbers in it."""
