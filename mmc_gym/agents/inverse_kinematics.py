@@ -80,8 +80,8 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
         """Make the agent, whose solver is one iteration, such as `damped_least_squares`.
 
         Raises:
-            UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
-                control, or if the solver is none for this number of segments.
+            UserError: if `iterations_per_step` is less than one.
+            CannotActError: under torque control, or if the solver is not for so many segments.
         """
         require_whole("iterations_per_step", iterations_per_step)
         super().__init__(interface)
@@ -145,9 +145,8 @@ def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLen
     """Return joint angles (..., N), with arms bent a little that no iteration could move.
 
     Where all segments and the target lie in one line, no joint can move the hand towards the
-    target (Jᵀe = 0).  The network has no way out either: all its vectors lie in that line, and so
-    do their means.  Each joint of such an arm turns by `BEND`, unless the hand is at the target.
-    Targets (..., 2) must be within reach.
+    target (Jᵀe = 0), and the network's vectors stay in that line.  Each joint of such an arm turns
+    by `BEND`, unless the hand is at the target.  Targets (..., 2) must be within reach.
     """
     straight = np.abs(np.sin(joint_angles[..., 1:])).max(axis=-1, initial=0.0) < STRAIGHT
     if not straight.any():
@@ -194,8 +193,7 @@ def null_space(
     of all postures that reach the target the evenly bent one is the most comfortable.  With limits
     each term has the weight (narrowest range / its range)⁴.  Joints may then pass through the
     forbidden range here: comfort brings them back, and the servos go round.  The projector is that
-    of the undamped pseudo-inverse, so comfort does not move the hand.  It is bounded, so it needs
-    no damping.
+    of the undamped pseudo-inverse, so comfort does not move the hand.
     """
     moved, jacobian_x, jacobian_y = _damped_step(joint_angles, target, segment_lengths)
     if joint_limits is None:
@@ -232,11 +230,7 @@ def _damped_step(
 
 
 def _without_hand(jacobian_x: Floats, jacobian_y: Floats, change: Floats) -> Floats:
-    """Return (I − J⁺J) Δq: changes (..., N) of joint angles that do not move the hand.
-
-    With J = Σ σ u vᵀ, remove the part of the change along each σ v = Jᵀu whose σ is more than a
-    millionth of the largest.
-    """
+    """Return (I − J⁺J) Δq (..., N), which does not move the hand; σ below 1e-6 σ_max are 0."""
     xx = (jacobian_x * jacobian_x).sum(axis=-1)
     yy = (jacobian_y * jacobian_y).sum(axis=-1)
     xy = (jacobian_x * jacobian_y).sum(axis=-1)
@@ -298,27 +292,23 @@ def solutions(target: Floats, segment_lengths: SegmentLengths, joint_angles: Flo
     """Return all solutions of a sweep; joint angles in any turn, radians, (..., solutions, N).
 
     With three segments the sweep includes both ends of the interval of orientations, and the
-    orientation of `joint_angles`, or the end next to it.  The arguments are those of `closed_form`.
+    orientation of `joint_angles`, or the end next to it.
     """
     count = len(segment_lengths)
     if count > 3:
-        raise CannotActError(
-            f"segment_lengths must be 1, 2 or 3 for a solution in closed form, got {count}: "
-            f"{segment_lengths}"
-        )
+        accepted = "1, 2 or 3 for a solution in closed form"
+        raise CannotActError(f"segment_lengths must be {accepted}, got {count}: {segment_lengths}")
     target = nearest_reachable(target, segment_lengths)
     bearing = np.arctan2(target[..., 1], target[..., 0])
     if count == 1:
         return bearing[..., None, None]
     if count == 2:
         return np.stack(_two_segments(target, *segment_lengths), axis=-2)
-    last = segment_lengths[2]
     present = wrap_angle(joint_angles.sum(axis=-1) - bearing)
-    orientations = bearing[..., None] + _orientations(
-        np.hypot(target[..., 0], target[..., 1]), present, segment_lengths
-    )
+    distance = np.hypot(target[..., 0], target[..., 1])
+    orientations = bearing[..., None] + _orientations(distance, present, segment_lengths)
     hand = np.stack([np.cos(orientations), np.sin(orientations)], axis=-1)
-    wrist = target[..., None, :] - last * hand
+    wrist = target[..., None, :] - segment_lengths[2] * hand
     both = [
         np.concatenate([two, (orientations - two.sum(axis=-1))[..., None]], axis=-1)
         for two in _two_segments(wrist, *segment_lengths[:2])
@@ -347,7 +337,5 @@ def _two_segments(wrist: Floats, first: float, second: float) -> tuple[Floats, F
     elbow = 2 * np.arctan2(np.sqrt(np.maximum(short, 0.0)), np.sqrt(np.maximum(long, 0.0)))
     bearing = np.arctan2(wrist[..., 1], wrist[..., 0])
     offset = np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
-    return (
-        np.stack([bearing - offset, elbow], axis=-1),
-        np.stack([bearing + offset, -elbow], axis=-1),
-    )
+    ways = (bearing - offset, elbow), (bearing + offset, -elbow)
+    return np.stack(ways[0], axis=-1), np.stack(ways[1], axis=-1)

@@ -115,11 +115,9 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
     @override
     def start(self, sensed: Sensed) -> MinimumJerkState:
         hand = hand_position(sensed.joint_angles, self.interface.segment_lengths)
-        return MinimumJerkState(
-            HandPlan(hand, np.zeros_like(hand), np.zeros_like(hand)),
-            begin(hand, sensed.target, self.interface.control_step),
-            sensed.joint_angles,
-        )
+        plan = HandPlan(hand, np.zeros_like(hand), np.zeros_like(hand))
+        movement = begin(hand, sensed.target, self.interface.control_step)
+        return MinimumJerkState(plan, movement, sensed.joint_angles)
 
     @override
     def advance(self, state: MinimumJerkState, sensed: Sensed) -> tuple[Floats, MinimumJerkState]:
@@ -135,10 +133,9 @@ def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> Hand
     """Return the plan one control step later, on the way of least jerk to rest at the target.
 
     Args:
-        plan: position, velocity and acceleration, (..., 2) each.
+        plan: the present one.
         target: segment lengths, (..., 2).
-        remaining: control steps until the hand rests there, (...); if one or less, it rests there
-            after this step.
+        remaining: control steps, (...), until the hand rests there; after this step if one or less.
 
     >>> plan = HandPlan(np.zeros(2), np.zeros(2), np.zeros(2))
     >>> for remaining in (4, 3, 2, 1):

@@ -44,31 +44,23 @@ from mmc_gym.agents.policy_network import (
 )
 from mmc_gym.interface import ObservationLayout
 
-ACTIVATIONS: dict[Activation, type[torch.nn.Module]] = {
-    "relu": torch.nn.ReLU,
-    "tanh": torch.nn.Tanh,
-}
+ACTIVATIONS: dict[Activation, Any] = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}
 
 
 class ViewLayer(BaseFeaturesExtractor):
     """`features` as a layer without parameters."""
 
     def __init__(self, observation_space: spaces.Space[Any], view: View, joint_count: int) -> None:
-        """Make the layer for an arm with `joint_count` joints.
-
-        Raises:
-            ValueError: if the observations do not belong to such an arm.
-        """
+        """Make the layer; a `ValueError` if observations are not of an arm of these joints."""
         layout = ObservationLayout(joint_count, reach=1.0)  # features do not depend on the reach
         additions = layout.additions(observation_space)
         super().__init__(observation_space, feature_count(view, layout) + additions)
         self.view: View = view
         self.layout = layout
 
-    def forward(self, observations: torch.Tensor | Mapping[str, torch.Tensor]) -> torch.Tensor:
+    def forward(self, observations: torch.Tensor | Mapping[str, torch.Tensor]) -> Any:
         """Return the features of observations, (batch, features)."""
-        seen: torch.Tensor = features(torch, self.view, observations, self.layout)
-        return seen
+        return features(torch, self.view, observations, self.layout)
 
 
 class _HasView(BasePolicy):
@@ -84,9 +76,8 @@ class _HasView(BasePolicy):
         **options: Any,
     ) -> None:
         """Make a policy with the options of its base class."""
-        options["features_extractor_class"] = ViewLayer
         seen = {"view": self.view, "joint_count": action_space.shape[0]}
-        options["features_extractor_kwargs"] = seen
+        options |= {"features_extractor_class": ViewLayer, "features_extractor_kwargs": seen}
         super().__init__(observation_space, action_space, lr_schedule, **options)
 
 
@@ -107,7 +98,7 @@ class PPOTargetPolicy(_HasView, ActorCriticPolicy):
         return self._turned(actions, obs), values, log_probabilities
 
     @override
-    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> torch.Tensor:
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> Any:
         return self._turned(super()._predict(observation, deterministic), observation)
 
     @override
@@ -116,12 +107,9 @@ class PPOTargetPolicy(_HasView, ActorCriticPolicy):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
         return super().evaluate_actions(obs, self._turned(actions, obs, back=True))
 
-    def _turned(
-        self, actions: torch.Tensor, observation: PyTorchObs, back: bool = False
-    ) -> torch.Tensor:
+    def _turned(self, actions: torch.Tensor, observation: PyTorchObs, back: bool = False) -> Any:
         layer: Any = self.features_extractor
-        turned: torch.Tensor = turned_actions(torch, actions, observation, layer.layout, back=back)
-        return turned
+        return turned_actions(torch, actions, observation, layer.layout, back=back)
 
 
 class TQCGoalPolicy(_HasView, TQCPolicy):

@@ -41,10 +41,6 @@ class GymnasiumVecEnv(VecEnv):
     step itself.  At the end of an episode the info is complete, with `terminal_observation` and
     `TimeLimit.truncated`; stable-baselines3 reads no others.
 
-    Attributes:
-        vector_env: the environment inside.
-        reset_infos: infos of the latest reset of each environment.
-
     >>> import gymnasium as gym, mmc_gym
     >>> from stable_baselines3 import PPO
     >>> env = GymnasiumVecEnv(gym.make_vec("MMCReach-v0", 64, autoreset_mode="SameStep"))
@@ -264,7 +260,7 @@ class RandomScenarios(VecEnvWrapper):
             return first
         second = self._draw_one()
         kinds = {type(one) for one in first.perturbations}
-        fits = not any(type(one) in kinds for one in second.perturbations)
+        fits = kinds.isdisjoint(map(type, second.perturbations))
         if second.task != "random" and first.task == "random":
             first, second = second, first
         if not fits or second.task != "random":
@@ -278,8 +274,7 @@ class RandomScenarios(VecEnvWrapper):
         name = list(self._ranges)[index - len(self._fixed)]
         family, (low, high) = FAMILIES[name], self._ranges[name]
         if family.whole:
-            strength = float(self._random.integers(int(low), int(high), endpoint=True))
-            return perturbed(family, strength)
+            return perturbed(family, float(self._random.integers(int(low), int(high) + 1)))
         return perturbed(family, float(self._random.uniform(low, high)))
 
     def _begin(self, group: int, share: float = 1.0) -> Float32:
