@@ -146,13 +146,9 @@ class Renderer:
 
 
 def open_display(*, must_be_seen: bool = False) -> None:
-    """Open the display for a window.
+    """Open the display for a window; raise a `UserError` if SDL cannot.
 
-    Args:
-        must_be_seen: whether to refuse a driver without a screen, unless SDL_VIDEODRIVER names it.
-
-    Raises:
-        UserError: if SDL cannot open one.
+    If it `must_be_seen`, a driver without a screen is refused, unless SDL_VIDEODRIVER names it.
     """
     reason = "SDL finds no screen"
     try:

@@ -19,36 +19,22 @@ class Episode:
     """One recorded episode of n steps, of an arm with N joints; N = 0 for a hand without an arm.
 
     Values that an environment does not report are NaN.
-
-    Attributes:
-        seed: given to the environment's reset.
-        hands: positions of the end effector, segment lengths, (n + 1, 2); the first is the start.
-        distances: from hand (or cursor) to target, segment lengths, (n + 1,).
-        targets: positions of the target, segment lengths, (n + 1, 2).
-        joint_angles: relative, not wrapped, radians, (n + 1, N).
-        servo_impulses: ∫ |τ| dt of each step and joint, mass · length² / s, (n, N).
-        servo_work: ∫ |τ q̇| dt of each step and joint, mass · length² / s², (n, N).
-        rewards: of each step, (n,).
-        action_times: duration of `predict` in each step, seconds, (n,).
-        control_step: duration of a step, seconds.
-        tolerance: distance within which the environment counts the target as reached.
-        reach: of the arm as agents are given it, segment lengths.
-        cursors: positions of the cursor under a visuomotor rotation, (n + 1, 2); distances and
-            success are the cursor's.  None where agents see the hand itself.
     """
 
-    seed: int
-    hands: Floats
-    distances: Floats
-    targets: Floats
-    joint_angles: Floats
-    servo_impulses: Floats
-    servo_work: Floats
-    rewards: Floats
-    action_times: Floats
-    control_step: float
-    tolerance: float
-    reach: float
+    seed: int  #: given to the environment's reset
+    hands: Floats  #: positions of the end effector, segment lengths, (n + 1, 2), from the start on
+    distances: Floats  #: from hand (or cursor) to target, segment lengths, (n + 1,)
+    targets: Floats  #: positions of the target, segment lengths, (n + 1, 2)
+    joint_angles: Floats  #: relative, not wrapped, radians, (n + 1, N)
+    servo_impulses: Floats  #: ∫ |τ| dt of each step and joint, mass · length² / s, (n, N)
+    servo_work: Floats  #: ∫ |τ q̇| dt of each step and joint, mass · length² / s², (n, N)
+    rewards: Floats  #: of each step, (n,)
+    action_times: Floats  #: duration of `predict` in each step, seconds, (n,)
+    control_step: float  #: duration of a step, seconds
+    tolerance: float  #: distance within which the environment counts the target as reached
+    reach: float  #: of the arm as agents are given it, segment lengths
+    #: Positions of the cursor under a visuomotor rotation, (n + 1, 2); distances and success are
+    #: the cursor's.  None where agents see the hand itself.
     cursors: Floats | None = None
 
     def __repr__(self) -> str:

@@ -257,13 +257,9 @@ def evaluate(
 ) -> dict[str, float]:
     """Return the scores of an agent over episodes of the seeds `seed`, `seed` + 1, …, all at once.
 
-    Returns:
-        Means of success, final_distance (segment lengths) and episode_return; time_at_target, the
-        share of the time within the tolerance; and time_to_target (seconds), the median over the
-        successes, if there are any.
-
-    Raises:
-        UserError: if the environment has no time limit.
+    They are means of success, final_distance (segment lengths) and episode_return; time_at_target,
+    the share of the time within the tolerance; and time_to_target (seconds), the median over the
+    successes, if there are any.
     """
     with closing(gym.make_vec(env_id, episodes, autoreset_mode="Disabled", **arguments)) as env:
         agent, seeds = make(ReachInterface.of(env)), range(seed, seed + episodes)
@@ -271,12 +267,12 @@ def evaluate(
     # Summed step by step, as trainings always have: the last bit of a mean depends on the order.
     returns = np.cumsum([one.rewards for one in played], axis=-1)[:, -1]
     at_target = np.array([one.distances[1:] <= one.tolerance for one in played])
+    steps_there = at_target.sum(axis=-1, dtype=np.float64)
     scores = {
         "success": float(np.mean([success(one) for one in played])),
         "final_distance": float(np.mean([final_distance(one) for one in played])),
         "episode_return": float(returns.mean()),
-        "time_at_target": float(at_target.sum(axis=-1, dtype=np.float64).mean())
-        / at_target.shape[-1],
+        "time_at_target": float(steps_there.mean()) / at_target.shape[-1],
     }
     if scores["success"] > 0.0:
         times = [time_to_target(one) for one in played]

@@ -25,10 +25,8 @@ from mmc_gym.network.time_base import minimum_jerk
 
 PEAK_PROMINENCE = 0.05  # of the highest speed, as in the paper's figures; smaller is no peak
 
-MINIMUM_JERK_SPAN = (
-    (1 - math.sqrt(1 - math.sqrt(MOVING))) / 2,
-    (1 + math.sqrt(1 - math.sqrt(MOVING))) / 2,
-)
+_HALF = math.sqrt(1 - math.sqrt(MOVING))
+MINIMUM_JERK_SPAN = (1 - _HALF) / 2, (1 + _HALF) / 2
 """Phases between which minimum jerk is faster than `MOVING` of its peak: 16 τ² (1 − τ)² ≥ 0.05."""
 
 SPARC_CUTOFF = 10.0  # Hz
@@ -211,8 +209,7 @@ def log_dimensionless_jerk(episode: Episode) -> float:
 def joint_effort(episode: Episode) -> float:
     """Return ∫ Σ_i |τ_i| dt over the servos of all joints i, mass · length² / s.
 
-    Holding still costs nothing in the horizontal plane.  NaN without joints, and where an engine
-    does not report it.
+    NaN without joints, and where an engine does not report it.
     """
     return _sum(episode.servo_impulses)
 
@@ -244,19 +241,13 @@ def episode_return(episode: Episode) -> float:
 
 @measure(label="time per action", unit="µs", best="low", decimals=1, shown=True)
 def action_time(episode: Episode) -> float:
-    """Return the median time of one call of `predict`, µs; NaN for an episode without steps.
-
-    The median, because the operating system sometimes interrupts a call.
-    """
+    """Return the median time of one call of `predict`, µs; NaN for an episode without steps."""
     return _of_times(episode, np.median)
 
 
 @measure(label="time per action, 99th percentile", unit="µs", best="low", decimals=1)
 def slow_action_time(episode: Episode) -> float:
-    """Return the time that one call of `predict` in a hundred exceeds, µs; NaN without steps.
-
-    A control loop must allow for this 99th percentile.
-    """
+    """Return the time that one call of `predict` in a hundred exceeds, µs; NaN without steps."""
     return _of_times(episode, lambda times: np.percentile(times, 99))
 
 

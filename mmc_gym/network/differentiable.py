@@ -73,14 +73,6 @@ class TorchNetwork(torch.nn.Module):
     they are all zero: an odd normalizer stays odd.  Other parameters become trainable on request,
     as in `network.damping.requires_grad_()`.
 
-    Attributes:
-        segment_lengths: lengths, (N,).
-        damping: d, the weight of the present value in the mean.
-        velocity_damping: d_v, how slowly the velocity follows.
-        velocity_decay: factor on the velocity in each iteration.
-        normalizer: a module that takes vectors (n, 2, batch) and lengths (n, 1), and returns the
-            vectors with these lengths; you may replace it.
-
     Args:
         network: the description of the network; by default the paper's, `MMCNetwork()`.
         device: device of its parameters, torch's default if None.
@@ -98,10 +90,12 @@ class TorchNetwork(torch.nn.Module):
     torch.Size([3])
     """
 
-    segment_lengths: torch.nn.Parameter
-    damping: torch.nn.Parameter
-    velocity_damping: torch.nn.Parameter
-    velocity_decay: torch.nn.Parameter
+    segment_lengths: torch.nn.Parameter  #: (N,)
+    damping: torch.nn.Parameter  #: d, the weight of the present value in the mean
+    velocity_damping: torch.nn.Parameter  #: d_v, how slowly the velocity follows
+    velocity_decay: torch.nn.Parameter  #: factor on the velocity in each iteration
+    #: Takes vectors (n, 2, batch) and lengths (n, 1), returns vectors so long; you may replace it.
+    normalizer: torch.nn.Module
     triangles: Tensor
 
     def __init__(
@@ -126,13 +120,11 @@ class TorchNetwork(torch.nn.Module):
             setattr(self, name, torch.nn.Parameter(value, requires_grad=False))
         triangles = tensor(chain.triangle_products(self.segment_count))
         self.register_buffer("triangles", triangles, persistent=False)
-        self.normalizer: torch.nn.Module
-        if isinstance(network.normalizer, LearnedNormalizer):
-            self.normalizer = _Learned(network.normalizer, tensor)
+        if isinstance(given := network.normalizer, LearnedNormalizer):
+            self.normalizer = _Learned(given, tensor)
         else:
             accepted = "an EuclideanNormalizer or LearnedNormalizer"
-            fine = type(network.normalizer) is EuclideanNormalizer
-            require(fine, "normalizer", network.normalizer, accepted)
+            require(type(given) is EuclideanNormalizer, "normalizer", given, accepted)
             self.normalizer = _Euclidean()
 
     def to_numpy(self) -> MMCNetwork:

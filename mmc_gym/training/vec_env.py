@@ -116,11 +116,7 @@ class GymnasiumVecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of all environments, which are one object.
-
-        Raises:
-            UserError: if only some are chosen.
-        """
+        """Set an attribute of all environments; a `UserError` if only some are chosen."""
         require(indices is None, "indices", indices, f"None, to set {attr_name!r} of all")
         setattr(self.vector_env.unwrapped, attr_name, value)
 
