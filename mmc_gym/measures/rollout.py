@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from operator import attrgetter
 from typing import Any, TypeAlias
 
@@ -61,9 +61,8 @@ def check_environment(env: gym.Env[Any, Any]) -> None:
         except AttributeError:
             missing.append(f"env.unwrapped.{name}")
     if missing:
-        name = env.spec.id if env.spec else str(env)
         raise UserError(
-            f"env must be a reaching environment such as 'MMCReach-v0', got {name!r}, "
+            f"env must be a reaching environment such as 'MMCReach-v0', got {env}, "
             f"which lacks {', '.join(missing)}"
         )
 
@@ -125,7 +124,10 @@ def run_episodes(
         groups = [([seed], [option]) for seed, option in zip(seeds, asked, strict=True)]
         arm = getattr(env.unwrapped, "arm", None)
     episodes: list[Episode] = []
-    with one_torch_thread(), _effort(arm, records_effort):
+    with one_torch_thread(), ExitStack() as stack:
+        if hasattr(arm, "records_effort"):
+            stack.callback(setattr, arm, "records_effort", arm.records_effort)
+            arm.records_effort = records_effort
         for group in groups:
             for episode in _play(agent, env, *group, arm):
                 episodes.append(episode)
@@ -218,19 +220,6 @@ def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) 
                 values = seen.setdefault(key, np.zeros(info[key].shape))
                 values[group] = info[key][group]
     return observation, seen
-
-
-@contextmanager
-def _effort(arm: Any, records: bool) -> Iterator[None]:
-    """Switch the recording of effort on or off, if the environment's arm has such a switch."""
-    if not hasattr(arm, "records_effort"):
-        yield
-        return
-    before, arm.records_effort = arm.records_effort, records
-    try:
-        yield
-    finally:
-        arm.records_effort = before
 
 
 def _check_vector(env: gym.vector.VectorEnv[Any, Any, Any], episodes: int) -> MMCReachVectorEnv:

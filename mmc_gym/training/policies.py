@@ -261,8 +261,8 @@ def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
 
 def _variables(model: BaseAlgorithm) -> Tensors:
     """Return the parameters outside of modules: the logarithm of a learned entropy coefficient."""
-    _, names = model._get_torch_save_params()
-    return {name: getattr(model, name) for name in names if name == "log_ent_coef"}
+    learned = getattr(model, "log_ent_coef", None)
+    return {} if learned is None else {"log_ent_coef": learned}
 
 
 def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
