@@ -266,9 +266,6 @@ def closed_form(
 
     Raises:
         CannotActError: for another number of segments.
-
-    >>> closed_form(np.array([0.5, 0.5]), np.array([1.0, 1.0]), (1.0, 1.0)).round(6)
-    array([0.      , 1.570796])
     """
     found = solutions(target, segment_lengths, joint_angles)
     changes = found - joint_angles[..., None, :]

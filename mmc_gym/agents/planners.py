@@ -64,11 +64,7 @@ class MovementTiming(NamedTuple):
 
 
 def begin(hand: Floats, target: Floats, control_step: float) -> MovementTiming:
-    """Begin a movement of the hand to a target, (..., 2) in segment lengths.
-
-    >>> begin(np.array([1.0, 0.0]), np.array([3.0, 0.0]), control_step=0.02).duration.item()
-    35.0
-    """
+    """Begin a movement of the hand to a target, (..., 2) in segment lengths."""
     way = target - hand
     distance = np.hypot(way[..., 0], way[..., 1])
     duration = np.ceil((SHORTEST + distance / AVERAGE_SPEED) / control_step - 1e-9)
@@ -136,15 +132,6 @@ def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> Hand
         plan: the present one.
         target: segment lengths, (..., 2).
         remaining: control steps, (...), until the hand rests there; after this step if one or less.
-
-    >>> plan = HandPlan(np.zeros(2), np.zeros(2), np.zeros(2))
-    >>> for remaining in (4, 3, 2, 1):
-    ...     plan = minimum_jerk_step(plan, np.array([1.0, 0.0]), np.array(remaining))
-    ...     print(plan.position.round(4), plan.velocity.round(4))
-    [0.1035 0.    ] [0.2637 0.    ]
-    [0.5 0. ] [0.4688 0.    ]
-    [0.8965 0.    ] [0.2637 0.    ]
-    [1. 0.] [0. 0.]
     """
     time = np.maximum(remaining, 1.0)[..., None]
     way = target - plan.position

@@ -125,13 +125,9 @@ class ArmBatch(ABC):
         servo: Servo = "position",
         threads: int = 1,
     ) -> None:
-        """Build the arms, stretched along the x axis and at rest.
+        """Build the arms, stretched along the x axis and at rest; see `SingleArm.command`.
 
-        Args:
-            parameters: physical parameters of every arm.
-            count: number of arms.
-            servo: what the servos take, see `SingleArm.command`.
-            threads: number of threads that simulate the arms.  It does not change the result.
+        The number of threads that simulate the arms does not change the result.
 
         Raises:
             UserError: for an unknown kind of servo, less than one arm or thread, or an arm that

@@ -135,14 +135,13 @@ class TorchNetwork(torch.nn.Module):
         """
         if not isinstance(self.normalizer, _Euclidean | _Learned):
             raise UserError(f"normalizer must be the original one, got {self.normalizer}")
+        numbers = ("damping", "velocity_damping", "velocity_decay")
         return MMCNetwork(
-            segment_lengths=tuple(self.segment_lengths.tolist()),
-            damping=self.damping.item(),
+            tuple(self.segment_lengths.tolist()),
             normalizer=self.normalizer.to_numpy(),
             dynamics=self.dynamics,
-            velocity_damping=self.velocity_damping.item(),
-            velocity_decay=self.velocity_decay.item(),
             schedule=self.schedule,
+            **{name: getattr(self, name).item() for name in numbers},
         )
 
     def state_from_joint_angles(self, joint_angles: Any) -> TorchState:

@@ -147,11 +147,8 @@ def export_network(
 ) -> PolicyNetwork:
     """Return a copy of an actor's layers as arrays.
 
-    Args:
-        hidden: linear layers, each followed by the same activation, see `ACTIVATIONS`.
-        mean: layer that gives the mean of the actions.
-        log_std: layer or parameter that gives the logarithm of their standard deviation.
-        distribution: see `PolicyNetwork`.
+    Linear `hidden` layers, each followed by the same of `ACTIVATIONS`, lead to the layer `mean` of
+    the actions; `log_std` is a layer or a parameter.
 
     Raises:
         ValueError: if there is another activation.
@@ -230,10 +227,7 @@ def read_head(path: Path) -> dict[str, Any]:
 def load_checkpoint(model: Any, head: dict[str, Any], path: Path) -> None:
     """Restore the state of a model that was made with the same arguments as the checkpoint's.
 
-    Args:
-        model: it is changed.
-        head: of the checkpoint, see `read_head`, which has checked the file.
-        path: of the checkpoint.
+    The `head` is that of `read_head`, which has checked the file.
     """
     counts = head["model"]
     parameters: dict[str, Any] = {

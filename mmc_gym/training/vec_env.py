@@ -48,17 +48,10 @@ class GymnasiumVecEnv(VecEnv):
     """
 
     def __init__(self, vector_env: VectorEnv) -> None:
-        """Adapt an environment that restarts in the step that ends an episode.
-
-        Raises:
-            UserError: if its autoreset mode is not "SameStep".
-        """
+        """Adapt an environment whose autoreset mode is "SameStep", else raise a `UserError`."""
         mode = vector_env.metadata.get("autoreset_mode")
-        if mode != AutoresetMode.SAME_STEP:
-            raise UserError(
-                "vector_env must restart in the step that ends an episode, as one made by "
-                f"gym.make_vec(..., autoreset_mode='SameStep') does, got autoreset_mode={mode}"
-            )
+        accepted = "AutoresetMode.SAME_STEP, as in gym.make_vec(..., autoreset_mode='SameStep')"
+        require(mode == AutoresetMode.SAME_STEP, "autoreset_mode of vector_env", mode, accepted)
         self.vector_env = vector_env
         super().__init__(
             vector_env.num_envs,

@@ -146,7 +146,7 @@ def test_without_a_correction_it_is_the_base_agent():
 
 def test_other_autoreset_modes_goal_environments_and_unknown_agents_are_refused():
     env = gym.make_vec("MMCReach-v0", 2, autoreset_mode=AutoresetMode.NEXT_STEP)
-    with pytest.raises(UserError, match=r"autoreset_mode='SameStep'\) does, got .*NEXT_STEP"):
+    with pytest.raises(UserError, match=r"autoreset_mode='SameStep'\), got .*NEXT_STEP"):
         GymnasiumVecEnv(env)
     with pytest.raises(UserError, match="venv must have Box observations"):
         Residual(native(IDS[1]))

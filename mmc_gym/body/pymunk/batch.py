@@ -162,16 +162,7 @@ def _each(function: Callable[..., float], values: Floats, *arguments: float) -> 
 
 
 class PymunkArmBatch(ArmBatch):
-    """Arms simulated by pymunk; see `ArmBatch`.  They cannot be copied or pickled.
-
-    Example:
-        >>> arms = PymunkArmBatch(count=2, servo="torque")
-        >>> arms.records_effort = True
-        >>> arms.command([[6.0, 0.0, -3.0], [0.0, 0.0, 0.0]])
-        >>> arms.step()
-        >>> arms.servo_impulses.round(9).tolist()  # torque · 0.02 s
-        [[0.12, 0.0, 0.06], [0.0, 0.0, 0.0]]
-    """
+    """Arms simulated by pymunk; see `ArmBatch`.  They cannot be copied or pickled."""
 
     @override
     def _build(self) -> None:
