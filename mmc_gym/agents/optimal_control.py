@@ -223,8 +223,8 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
         """Make an agent of these assumptions.
 
         Raises:
-            UserError: if the longest movement is shorter than a control step; as `CannotActError`,
-                under torque control.
+            UserError: if the longest movement is shorter than a control step.
+            CannotActError: under torque control.
         """
         super().__init__(interface)
         require(isinstance(assumed, Assumptions), "assumed", assumed, "an Assumptions")

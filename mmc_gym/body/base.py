@@ -74,10 +74,7 @@ class SingleArm(ABC):
 
         The values are joint targets in radians ("position"), joint velocities in rad/s ("velocity")
         or torques ("torque").  A joint with limits turns to its target within them; any other joint
-        turns the short way round.
-
-        Raises:
-            UserError: for another number of values than N.
+        turns the short way round.  Another number of values raises a `UserError`.
         """
         self._require_count("command", values)
         self._command(values)
@@ -171,11 +168,7 @@ class ArmBatch(ABC):
         self._place(chosen, postures, speeds)
 
     def command(self, values: ArrayLike) -> None:
-        """Set values (count, N) for the servos, see `SingleArm.command`.
-
-        Raises:
-            UserError: for another shape.
-        """
+        """Set values (count, N) for the servos, see `SingleArm.command`."""
         self._command(_table("values", values, self._shape))
 
     @abstractmethod
@@ -183,11 +176,7 @@ class ArmBatch(ABC):
         """Simulate one control step of every arm."""
 
     def lock(self, arms: ArrayLike) -> None:
-        """Make the `lockable_joints` of these arms rigid, see `SingleArm.lock`.
-
-        Raises:
-            UserError: for indices that repeat or belong to no arm.
-        """
+        """Make the `lockable_joints` of arms with these indices rigid, see `SingleArm.lock`."""
         self._lock(self._indices(arms))
 
     def close(self) -> None:

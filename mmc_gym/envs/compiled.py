@@ -54,7 +54,6 @@ class CompiledStep:
     """Movements, observations, rewards and infos of all arms, as `MMCReachVectorEnv` gives them."""
 
     def __init__(self, setup: ReachSetup, arms: AnalyticArmBatch) -> None:
-        """Prepare for the arms of an environment."""
         self._arms, self._action = arms, setup.action
         layout = setup.layout
         self._constants = Constants(

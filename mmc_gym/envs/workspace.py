@@ -121,8 +121,7 @@ class Workspace:
         """Draw a target that the hand can reach from `posture`, clear of obstacles.
 
         Targets are area-uniform over the reachable set; with joint limits, up to the size of a grid
-        cell.  With locked joints and joint limits they are hands of uniform postures, which are not
-        area-uniform.
+        cell.  With locked joints and joint limits they are hands of uniform postures.
 
         Raises:
             NoTarget: if none is found.
@@ -167,8 +166,7 @@ class Workspace:
         radii = np.sqrt(least + (self.outer**2 - least) * draws[:, count])
         angles = (-math.pi + math.tau * draws[:, count + 1]).tolist()
         # Not numpy's cosine, which may differ in the last bit.
-        cosines, sines = ([*map(function, angles)] for function in (math.cos, math.sin))
-        targets = radii * cosines, radii * sines
+        targets = radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
         if self.rotation is not None:
             targets = self.rotation.cursor(*targets)
         return postures, np.stack(targets, axis=-1)

@@ -78,12 +78,9 @@ _NUDGE = {"d": 1e-150, "f": 1e-18}
 
 
 class LearnedNormalizer(Normalizer):
-    """L = ℓ · f(L̃ / ℓ) with the MLP f, every layer tanh(W x + b).
+    """L = ℓ · f(L̃ / ℓ) with the MLP f, every layer tanh(W x + b), in float64.
 
-    Attributes:
-        weights: one (outputs, inputs) array per layer, float64.
-        biases: one (outputs,) array per layer, float64.
-        card: strings that describe its training, stored with the weights.
+    The `card` has strings that describe its training, stored with the weights.
     """
 
     def __init__(
@@ -177,11 +174,7 @@ class LearnedNormalizer(Normalizer):
     def shipped(cls, name: ShippedNormalizer = "accurate") -> LearnedNormalizer:
         """Load a trained 2-16-16-2 normalizer that ships with the package.
 
-        Args:
-            name: "accurate" (trained for angle accuracy) or "paper" (the paper's recipe).
-
-        Raises:
-            UserError: for any other name.
+        It was trained for angle accuracy ("accurate") or by the paper's recipe ("paper").
         """
         require_choice("name", name, get_args(ShippedNormalizer))
         return cls.load(WEIGHTS / f"{name}-16x16.safetensors")

@@ -146,10 +146,8 @@ class RandomScenarios(VecEnvWrapper):
     its range.  With probability `twice` a second scenario is drawn and joined to the first, if
     its perturbation is of another kind and they do not both have a task.  The wrapped environment
     gives number, control mode, engine and other arguments of the arms, and never moves.  Groups
-    with obstacles move in pymunk, because the analytic engine knows no collisions.
-
-    The first episodes of the groups have different lengths, so that later ones do not all end at
-    the same step.
+    with obstacles move in pymunk, because the analytic engine knows no collisions.  The first
+    episodes of the groups have different lengths, so that later ones end at different steps.
 
     Source: Peng, Andrychowicz, Zaremba & Abbeel (2018), Sim-to-real transfer of robotic control
     with dynamics randomization, ICRA, https://arxiv.org/abs/1710.06537.
@@ -168,8 +166,8 @@ class RandomScenarios(VecEnvWrapper):
         Args:
             venv: of a multiple of `groups` arms.
             names: of scenarios, see `mmc_gym.envs.scenarios.scenario`.
-            ranges: lowest and highest strength, both included, of families of perturbations by
-                name; where strengths are whole numbers, only those are drawn.
+            ranges: lowest and highest strength of families of perturbations by name, both
+                included; where strengths are whole numbers, only those are drawn.
             groups: number of groups.
             twice: probability of a second scenario.
 

@@ -52,13 +52,9 @@ class ArmGroup:
             buffer.set_float_buf(pushes)
         self._yields = np.ones(self._shape)
         self._spaces = [make_space(parameters) for _ in self._pushes]
-        self.linkages = [self._build(member) for member in range(count)]
+        by_arm = [space for space in self._spaces for _ in range(self._arms_per_space)]
+        self.linkages = [Linkage(space, parameters, servo) for space in by_arm]
         self._find_servos()
-
-    def _build(self, member: int) -> Linkage:
-        """Build an arm in its Space."""
-        space = self._spaces[member // self._arms_per_space]
-        return Linkage(space, self._parameters, self._servo)
 
     def _find_servos(self) -> None:
         self._servos = [servo for linkage in self.linkages for servo in linkage.servo_handles]
@@ -131,8 +127,8 @@ class ArmGroup:
         linkages = [self.linkages[member] for member in members]
         if self._parameters.obstacles:
             for member in members:
-                self._spaces[member] = make_space(self._parameters)
-                self.linkages[member] = self._build(member)
+                self._spaces[member] = space = make_space(self._parameters)
+                self.linkages[member] = Linkage(space, self._parameters, self._servo)
             self._find_servos()
             linkages = [self.linkages[member] for member in members]
         elif len(linkages) == len(self.linkages):
