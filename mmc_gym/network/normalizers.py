@@ -131,7 +131,8 @@ class LearnedNormalizer(Normalizer):
         np.multiply(output.transpose(1, 0, 2), lengths[:, None], out=rows)
 
     def _forward(self, inputs: Floats) -> list[Floats]:
-        dtype, outputs = inputs.dtype, []
+        dtype = inputs.dtype
+        outputs: list[Floats] = []
         if dtype.char not in self._layers:
             self._layers[dtype.char] = [
                 (weight.astype(dtype), bias.astype(dtype)[:, None])
