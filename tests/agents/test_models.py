@@ -222,7 +222,9 @@ def test_a_model_acts_by_its_own_statistics_and_never_by_others(tmp_path, model,
         one.save(tmp_path / name)
     with pytest.raises(UserError, match="must have the statistics of its VecNormalize beside it"):
         mmc_gym.make_agent(tmp_path / "normalized.zip", env, allow_pickle=True)
-    for name, one in (("sac", SAC.load(tmp_path / "sac")), ("plain", trained())):
+    new = SAC("MlpPolicy", env, device="cpu", **small)  # never trained
+    trainings = {"sac": SAC.load(tmp_path / "sac"), "new": new, "plain": trained()}
+    for name, one in trainings.items():
         one.save(tmp_path / name)
         agent = mmc_gym.make_agent(tmp_path / f"{name}.zip", env, allow_pickle=True)
         observation, _ = env.reset(seed=1)
