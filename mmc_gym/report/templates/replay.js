@@ -6,7 +6,7 @@
   });
   addEventListener("afterprint", () => { for (const one of opened.splice(0)) one.open = false; });
 
-  // A table says that it goes on to the right where it does.
+  // A table says that it continues to the right where it does.
   const seen = new ResizeObserver((entries) => {
     for (const { target } of entries) target.classList.toggle("scrolls", target.scrollWidth > target.clientWidth + 1);
   });
