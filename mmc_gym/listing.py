@@ -78,7 +78,7 @@ def list_perturbations() -> Listing:
     """Return the names of all perturbations; `perturbations=[NAME]` takes them, of any strength.
 
     >>> list_perturbations().rows[1]
-    Listed(name='rotation', what='cursor turned by 30° about the base', needs='°')
+    Listed(name='rotation', what='cursor turned by 30°', needs='°')
     """
     rows = (
         Listed(name, one.description.format(f"{one.default:g}"), _strength(one))

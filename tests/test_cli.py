@@ -217,7 +217,9 @@ def test_workers_start_where_a_standard_stream_is_closed(tmp_path, closed):
 
 def test_an_interruption_during_an_import_that_swallows_it_is_one_line(tmp_path):
     code = (
-        "import sys; sys.argv = ['mmc-gym']; import mmc_gym._interrupt\n"
+        "import signal, sys; sys.argv = ['mmc-gym']\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # jobs of a shell ignore it
+        "import mmc_gym._interrupt\n"
         "sys.path.insert(0, '.'); import interrupted"
     )
     (tmp_path / "interrupted.py").write_text(

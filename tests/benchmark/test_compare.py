@@ -237,7 +237,7 @@ def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
         ({"agents": ["mmc"], "out": __file__}, "out must be a folder"),
         ({"agents": ["mmc"], "seed": -1}, "seed must be a whole number of at least 0, got -1"),
         ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
-        ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be a reaching .*'CartPole-v1'"),
+        ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be a reaching .*CartPole-v1"),
         ({"agents": {"mine": len}, "env": "CartPole-v1"}, r"info\['end_effector'\]"),
     ],
 )

@@ -15,7 +15,8 @@ _, CARD = load_policy(shipped_file("ppo", 0))
 def training(seed: int, curve: tuple[float, ...], **scores: float) -> PolicyCard:
     """A training that was evaluated every 1,000 steps, which take a minute."""
     legs = range(1, len(curve) + 1)
-    times = {"steps": [1_000 * leg for leg in legs], "cpu_seconds": [60.0 * leg for leg in legs]}
+    seconds = [60.0 * leg for leg in legs]
+    times = {"steps": [1_000 * leg for leg in legs], "seconds": seconds, "cpu_seconds": seconds}
     evaluations = pd.DataFrame({**times, "success": curve}).to_dict("records")
     whole = {"training_steps": 1_000 * len(curve), "training_cpu_seconds": 60.0 * len(curve)}
     return replace(CARD, seed=seed, scores=scores, learning_curve=evaluations, **whole)
