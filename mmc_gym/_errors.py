@@ -232,7 +232,7 @@ def spelt(cls: Class) -> Class:
 
 
 _COUNTS = ("n_segments", "num_segments", "segments", "n_joints", "num_joints", "n_links")
-"""What users call the number of segments, which the lengths tell."""
+"""Names that users give to the number of segments, which follows from the lengths."""
 
 
 def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:

@@ -251,7 +251,7 @@ class Results:
 
     @property
     def settings(self) -> list[str]:
-        """What the scenarios were played with, a line each."""
+        """The settings that the scenarios were played with, a line each."""
         worlds = self.environments.items()
         own = {"task", "perturbations"}
         return [
