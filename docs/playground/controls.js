@@ -174,7 +174,8 @@
   for (const kind of ["pointerdown", "keydown", "click", "input"]) {
     document.addEventListener(kind, () => { isTouched = true; }, { capture: true });
   }
-  new IntersectionObserver(([{ isIntersecting }]) => { isSeen = isIntersecting; }).observe(stage);
+  // A busy page is handed several entries at once: the last one holds.
+  new IntersectionObserver((seen) => { isSeen = seen.at(-1).isIntersecting; }).observe(stage);
   document.documentElement.classList.toggle("is-embedded", self !== top);
   find("form").reset();  // browsers may keep what was chosen before a reload
   rebuild();
