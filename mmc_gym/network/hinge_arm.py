@@ -1,0 +1,296 @@
+"""Arms of hinges in space: axes, limits and home, by the product of exponentials.
+
+In the zero posture hinge i turns about the line through the point a_i along the unit vector u_i,
+and the hand has the pose M (Lynch & Park, Modern Robotics, Sect. 4.1).  Then
+
+    T(q) = e^{[S_1] q_1} … e^{[S_n] q_n} M,      S_i = (u_i, a_i × u_i)
+
+where e^{[S_i] q_i} turns all that the hinge carries about its line by q_i.
+
+**Nodes follow by a rule.**  The last node is the hand, and all last hinges whose axes go through it
+belong to it.  From the base on, neighbouring hinges whose axes meet in one point share that point
+as their node, as many as possible: shoulder, elbow and wrist of most robots.  Where the axis of a
+hinge meets none, or where axes coincide, the node is the point nearest to the node before.
+Each node lies on the axes of its hinges, so the distance of neighbours is the same in all postures:
+the nodes are the joints of a chain of rigid segments.  Its base is node 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mmc_gym._errors import UserError, missing, require, require_array, require_choice
+from mmc_gym.network.chain import Floats
+
+NamedArm = Literal["panda", "ur5", "iiwa"]
+_MEET = 1e-4  # axes meet where they come this near to a point, m
+
+
+class ArmFrames(NamedTuple):
+    """An arm in a posture, seen from its base.
+
+    Attributes:
+        nodes: (..., N + 1, 3).
+        axes: unit vectors of the hinges, (..., n, 3).
+        hand: pose of the hand, (..., 4, 4).
+    """
+
+    nodes: Floats
+    axes: Floats
+    hand: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class HingeArm:
+    """Description of an arm of n hinges; lengths in metres, angles in radians.
+
+    Attributes:
+        axes: directions of the hinges in the zero posture, (n, 3); they are brought to length 1.
+        points: a point on each axis in the zero posture, (n, 3).
+        home: pose of the hand in the zero posture, (4, 4).
+        limits: least and largest angle of each hinge, (n, 2); infinite where there is none.
+
+    Raises:
+        UserError: if a shape is another, a value is not finite, `home` is no pose, or a lower limit
+            is not below the upper one.
+
+    >>> arm = HingeArm.named("panda")
+    >>> arm.forward([0.0] * 7)[:3, 3].round(3).tolist()
+    [0.088, 0.0, 0.926]
+    >>> arm.nodes([0.0] * 7).round(2).tolist()  # shoulder, elbow, wrist, hand
+    [[0.0, 0.0, 0.33], [0.08, 0.0, 0.65], [0.0, 0.0, 1.03], [0.09, 0.0, 0.93]]
+    """
+
+    axes: Floats
+    points: Floats
+    home: Floats
+    limits: Floats
+
+    def __post_init__(self) -> None:
+        count = np.shape(self.axes)[0] if np.ndim(self.axes) == 2 else 0
+        require(count > 0, "axes", np.shape(self.axes), "of shape (n, 3)")
+        shapes = {"axes": (count, 3), "points": (count, 3), "home": (4, 4), "limits": (count, 2)}
+        for name, shape in shapes.items():
+            value = np.array(require_array(name, getattr(self, name)), np.float64)
+            fine = value.shape == shape and not np.isnan(value).any()
+            fine = fine and (name == "limits" or bool(np.isfinite(value).all()))
+            require(fine, name, getattr(self, name), f"of shape {shape}, of numbers")
+            object.__setattr__(self, name, value)
+        lengths = np.linalg.norm(self.axes, axis=1, keepdims=True)
+        require(bool((lengths > 0).all()), "axes", self.axes, "other than zero")
+        object.__setattr__(self, "axes", self.axes / lengths)
+        below = bool((self.limits[:, 0] < self.limits[:, 1]).all())
+        require(below, "limits", self.limits, "pairs of a lower and a higher angle")
+        turn = self.home[:3, :3]
+        is_pose = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0
+        is_pose = is_pose and np.array_equal(self.home[3], (0, 0, 0, 1))
+        require(is_pose, "home", self.home, "a pose: a rotation, a position and the row 0, 0, 0, 1")
+
+    @classmethod
+    def named(cls, name: NamedArm) -> HingeArm:
+        """Return a robot of the tables.
+
+        - `"panda"`: Franka Emika Panda, from `panda_link0` to the flange `panda_link8` (Franka
+          Control Interface, "Denavit–Hartenberg parameters" and "limits for Panda").
+        - `"ur5"`: Universal Robots UR5, from `base_link` to the flange `tool0` (ROS-Industrial's
+          `universal_robot`, after UR's "DH parameters for calculations").
+        - `"iiwa"`: KUKA LBR iiwa 14 R820, from `lbr_iiwa_link_0` to `lbr_iiwa_link_7` (KUKA's
+          data sheet, as in the model that pybullet ships).
+        """
+        require_choice("name", name, get_args(NamedArm))
+        return _TABLES[name]()
+
+    @classmethod
+    def from_urdf(cls, path: Path | str, base: str, tip: str) -> HingeArm:
+        """Read the chain from link `base` to link `tip` of a URDF file, by yourdfpy.
+
+        Joints that the file fixes move with what carries them, and "continuous" ones have no limit.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            UserError: if a link is missing, or a joint between them is neither revolute, continuous
+                nor fixed; as `MissingExtraError`, where yourdfpy is not installed.
+        """
+        try:
+            import yourdfpy
+        except ModuleNotFoundError as error:
+            raise missing("HingeArm.from_urdf", "yourdfpy", "urdf") from error
+        if not Path(path).is_file():
+            raise FileNotFoundError(path)
+        robot = yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
+        by_child = {joint.child: joint for joint in robot.joints}
+        chain: list[Any] = []
+        link = tip
+        while link != base:
+            require_choice("base" if chain else "tip", link, {*by_child, base})
+            chain.append(by_child[link])
+            link = chain[-1].parent
+        pose, axes, points, limits = np.eye(4), [], [], []
+        for joint in reversed(chain):
+            if joint.origin is not None:
+                pose = pose @ joint.origin
+            if joint.type == "fixed":
+                continue
+            if joint.type not in ("revolute", "continuous"):
+                accepted = "revolute, continuous or fixed"
+                raise UserError(f"joint {joint.name!r} must be {accepted}, got {joint.type!r}")
+            axes.append(pose[:3, :3] @ joint.axis)
+            points.append(pose[:3, 3])
+            is_free = joint.type == "continuous"
+            limits.append((-np.inf, np.inf) if is_free else (joint.limit.lower, joint.limit.upper))
+        return cls(np.array(axes), np.array(points), pose, np.array(limits))
+
+    @property
+    def joint_count(self) -> int:
+        """Number of hinges, n."""
+        return len(self.axes)
+
+    @cached_property
+    def joint_nodes(self) -> tuple[int, ...]:
+        """The node that each hinge belongs to, n indices."""
+        return self._rule[0]
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes, N + 1; the hand is the last one."""
+        return len(self._rule[1])
+
+    def forward(self, joint_angles: ArrayLike) -> Floats:
+        """Return the poses of the hand (..., 4, 4) in postures (..., n)."""
+        return self.frames(joint_angles).hand
+
+    def nodes(self, joint_angles: ArrayLike) -> Floats:
+        """Return the nodes (..., N + 1, 3) in postures (..., n)."""
+        return self.frames(joint_angles).nodes
+
+    def frames(self, joint_angles: ArrayLike) -> ArmFrames:
+        """Return nodes, axes and the hand's pose in postures (..., n)."""
+        angles = require_array("joint_angles", joint_angles)
+        accepted = f"of shape (..., {self.joint_count})"
+        require(angles.shape[-1:] == (self.joint_count,), "joint_angles", angles.shape, accepted)
+        batch, (joint_nodes, home_nodes) = angles.shape[:-1], self._rule
+        nodes = np.broadcast_to(home_nodes, (*batch, *home_nodes.shape)).copy()
+        axes = np.empty((*batch, self.joint_count, 3))
+        turn, shift = np.broadcast_to(np.eye(3), (*batch, 3, 3)), np.zeros((*batch, 3))
+        for joint, (axis, point) in enumerate(zip(self.axes, self.points)):
+            axes[..., joint, :] = turn @ axis
+            cross = np.cross(axis, np.eye(3)).T  # cross @ x = axis × x
+            angle = angles[..., joint, None, None]
+            own = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+            shift = shift + np.einsum("...ij,...j->...i", turn, point - own @ point)
+            turn = turn @ own
+            node = joint_nodes[joint]
+            nodes[..., node:, :] = home_nodes[node:] @ np.swapaxes(turn, -1, -2)
+            nodes[..., node:, :] += shift[..., None, :]
+        hand = np.broadcast_to(self.home, (*batch, 4, 4)).copy()
+        hand[..., :3, :3] = turn @ self.home[:3, :3]
+        hand[..., :3, 3] = nodes[..., -1, :]
+        return ArmFrames(nodes, axes, hand)
+
+    @cached_property
+    def _rule(self) -> tuple[tuple[int, ...], Floats]:
+        """Return the node of each hinge, and the nodes in the zero posture, (N + 1, 3)."""
+        last = self.joint_count  # hinges from here on belong to the hand
+        hand = self.home[:3, 3]
+        while last > 1 and self._misses(range(last - 1, last), hand) < _MEET:
+            last -= 1
+        nodes: list[NDArray[Any]] = []
+        joint_nodes: list[int] = []
+        before: Floats = np.zeros(3)
+        first = 0
+        while first < last:
+            end = first + 1
+            while end < last and self._meet(range(first, end + 1), before)[1] < _MEET:
+                end += 1
+            before = self._meet(range(first, end), before)[0]
+            joint_nodes += [len(nodes)] * (end - first)
+            nodes.append(before)
+            first = end
+        joint_nodes += [len(nodes)] * (self.joint_count - last)
+        return tuple(joint_nodes), np.array([*nodes, hand])
+
+    def _meet(self, joints: range, near: Floats) -> tuple[Floats, float]:
+        """Return the point nearest to some axes, and to `near` where it is free; and its miss."""
+        across = np.eye(3) - self.axes[joints, :, None] * self.axes[joints, None, :]
+        ask = np.einsum("nij,nj->i", across, self.points[joints] - near)
+        point = near + np.linalg.pinv(across.sum(axis=0), rcond=1e-6, hermitian=True) @ ask
+        return point, self._misses(joints, point)
+
+    def _misses(self, joints: range, point: Floats) -> float:
+        """Return the largest distance of a point from some axes."""
+        away = np.cross(self.axes[joints], point - self.points[joints])
+        return float(np.linalg.norm(away, axis=1).max())
+
+
+_X, _Y, _Z = np.eye(3)
+
+
+def _panda() -> HingeArm:
+    heights = (0.333, 0.333, 0.649, 0.649, 1.033, 1.033, 1.033)
+    forward = (0.0, 0.0, 0.0, 0.0825, 0.0, 0.0, 0.088)
+    return HingeArm(
+        axes=np.array([_Z, _Y, _Z, -_Y, _Z, -_Y, -_Z]),
+        points=np.outer(forward, _X) + np.outer(heights, _Z),
+        home=_pose([_X, -_Y, -_Z], (0.088, 0.0, 1.033 - 0.107)),
+        limits=np.array(
+            [
+                (-2.8973, 2.8973),
+                (-1.7628, 1.7628),
+                (-2.8973, 2.8973),
+                (-3.0718, -0.0698),
+                (-2.8973, 2.8973),
+                (-0.0175, 3.7525),
+                (-2.8973, 2.8973),
+            ]
+        ),
+    )
+
+
+def _ur5() -> HingeArm:
+    base, upper, fore, side, drop, tool = 0.089159, 0.425, 0.39225, 0.10915, 0.09465, 0.0823
+    wrist = (upper + fore, side, base - drop)
+    limits = np.full((6, 2), (-2 * np.pi, 2 * np.pi))
+    limits[2] = -np.pi, np.pi
+    return HingeArm(
+        axes=np.array([_Z, _Y, _Y, _Y, -_Z, _Y]),
+        points=np.array(
+            [
+                (0, 0, base),
+                (0, 0, base),
+                (upper, 0, base),
+                (upper + fore, 0, base),
+                (upper + fore, side, base),
+                wrist,
+            ]
+        ),
+        home=_pose([-_X, _Z, _Y], np.array(wrist) + tool * _Y),
+        limits=limits,
+    )
+
+
+def _iiwa() -> HingeArm:
+    heights = (0.36, 0.36, 0.78, 0.78, 1.18, 1.18, 1.18)
+    ranges = np.deg2rad((170, 120, 170, 120, 170, 120, 175))
+    return HingeArm(
+        axes=np.array([_Z, _Y, _Z, -_Y, _Z, _Y, _Z]),
+        points=np.outer(heights, _Z),
+        home=_pose([_X, _Y, _Z], 1.261 * _Z),
+        limits=np.stack([-ranges, ranges], axis=1),
+    )
+
+
+def _pose(columns: list[Floats], position: ArrayLike) -> Floats:
+    pose = np.eye(4)
+    pose[:3, :3] = np.transpose(columns)
+    pose[:3, 3] = position
+    return pose
+
+
+_TABLES: dict[str, Callable[[], HingeArm]] = {"panda": _panda, "ur5": _ur5, "iiwa": _iiwa}
