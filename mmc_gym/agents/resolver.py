@@ -447,6 +447,7 @@ def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
     """Make the agent of a function, a class or an object for an environment."""
     agent, failure = given, None
     if isinstance(given, type) or not hasattr(given, "predict"):
+        _check_takes_env(given, label)
         try:
             agent = as_agent(given(env))
         except CannotActError:
@@ -465,6 +466,19 @@ def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
         f"agent {label!r} must return an object with predict for an environment, or an action for "
         f"an observation, got {agent!r}"
     )
+
+
+def _check_takes_env(given: Any, label: str) -> None:
+    """Raise a `UserError` for a function or class that cannot be called with an environment."""
+    accepted = f"{getattr(given, '__name__', 'a function')}(env), called with the environment alone"
+    is_agent = not isinstance(given, type) or hasattr(given, "predict")
+    require(is_agent, f"agent {label!r}", given, "a class with predict")
+    try:
+        inspect.signature(given).bind(None)
+    except TypeError as error:
+        raise UserError(f"agent {label!r} must be {accepted}, got {given}: {error}") from error
+    except ValueError:  # Python does not know its signature
+        pass
 
 
 def _gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bool:

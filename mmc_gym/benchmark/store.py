@@ -265,13 +265,18 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
         columns: to read besides agent, training_seed, environment and instance; all if None.
 
     Raises:
-        UserError: if there are none, or a file is damaged or of other settings than the others.
+        UserError: if there are none, or a file is damaged, missing, or of other settings than the
+            others.
     """
     folder, shared = Path(folder), dict[str, tuple[Path, Mapping[str, Any]]]()
     chosen = None if columns is None else list(dict.fromkeys([*_KEY, "instance", *columns]))
+    others = [kind for kind in (PATHS, SETS) if _files(folder, kind)]  # may be left out as a whole
     tables = []
     for file in _files(folder, EPISODES):
         table, kept = _read(file, chosen)
+        for kind in others:
+            if kept.facts.get(f"has_{kind}"):
+                _require_file(folder / kind / file.name)
         own = {name: kept.settings.get(name) for name in _SHARED}
         other, theirs = shared.setdefault(file.stem.rpartition("--")[2], (file, own))
         if own != theirs:
@@ -282,6 +287,17 @@ def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> p
         why = "".join(f"; {line}" for line in reasons(read_manifest(folder).not_played))
         raise UserError(f"folder must hold a benchmark's episodes, got {str(folder)!r}{why}")
     return frame
+
+
+def require_all_cells(folder: Path, manifest: Manifest) -> None:
+    """Raise a `UserError` that names the first file of episodes that was removed since."""
+    for stem in manifest.cpu_seconds:
+        _require_file(folder / EPISODES / f"{stem}.parquet")
+
+
+def _require_file(path: Path) -> None:
+    if not path.is_file():
+        raise UserError(f"{path} is missing: the same benchmark makes it anew, and nothing else")
 
 
 def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd.DataFrame:

@@ -30,7 +30,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from mmc_gym._errors import UserError, nearest, require, shown, unknown
+from mmc_gym._errors import UserError, nearest, require, require_whole, shown, unknown
 from mmc_gym._files import import_object, look_here
 from mmc_gym.envs.perturbations import FAMILIES, Family, Perturbation
 from mmc_gym.envs.tasks import TASKS, Task
@@ -132,6 +132,8 @@ def _made(env: EnvLike, arguments: dict[str, Any]) -> gym.Env[Any, Any]:
     if isinstance(env, str):
         look_here()
         env_id, given = _for_gymnasium(env, arguments)
+        if (steps := given.get("max_episode_steps")) not in (None, -1):  # -1: no limit
+            require_whole("max_episode_steps", steps)
         try:
             return gym.make(env_id, **given)
         except UserError:

@@ -28,6 +28,7 @@ from mmc_gym.benchmark.store import (
     read_manifest,
     read_paths,
     read_sets,
+    require_all_cells,
 )
 from mmc_gym.envs.scenarios import BASELINE
 from mmc_gym.measures import Measure, SetMeasure, leave_out_failures
@@ -328,6 +329,7 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
             says why its cells were not played.  If no agent in the store has a name in `focus`.
     """
     manifest = read_manifest(store)
+    require_all_cells(store, manifest)
     measures = measures_of(manifest.measures)
     shown = [one.name for one in measures.values() if one.shown]
     played = read_episodes(store, [*shown, *_USED])

@@ -197,7 +197,31 @@ def test_a_function_that_fails_in_both_ways_fails_as_it_does_with_the_environmen
     with pytest.raises(ZeroDivisionError):
         compare([broken], episodes=1)
     with pytest.raises(UserError, match="'x' must return an object with predict"):
-        compare({"x": type("nothing", (), {"__init__": lambda self, env: None})}, episodes=1)
+        compare({"x": lambda env: 3}, episodes=1)
+
+
+class Alone:
+    def predict(self, observation):
+        return np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("agent", "message"),
+    [
+        (Alone, r"agent 'x' must be Alone\(env\), called with the environment alone"),
+        (lambda: Alone(), "called with the environment alone.* too many positional arguments"),
+        (dict, "agent 'x' must be a class with predict, got <class 'dict'>"),
+    ],
+)
+def test_what_cannot_be_called_with_an_environment_is_refused(agent, message):
+    with pytest.raises(UserError, match=message):
+        compare({"x": agent}, episodes=1)
+
+
+@pytest.mark.parametrize("steps", [0, 2.5])
+def test_episodes_have_a_whole_number_of_steps(steps):
+    with pytest.raises(UserError, match="max_episode_steps must be a whole number of at least 1"):
+        compare(["mmc"], episodes=1, env_kwargs={"max_episode_steps": steps})
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from mmc_gym.benchmark.store import (
     read_manifest,
     read_paths,
     read_sets,
+    require_all_cells,
     update_manifest,
     write_cell,
 )
@@ -132,9 +133,22 @@ def test_a_file_that_was_copied_over_another_is_named(store, kind):
         READ[kind](store)
 
 
+def test_a_file_that_was_removed_is_named(store, episodes):
+    other = KEY._replace(training_seed=4)
+    write(store, other, episodes, FACTS)
+    (store / PATHS / KEY.file_name).unlink()
+    with pytest.raises(UserError, match=f"{PATHS}/{KEY.file_name} is missing"):
+        read_episodes(store)
+    (store / PATHS / other.file_name).unlink()
+    assert len(read_episodes(store)) == 4  # without any paths, a store is whole
+    manifest = MANIFEST.model_copy(update={"cpu_seconds": {KEY.stem: 1.0, "mmc--random": 1.0}})
+    with pytest.raises(UserError, match=f"{EPISODES}/mmc--random.parquet is missing"):
+        require_all_cells(store, manifest)
+
+
 def test_a_cell_of_another_benchmark_is_named(store, episodes):
     other = KEY._replace(training_seed=4)
-    content = episodes_file(other, episodes, {**SETTINGS, "seed": 1}, FACTS)
+    content = episodes_file(other, episodes, {**SETTINGS, "seed": 1}, {})
     write_cell(store, other, {EPISODES: content})
     with pytest.raises(UserError, match=f"{other.file_name} must be of the same settings as"):
         read_episodes(store)
