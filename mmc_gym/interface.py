@@ -10,15 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from math import cos, sin, sqrt
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from mmc_gym._errors import UserError, require, require_array
+from mmc_gym._files import import_object
 from mmc_gym.network.chain import Floats, wrap_angle
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
@@ -331,16 +333,35 @@ class Seen(Sensed):
 
 @dataclass(frozen=True)
 class ReachInterface:
-    """All that an agent is given about a reaching environment.
+    """The contract between a reaching environment and an agent: all that the agent is given.
+
+    `of` returns that of an environment of this package.  For any other environment write a
+    subclass: `see` says where in an observation posture, joint speeds, hand and target are, and
+    `act` makes an action of joint targets.  Both take leading batch axes.
+
+        class MyInterface(ReachInterface):
+            def see(self, observation):
+                angles, speeds, hand, target = np.split(observation, [2, 4, 6], axis=-1)
+                return Seen(angles, target, joint_speeds=speeds, hand=hand)
+
+            def act(self, joint_targets, sensed):
+                return self.turn(sensed.joint_angles, joint_targets)
+
+    `make_agent` and `compare` take an object of it as `interface`.  Choose the unit of length such
+    that the segments have lengths near 1, because agents know no others.  In space vectors have
+    three components, (..., 3).
 
     Attributes:
-        segment_lengths: N lengths.
-        control: the environment's control mode.
+        segment_lengths: N lengths; of an arm in space, the distances between its nodes.
+        control: the environment's control mode; "joint_position" for a servo of your own.
         speed_limit: largest joint speed, rad/s.
         servo_gain: speed that a position servo asks for per angle to its target, 1/s.
         control_step: duration of a control step, s.
         joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
         lockable_joints: joints that lock during an episode; empty if agents are not given them.
+        success_distance: distance within which the target counts as reached, in the unit above.
+            None: as the environment says, in `info["is_success"]`.
+        arm: of an arm in space, its joints; None in the plane.
     """
 
     segment_lengths: tuple[float, ...]
@@ -350,6 +371,17 @@ class ReachInterface:
     control_step: float
     joint_limits: JointLimits | None = None
     lockable_joints: tuple[int, ...] = ()
+    success_distance: float | None = None
+    arm: Any = None
+
+    is_own: ClassVar[bool] = True  #: whether observations are those of `ObservationLayout`
+
+    def __init_subclass__(cls) -> None:
+        """Let `sense` of a subclass return what its `see` returns."""
+        if "see" in vars(cls):
+            cls.is_own = False
+            if "sense" not in vars(cls):
+                cls.sense = cls.see  # type: ignore[method-assign]
 
     @classmethod
     def of(cls, env: Any) -> ReachInterface:
@@ -361,14 +393,33 @@ class ReachInterface:
             UserError: if it is no reaching environment of this package, or they differ.
         """
         body, control = read_attribute(env, "parameters"), read_attribute(env, "control")
+        if isinstance(body, ReachInterface):
+            return body
         if body is None or control is None:
-            raise UserError(f"env must be a reaching environment of mmc_gym, got {env!r}")
-        names = (one.name for one in fields(cls) if one.name != "control")
+            raise UserError(
+                f"env must be a reaching environment of mmc_gym, got {env!r}; for any other "
+                "write a ReachInterface and hand it in, interface=..."
+            )
+        names = (one.name for one in fields(cls) if hasattr(body, one.name))
         return cls(control=control, **{name: getattr(body, name) for name in names})
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints, N."""
+        return len(self.arm.axes) if self.arm is not None else len(self.segment_lengths)
 
     @cached_property
     def layout(self) -> ObservationLayout:
-        """The layout of the environment's observations."""
+        """The layout of the environment's observations.
+
+        Raises:
+            CannotActError: for an interface with a `see` of its own.
+        """
+        if not self.is_own:
+            raise CannotActError(
+                "env must be a reaching environment of mmc_gym for an agent that reads its "
+                f"observations itself, got one with {type(self).__name__}"
+            )
         return ObservationLayout(len(self.segment_lengths), sum(self.segment_lengths))
 
     @property
@@ -477,6 +528,80 @@ class ReachInterface:
                 "control must be 'joint_position', 'joint_delta' or 'joint_velocity' for an agent "
                 f"that gives joint targets, got {self.control!r}"
             )
+
+
+class InterfacedEnv(gym.Env[Any, Any]):
+    """An environment together with its `ReachInterface`: what agents and measures need to know.
+
+    Observations, actions, rewards and ends of episodes are the environment's.  Infos have more
+    entries, as the interface sees them: `end_effector`, `target`, `distance` between them,
+    `joint_angles` (not wrapped), and `is_success` where the interface has a success distance.
+
+    Attributes:
+        env: the environment, with the wrappers that the interface was written for.
+        parameters: the interface.
+        control: its control mode.
+        success_distance: that of the interface; NaN if it has none.
+        reach: sum of the segment lengths.
+    """
+
+    def __init__(self, env: Any, interface: Any) -> None:
+        """Join an environment with its interface, which may be found by name or made.
+
+        Args:
+            env: the environment, single; agents also accept a vector of equal ones.
+            interface: a `ReachInterface`, "module:name" of one, or a function of the environment
+                that returns one.
+
+        Raises:
+            UserError: if it is none of these.
+        """
+        found = import_object(interface, "interface") if isinstance(interface, str) else interface
+        if callable(found) and not isinstance(found, ReachInterface):
+            found = found(env)
+        accepted = "an object of a subclass of ReachInterface, a function of env or 'module:name'"
+        require(isinstance(found, ReachInterface), "interface", found, accepted)
+        self.env, self.parameters, self.control = env, found, found.control
+        self.reach = sum(found.segment_lengths)
+        distance = found.success_distance
+        self.success_distance = math.nan if distance is None else distance
+        self.observation_space, self.action_space = env.observation_space, env.action_space
+        self.metadata, self.spec = env.metadata, env.spec
+        self.render_mode = getattr(env, "render_mode", None)
+        self._joint_angles: Floats | None = None
+
+    @override
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._joint_angles = None
+        return observation, self._told(observation, info)
+
+    @override
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated, truncated, self._told(observation, info)
+
+    def _told(self, observation: Any, info: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the info with what the interface sees."""
+        seen, before = self.parameters.see(observation), self._joint_angles
+        turn = 0.0 if before is None else wrap_angle(seen.joint_angles - before)
+        self._joint_angles = (seen.joint_angles if before is None else before) + turn
+        distance = float(np.linalg.norm(seen.target - seen.hand))
+        told = {"joint_angles": self._joint_angles, "end_effector": seen.hand}
+        told |= {"target": seen.target, "distance": distance}
+        if self.parameters.success_distance is not None:
+            told["is_success"] = distance <= self.parameters.success_distance
+        return {**info, **told}
+
+    @override
+    def render(self) -> Any:
+        return self.env.render()
+
+    @override
+    def close(self) -> None:
+        self.env.close()
 
 
 def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:

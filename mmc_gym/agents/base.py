@@ -9,7 +9,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,13 @@ from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError, require
 from mmc_gym._notebook import facts_table
-from mmc_gym.interface import Observation, ReachInterface, Sensed, read_attribute
+from mmc_gym.interface import (
+    CannotActError,
+    Observation,
+    ReachInterface,
+    Sensed,
+    read_attribute,
+)
 from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
 
@@ -90,17 +96,26 @@ class Agent(ABC, Generic[State]):
 
 
 class InternalModelAgent(Agent[State]):
-    """An agent whose state is an internal model of the arm, and which returns joint targets."""
+    """An agent whose state is an internal model of the arm, and which returns joint targets.
+
+    Attributes:
+        is_in_space: whether it moves an arm in space (`ReachInterface.arm`); others a planar one.
+    """
+
+    is_in_space: ClassVar[bool] = False
 
     def __init__(self, interface: ReachInterface) -> None:
         """Make an agent for the environment that `interface` describes.
 
         Raises:
-            CannotActError: under torque control.
+            CannotActError: under torque control, or for an arm that it does not move.
         """
         accepted = "a ReachInterface, such as ReachInterface.of(env)"
         require(isinstance(interface, ReachInterface), "interface", interface, accepted)
         interface.check_takes_joint_targets()
+        if (interface.arm is not None) != self.is_in_space:
+            accepted = "in space" if self.is_in_space else "in the plane"
+            raise CannotActError(f"interface must be of an arm {accepted} for this agent")
         self.interface = interface
         self._layouts: Layouts = {}
 

@@ -49,7 +49,14 @@ from mmc_gym.agents.registry import (
     learned_knowledge,
 )
 from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, models_in
-from mmc_gym.interface import CONTROLS, CannotActError, Control, ReachInterface, require_plain
+from mmc_gym.interface import (
+    CONTROLS,
+    CannotActError,
+    Control,
+    InterfacedEnv,
+    ReachInterface,
+    require_plain,
+)
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -545,7 +552,7 @@ def code_digest() -> str:
 
 
 def make_agent(
-    name: AgentLike, env: gym.Env[Any, Any], *, allow_pickle: bool = False
+    name: AgentLike, env: gym.Env[Any, Any], *, interface: Any = None, allow_pickle: bool = False
 ) -> Agent[Any]:
     """Make an agent for an environment, wrapped or not.
 
@@ -553,6 +560,8 @@ def make_agent(
         name: a key of `AGENTS`, "NAME-SEED" such as "ppo-3", the path of your own policy such as
             "runs/ppo-1/ppo-1.json", or "module:function"; see `resolve` for all.
         env: a reaching environment; the agent is given its segment lengths and control mode.
+        interface: for an environment that is not of this package, the `ReachInterface` that you
+            wrote for it, "module:name" of one, or a function of the environment that returns one.
         allow_pickle: whether files that hold pickles may be loaded, see `resolve`.
 
     Raises:
@@ -570,4 +579,6 @@ def make_agent(
     >>> info["is_success"]
     True
     """
+    if interface is not None:
+        env = InterfacedEnv(env, interface)
     return cast("Agent[Any]", resolve(name, allow_pickle=allow_pickle).factory(env))

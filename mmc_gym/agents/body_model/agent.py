@@ -145,7 +145,9 @@ class BodyAgent(InternalModelAgent[BodyState]):
         problem = self._forecast(state)
         plan = self._plan(state, problem)
         joint_targets, state = self._drive(state, problem, plan)
-        action = self.interface.act(joint_targets, Sensed(problem.joint_angles, seen.target))
+        # Late or noisy joint angles are corrected, speeds are as seen.
+        now = Seen(problem.joint_angles, seen.target, seen.joint_speeds, seen.hand)
+        action = self.interface.act(joint_targets, now)
         return action.reshape(*batch, action.shape[-1]), state
 
     def _sense(self, state: BodyState, seen: Seen) -> BodyState:

@@ -1,0 +1,114 @@
+"""A user's environment with a user's interface: agents act in it, and tools measure it."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmc_gym import make_agent
+from mmc_gym._errors import UserError
+from mmc_gym.interface import CannotActError, InterfacedEnv, ReachInterface, Seen
+from mmc_gym.network.chain import segments_from_joint_angles
+
+LENGTHS = (1.0, 1.1)
+METRES = 0.1  # the environment's lengths are in metres, segment lengths are a tenth of that
+
+
+class Drawer(gym.Env):
+    """Two joints that turn by what the action says; nothing of this package."""
+
+    observation_space = gym.spaces.Box(-np.inf, np.inf, (8,), np.float64)
+    action_space = gym.spaces.Box(-0.1, 0.1, (2,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.angles, self.speeds = self.np_random.uniform(-1, 1, 2), np.zeros(2)
+        radius, angle = self.np_random.uniform((0.05, -np.pi), (0.2, np.pi))
+        self.target = radius * np.array([np.cos(angle), np.sin(angle)])
+        return self.observation(), {}
+
+    def observation(self):
+        hand = METRES * segments_from_joint_angles(self.angles, LENGTHS).sum(axis=0)
+        return np.concatenate([self.target, hand, self.angles, self.speeds])
+
+    def step(self, action):
+        self.speeds = np.clip(action, -0.1, 0.1) / 0.02
+        self.angles = self.angles + 0.02 * self.speeds
+        seen = self.observation()
+        near = np.linalg.norm(seen[:2] - seen[2:4]) < 0.01
+        return seen, -1.0, False, False, {"is_success": near}
+
+
+class DrawerInterface(ReachInterface):
+    def see(self, observation):
+        target, hand, angles, speeds = np.split(observation, 4, axis=-1)
+        return Seen(angles, target / METRES, joint_speeds=speeds, hand=hand / METRES)
+
+    def act(self, joint_targets, sensed):
+        return np.clip(self.turn(sensed.joint_angles, joint_targets), -0.1, 0.1)
+
+
+INTERFACE = DrawerInterface(LENGTHS, "joint_position", 5.0, 50.0, 0.02, success_distance=0.1)
+STATES_NO_DISTANCE = replace(INTERFACE, success_distance=None)
+
+
+def make_drawer():
+    return gym.wrappers.TimeLimit(Drawer(), 80)
+
+
+def last_info(agent, env, seed):
+    observation, info = env.reset(seed=seed)
+    state, truncated = None, False
+    while not truncated:
+        action, state = agent.predict(observation, state)
+        observation, _, _, truncated, info = env.step(action)
+    return info
+
+
+@pytest.mark.parametrize("name", ["mmc-body", "ik-body", "mmc", "ik-dls", "minimum-jerk"])
+def test_agents_reach_in_an_environment_that_an_interface_describes(name):
+    env = make_drawer()
+    agent = make_agent(name, env, interface=INTERFACE)
+    assert all(last_info(agent, env, seed)["is_success"] for seed in range(5))
+
+
+def test_an_agent_acts_in_many_of_them_as_in_one():
+    agent = make_agent("mmc-body", make_drawer(), interface=INTERFACE)
+    seen = np.stack([Drawer().reset(seed=seed)[0] for seed in range(3)])
+    together, _ = agent.predict(seen)
+    np.testing.assert_allclose(together, [agent.predict(one)[0] for one in seen])
+
+
+@pytest.mark.parametrize("given", [INTERFACE, lambda env: INTERFACE, f"{__name__}:INTERFACE"])
+def test_an_interface_is_given_as_an_object_by_a_function_or_by_name(given):
+    assert ReachInterface.of(InterfacedEnv(make_drawer(), given)) == INTERFACE
+
+
+def test_infos_tell_what_the_interface_sees():
+    env = InterfacedEnv(make_drawer(), INTERFACE)
+    observation, info = env.reset(seed=0)
+    np.testing.assert_allclose(info["target"] * METRES, observation[:2])
+    np.testing.assert_allclose(
+        info["distance"], np.linalg.norm(info["target"] - info["end_effector"])
+    )
+    assert info["is_success"] == (info["distance"] <= INTERFACE.success_distance)
+    _, info = InterfacedEnv(make_drawer(), STATES_NO_DISTANCE).reset(seed=0)
+    assert "is_success" not in info
+
+
+@pytest.mark.parametrize("name", ["ppo", "random"])
+def test_an_agent_that_reads_our_observations_refuses_others(name):
+    with pytest.raises(CannotActError, match="DrawerInterface"):
+        make_agent(name, make_drawer(), interface=INTERFACE)
+
+
+def test_an_agent_of_the_plane_refuses_an_arm_in_space():
+    with pytest.raises(CannotActError, match="in the plane"):
+        make_agent("ik-dls", make_drawer(), interface=replace(INTERFACE, arm=object()))
+
+
+@pytest.mark.parametrize("given", [3, "nowhere:interface", lambda env: None])
+def test_anything_else_is_refused(given):
+    with pytest.raises(UserError, match="interface"):
+        make_agent("mmc", make_drawer(), interface=given)
