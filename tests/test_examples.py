@@ -22,7 +22,7 @@ SHOWS = {
     "bring_your_own.py": r"success at the end: still 0\.0 %, turner 0\.0 %, mmc 100\.0 %",
     "plain_torch.py": r"9[5-9]\.\d% of the targets after",
     "arm/plot_a_movement.py": r"the hand is 0\.0\d+ segment lengths from its target",
-    "arm/plot_contact_sheet.py": r"8 tasks, 14 perturbations",
+    "arm/plot_contact_sheet.py": r"8 tasks, 16 perturbations",
     "arm/plot_locked_joint.py": r"mmc: [12]\d% .*\nmmc-body: [6-9]\d%",
     "arm/plot_million_arms.py": r"1,000,000 networks.*4\d\.\d% of 2,000 arms",
     "arm/plot_own_task.py": r"mmc: 0\.2\d segment lengths behind.*ppo: 0\.0\d",

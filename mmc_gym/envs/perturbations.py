@@ -28,6 +28,7 @@ from mmc_gym._errors import (
     require,
     require_finite,
     require_not_negative,
+    require_number,
     require_numbers,
     require_positive,
     shown,
@@ -56,7 +57,7 @@ class Perturbation:
     def check_hooks(self) -> None:
         """Raise a `UserError` if the class changes nothing, as with a misspelt method."""
         changes = type(self).change_body is not Perturbation.change_body
-        if not changes and not isinstance(self, Noise | VisuomotorRotation | SensoryDelay):
+        if not changes and not isinstance(self, Noise | Cursor | SensoryDelay):
             found = nearest("change_body", vars(type(self)))
             raise UserError(
                 f"the perturbation {type(self).__name__} must have a method change_body(self, body)"
@@ -205,17 +206,41 @@ class Noise(Perturbation, ABC):
         """Return what is seen under noise; `draw(k)` gives standard normal numbers, (..., k)."""
 
 
+class Cursor(Perturbation, ABC):
+    """A cursor is seen, measured and rewarded in place of the hand.
+
+    Attributes:
+        centre: (x, y), where cursor and hand coincide.  None: where the task's movements begin, or
+            the base if they begin anywhere.
+    """
+
+    centre: tuple[float, float] | None
+
+    @abstractmethod
+    def cursor(
+        self, x: Coordinate, y: Coordinate, target: tuple[Coordinate, Coordinate]
+    ) -> tuple[Coordinate, Coordinate]:
+        """Return where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
+
+    def hand(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
+        """Return where the hand is for a cursor at (x, y), which is the target."""
+        return x, y
+
+    @abstractmethod
+    def farthest(self, reach: float) -> float:
+        """Return the largest distance of the cursor from the base."""
+
+
 @spelt
 @dataclass(frozen=True)
-class VisuomotorRotation(Perturbation):
-    """A cursor is seen, measured and rewarded in place of the hand: the hand turned about a centre.
+class VisuomotorRotation(Cursor):
+    """The cursor is the hand, turned about a centre.
 
     After Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20:8916, who turned by 30°.
 
     Attributes:
         degrees: counter-clockwise.
-        centre: (x, y), where cursor and hand coincide.  None: where the task's movements begin, or
-            the base if they begin anywhere.  A turn about the base leaves all targets in reach; one
+        centre: as of every cursor.  A turn about the base leaves all targets in reach; one
             about another point may take fixed targets near the border out of reach.
     """
 
@@ -227,16 +252,109 @@ class VisuomotorRotation(Perturbation):
         if self.centre is not None:
             require_numbers("centre", self.centre, "two finite values (x, y)", is_point)
 
-    def cursor(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
-        """Return where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
+    @override
+    def cursor(
+        self, x: Coordinate, y: Coordinate, target: object = None
+    ) -> tuple[Coordinate, Coordinate]:
         cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
         centre = self.centre or (0.0, 0.0)
         x, y = x - centre[0], y - centre[1]
         return centre[0] + cos * x - sin * y, centre[1] + sin * x + cos * y
 
+    @override
     def hand(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
-        """Return where the hand is for a cursor at (x, y)."""
         return replace(self, degrees=-self.degrees).cursor(x, y)
+
+    @override
+    def farthest(self, reach: float) -> float:
+        return reach + math.hypot(*self.cursor(0.0, 0.0))
+
+
+@spelt
+@dataclass(frozen=True)
+class ErrorClamp(Cursor):
+    """The cursor moves along a fixed direction, as far from the centre as the hand, which is free.
+
+    After Morehead, Taylor, Parvin & Ivry (2017), J. Cogn. Neurosci. 29:1061.
+
+    Attributes:
+        degrees: from the direction of the target to that of the cursor, counter-clockwise.
+        centre: as of every cursor.
+    """
+
+    degrees: float = 15.0
+    centre: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        require_finite("degrees", self.degrees)
+
+    @override
+    def cursor(
+        self, x: Coordinate, y: Coordinate, target: tuple[Coordinate, Coordinate]
+    ) -> tuple[Coordinate, Coordinate]:
+        cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
+        centre = self.centre or (0.0, 0.0)
+        along, across, _ = _direction(centre, target)
+        away = _length(x - centre[0], y - centre[1])
+        turned = cos * along - sin * across, sin * along + cos * across
+        return centre[0] + away * turned[0], centre[1] + away * turned[1]
+
+    @override
+    def farthest(self, reach: float) -> float:
+        return reach + 2 * math.hypot(*(self.centre or (0.0, 0.0)))
+
+
+@spelt
+@dataclass(frozen=True)
+class CursorJump(Cursor):
+    """The cursor is the hand, until it jumps across the way to the target and stays beside it.
+
+    After Saunders & Knill (2005), Exp. Brain Res. 162:458.
+
+    Attributes:
+        percent: of the way from the centre to the target; positive to the left.
+        share: of the way that the hand has made when the cursor jumps.
+        centre: as of every cursor.
+    """
+
+    percent: float = 10.0
+    share: float = 0.25
+    centre: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        require_finite("percent", self.percent)
+        require_number("share", self.share, "a number from 0 to 1", lambda share: 0 <= share <= 1)
+
+    @override
+    def cursor(
+        self, x: Coordinate, y: Coordinate, target: tuple[Coordinate, Coordinate]
+    ) -> tuple[Coordinate, Coordinate]:
+        centre = self.centre or (0.0, 0.0)
+        along, across, way = _direction(centre, target)
+        made = (x - centre[0]) * along + (y - centre[1]) * across
+        jump = (made >= self.share * way) * (self.percent / 100) * way
+        return x - jump * across, y + jump * along
+
+    @override
+    def farthest(self, reach: float) -> float:
+        centre = math.hypot(*(self.centre or (0.0, 0.0)))
+        return reach + abs(self.percent) / 100 * (reach + centre)
+
+
+def _direction(
+    centre: tuple[float, float], target: tuple[Coordinate, Coordinate]
+) -> tuple[Coordinate, Coordinate, Coordinate]:
+    """Return the unit vector from the centre to the target, 0 if they coincide, and its length."""
+    x, y = target[0] - centre[0], target[1] - centre[1]
+    way = _length(x, y)
+    whole = way + (way == 0.0)
+    return x / whole, y / whole, way
+
+
+def _length(x: Coordinate, y: Coordinate) -> Coordinate:
+    """Return |(x, y)|: the square root rounds alike for numbers and arrays, `hypot` does not."""
+    length: Coordinate = np.sqrt(x * x + y * y)
+    return length
 
 
 @spelt
@@ -379,6 +497,20 @@ FAMILIES: dict[str, Family] = {
             default=30.0,
             make=VisuomotorRotation,
             strengths=(15.0, 30.0, 45.0, 60.0),
+        ),
+        Family(
+            name="clamp",
+            unit="°",
+            description="cursor clamped to a direction {}° from the target",
+            default=15.0,
+            make=ErrorClamp,
+        ),
+        Family(
+            name="cursor-jump",
+            unit="% of the way",
+            description="cursor jumps across the way by {} % of it",
+            default=10.0,
+            make=CursorJump,
         ),
         Family(
             name="hand-mass",

@@ -304,7 +304,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def _look_and_reward(self) -> tuple[Any, float, Info]:
         """Return observation, reward and info of the present state; store its joint speeds."""
         arm, setup, target = self._arm, self.setup, self._target
-        hand = arm.end_effector if setup.rotation is None else self._seen_hand()
+        hand = arm.end_effector if setup.cursor is None else self._seen_hand()
         speeds = relative_speeds(arm.joint_velocities, setup.given_body.speed_limit)
         distance = _distance(hand, target)
         is_success = distance <= setup.success_distance and self._is_last_target
@@ -312,7 +312,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._speeds = speeds
         info["end_effector"] = np.array(arm.end_effector)
         info["target"] = np.array(target)
-        if setup.rotation is not None:
+        if setup.cursor is not None:
             info["cursor"] = np.array(hand)
         if setup.noises:
             state = arm.joint_angles, target, arm.joint_velocities, hand
@@ -323,8 +323,8 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
     def _seen_hand(self) -> Point:
         """Return the position of the hand, or of the cursor that stands for it."""
-        rotation, hand = self.setup.rotation, self._arm.end_effector
-        return hand if rotation is None else rotation.cursor(*hand)
+        cursor, hand = self.setup.cursor, self._arm.end_effector
+        return hand if cursor is None else cursor.cursor(*hand, self._target)
 
     def _delayed(self, observation: Any) -> Any:
         """Return the observation that has arrived; it shares no memory with later ones."""

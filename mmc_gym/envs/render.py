@@ -126,9 +126,9 @@ class Renderer:
             canvas.draw_lock(nodes[joint])
 
     def _paint_target(self, scene: Scene, hand: Point) -> None:
-        canvas, setup = self._canvas, self._setup
-        cursor = hand if setup.rotation is None else setup.rotation.cursor(*hand)
-        if setup.rotation is not None:
+        canvas, setup, (x, y) = self._canvas, self._setup, scene.target
+        cursor = hand if setup.cursor is None else setup.cursor.cursor(*hand, (x, y))
+        if setup.cursor is not None:
             canvas.draw_cursor(hand, cursor)
         is_reached = math.dist(cursor, scene.target) <= setup.success_distance
         canvas.draw_target(scene.target, setup.success_distance, is_reached)

@@ -32,11 +32,11 @@ from mmc_gym._errors import (
 )
 from mmc_gym.body import ArmParameters, Engine
 from mmc_gym.envs.perturbations import (
+    Cursor,
     LockedJoint,
     Noise,
     Perturbation,
     SensoryDelay,
-    VisuomotorRotation,
 )
 from mmc_gym.envs.scenarios import environment_id, find_perturbation, find_task
 from mmc_gym.envs.tasks import RandomTarget, Request, Task, Trial
@@ -75,7 +75,7 @@ class ReachSetup:
         noises: noises of the senses.
         delay: of the senses, control steps.
         are_senses_disturbed: whether there is noise or delay.
-        rotation: the visuomotor rotation, or None.
+        cursor: the perturbation that shows a cursor in place of the hand, or None.
         lock_step: number of control steps after which the lockable joints lock, or None.
         workspace: where hand and target can be.
         path_length: number of places on the path of the target.
@@ -173,18 +173,21 @@ class ReachSetup:
         self.lock_step = round(times.pop() / step) if times else None
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
         self.workspace = Workspace(self.body, self.given_body, locked)
-        self.rotation = self.workspace.rotation = self._rotation()
-        shift = self.rotation.cursor(0.0, 0.0) if self.rotation else (0.0, 0.0)
-        self.farthest = sum(self.body.segment_lengths) + math.hypot(*shift)
+        self.cursor = self.workspace.cursor = self._cursor()
+        reach = sum(self.body.segment_lengths)
+        self.farthest = self.cursor.farthest(reach) if self.cursor else reach
 
-    def _rotation(self) -> VisuomotorRotation | None:
-        """Return the rotation, if there is one, with its centre filled in."""
-        rotations = [one for one in self.perturbations if isinstance(one, VisuomotorRotation)]
-        require(len(rotations) <= 1, "perturbations", rotations, "a list with at most one rotation")
-        if not rotations:
+    def _cursor(self) -> Cursor | None:
+        """Return the perturbation that shows a cursor, if there is one, with its centre."""
+        cursors = [one for one in self.perturbations if isinstance(one, Cursor)]
+        accepted = "a list with at most one rotation or other cursor"
+        require(len(cursors) <= 1, "perturbations", cursors, accepted)
+        if not cursors:
             return None
         (x, y), reach = self.task.start or (0.0, 0.0), self.workspace.outer
-        return replace(rotations[0], centre=rotations[0].centre or (x * reach, y * reach))
+        centre = cursors[0].centre or (x * reach, y * reach)
+        cursor: Cursor = replace(cursors[0], centre=centre)  # type: ignore[type-var]
+        return cursor
 
     def observe_with_noise(
         self, seen: Seen, randoms: Sequence[np.random.Generator]

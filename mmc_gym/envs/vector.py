@@ -127,7 +127,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._is_fused = (
             self._compiled is not None
             and setup.task.advance == "time"
-            and setup.rotation is None
+            and setup.cursor is None
             and render_mode is None
         )
         self._renderers: list[Renderer] = []
@@ -364,7 +364,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self, arms: Indices | slice, hands: NDArray[np.float64], observation: Any, info: Info
     ) -> Any:
         """Return what these arms observe, noise included; write the cursor into `info`."""
-        if self.setup.rotation is not None:
+        if self.setup.cursor is not None:
             info["cursor"] = hands
         if not self.setup.noises:
             return observation
@@ -386,9 +386,10 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     def _seen_hands(self, arms: Indices | slice) -> NDArray[np.float64]:
         """Return where the hands are, or the cursors that stand for them, (k, 2)."""
         hands = self._body.end_effectors[arms]
-        if self.setup.rotation is None:
+        if self.setup.cursor is None:
             return hands
-        return np.stack(self.setup.rotation.cursor(*hands.T), axis=-1)
+        (x, y), targets = hands.T, self._targets[arms].T
+        return np.stack(self.setup.cursor.cursor(x, y, (targets[0], targets[1])), axis=-1)
 
     def _show_start(self, arms: Indices, observation: Any) -> None:
         """Let these arms see this observation until the delay of the senses is over."""

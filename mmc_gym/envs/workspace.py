@@ -20,7 +20,7 @@ from mmc_gym.network.chain import (
 
 if TYPE_CHECKING:
     from mmc_gym.body import ArmParameters
-    from mmc_gym.envs.perturbations import VisuomotorRotation
+    from mmc_gym.envs.perturbations import Cursor
 
 # A target within 1e-9 reaches of the border counts as reachable: rounding puts them there.
 REACH_TOLERANCE = 1e-9
@@ -43,10 +43,10 @@ class Workspace:
     Attributes:
         inner: smallest distance of a reachable point from the base, with all joints free.
         outer: largest distance, likewise.
-        rotation: of the cursor that must reach a target in place of the hand, or None.
+        cursor: the perturbation whose cursor must reach a target in place of the hand, or None.
     """
 
-    rotation: VisuomotorRotation | None = None
+    cursor: Cursor | None = None
 
     def __init__(
         self,
@@ -79,12 +79,12 @@ class Workspace:
         """Tell whether the hand can be at `point` (x, y), leaving joint limits aside.
 
         Args:
-            point: (x, y).  With a rotation, both the cursor and the hand must be able to be there.
+            point: (x, y).  With a cursor, both it and the hand must be able to be there.
             posture: N joint angles to start from, which the locked joints keep; None ignores
                 locks.
         """
         x, y = point
-        hand = (x, y) if self.rotation is None else self.rotation.hand(x, y)
+        hand = (x, y) if self.cursor is None else self.cursor.hand(x, y)
         radius = self.body.segment_radius
         is_free = all(math.dist(hand, disc[:2]) > disc[2] + radius for disc in self.body.obstacles)
         fine = is_free and self._is_in_ring((x, y)) and self._is_in_ring(hand)
@@ -128,7 +128,7 @@ class Workspace:
         """
         for _ in range(_MOST_TARGETS):
             hand = self._draw_hand(random, posture)
-            target = hand if self.rotation is None else self.rotation.cursor(*hand)
+            target = hand if self.cursor is None else self.cursor.cursor(*hand, hand)
             if self.contains(target):
                 return target
         raise self._no_target()
@@ -139,15 +139,15 @@ class Workspace:
             "perturbations must leave targets in reach, got segment_lengths "
             f"{body.segment_lengths}, given as {given.segment_lengths}, locked joints "
             f"{self.locked}, joint_limits {body.joint_limits}, obstacles {body.obstacles} and "
-            f"rotation {self.rotation}"
+            f"cursor {self.cursor}"
         )
 
     @property
     def is_ring(self) -> bool:
         """Whether all postures are possible and reach all targets between two radii."""
-        body, rotation = self.body, self.rotation
+        body, cursor = self.body, self.cursor
         is_free = not self.locked and not body.joint_limits and not body.obstacles
-        return is_free and (rotation is None or rotation.centre == (0.0, 0.0))
+        return is_free and (cursor is None or cursor.centre == (0.0, 0.0))
 
     def draw_pairs(self, randoms: Sequence[np.random.Generator]) -> tuple[Floats, Floats]:
         """Draw a posture and a target from each of k generators, where `is_ring`.
@@ -167,8 +167,8 @@ class Workspace:
         angles = (-math.pi + math.tau * draws[:, count + 1]).tolist()
         # Not numpy's cosine, which may differ in the last bit.
         targets = radii * [*map(math.cos, angles)], radii * [*map(math.sin, angles)]
-        if self.rotation is not None:
-            targets = self.rotation.cursor(*targets)
+        if self.cursor is not None:
+            targets = self.cursor.cursor(*targets, targets)
         return postures, np.stack(targets, axis=-1)
 
     def _draw_hand(self, random: np.random.Generator, posture: Sequence[float]) -> Point:

@@ -64,7 +64,7 @@ def cause(episode: Episode, setup: ReachSetup) -> str:
     hands, targets = episode.seen_hands, episode.targets
     if setup.lock_step:
         workspace = Workspace(setup.body, setup.given_body, setup.body.lockable_joints)
-        workspace.rotation = setup.rotation
+        workspace.cursor = setup.cursor
         if not workspace.contains(targets[-1], episode.joint_angles[-1]):
             return "out of reach"
     stands = (targets == targets[-1]).all(axis=-1)

@@ -41,7 +41,7 @@ class KnownBody(BodyAgent):
     def start(self, sensed: Sensed) -> BodyState:
         state, arms = super().start(sensed), len(sensed.joint_angles)
         shift, turn = 0j, 1 + 0j
-        if (rotation := self.setup.rotation) is not None:
+        if (rotation := self.setup.cursor) is not None:
             shift = complex(*rotation.cursor(0.0, 0.0))
             turn = complex(*rotation.cursor(1.0, 0.0)) - shift
         lengths = np.tile(self.setup.body.segment_lengths, (arms, 1))

@@ -83,7 +83,7 @@ class Truth(gym.vector.VectorWrapper[Any, Any, Any]):
         super().__init__(env)
         reaching: Any = env.unwrapped
         self._setup, self._arms = reaching.setup, reaching.arms
-        count, body, turn = self._setup.joint_count, self._setup.body, self._setup.rotation
+        count, body, turn = self._setup.joint_count, self._setup.body, self._setup.cursor
         angle = 0.0 if turn is None else np.radians(turn.degrees)
         curl = 0.0 if body.force_field is None else body.force_field[0][1]
         forces = curl / 100, body.hand_mass / 10, body.gravity[1] / 100

@@ -117,7 +117,7 @@ def test_an_evenly_bent_posture_beyond_reach_or_limits_is_refused():
 @pytest.mark.parametrize("degrees", [30.0, -90.0, 180.0])
 def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(centre, degrees):
     space, random = workspace((1.0, 1.0, 1.0)), np.random.default_rng(0)
-    space.rotation = rotation = VisuomotorRotation(degrees, centre)
+    space.cursor = rotation = VisuomotorRotation(degrees, centre)
     for _ in range(300):
         target = space.draw_target(random, [])
         assert space.contains(target)
