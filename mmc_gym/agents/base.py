@@ -94,6 +94,19 @@ class Agent(ABC, Generic[State]):
             UserError: if observation, state and `episode_start` do not fit together.
         """
 
+    def between_trials(self, state: State | None, rest: float = 0.0) -> State | None:
+        """Return what the agent keeps of a trial for the next one; here nothing, None.
+
+        The next trial begins with a call of `predict` that is handed the state kept, and no
+        `episode_start`: such a state says itself that another movement begins, in another posture.
+
+        Args:
+            state: what the last call of `predict` in the trial returned.
+            rest: time until the next trial beyond the usual, s.
+        """
+        del state, rest
+        return None
+
 
 class InternalModelAgent(Agent[State]):
     """An agent whose state is an internal model of the arm, and which returns joint targets.

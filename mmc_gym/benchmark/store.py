@@ -110,7 +110,7 @@ def episodes_file(
         "instance": np.arange(len(episodes), dtype=np.int32),
         **episode_columns(episodes),
     }
-    return _parquet(columns, Kept(settings, facts))
+    return to_parquet(columns, Kept(settings, facts))
 
 
 def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
@@ -140,7 +140,7 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
         "step": np.concatenate([np.arange(count, dtype=np.int32) for count in counts]),
         **{name: values.astype(np.float32) for name, values in numbers.items()},
     }
-    return _parquet(columns)
+    return to_parquet(columns)
 
 
 def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
@@ -159,7 +159,7 @@ def sets_file(key: CellKey, episodes: Sequence[Episode]) -> bytes | None:
         "episodes": np.full(len(measures), len(episodes), dtype=np.int32),
         "value": np.array([value_of(measure, episodes) for measure in measures]),
     }
-    return _parquet(columns)
+    return to_parquet(columns)
 
 
 def _key_columns(key: CellKey, rows: int) -> dict[str, Any]:
@@ -177,7 +177,8 @@ class Kept(NamedTuple):
     facts: Mapping[str, Any] = {}
 
 
-def _parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
+def to_parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
+    """Return columns as a Parquet file that carries settings and facts, and a checksum of both."""
     table = pa.table(dict(columns))
     content = json.dumps((kept or Kept())._asdict())
     metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
@@ -200,7 +201,7 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
     """
     try:
         file = pq.ParquetFile(path, page_checksum_verification=True)
-        kept = _kept(file.schema_arrow)
+        kept = kept_in(file.schema_arrow)
         table = file.read(columns, use_threads=False)  # one thread is faster for small files
         if (
             len(table)
@@ -214,7 +215,8 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
         raise UserError(f"{path} is damaged, the benchmark makes it anew: {error}") from error
 
 
-def _kept(schema: pa.Schema) -> Kept:
+def kept_in(schema: pa.Schema) -> Kept:
+    """Return settings and facts of a file; raise a `ValueError` if it is not as it was written."""
     metadata = schema.metadata or {}
     content = metadata.get(_CONTENT, b"").decode()
     if metadata.get(_CHECK, b"").decode() != _checksum(schema, content):
@@ -253,7 +255,7 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
     found = {}
     for path in _files(folder, EPISODES):
         with suppress(OSError, pa.ArrowException, ValueError):
-            found[path.stem] = _kept(pq.read_schema(path))
+            found[path.stem] = kept_in(pq.read_schema(path))
     return found
 
 

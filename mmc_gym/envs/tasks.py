@@ -222,6 +222,54 @@ class PointToPoint(Task):
 
 @spelt
 @dataclass(frozen=True)
+class CuedTarget(PointToPoint):
+    """The target waits at the start until a go cue, and may jump across the way in flight.
+
+    All movements have one start.  For the jump see Saunders & Knill (2005), Exp. Brain Res.
+    162:458.
+
+    Attributes:
+        go_cue: when the target leaves the start, s.
+        jump: across the way from start to target, percent of it, positive to the left.
+        jump_time: when it jumps, s after the go cue.
+    """
+
+    go_cue: float = 0.0
+    jump: float = 0.0
+    jump_time: float = 0.1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self.start is not None, "pairs", self.pairs, "with the same start")
+        require_not_negative(go_cue=self.go_cue, jump_time=self.jump_time)
+        require_finite("jump", self.jump)
+
+    @override
+    def draw(self, request: Request) -> Trial:
+        trial, step = super().draw(request), request.workspace.body.control_step
+        (target,) = trial.targets
+        waits = [self._ends(request.workspace, 0)[0]] * round(self.go_cue / step)
+        if not self.jump:
+            return Trial(trial.joint_angles, [*waits, target])
+        before = [target] * round(self.jump_time / step)
+        return Trial(trial.joint_angles, [*waits, *before, self._jumped(request.workspace, target)])
+
+    @override
+    def check(self, workspace: Workspace) -> None:
+        super().check(workspace)
+        for trial in range(len(self.pairs)):
+            target = self._jumped(workspace, self._ends(workspace, trial)[1])
+            require(workspace.contains(target), "jump", self.jump, "small enough to stay in reach")
+
+    def _jumped(self, workspace: Workspace, target: Point) -> Point:
+        """Return where a target is after its jump."""
+        start, share = self._ends(workspace, 0)[0], self.jump / 100
+        x, y = target[0] - start[0], target[1] - start[1]
+        return target[0] - share * y, target[1] + share * x
+
+
+@spelt
+@dataclass(frozen=True)
 class Pursuit(Task):
     """The target moves along sums of sines, as in manual tracking (McRuer & Jex, 1967).
 

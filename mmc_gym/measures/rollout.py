@@ -129,17 +129,39 @@ def run_episodes(
             stack.callback(setattr, arm, "records_effort", arm.records_effort)
             arm.records_effort = records_effort
         for group in groups:
-            for episode in _play(agent, env, *group, arm):
+            for episode in _play(agent, env, *group, arm)[0]:
                 episodes.append(episode)
                 if on_episode is not None:
                     on_episode(episode)
     return tuple(episodes)
 
 
+def run_trial(
+    agent: Predictor, env: Env, seeds: Sequence[int], options: Sequence[Options], state: Any = None
+) -> tuple[list[Episode], Any]:
+    """Let `agent` play one episode with each arm, from a state that it kept.
+
+    Arguments are those of `run_episodes`, which checks them; `state` is None at the start of all.
+
+    Returns:
+        The episodes, in the order of the seeds, and the state that `predict` returned last.
+    """
+    arm: Any = getattr(env.unwrapped, "arms", None) or getattr(env.unwrapped, "arm", None)
+    return _play(agent, env, seeds, options, arm, state)
+
+
 def _play(
-    agent: Predictor, env: Env, seeds: Sequence[int], options: Sequence[Options], arm: Any
-) -> list[Episode]:
-    """Play one episode, or those of all arms of a vector environment, from reset to end."""
+    agent: Predictor,
+    env: Env,
+    seeds: Sequence[int],
+    options: Sequence[Options],
+    arm: Any,
+    state: Any = None,
+) -> tuple[list[Episode], Any]:
+    """Play one episode, or those of all arms of a vector environment, from reset to end.
+
+    With the episodes, return the agent's state at their end.
+    """
     together = isinstance(env, gym.vector.VectorEnv)
     observation, info = (_reset_together if together else _reset)(env, seeds, options)
     effort = _EFFORT if getattr(arm, "records_effort", False) else ()
@@ -154,7 +176,7 @@ def _play(
 
     note(info)
     times: list[int] = []
-    state, episode_start, over = None, np.ones(len(seeds), dtype=bool), False
+    episode_start, over = np.full(len(seeds), state is None), False
     while not over:
         if len(times) == MAX_STEPS:
             raise RuntimeError(f"the episode did not end within {MAX_STEPS} steps: no time limit?")
@@ -181,7 +203,7 @@ def _play(
     unreported = np.full_like(arrays["joint_angles"][:, 1:], math.nan)
     arrays = {**dict.fromkeys(_EFFORT, unreported), **arrays}
     world: Any = env.unwrapped
-    return [
+    episodes = [
         Episode(
             seed=seed,
             **{name: values[number] for name, values in arrays.items()},
@@ -193,6 +215,7 @@ def _play(
         )
         for number, seed in enumerate(seeds)
     ]
+    return episodes, state
 
 
 def _reset(env: Any, seeds: Sequence[int], options: Sequence[Options]) -> Any:

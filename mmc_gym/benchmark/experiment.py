@@ -1,0 +1,463 @@
+"""Experiments over trials: blocks with perturbations, probes and rests, as data.
+
+    Experiment  ->  schedule: what happens in each trial  ->  mmc_gym.benchmark.trials plays it
+
+All trials are centre-out: they start in one posture, and the targets lie around the hand.
+Experiments after classic ones have names, with a strength as scenarios have: `rotation-30`.
+Others are written in Python or YAML.  Angles are in degrees, counter-clockwise.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
+
+import numpy as np
+from annotated_types import Ge, Gt, Lt, MinLen
+from numpy.typing import NDArray
+from pydantic import AfterValidator, ConfigDict, StringConstraints, ValidationError
+from pydantic.dataclasses import dataclass
+
+from mmc_gym._errors import UserError, explain, require, unknown
+from mmc_gym._files import read_yaml
+from mmc_gym.envs.perturbations import FAMILIES
+from mmc_gym.envs.scenarios import scenario
+from mmc_gym.envs.tasks import CuedTarget
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Class = TypeVar("Class", bound=type)
+
+
+def _perturbation(name: str) -> str:
+    found = scenario(name)
+    require(len(found.perturbations) == 1, "perturbations", name, "one each, such as rotation-30")
+    return found.name
+
+
+Word = Annotated[str, MinLen(1)]
+Seconds = Annotated[float, Ge(0), Lt(1000)]
+Perturbations = tuple[Annotated[str, AfterValidator(_perturbation)], ...]
+Directions = tuple[
+    Annotated[float, Ge(-360), Lt(360), AfterValidator(lambda turn: turn % 360)], ...
+]
+EIGHT = tuple(45.0 * k for k in range(8))
+_STRICT = ConfigDict(extra="forbid")
+
+
+def _explained(cls: Class) -> Class:
+    """Make a class of pydantic raise its errors as a `UserError` in one line."""
+    plain: Any = cls.__init__  # type: ignore[misc]
+
+    @functools.wraps(plain)
+    def initialize(self: Any, *args: Any, **arguments: Any) -> None:
+        try:
+            plain(self, *args, **arguments)
+        except ValidationError as error:
+            raise UserError(f"{cls.__name__}: {explain(error)}") from error
+
+    cls.__init__ = initialize  # type: ignore[misc]
+    return cls
+
+
+@_explained
+@dataclass(frozen=True, config=_STRICT)
+class Probe:
+    """Single trials among those of a block in which something else happens.
+
+    Attributes:
+        name: such as "catch", for the table of trials.
+        every: one of so many trials, at a drawn place among them, the same for all subjects.
+        perturbations: in place of the block's; none for a catch trial, clamp-0 for an error clamp.
+        targets: directions in place of the block's, which may never be trained.
+        target_jump: of the target in flight, see `CuedTarget.jump`.
+    """
+
+    name: Word
+    every: Annotated[int, Ge(2)]
+    perturbations: Perturbations = ()
+    targets: Directions = ()
+    target_jump: float = 0.0
+
+
+@_explained
+@dataclass(frozen=True, config=_STRICT)
+class Block:
+    """Trials under one condition.
+
+    Attributes:
+        name: of the phase, such as "baseline" or "washout".
+        trials: how many.
+        perturbations: names, such as "rotation-30".
+        targets: directions from the start; each subject meets them in an order of its own, all of
+            them before one comes again.
+        probes: trials among these in which something else happens.
+        gradual: whether the perturbations grow over the block, to their strength in its last trial.
+        rest: before the block, s.
+        go_cue: when the target appears, s after the start of a trial; the hand waits till then.
+    """
+
+    name: Word
+    trials: Annotated[int, Gt(0), Lt(100_000)]
+    perturbations: Perturbations = ()
+    targets: Annotated[Directions, MinLen(1)] = EIGHT
+    probes: tuple[Probe, ...] = ()
+    gradual: bool = False
+    rest: Annotated[float, Ge(0)] = 0.0
+    go_cue: Seconds = 0.0
+
+    def __post_init__(self) -> None:
+        share = sum(1 / probe.every for probe in self.probes)
+        require(share < 1, "probes", self.probes, "fewer than the trials")
+        for name in self.perturbations if self.gradual else ():
+            whole = FAMILIES[scenario(name).family].whole
+            require(not whole, "perturbations", name, "one that can grow, in a gradual block")
+
+    def perturbations_in(self, trial: int) -> tuple[str, ...]:
+        """Return the names of the perturbations in a trial of the block, counted from 0."""
+        if not self.gradual:
+            return self.perturbations
+        grown = []
+        for one in map(scenario, self.perturbations):
+            strength = round((one.strength or 0.0) * (trial + 1) / self.trials, 2)
+            grown.append(f"{one.family}-{strength:g}{'-told' * one.told}")
+        return tuple(grown)
+
+    def probes_by_trial(self, seed: int) -> list[Probe | None]:
+        """Return the probe of each trial, or None; their places are drawn."""
+        random, found = np.random.default_rng(seed), list[Probe | None]([None] * self.trials)
+        for probe in self.probes:
+            for first in range(0, self.trials - probe.every + 1, probe.every):
+                group = range(first, first + probe.every)
+                found[random.choice([one for one in group if found[one] is None])] = probe
+        return found
+
+
+class PlannedTrial(NamedTuple):
+    """A trial of an experiment.
+
+    Attributes:
+        trial: its number in the experiment, from 0.
+        block: index of its block.
+        phase: the block's name.
+        perturbations: names.
+        strength: of the last perturbation; 0 without one.
+        probe: the probe's name; empty for other trials.
+        targets: the directions of which one is met.
+        rest: before it, s.
+        go_cue: see `Block`.
+        target_jump: see `Probe`.
+    """
+
+    trial: int
+    block: int
+    phase: str
+    perturbations: tuple[str, ...]
+    strength: float
+    probe: str
+    targets: tuple[float, ...]
+    rest: float
+    go_cue: float
+    target_jump: float
+
+
+@_explained
+@dataclass(frozen=True, repr=False, config=_STRICT)
+class Experiment:
+    """An experiment over trials.
+
+    `print` it for a table; `plot` draws its timeline.
+
+    Attributes:
+        name: words with hyphens.
+        blocks: in their order.
+        description: what it asks, in a line.
+        source: the study that it follows.
+        distance: of the targets from the start, as a fraction of the arm's reach.
+        trial_seconds: duration of a trial from the go cue on.
+        noise: perturbations of all trials, such as noise of the senses.
+        vigour: of agents that have one (`body_model.agent.Parts`); 0 as people move.
+    """
+
+    name: Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
+    blocks: Annotated[tuple[Block, ...], MinLen(1)]
+    description: str = ""
+    source: str = ""
+    distance: Annotated[float, Gt(0), Lt(0.5)] = 0.2
+    trial_seconds: Annotated[float, Gt(0), Lt(1000)] = 1.0
+    noise: Perturbations = ()
+    vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """All of it for JSON or YAML; `Experiment(**entries)` is equal to it."""
+        return asdict(cast(Any, self))
+
+    @property
+    def seconds(self) -> float:
+        """The duration of every trial, with the longest time before a go cue, s."""
+        return self.trial_seconds + max(block.go_cue for block in self.blocks)
+
+    @functools.cached_property
+    def directions(self) -> tuple[float, ...]:
+        """All directions in which there are targets."""
+        pools = {one.targets for one in self._schedule}
+        return tuple(sorted({direction for pool in pools for direction in pool}))
+
+    def task(self, go_cue: float = 0.0, target_jump: float = 0.0) -> CuedTarget:
+        """Return the task whose trial k has its target in the k-th of the `directions`."""
+        far, turns = self.distance, map(math.radians, self.directions)
+        ends = [(far * math.cos(turn), 0.5 + far * math.sin(turn)) for turn in turns]
+        pairs = tuple((0, end) for end in range(1, len(ends) + 1))
+        return CuedTarget(((0.0, 0.5), *ends), pairs, go_cue, target_jump)
+
+    def schedule(self) -> tuple[PlannedTrial, ...]:
+        """Return what happens in each trial, the same for all subjects."""
+        return self._schedule
+
+    @functools.cached_property
+    def _schedule(self) -> tuple[PlannedTrial, ...]:
+        planned: list[PlannedTrial] = []
+        for index, block in enumerate(self.blocks):
+            for trial, probe in enumerate(block.probes_by_trial(seed=index)):
+                changes = block.perturbations_in(trial) if probe is None else probe.perturbations
+                planned.append(
+                    PlannedTrial(
+                        trial=len(planned),
+                        block=index,
+                        phase=block.name,
+                        perturbations=changes,
+                        strength=(scenario(changes[-1]).strength or 0.0) if changes else 0.0,
+                        probe=probe.name if probe else "",
+                        targets=(probe and probe.targets) or block.targets,
+                        rest=0.0 if trial else block.rest,
+                        go_cue=block.go_cue,
+                        target_jump=probe.target_jump if probe else 0.0,
+                    )
+                )
+        return tuple(planned)
+
+    def targets_of(self, seed: int) -> NDArray[np.float64]:
+        """Return the target's direction in each trial of the subject with this seed."""
+        random, left, found = np.random.default_rng(seed), dict[Any, list[float]](), []
+        for one in self._schedule:
+            key = one.block, one.targets
+            if not left.get(key):
+                left[key] = random.permutation(one.targets).tolist()
+            found.append(left[key].pop())
+        return np.array(found)
+
+    def plot_timeline(self, axes: Axes) -> None:
+        """Draw the strength of the perturbation over trials, with phases, probes and rests."""
+        for name in dict.fromkeys(one.probe for one in self._schedule):
+            of = [one for one in self._schedule if one.probe == name]
+            style: Any = {"linestyle": "", "marker": ".", "markersize": 3, "label": name}
+            if not name:
+                style = {"color": "0.2", "drawstyle": "steps-mid"}
+            axes.plot([one.trial + 1 for one in of], [one.strength for one in of], **style)
+        first = np.cumsum([0, *(block.trials for block in self.blocks)]) + 0.5
+        text: Any = {"ha": "center", "va": "bottom", "transform": axes.get_xaxis_transform()}
+        for block, (begin, end) in zip(self.blocks, pairwise(first), strict=True):
+            pause = f"{block.rest:g} s rest, " if block.rest else ""
+            axes.text((begin + end) / 2, 1.03, pause + block.name, **text)
+            axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
+        names = [name for one in self._schedule for name in one.perturbations]
+        units = dict.fromkeys(scenario(name).unit for name in dict.fromkeys(names))
+        unit = f"\n[{', '.join(units)}]" if units else ""
+        axes.set(xlim=(0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
+        if any(one.probe for one in self._schedule):
+            axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+    def plot(self) -> Figure:
+        """Return a figure of the timeline."""
+        from matplotlib import rc_context
+
+        from mmc_gym._plotting import STYLE, ShownFigure
+
+        with rc_context(STYLE):
+            figure = ShownFigure(figsize=(6.5, 1.6), layout="constrained")
+            self.plot_timeline(figure.add_subplot())
+        return figure
+
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Yield headings and texts that describe it, a row for each block."""
+        yield self.name, f"{self.description} ({self.source})" if self.source else self.description
+        others = _described(self, "name", "blocks", "description", "source")
+        yield "trials", f"{len(self._schedule)}, {others}"
+        for block in self.blocks:
+            yield block.name, _described(block, "name")
+
+    def __repr__(self) -> str:
+        phases = ", ".join(f"{block.name} {block.trials}" for block in self.blocks)
+        return f"<Experiment {self.name}: {phases}>"
+
+    def __str__(self) -> str:
+        width = max(len(heading) for heading, _ in self.rows())
+        return "\n".join(f"{heading:<{width}}  {text}" for heading, text in self.rows())
+
+
+def _described(thing: Any, *left_out: str) -> str:
+    """Return what differs from the defaults of a block or experiment, in words."""
+    parts = []
+    for one in fields(thing):
+        value = getattr(thing, one.name)
+        if one.name not in left_out and value not in (one.default, 0.0, ()):
+            if isinstance(value, tuple):
+                each = (f"({_described(of)})" if isinstance(of, Probe) else f"{of}" for of in value)
+                value = " ".join(each)
+            parts.append(f"{one.name.replace('_', ' ')} {value}")
+    return ", ".join(parts)
+
+
+class Kind(NamedTuple):
+    """Experiments of one kind, which differ in their strength; `make` returns the blocks."""
+
+    make: Callable[[float], tuple[Block, ...]]
+    strength: float
+    description: str
+    source: str
+
+
+def _phases(name: str, *after: Block, **others: Any) -> tuple[Block, ...]:
+    """Return baseline, learning and what follows, by default washout."""
+    learning = {"trials": 160, "perturbations": (name,), **others}
+    washout = (Block("washout", 80),)
+    return Block("baseline", 60), Block("learning", **learning), *(after or washout)
+
+
+def _savings(degrees: float) -> tuple[Block, ...]:
+    name = f"rotation-{degrees:g}"
+    return _phases(name, Block("washout", 80), Block("relearning", 80, (name,)), trials=80)
+
+
+def _gradual(degrees: float) -> tuple[Block, ...]:
+    name = f"rotation-{degrees:g}"
+    after = Block("hold", 40, (name,)), Block("washout", 80)
+    return _phases(name, *after, trials=120, gradual=True)
+
+
+def _retention(degrees: float) -> tuple[Block, ...]:
+    return _phases(f"rotation-{degrees:g}", Block("clamp", 80, ("clamp-0",), rest=60.0))
+
+
+def _generalisation(degrees: float) -> tuple[Block, ...]:
+    trained, names = (90.0,), (f"rotation-{degrees:g}",)
+    around = tuple(90.0 + turn for turn in (0, 22.5, 45, 90, 180, -90, -45, -22.5))
+    probes = (Probe("transfer", 2, ("clamp-0",), around),)
+    return (
+        Block("baseline", 80, (), trained, probes),
+        Block("learning", 80, names, trained),
+        Block("generalisation", 160, names, trained, probes),
+    )
+
+
+def _jumps(percent: float, what: str) -> tuple[Block, ...]:
+    probes = []
+    for side, jump in (("left", percent), ("right", -percent)):
+        if what == "cursor":
+            probes.append(Probe(f"jump {side}", 6, (f"cursor-jump-{jump:g}",)))
+        else:
+            probes.append(Probe(f"jump {side}", 6, target_jump=jump))
+    return Block("baseline", 60), Block("jumps", 240, probes=tuple(probes))
+
+
+_KRAKAUER = "Krakauer, Pine, Ghilardi & Ghez 2000, J. Neurosci. 20:8916"
+_SAUNDERS = "Saunders & Knill 2005, Exp. Brain Res. 162:458"
+
+EXPERIMENTS: dict[str, Kind] = {
+    "rotation": Kind(
+        lambda degrees: _phases(f"rotation-{degrees:g}"),
+        30.0,
+        "a cursor turned by {}° at once, and back",
+        _KRAKAUER,
+    ),
+    "curl-field": Kind(
+        lambda curl: _phases(f"force-field-{curl:g}", probes=(Probe("catch", 8),)),
+        60.0,
+        "a viscous curl field of {} mass/s, and none again",
+        "Shadmehr & Mussa-Ivaldi 1994, J. Neurosci. 14:3208",
+    ),
+    "savings": Kind(
+        _savings,
+        30.0,
+        "a turn of {}° learned, unlearned, and learned again",
+        "Zarahn, Weston, Liang, Mazzoni & Krakauer 2008, J. Neurophysiol. 100:2537",
+    ),
+    "gradual": Kind(
+        _gradual,
+        30.0,
+        "a turn that grows to {}°, to stand beside `rotation`",
+        "Kagerer, Contreras-Vidal & Stelmach 1997, Exp. Brain Res. 115:557",
+    ),
+    "retention": Kind(
+        _retention,
+        30.0,
+        "what is left of a turn of {}° after a rest, in error clamps",
+        "Smith, Ghazizadeh & Shadmehr 2006, PLoS Biol. 4:e179",
+    ),
+    "generalisation": Kind(
+        _generalisation,
+        30.0,
+        "a turn of {}° learned in one direction, probed in eight by error clamps",
+        _KRAKAUER,
+    ),
+    "clamp": Kind(
+        lambda degrees: _phases(f"clamp-{degrees:g}"),
+        15.0,
+        "a cursor that misses by {}° whatever the hand does",
+        "Morehead, Taylor, Parvin & Ivry 2017, J. Cogn. Neurosci. 29:1061",
+    ),
+    "cursor-jump": Kind(
+        functools.partial(_jumps, what="cursor"),
+        10.0,
+        "a cursor that jumps by {} % of the way in flight",
+        _SAUNDERS,
+    ),
+    "target-jump": Kind(
+        functools.partial(_jumps, what="target"),
+        10.0,
+        "a target that jumps by {} % of the way in flight",
+        _SAUNDERS,
+    ),
+}
+"""Experiments after classic ones, by name."""
+
+
+def find_experiment(experiment: str | Path | Experiment) -> Experiment:
+    """Return the experiment of a name, such as "rotation-45", or of a YAML file.
+
+    Raises:
+        UserError: for an unknown name, or a file that holds no experiment.
+
+    >>> find_experiment("rotation-45")
+    <Experiment rotation-45: baseline 60, learning 160, washout 80>
+    """
+    if isinstance(experiment, Experiment):
+        return experiment
+    text = str(experiment)
+    if text.endswith((".yml", ".yaml")):
+        try:
+            entries = read_yaml(Path(text).read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise UserError(f"{text} must be YAML: {error}") from error
+        require(isinstance(entries, dict), text, entries, "a mapping with name and blocks")
+        return Experiment(**entries)
+    match = re.fullmatch(r"([a-z-]+?)(?:-(-?\d+(?:\.\d+)?))?", text)
+    if match is None or match[1] not in EXPERIMENTS:
+        raise unknown("experiment", text, EXPERIMENTS, "one with a strength", "a file (mine.yml)")
+    kind = EXPERIMENTS[match[1]]
+    strength = float(match[2] or kind.strength)
+    return Experiment(
+        name=f"{match[1]}-{strength:g}",
+        blocks=kind.make(strength),
+        description=kind.description.format(f"{strength:g}"),
+        source=kind.source,
+    )

@@ -1,0 +1,357 @@
+"""Let agents go through an experiment, trial by trial, as several subjects each.
+
+    Experiment  ->  cells (an agent, some subjects)  ->  run_grid  ->  ExperimentResult
+
+What a trial holds depends on the experiment, the agent and the subject's own seed, not on how many
+subjects there are.  An agent that keeps nothing from trial to trial plays all its trials at once.
+In a folder every cell is one file, written atomically: an interrupted run resumes, and subjects and
+agents can be added.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from mmc_gym._errors import UserError, require_choice, require_whole
+from mmc_gym._files import check_folder, write_atomically
+from mmc_gym._grid import run_grid
+from mmc_gym.agents.base import Agent, Predictor
+from mmc_gym.agents.body_model.agent import BodyAgent
+from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
+from mmc_gym.benchmark.experiment import Experiment, find_experiment
+from mmc_gym.benchmark.store import CellKey, Kept, kept_in, to_parquet
+from mmc_gym.benchmark.suite import make_player
+from mmc_gym.envs.reach import MMCReachEnv
+from mmc_gym.envs.scenarios import Scenario
+from mmc_gym.envs.vector import MMCReachVectorEnv
+from mmc_gym.interface import read_attribute
+from mmc_gym.measures.rollout import run_trial
+
+RECORDING = 1
+"""Version of recordings; when it changes, all cells are played again."""
+
+TRIALS = "trials"
+"""The folder of a store that holds the cells of experiments."""
+
+_SUBJECTS = 20  # in a cell, at most
+_TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
+_PATHS = ("hands", "cursors", "targets")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExperimentResult:
+    """What agents did in an experiment.
+
+    Attributes:
+        experiment: the experiment.
+        trials: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in
+            the experiment, from 0), block, phase, perturbation (names joined by "+"), strength (of
+            the last perturbation, 0 without), probe (empty for usual trials), target_angle
+            (degrees), start_x, start_y (of the hand), go_step (control step of the go cue).
+        hands: positions in each row's trial, segment lengths, float32, (rows, steps + 1, 2).
+        cursors: likewise, of the cursor; of the hand where no cursor stands for it.
+        targets: likewise, of the target.
+        control_step: s.
+    """
+
+    experiment: Experiment
+    trials: pd.DataFrame
+    hands: NDArray[np.float32]
+    cursors: NDArray[np.float32]
+    targets: NDArray[np.float32]
+    control_step: float
+
+    def __repr__(self) -> str:
+        agents, subjects = self.trials["agent"].unique(), self.trials["subject"].nunique()
+        return f"<{self.experiment.name}: {', '.join(agents)}, {subjects} subjects each>"
+
+
+@dataclass(frozen=True)
+class TrialsCell:
+    """Some subjects of an agent in an experiment.
+
+    Attributes:
+        seed: that the seeds of all subjects are derived from.
+        keeps_all: whether the agent's whole state lasts from trial to trial.
+        env_kwargs: arguments of the environment; `control` is as in `compare`.
+    """
+
+    agent: ResolvedAgent
+    experiment: Experiment
+    subjects: range
+    seed: int = 0
+    keeps_all: bool = False
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def file_name(self) -> str:
+        """Name of its file."""
+        subjects = f"{self.subjects.start}-{self.subjects.stop - 1}"
+        return CellKey(self.agent.label, None, f"{self.experiment.name}.{subjects}").file_name
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything that its result is known to depend on, ready for JSON."""
+        settings = {
+            "recording": RECORDING,
+            "source": self.agent.source_name,
+            "fingerprint": self.agent.fingerprint,
+            "experiment": self.experiment.entries,
+            "subjects": list(self.subjects),
+            "seed": self.seed,
+            "keeps_all": self.keeps_all,
+            "env_kwargs": self.env_kwargs,
+        }
+        found: dict[str, Any] = json.loads(json.dumps(settings, default=repr))
+        return found
+
+    def player(self) -> tuple[Predictor, Mapping[str, Any]]:
+        """Return the agent, and the arguments of its environments.
+
+        Raises:
+            UserError: if it cannot act in them.
+        """
+        scenario = Scenario("centre-out", "", self.experiment.task())
+        made, player = make_player(self.agent, scenario, self.env_kwargs)
+        with closing(made):
+            control = read_attribute(made, "control")
+        if isinstance(player, BodyAgent):
+            player.parts = replace(player.parts, vigour=self.experiment.vigour)
+        return player, {**self.env_kwargs, "control": control}
+
+
+def run_cell(cell: TrialsCell) -> bytes:
+    """Play a cell, and return its file."""
+    experiment, schedule = cell.experiment, cell.experiment.schedule()
+    player, arguments = cell.player()
+    trials, subjects = range(len(schedule)), len(cell.subjects)
+    is_agent = isinstance(player, Agent)
+    keeps = cell.keeps_all or getattr(type(player), "between_trials", None) != Agent.between_trials
+    sequences = [np.random.SeedSequence((cell.seed, subject)) for subject in cell.subjects]
+    seeds = [one.generate_state(len(schedule) + 1).tolist() for one in sequences]
+    angles = [experiment.targets_of(of[-1]).tolist() for of in seeds]
+    paths: dict[str, Any] = {}
+
+    @lru_cache(maxsize=8)
+    def world(condition: tuple[Any, ...], count: int) -> Any:
+        """Return the environment of a condition for so many arms."""
+        perturbations, go_cue, jump = condition
+        given: dict[str, Any] = {**arguments, "task": experiment.task(go_cue, jump)}
+        given["perturbations"] = [*experiment.noise, *perturbations]
+        env = MMCReachEnv(**given)
+        steps = round(experiment.seconds / env.parameters.control_step)
+        if not is_agent:  # it may take no batches
+            return gym.wrappers.TimeLimit(env, steps)
+        return MMCReachVectorEnv(count, max_episode_steps=steps, autoreset_mode="Disabled", **given)
+
+    def play(player: Predictor, pairs: Sequence[tuple[int, int]], state: Any = None) -> Any:
+        """Play trials (subject, trial) of one condition; return the agent's state at the end."""
+        env = world(conditions[pairs[0][1]], len(pairs))
+        options = [{"trial": experiment.directions.index(angles[of][at])} for of, at in pairs]
+        own = [seeds[subject][trial] for subject, trial in pairs]
+        episodes, state = run_trial(player, env, own, options, state)
+        for (subject, trial), one in zip(pairs, episodes, strict=True):
+            each = (one.hands, one.seen_hands, one.targets)
+            for name, path in zip(_PATHS, each, strict=True):
+                if name not in paths:
+                    paths[name] = np.empty((subjects, len(trials), *path.shape), np.float32)
+                paths[name][subject, trial] = path
+        return state
+
+    def play_in_turn(player: Any, of: Sequence[int]) -> None:
+        """Play all trials of some subjects in their order, with what the agent keeps."""
+        state = None
+        for one in schedule:
+            if one.trial and not cell.keeps_all:
+                state = player.between_trials(state, one.rest) if is_agent else None
+            state = play(player, [(subject, one.trial) for subject in of], state)
+
+    conditions = [(one.perturbations, one.go_cue, one.target_jump) for one in schedule]
+    if not is_agent:
+        for subject in range(subjects):
+            play_in_turn(cell.player()[0], [subject])
+    elif keeps:
+        play_in_turn(player, range(subjects))
+    else:
+        alike = defaultdict[Any, list[tuple[int, int]]](list)
+        for trial in trials:
+            alike[conditions[trial]] += [(subject, trial) for subject in range(subjects)]
+        for pairs in alike.values():
+            for first in range(0, len(pairs), _TOGETHER):
+                play(player, pairs[first : first + _TOGETHER])
+    step = world(conditions[0], subjects).unwrapped.parameters.control_step
+    return _file(cell, np.array(angles), paths, step)
+
+
+def _file(
+    cell: TrialsCell, angles: NDArray[np.float64], paths: Mapping[str, Any], step: float
+) -> bytes:
+    """Return a cell's file: the columns of `ExperimentResult.trials`, and three of paths.
+
+    Paths are lists of 2 (steps + 1) numbers, x and y of one time after the other.
+    """
+    schedule, subjects = cell.experiment.schedule(), len(cell.subjects)
+    rows: dict[str, list[Any]] = {
+        "trial": [one.trial for one in schedule],
+        "block": [one.block for one in schedule],
+        "phase": [one.phase for one in schedule],
+        "perturbation": ["+".join(one.perturbations) for one in schedule],
+        "strength": [one.strength for one in schedule],
+        "probe": [one.probe for one in schedule],
+        "go_step": [round(one.go_cue / step) for one in schedule],
+    }
+    starts = paths["hands"][:, :, 0].reshape(-1, 2)
+    columns = {
+        "agent": [cell.agent.label] * subjects * len(schedule),
+        "subject": np.repeat(np.array(cell.subjects), len(schedule)),
+        **{name: values * subjects for name, values in rows.items()},
+        "target_angle": angles.ravel(),
+        "start_x": starts[:, 0],
+        "start_y": starts[:, 1],
+        **{name: _lists(values) for name, values in paths.items()},
+    }
+    return to_parquet(columns, Kept(cell.settings, {"control_step": step}))
+
+
+def _lists(paths: NDArray[np.float32]) -> pa.Array:
+    """Return paths (subjects, trials, steps + 1, 2) as a column of lists."""
+    size = paths[0, 0].size
+    kind = pa.list_(pa.field("element", pa.float32()), size)  # as Parquet calls it
+    return pa.FixedSizeListArray.from_arrays(pa.array(paths.ravel()), type=kind)
+
+
+def run_experiment(
+    experiment: str | Path | Experiment,
+    agents: Agents,
+    subjects: int = 20,
+    seed: int = 0,
+    out: Path | str | None = None,
+    *,
+    keep: Sequence[str] = (),
+    jobs: int | None = None,
+    cluster: str | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
+    allow_pickle: bool = False,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> ExperimentResult:
+    """Let agents go through an experiment, each as several subjects.
+
+    Args:
+        experiment: name, such as "rotation-30", YAML file, or experiment.
+        agents: as in `compare`; of a trained one, its training of seed 0.
+        subjects: number of subjects; each has an order of targets and noise of its own.
+        seed: that the subjects' seeds are derived from.
+        out: folder that keeps what was played; None keeps nothing.
+        keep: labels of agents whose whole state lasts from trial to trial, in place of what their
+            `between_trials` keeps.
+        jobs: how many cells are played at once, see `run_grid`.
+        cluster: where, see `run_grid`.
+        env_kwargs: arguments of the environment, as in `compare`.
+        allow_pickle: as in `compare`.
+        on_progress: called with the number of cells that are done, and of all.
+
+    Raises:
+        UserError: if an argument is not accepted, or an agent cannot act.
+
+    >>> run_experiment("rotation-30", ["ik-dls"], subjects=1, jobs=1)
+    <rotation-30: ik-dls, 1 subjects each>
+    """
+    experiment, given = find_experiment(experiment), dict(env_kwargs or {})
+    require_whole("subjects", subjects)
+    require_whole("seed", seed, least=0)
+    found = resolve_all(agents, allow_pickle=allow_pickle, every_training=False)
+    for label in keep:
+        require_choice("keep", label, [agent.label for agent in found])
+    folder = None if out is None else check_folder(out, "out") / TRIALS
+    cells = [
+        TrialsCell(
+            agent,
+            experiment,
+            range(first, min(first + _SUBJECTS, subjects)),
+            seed,
+            agent.label in keep,
+            given,
+        )
+        for agent in found
+        for first in range(0, subjects, _SUBJECTS)
+    ]
+    for cell in cells:
+        cell.player()  # what cannot act is refused before anything is played
+    kept = [_content(folder / cell.file_name, cell) if folder else None for cell in cells]
+    missing = [number for number, content in enumerate(kept) if content is None]
+    on_progress(len(cells) - len(missing), len(cells))
+
+    def keep_file(index: int, content: bytes) -> None:
+        kept[missing[index]] = content
+        if folder is not None:
+            write_atomically(folder / cells[missing[index]].file_name, content)
+        on_progress(len(cells) - kept.count(None), len(cells))
+
+    played = [cells[number] for number in missing]
+    run_grid(run_cell, played, jobs=jobs, cluster=cluster, on_result=keep_file)
+    return _result([content for content in kept if content is not None])
+
+
+def _content(path: Path, cell: TrialsCell) -> bytes | None:
+    """Return a cell's file; None if it is missing, damaged, or of other settings."""
+    try:
+        content = path.read_bytes()
+        found, _ = _read(content)
+    except (FileNotFoundError, UserError):
+        return None
+    return content if found.settings == cell.settings else None
+
+
+def _read(content: bytes) -> tuple[Kept, pa.Table]:
+    try:
+        file = pq.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
+        return kept_in(file.schema_arrow), file.read(use_threads=False)
+    except (OSError, pa.ArrowException, ValueError) as error:
+        raise UserError(f"a file of trials is damaged, remove it: {error}") from error
+
+
+def _result(contents: Sequence[bytes]) -> ExperimentResult:
+    """Return the result that the files of some cells of one experiment hold."""
+    kept, tables = zip(*map(_read, contents), strict=True)
+    table = pa.concat_tables(one.replace_schema_metadata(None) for one in tables)
+    flat = {name: table[name].combine_chunks().flatten().to_numpy() for name in _PATHS}
+    return ExperimentResult(
+        experiment=Experiment(**kept[0].settings["experiment"]),
+        trials=table.drop_columns(list(_PATHS)).to_pandas(),
+        **{name: values.reshape(len(table), -1, 2) for name, values in flat.items()},
+        control_step=kept[0].facts["control_step"],
+    )
+
+
+def read_experiments(folder: Path | str) -> list[ExperimentResult]:
+    """Return the results of all experiments that a store holds, in the order of their names.
+
+    Raises:
+        UserError: if a file is damaged, or those of one experiment differ in their settings.
+    """
+    alike: dict[str, list[bytes]] = {}
+    settings: dict[str, Any] = {}
+    for path in sorted((Path(folder) / TRIALS).glob("[!.]*.parquet")):
+        content = path.read_bytes()
+        own = _read(content)[0].settings
+        own = {name: own[name] for name in ("experiment", "seed", "env_kwargs")}
+        name = own["experiment"]["name"]
+        if settings.setdefault(name, own) != own:
+            raise UserError(f"{path} must be of the same settings as the others of {name}")
+        alike.setdefault(name, []).append(content)
+    return [_result(alike[name]) for name in sorted(alike)]

@@ -1,0 +1,105 @@
+"""Facts about experiments as data: checked, planned, printed and drawn."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mmc_gym._errors import UserError
+from mmc_gym.benchmark.experiment import EXPERIMENTS, Block, Experiment, Probe, find_experiment
+
+YAML = """
+name: mine
+blocks:
+  - {name: baseline, trials: 4}
+  - name: learning
+    trials: 8
+    perturbations: [rotation-30]
+    targets: [0, 90]
+    gradual: true
+    rest: 60
+    probes: [{name: catch, every: 4}]
+"""
+
+
+def planned(*blocks: Block) -> list[tuple[tuple[str, ...], str]]:
+    schedule = Experiment("mine", blocks).schedule()
+    return [(one.perturbations, one.probe) for one in schedule]
+
+
+def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yml"
+    file.write_text(YAML)
+    catch = Probe("catch", 4)
+    learning = Block("learning", 8, ("rotation-30",), (0, 90), (catch,), gradual=True, rest=60)
+    mine = Experiment("mine", (Block("baseline", 4), learning))
+    assert find_experiment(file) == mine == Experiment(**mine.entries)
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
+    experiment = find_experiment(name)
+    schedule = experiment.schedule()
+    assert [one.trial for one in schedule] == list(range(len(schedule)))
+    assert schedule[0].perturbations in ((), ("clamp-0",))
+    assert all(block.name in str(experiment) for block in experiment.blocks)
+    (axes,) = experiment.plot().axes
+    assert {block.name for block in experiment.blocks} <= {
+        text.get_text().split(", ")[-1] for text in axes.texts
+    }
+
+
+def test_one_of_so_many_trials_is_a_probe_at_a_place_that_differs() -> None:
+    block = Block("learning", 80, ("force-field-60",), probes=(Probe("catch", 8),))
+    places = [number for number, (_, probe) in enumerate(planned(block)) if probe]
+    assert [place // 8 for place in places] == list(range(10))
+    assert len({place % 8 for place in places}) > 3
+    assert all(planned(block)[place] == ((), "catch") for place in places)
+
+
+def test_a_gradual_block_ends_with_the_whole_perturbation() -> None:
+    names = [names for names, _ in planned(Block("grows", 4, ("rotation--30",), gradual=True))]
+    assert names == [("rotation--7.5",), ("rotation--15",), ("rotation--22.5",), ("rotation--30",)]
+
+
+def test_a_subject_meets_all_targets_before_one_comes_again() -> None:
+    experiment = find_experiment("rotation-30")
+    one, other = experiment.targets_of(1), experiment.targets_of(2)
+    assert (np.sort(one[:56].reshape(-1, 8)) == np.arange(0, 360, 45)).all()
+    assert (one != other).any()
+
+
+def test_the_target_leaves_the_start_at_the_go_cue_and_jumps_in_flight() -> None:
+    from mmc_gym.envs.vector import MMCReachVectorEnv
+
+    task = find_experiment("target-jump").task(go_cue=0.1, target_jump=10.0)
+    env = MMCReachVectorEnv(1, task=task)
+    _, info = env.reset(options={"trial": 0})
+    targets = [info["target"][0]]
+    for _ in range(15):
+        targets.append(env.step(np.zeros((1, 3), np.float32))[4]["target"][0])
+    ways = np.array(targets) - targets[0]
+    assert (ways[:5] == 0).all()
+    assert ways[5:10] == pytest.approx(np.tile([0.6, 0.0], (5, 1)))
+    assert ways[10:] == pytest.approx(np.tile([0.6, 0.06], (6, 1)))
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"blocks": []}, "blocks"),
+        ({"blocks": [{"name": "a", "trials": 0}]}, "blocks.0.trials .* got 0"),
+        ({"blocks": [{"name": "a", "trials": 1, "perturbations": ["rotate"]}]}, "rotate"),
+        ({"blocks": [{"name": "a", "trials": 1, "trial": 1}]}, "blocks.0.trial is not known"),
+        ({"blocks": [{"name": "a", "trials": 4, "probes": [{"name": "b", "every": 1}]}]}, "every"),
+        ({"name": "Mine!"}, "name"),
+    ],
+)
+def test_what_is_no_experiment_is_refused(entries: dict, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        Experiment(**{"name": "mine", "blocks": [{"name": "a", "trials": 1}], **entries})
+
+
+def test_an_unknown_name_is_refused_with_the_nearest() -> None:
+    with pytest.raises(UserError, match="did you mean 'savings'"):
+        find_experiment("saving-30")
