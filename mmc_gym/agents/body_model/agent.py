@@ -28,6 +28,7 @@ from typing_extensions import override
 
 from mmc_gym._errors import require_number, spelt
 from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
+from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
 from mmc_gym.agents.body_model.body import PUSH, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
@@ -283,8 +284,12 @@ def _points(vectors: Floats) -> Points:
     return vectors.view(np.complex128)[..., 0]
 
 
-def mmc_body(interface: ReachInterface, parts: Parts = Parts(), **settings: Any) -> BodyAgent:
+def mmc_body(
+    interface: ReachInterface, parts: Parts = Parts(), **settings: Any
+) -> BodyAgent | spatial.SpatialBodyAgent:
     """Return the agent whose internal model is the MMC network, see `network_of_body`."""
+    if interface.arm is not None:
+        return spatial.SpatialBodyAgent(interface, spatial.settled_network, parts)
     network = network_of_body(interface, **settings)
     return BodyAgent(interface, partial(settled_network, network), parts)
 
@@ -303,6 +308,10 @@ def network_of_body(interface: ReachInterface, **settings: Any) -> MMCNetwork:
     return network_of_arm(interface, **{**body, **settings})
 
 
-def ik_body(interface: ReachInterface, parts: Parts = Parts()) -> BodyAgent:
+def ik_body(
+    interface: ReachInterface, parts: Parts = Parts()
+) -> BodyAgent | spatial.SpatialBodyAgent:
     """Return the agent whose internal model is damped least squares."""
+    if interface.arm is not None:
+        return spatial.SpatialBodyAgent(interface, spatial.least_squares, parts)
     return BodyAgent(interface, least_squares, parts)

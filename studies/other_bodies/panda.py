@@ -1,0 +1,187 @@
+"""Play `PandaReachJoints-v3` with the given body and with changed ones: agents, IK, TQC.
+
+Everyone is given the Panda as it is sold.  In most rows it is another one: a link is longer, or a
+joint stays where it starts.  Episodes end when the hand is within 5 cm of the target, or after 50
+steps; every step without costs 1 (the return).  "Within reach" is the share of the targets that
+some posture of the true body brings the hand to, by the network from 100 postures.
+
+    python -m studies.other_bodies.panda_tqc --out runs/panda-tqc          # 20 minutes
+    python -m studies.other_bodies.panda --tqc runs/panda-tqc/tqc_50000.zip
+    python -m studies.other_bodies.panda --tqc runs/panda-tqc/tqc_50000.zip --seed 1
+    python -m studies.other_bodies.panda --agents                          # only prints the results
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import tyro
+from rich.console import Console
+from sb3_contrib import TQC
+
+from examples.panda_reach import BASE, TURN, Encoders, PandaReach
+from mmc_gym import make_agent
+from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
+from mmc_gym.network import HingeArm, HingeNetwork
+from studies.other_bodies.panda_bodies import NEUTRAL, changed_urdf, make_env
+from studies.tables import table_of
+
+INTERFACE = PandaReach()
+BODIES: dict[str, dict[str, Any]] = {
+    "as given": {},
+    "base 20 % longer": {"longer": {"panda_joint1": 1.2}},
+    "upper arm 20 % longer": {"longer": {"panda_joint3": 1.2}},
+    "forearm 20 % longer": {"longer": {"panda_joint5": 1.2}},
+    **{f"joint {joint} locked": {"locked": (joint - 1,)} for joint in range(1, 7)},
+}
+UNTUNED: dict[str, dict[str, Any]] = {
+    "forearm 40 % longer": {"longer": {"panda_joint5": 1.4}},
+    "upper arm 20 % shorter": {"longer": {"panda_joint3": 0.8}},
+    "upper arm and forearm 15 % longer": {"longer": {"panda_joint3": 1.15, "panda_joint5": 1.15}},
+    "a tool of 10 cm": {"longer": {"panda_grasptarget_hand": 1 + 0.1 / 0.105}},
+    "joints 1 and 3 locked": {"locked": (0, 2)},
+    "forearm 20 % longer, joint 6 locked": {"longer": {"panda_joint5": 1.2}, "locked": (5,)},
+}
+AGENTS = ("mmc-body", "ik-body", "network", "least squares", "pybullet", "tqc")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Play what is not in the folder yet, then print all results of the seed.
+
+    Attributes:
+        agents: who plays: the two agents; their internal models alone, without loops; pybullet's
+            inverse kinematics; TQC.  Without any, the results in the folder are printed.
+        bodies: the bodies of the tables, or those that nobody tuned anything for.
+        episodes: episodes of each agent with each body.
+        seed: 0 plays the environment's seeds 0, 1, …; another one the next as many.
+        tqc: model of TQC.
+        out: folder for the results.
+    """
+
+    agents: tuple[str, ...] = AGENTS
+    bodies: tuple[str, ...] = tuple(BODIES)
+    episodes: int = 500
+    seed: int = 0
+    tqc: Path = Path("runs/panda-tqc/tqc_50000.zip")
+    out: Path = Path("runs/panda")
+
+
+class PybulletAgent:
+    """Turns to the posture of pybullet's inverse kinematics, with the hand pointing down.
+
+    It is asked in each step from the present posture, with the body as given.
+    """
+
+    def __init__(self) -> None:
+        self.robot = make_env().unwrapped.robot
+
+    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, None]:
+        """Return the action."""
+        now = observation["joints"][0]
+        self.robot.set_joint_angles([*now, 0.0, 0.0])
+        goal = self.robot.inverse_kinematics(
+            self.robot.ee_link, observation["desired_goal"], np.array([1.0, 0.0, 0.0, 0.0])
+        )
+        return np.clip((goal[:7] - now) / TURN, -1.0, 1.0).astype(np.float32), None
+
+
+class TrainedAgent:
+    """Shows a model what it was trained with."""
+
+    def __init__(self, file: Path) -> None:
+        self.model = TQC.load(file, device="cpu")
+
+    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, None]:
+        """Return the action."""
+        seen = {name: value for name, value in observation.items() if name != "joints"}
+        return self.model.predict(seen, deterministic=True)
+
+
+def make(name: str, env: Any, tqc: Path) -> Any:
+    """Make an agent for an environment."""
+    alone = Parts(identifies_body=False, finds_locks=False, imagines=False)
+    makers: dict[str, Callable[[], Any]] = {
+        "network": lambda: mmc_body(INTERFACE, alone),
+        "least squares": lambda: ik_body(INTERFACE, alone),
+        "pybullet": PybulletAgent,
+        "tqc": lambda: TrainedAgent(tqc),
+    }
+    if name in makers:
+        return makers[name]()
+    return make_agent(name, env, interface=INTERFACE)
+
+
+def play(agent: Any, env: Any, seeds: range) -> tuple[float, float]:
+    """Return success and mean return of an agent."""
+    returns, successes = [], []
+    for seed in seeds:
+        observation, info = env.reset(seed=seed)
+        state, total, ended = None, 0.0, False
+        while not ended:
+            action, state = agent.predict(observation, state)
+            observation, reward, terminated, truncated, info = env.step(action)
+            total += reward
+            ended = terminated or truncated
+        returns.append(total)
+        successes.append(info["is_success"])
+    return float(np.mean(successes)), float(np.mean(returns))
+
+
+def within_reach(body: dict[str, Any], env: Any, seeds: range) -> float:
+    """Return the share of targets that the true body reaches."""
+    with TemporaryDirectory() as folder:
+        urdf = changed_urdf(body.get("longer", {}), Path(folder))
+        arm = HingeArm.from_urdf(urdf, base="panda_link0", tip="panda_grasptarget")
+    targets = [env.reset(seed=seed)[0]["desired_goal"] - BASE for seed in seeds]
+    held = {joint: NEUTRAL[joint] for joint in body.get("locked", ())}
+    network = HingeNetwork(replace(arm, limits=INTERFACE.arm.limits))
+    start = np.clip(NEUTRAL, *INTERFACE.arm.limits.T)
+    starts = np.broadcast_to(start, (len(targets), 7))
+    solution = network.solve(np.array(targets), start=starts, held=held, starts=100)
+    return float((solution.position_error < INTERFACE.success_distance).mean())
+
+
+def main(arguments: Arguments) -> None:
+    """Play, and print the table."""
+    every = {**BODIES, **UNTUNED}
+    seeds = range(arguments.seed * arguments.episodes, (arguments.seed + 1) * arguments.episodes)
+    file = arguments.out / f"{arguments.episodes}-{arguments.seed}.csv"
+    rows = pd.read_csv(file).to_dict("records") if file.exists() else []
+    for body in arguments.bodies:
+        with closing(Encoders(make_env(**every[body]))) as env:
+            for agent in ("within reach", *arguments.agents) if arguments.agents else ():
+                if any(row["body"] == body and row["agent"] == agent for row in rows):
+                    continue
+                if agent == "within reach":
+                    found = within_reach(every[body], env, seeds), 0.0
+                else:
+                    found = play(make(agent, env, arguments.tqc), env, seeds)
+                rows.append({"body": body, "agent": agent, "success": found[0], "return": found[1]})
+                print(rows[-1], flush=True)
+                arguments.out.mkdir(parents=True, exist_ok=True)
+                pd.DataFrame(rows).to_csv(file, index=False, lineterminator="\n")
+    known = {(row["body"], row["agent"]): row for row in rows}
+    cells = [
+        {"body": body, "within reach": f"{100 * known[body, 'within reach']['success']:.1f}"}
+        | {agent: cell(known.get((body, agent))) for agent in AGENTS}
+        for body in every
+        if (body, "within reach") in known
+    ]
+    Console(width=150).print(table_of(cells, "success in per cent, return"))
+
+
+def cell(row: Any) -> str:
+    """Return success in per cent and return."""
+    return "" if row is None else f"{100 * row['success']:.1f}, {row['return']:.2f}"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
