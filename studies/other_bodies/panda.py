@@ -97,7 +97,7 @@ class TrainedAgent:
     """Shows a model what it was trained with."""
 
     def __init__(self, file: Path) -> None:
-        self.model = TQC.load(file, device="cpu")
+        self.model = TQC.load(file, env=make_env(), device="cpu")
 
     def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, None]:
         """Return the action."""
