@@ -187,6 +187,7 @@ def compare(
     episodes: Seed = 200,
     seed: Seed = 0,
     out: Place = Path("runs/compare"),
+    interface: Text = None,
     more: Played = PLAYED,
 ) -> None:
     """Let agents play the same starts and targets; print a table, write data and figure.
@@ -200,6 +201,7 @@ def compare(
         episodes: Episodes of each agent.
         seed: Seed of the starts and targets.
         out: Folder for the data and the figure.
+        interface: Of your own environment, module:name: where in its observations things are.
     """
     from mmc_gym.benchmark import compare
 
@@ -213,6 +215,7 @@ def compare(
         make_console(),
         focus=focus,
         env_kwargs=more.arguments,
+        interface=interface,
         allow_pickle=more.allow_pickle,
     )
 
@@ -234,6 +237,7 @@ def benchmark(
     out: Place = Path("runs/benchmark"),
     jobs: Number = None,
     cluster: Text = None,
+    interface: Text = None,
     more: Played = PLAYED,
 ) -> None:
     """Let agents play many scenarios; keep all in a store, and print a ranking.
@@ -248,6 +252,7 @@ def benchmark(
         out: Folder of the store; an existing benchmark is resumed, or added to.
         jobs: Number of cells at once; one per core, if not given.
         cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
+        interface: Of your own environments, see compare.
     """
     from mmc_gym.benchmark import ranking, runner, suite
 
@@ -270,6 +275,7 @@ def benchmark(
             jobs=jobs,
             cluster=cluster,
             env_kwargs=more.arguments,
+            interface=interface,
             allow_pickle=more.allow_pickle,
             on_progress=on_progress,
         )
@@ -492,6 +498,7 @@ def record(
     episodes: Seed = 1,
     seed: Seed = 0,
     out: Place = Path("runs/film.gif"),
+    interface: Text = None,
     more: Played = PLAYED,
 ) -> None:
     """Write a film of an agent at work, as .gif or .mp4; this needs no display.
@@ -502,6 +509,7 @@ def record(
         episodes: How many episodes follow each other.
         seed: Seed of the starts and targets; the episodes are those of compare.
         out: The file to write; .mp4 needs the extra "video".
+        interface: Of your own environment, see compare.
     """
     from mmc_gym.record import record
 
@@ -516,6 +524,7 @@ def record(
             seed,
             lambda _: bar.advance(task),
             env_kwargs=more.arguments,
+            interface=interface,
             allow_pickle=more.allow_pickle,
         )
     print(f"wrote {out}")

@@ -361,6 +361,8 @@ class ReachInterface:
         lockable_joints: joints that lock during an episode; empty if agents are not given them.
         success_distance: distance within which the target counts as reached, in the unit above.
             None: as the environment says, in `info["is_success"]`.
+        has_drive: whether `act` itself plans how the joints move to their targets.  Agents then
+            give the posture to be reached in the end, not how far to turn in a control step.
         arm: of an arm in space, its joints; None in the plane.
     """
 
@@ -372,6 +374,7 @@ class ReachInterface:
     joint_limits: JointLimits | None = None
     lockable_joints: tuple[int, ...] = ()
     success_distance: float | None = None
+    has_drive: bool = False
     arm: Any = None
 
     is_own: ClassVar[bool] = True  #: whether observations are those of `ObservationLayout`

@@ -18,7 +18,7 @@ from mmc_gym._errors import UserError, missing
 from mmc_gym._files import write_atomically
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike, resolve
-from mmc_gym.benchmark.suite import make_player
+from mmc_gym.benchmark.suite import make_player, played_scenario
 from mmc_gym.envs.scenarios import EnvLike
 from mmc_gym.measures import Episode, episode_seeds, run_episodes
 
@@ -35,6 +35,7 @@ def record(
     on_episode: Callable[[Episode], None] | None = None,
     *,
     env_kwargs: Mapping[str, Any] | None = None,
+    interface: Any = None,
     allow_pickle: bool = False,
 ) -> Path:
     """Write a film of an agent in the first episodes that `compare` plays.
@@ -47,6 +48,7 @@ def record(
         seed: of the starts and targets.
         on_episode: called with each episode after it ends.
         env_kwargs: arguments of the environment, as in `mmc_gym.compare`.
+        interface: of your own environment, as in `mmc_gym.compare`.
         allow_pickle: whether files that hold pickles may be loaded, as in `mmc_gym.compare`.
 
     Returns:
@@ -64,7 +66,8 @@ def record(
     resolved = resolve(agent, allow_pickle=allow_pickle)
     seeds = episode_seeds(seed, episodes)
     given = {**(env_kwargs or {}), "render_mode": "rgb_array"}
-    world, player = make_player(resolved, env, given)
+    played = env if interface is None else played_scenario(env, {}, interface)
+    world, player = make_player(resolved, played, given)
     try:
         pictures = _pictures(player, RenderCollection(world), seeds, on_episode)
         film = films[out.suffix](pictures, world.metadata["render_fps"])

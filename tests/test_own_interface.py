@@ -1,6 +1,7 @@
 """A user's environment with a user's interface: agents act in it, and tools measure it."""
 
 from dataclasses import replace
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -8,8 +9,12 @@ import pytest
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
+from mmc_gym.benchmark.compare import compare
+from mmc_gym.benchmark.runner import benchmark
+from mmc_gym.cli import main
 from mmc_gym.interface import CannotActError, InterfacedEnv, ReachInterface, Seen
 from mmc_gym.network.chain import segments_from_joint_angles
+from mmc_gym.report import write_report
 
 LENGTHS = (1.0, 1.1)
 METRES = 0.1  # the environment's lengths are in metres, segment lengths are a tenth of that
@@ -112,3 +117,63 @@ def test_an_agent_of_the_plane_refuses_an_arm_in_space():
 def test_anything_else_is_refused(given):
     with pytest.raises(UserError, match="interface"):
         make_agent("mmc", make_drawer(), interface=given)
+
+
+class DrawerInSpace(DrawerInterface):
+    """The same with a third coordinate, 0."""
+
+    def see(self, observation):
+        seen = super().see(observation)
+        flat = np.zeros((*seen.target.shape[:-1], 1))
+        hand, target = (np.concatenate([one, flat], axis=-1) for one in (seen.hand, seen.target))
+        return replace(seen, hand=hand, target=target)
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory):
+    agents = {"mine": lambda env: make_agent("ik-dls", env), "mmc-body": "mmc-body"}
+    out = tmp_path_factory.mktemp("compare")
+    return compare(agents, make_drawer, 3, interface=INTERFACE, out=out), out
+
+
+def test_agents_are_compared_and_what_the_environment_does_not_say_is_left_out(comparison):
+    found, out = comparison
+    assert found.headline.startswith("success at the end: mine 100.0 %, mmc-body 100.0 %")
+    assert "joint work" not in str(found)  # nobody knows the torques
+    assert "within 0.1" in found.note
+    returns = found.episodes.loc[found.episodes["agent"] == "mine", "episode_return"]
+    assert list(returns) == [-80.0] * 3
+    assert found.episodes["joint_path_efficiency"].notna().any()
+    assert (out / "paths_and_profiles.png").stat().st_size > 1_000
+
+
+def test_without_a_success_distance_the_environment_says_what_succeeds():
+    found = compare("mmc-body", make_drawer, 3, interface=STATES_NO_DISTANCE)
+    assert list(found.episodes["success"]) == [1.0] * 3
+    assert found.settings["tolerance"] is None
+    assert "time to target" not in str(found)
+    assert "as the environment says" in found.note
+
+
+def test_episodes_of_other_environments_are_kept_and_reported(tmp_path, comparison):
+    of_space = DrawerInSpace(*vars(INTERFACE).values())
+    environments = {
+        "plane": partial(InterfacedEnv, make_drawer(), INTERFACE),
+        "space": partial(InterfacedEnv, make_drawer(), of_space),
+        "unknown": partial(InterfacedEnv, make_drawer(), STATES_NO_DISTANCE),
+    }
+    again = [benchmark("ik-dls", tmp_path, environments, 2, jobs=1).reused for _ in range(2)]
+    assert again == [0, 2]  # the agent of the plane failed in space
+    report = write_report(tmp_path, tmp_path / "report.html").read_text()
+    assert "as it says" in report
+
+
+def test_the_command_line_takes_an_interface(tmp_path, capsys):
+    where = ("--scenarios", f"{__name__}:make_drawer", "--interface", f"{__name__}:INTERFACE")
+    main(["compare", "--agents", "ik-dls", "--episodes", "2", "--out", str(tmp_path), *where])
+    assert "ik-dls 100.0 %" in capsys.readouterr().out
+
+
+def test_an_environment_without_an_interface_is_refused():
+    with pytest.raises(UserError, match="interface="):
+        compare("mmc", make_drawer, 2)

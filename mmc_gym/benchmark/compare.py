@@ -50,7 +50,7 @@ from mmc_gym.benchmark.suite import (
     played_scenario,
 )
 from mmc_gym.envs.scenarios import EnvLike, Scenario
-from mmc_gym.interface import read_attribute
+from mmc_gym.interface import InterfacedEnv, read_attribute
 from mmc_gym.measures import MEASURES, Episode, Measure, episode_seeds, leave_out_failures
 from mmc_gym.measures.catalogue import shown_measures
 from mmc_gym.measures.rollout import check_environment
@@ -74,6 +74,7 @@ def compare(
     *,
     focus: str | Sequence[str] = (),
     env_kwargs: Mapping[str, Any] | None = None,
+    interface: Any = None,
     allow_pickle: bool = False,
 ) -> Comparison:
     """Let agents play the same episodes.
@@ -95,6 +96,9 @@ def compare(
             other one.  By default your own agents, or else the first.
         env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
             several control modes, or do not tell theirs.
+        interface: for an environment that is not of this package, the `ReachInterface` that you
+            wrote for it, "module:name" of one, or a function of the environment that returns one.
+            Measures of what it does not say are left out.
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
 
@@ -118,7 +122,7 @@ def compare(
     seeds = episode_seeds(seed, episodes)
     if out is not None:
         out = check_folder(out, "out")
-    scenario = played_scenario(env, given)
+    scenario = played_scenario(env, given, interface)
     with closing(scenario.make(asked["control"])) as made:
         check_environment(made)
     envs: list[gym.Env[Any, Any]] = []
@@ -157,6 +161,7 @@ def compare(
         controls={
             agent.label: str(read_attribute(made, "control")) for agent, made in zip(found, envs)
         },
+        has_interface=isinstance(envs[0].unwrapped, InterfacedEnv),
     )
     # Files first: an error in printing should not lose them.
     written = comparison.write(out) if out is not None else []
@@ -186,6 +191,7 @@ class Comparison:
             ended at the target, for measures of `successes_only`.
         env_kwargs: arguments of the environment.
         controls: the control mode in which each agent acted.
+        has_interface: whether the environment is one of yours with an `InterfacedEnv`.
     """
 
     env: str
@@ -198,6 +204,7 @@ class Comparison:
     summary: pd.DataFrame
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
     controls: Mapping[str, str] = field(default_factory=dict)
+    has_interface: bool = False
 
     @property
     def agents(self) -> list[str]:
@@ -268,9 +275,17 @@ class Comparison:
         return Bootstrap(scores, seed=self.seed).difference(agent, other, measure.statistic)
 
     @property
+    def _shown(self) -> tuple[Measure, ...]:
+        """The measures of the table; those that an interface gives no values of are left out."""
+        if not self.has_interface:
+            return shown_measures()
+        known = self.summary.loc[self.summary["count"] > 0, "measure"]
+        return tuple(one for one in shown_measures() if one.name in set(known))
+
+    @property
     def note(self) -> str:
         """How to read the numbers: the lines below the table, and in summary.json."""
-        one, shown = next(iter(self.recorded.values())), shown_measures()
+        one, shown = next(iter(self.recorded.values())), self._shown
         means = ", ".join(measure.label for measure in shown if measure.statistic == "mean")
         timed = MEASURES["action_time"]
         of_all = ", ".join(one.label for one in shown if not (one.successes_only or one == timed))
@@ -287,7 +302,7 @@ class Comparison:
         return (
             f"{where}, {self._episodes} episodes, the same starts and targets for all agents. "
             f"Medians ({means}: mean) with {CONFIDENCE:.0%} bootstrap intervals; lengths in "
-            f"segment lengths; at the target: within {one[0].tolerance:g}. "
+            f"segment lengths; at the target: {_within(one[0].tolerance)}. "
             f"{of_all}: of all episodes; the others: of those that ended at the target, and k of "
             f"{self._episodes} have a value (none where the hand started there); {timed.label}: of "
             f"those played one by one, the first {TIMED} of an agent that can play all at once. "
@@ -315,7 +330,7 @@ class Comparison:
             "episodes": self._episodes,
             "seed": self.seed,
             "control_step": one[0].control_step,
-            "tolerance": one[0].tolerance,
+            "tolerance": None if math.isnan(one[0].tolerance) else one[0].tolerance,
             "confidence": CONFIDENCE,
             "bootstrap_resamples": RESAMPLES,
             "bootstrap_method": "percentile, over episodes, and trainings if an agent has several",
@@ -344,6 +359,8 @@ class Comparison:
     def plot(self, figure: Figure | None = None) -> Figure:
         """Return a figure: hand paths above, speed profiles below, a column for each agent.
 
+        Paths in space are seen along the z axis.
+
         Args:
             figure: to draw on, such as `plt.figure(layout="constrained")`, which `plt.show()` then
                 shows; a new one if None.
@@ -351,7 +368,10 @@ class Comparison:
         from mmc_gym._plotting import PlottedMovement, paths_and_profiles
 
         movements = {
-            agent: [PlottedMovement(one.seen_hands, one.target, one.speeds) for one in episodes]
+            agent: [
+                PlottedMovement(one.seen_hands[:, :2], one.target[:2], one.speeds)
+                for one in episodes
+            ]
             for agent, episodes in self.recorded.items()
         }
         one = next(iter(self.recorded.values()))[0]
@@ -361,7 +381,7 @@ class Comparison:
         """Print headline, table and note; to standard output by default."""
         console = console or make_console()
         table = self._table()
-        best = [MEASURES[one.name].best.replace("neither", "") for one in shown_measures()]
+        best = [one.best.replace("neither", "") for one in self._shown]
         labels = {"": list(table.index), "best": [*best, ""]}
         for text in (self.headline, *self.differences.splitlines()):
             console.print(text_for(console, text))
@@ -403,7 +423,7 @@ class Comparison:
         rows: dict[Any, Any] = {
             (row["agent"], row["measure"]): row for row in self.summary.to_dict("records")
         }
-        shown = shown_measures()
+        shown = self._shown
         columns = {
             agent: [cell(rows[agent, one.name], one.decimals) for one in shown]
             for agent in self.recorded
@@ -412,6 +432,10 @@ class Comparison:
             columns[agent].append("unknown" if steps is None else f"{steps:,}")
         headings = [f"{one.label}\n[{one.unit}]" if one.unit else one.label for one in shown]
         return pd.DataFrame(columns, index=[*headings, "training\n[env steps]"])
+
+
+def _within(tolerance: float) -> str:
+    return "as the environment says" if math.isnan(tolerance) else f"within {tolerance:g}"
 
 
 def _focus(agents: Sequence[ResolvedAgent], asked: Sequence[str]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ are not: the manifest names all versions.
 
 from __future__ import annotations
 
+import math
 import platform
 import time
 import warnings
@@ -239,6 +240,7 @@ def benchmark(
     jobs: int | None = None,
     cluster: str | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
+    interface: Any = None,
     allow_pickle: bool = False,
     on_progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Manifest:
@@ -255,6 +257,7 @@ def benchmark(
         cluster: where, see `run_grid`.
         env_kwargs: arguments of all environments.  A `control` among them is for agents that act
             by several control modes, or do not tell theirs.
+        interface: of your own environments, see `compare`.
         allow_pickle: whether files that hold pickles may be loaded, see `compare`.
         on_progress: called at the start, and whenever a cell is finished.
 
@@ -263,7 +266,7 @@ def benchmark(
     """
     given = dict(env_kwargs or {})
     asked = given.pop("control", None)
-    scenarios = find_scenarios(environments, given)
+    scenarios = find_scenarios(environments, given, interface)
     found = resolve_all(agents, allow_pickle=allow_pickle)
     episode_seeds(seed, episodes)
     check_workers(jobs, cluster)
@@ -373,9 +376,14 @@ def _settings(scenario: Scenario) -> dict[str, Any]:
         played = {
             "control_step": getattr(world.parameters, "control_step", None),
             "segment_lengths": list(getattr(world.parameters, "segment_lengths", ())),
-            "tolerance": getattr(world, "success_distance", None),
+            "tolerance": _number(getattr(world, "success_distance", None)),
         }
     return {**scenario.settings, **played}
+
+
+def _number(value: float | None) -> float | None:
+    """Return a number; None in place of NaN, which does not equal itself."""
+    return None if value is None or math.isnan(value) else value
 
 
 def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:

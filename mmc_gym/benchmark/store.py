@@ -82,15 +82,17 @@ def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return the columns of a table with a row for each episode.
 
     They are seed, start_x, start_y (of the hand), target_x, target_y (at the start), duration (s),
-    and one for each of `MEASURES`, NaN where an episode has no such value.
+    and one for each of `MEASURES`, NaN where an episode has no such value.  In space start_z and
+    target_z, too.
     """
     measured = [measure_all(episode) for episode in episodes]
-    starts = np.array([episode.hands[0] for episode in episodes]).reshape(-1, 2)
-    targets = np.array([episode.target for episode in episodes]).reshape(-1, 2)
+    size = episodes[0].target.size if episodes else 2
+    starts = np.array([episode.hands[0] for episode in episodes]).reshape(-1, size)
+    targets = np.array([episode.target for episode in episodes]).reshape(-1, size)
     return {
         "seed": np.array([episode.seed for episode in episodes], dtype=np.int64),
-        **dict(zip(("start_x", "start_y"), starts.T)),
-        **dict(zip(("target_x", "target_y"), targets.T)),
+        **dict(zip(("start_x", "start_y", "start_z"), starts.T)),
+        **dict(zip(("target_x", "target_y", "target_z"), targets.T)),
         "duration": np.array([len(one.rewards) * one.control_step for one in episodes]),
         **{name: np.array([one[name] for one in measured], np.float64) for name in MEASURES},
     }
@@ -118,7 +120,8 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
 
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
     joint_angle_N (radians, not wrapped; missing for a hand without an arm), hand_x, hand_y,
-    target_x, target_y (segment lengths); all but the first five float32.  Under a visuomotor
+    target_x, target_y (segment lengths), in space hand_z and target_z; all but the first five
+    float32.  Under a visuomotor
     rotation also cursor_x, cursor_y: distance and success are the cursor's.  Elsewhere it is the
     hand itself and not written twice; `read_paths` repeats it.
     """
@@ -130,8 +133,8 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
     counts = [len(episode.hands) for episode in played]
     numbers = {
         **{f"joint_angle_{joint}": angles for joint, angles in enumerate(postures.T, start=1)},
-        **dict(zip(("hand_x", "hand_y"), hands.T)),
-        **dict(zip(("target_x", "target_y"), targets.T)),
+        **dict(zip(("hand_x", "hand_y", "hand_z"), hands.T)),
+        **dict(zip(("target_x", "target_y", "target_z"), targets.T)),
         **dict(zip(_CURSOR, np.concatenate(cursors).T if cursors else ())),
     }
     columns = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -54,7 +55,7 @@ Environments: TypeAlias = "Iterable[str] | Mapping[str, EnvLike]"
 
 
 def find_scenarios(
-    environments: Environments, env_kwargs: Mapping[str, Any] | None = None
+    environments: Environments, env_kwargs: Mapping[str, Any] | None = None, interface: Any = None
 ) -> dict[str, Scenario]:
     """Return scenarios by name: the benchmark's if none are given.
 
@@ -62,6 +63,7 @@ def find_scenarios(
         environments: names, see `mmc_gym.envs.scenarios.scenario`; or a mapping of names to your
             own environments, see `mmc_gym.envs.scenarios.make_environment`.
         env_kwargs: arguments of all of them.
+        interface: of your own environments, see `InterfacedEnv`.
 
     Raises:
         UserError: for an unknown name, or an environment that cannot be made.
@@ -77,11 +79,14 @@ def find_scenarios(
     for one in found:  # a strength that this arm cannot have is refused at once
         if one.env is None:
             make_environment(one.name, **given).close()
-    return {name: replace(one, env_kwargs=given) for name, one in chosen.items()}
+    changes = {"env_kwargs": given, "interface": interface}
+    return {name: replace(one, **changes) for name, one in chosen.items()}
 
 
-def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any]) -> Scenario:
+def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any], interface: Any = None) -> Scenario:
     """Return the scenario of a name, or that of an environment, with more arguments.
+
+    `interface` is that of your own environment, see `InterfacedEnv`.
 
     Raises:
         UserError: for an unknown name.
@@ -89,7 +94,8 @@ def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any]) -> Scenario:
     found = Scenario(name_of(env), "", env=env)
     if isinstance(env, str) and not re.search(r":|-v\d+$", env) and env not in gym.registry:
         found = scenario(env)
-    return replace(found, env_kwargs={**found.env_kwargs, **env_kwargs})
+    given = {**found.env_kwargs, **env_kwargs}
+    return replace(found, env_kwargs=given, interface=interface)
 
 
 def default_agents() -> tuple[str, ...]:
@@ -205,8 +211,11 @@ def _is_native(scenario: Scenario, env: gym.Env[Any, Any]) -> bool:
 def has_reference(env: gym.Env[Any, Any]) -> bool:
     """Return whether all hands in `env` meet the same targets at the same times.
 
-    They do not where a target moves on when it is reached, as in via points.
+    They do not where a target moves on when it is reached, as in via points.  And whether a hand
+    alone can succeed: without a success distance only the environment knows.
     """
+    if math.isnan(getattr(env.unwrapped, "success_distance", 0.0)):
+        return False
     setup = getattr(env.unwrapped, "setup", None)
     return getattr(getattr(setup, "task", None), "advance", "time") == "time"
 

@@ -34,6 +34,7 @@ from mmc_gym._errors import UserError, nearest, require, require_whole, shown, u
 from mmc_gym._files import import_object, look_here
 from mmc_gym.envs.perturbations import FAMILIES, Family, Perturbation
 from mmc_gym.envs.tasks import TASKS, Task
+from mmc_gym.interface import InterfacedEnv
 
 if TYPE_CHECKING:
     from mmc_gym.envs.spec import ReachSetup
@@ -166,7 +167,7 @@ def code_of(thing: Any) -> str:
     It is empty if none of these classes is yours.  It does not notice changes of imported code.
     """
     kinds = [type(thing)]
-    while isinstance(thing, gym.Wrapper):
+    while isinstance(thing, gym.Wrapper | InterfacedEnv):
         thing = thing.env
         kinds.append(type(thing))
     code = ""
@@ -187,6 +188,7 @@ class Scenario:
         name: the one name, with its strength.
         env: your own environment, in place of task and perturbations.
         env_kwargs: more arguments of the environment.
+        interface: of your own environment, if it says nothing of one, see `InterfacedEnv`.
         family: the name up to the strength of the last perturbation, such as "delay" or
             "centre-out+delay"; empty for a task.
         strength: of the last perturbation, comparable within the family.
@@ -199,6 +201,7 @@ class Scenario:
     perturbations: tuple[Perturbation, ...] = ()
     env: EnvLike | None = None
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    interface: Any = None
     family: str = ""
     strength: float | None = None
     unit: str = ""
@@ -240,7 +243,8 @@ class Scenario:
 
     def make(self, control: str | None = None) -> gym.Env[Any, Any]:
         """Make the single environment, see `make_environment`."""
-        return make_environment(self.env or self.env_id, control, **self._with_steps)
+        made = make_environment(self.env or self.env_id, control, **self._with_steps)
+        return made if self.interface is None else InterfacedEnv(made, self.interface)
 
     def make_vec(
         self, num_envs: int, control: str | None = None
@@ -250,6 +254,8 @@ class Scenario:
         Returns:
             None if it is your own environment and has no vector environment.
         """
+        if self.interface is not None:
+            return None
         arguments = self._with_steps | ({} if control is None else {"control": control})
         if self.env is not None:
             spec = gym.registry.get(self.env_id.rpartition(":")[2])
@@ -288,6 +294,8 @@ class Scenario:
             with closing(self.make()) as env:
                 registered = env.spec.kwargs if env.spec else {}
                 own = {"code": code_of(env), "registered": _as_json(registered)}
+                if isinstance(env, InterfacedEnv):
+                    own |= _as_json({"interface": env.parameters})
         return {
             "id": self.env_id,
             "kwargs": _as_json(self.arguments),

@@ -49,7 +49,7 @@ METHODS = ("correlation", "SPARC", "log dimensionless jerk")
 # Names of other columns of the data; no measure may use them.
 _COLUMNS = (
     *("agent", "training_seed", "training_steps", "environment", "episode", "instance", "seed"),
-    *("start_x", "start_y", "target_x", "target_y", "duration", "measure"),
+    *("start_x", "start_y", "start_z", "target_x", "target_y", "target_z", "duration", "measure"),
 )
 
 

@@ -22,7 +22,9 @@ class Episode:
     """
 
     seed: int  #: given to the environment's reset
-    hands: Floats  #: positions of the end effector, segment lengths, (n + 1, 2), from the start on
+    #: Positions of the end effector, segment lengths, from the start on, (n + 1, 2); like targets
+    #: (n + 1, 3) of an arm in space.
+    hands: Floats
     distances: Floats  #: from hand (or cursor) to target, segment lengths, (n + 1,)
     targets: Floats  #: positions of the target, segment lengths, (n + 1, 2)
     joint_angles: Floats  #: relative, not wrapped, radians, (n + 1, N)
@@ -36,6 +38,8 @@ class Episode:
     #: Positions of the cursor under a visuomotor rotation, (n + 1, 2); distances and success are
     #: the cursor's.  None where agents see the hand itself.
     cursors: Floats | None = None
+    #: What the environment says of the end, where no tolerance is known (NaN); else None.
+    is_success: bool | None = None
 
     def __repr__(self) -> str:
         end = f"{self.distances[-1]:.3f} from the target at the end"

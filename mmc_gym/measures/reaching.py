@@ -44,7 +44,7 @@ def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) ->
         >>> arrival_time([1.0, 0.0, 0.5, 0.04, 0.01], 0.05, 0.02)  # enters, leaves, settles
         0.06
     """
-    outside = np.flatnonzero(np.asarray(distances) > tolerance)
+    outside = np.flatnonzero(~(np.asarray(distances) <= tolerance))  # so is all, if ε is NaN
     first_to_stay = int(outside[-1]) + 1 if outside.size else 0
     return first_to_stay * control_step if first_to_stay < np.size(distances) else math.nan
 
@@ -65,8 +65,11 @@ _SHARE: Any = {"unit": "fraction", "best": "high", "statistic": "mean", "decimal
 def success(episode: Episode) -> float:
     """Return 1 if the hand is within ε of the target when the episode ends, else 0.
 
-    Passing through the target is no success, because the task is to stay there.
+    Passing through the target is no success, because the task is to stay there.  Where ε is not
+    known, it is what the environment says at the end.
     """
+    if episode.is_success is not None:
+        return float(episode.is_success)
     return float(stays_within(episode.distances, episode.tolerance))
 
 

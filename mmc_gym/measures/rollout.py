@@ -63,7 +63,7 @@ def check_environment(env: gym.Env[Any, Any]) -> None:
     if missing:
         raise UserError(
             f"env must be a reaching environment such as 'MMCReach-v0', got {env}, "
-            f"which lacks {', '.join(missing)}"
+            f"which lacks {', '.join(missing)}; to any other belongs an interface=..."
         )
 
 
@@ -172,7 +172,8 @@ def _play(
             if key in info:
                 records[name].append(info[key])
         # The arm's own posture, because the observed one may be noisy and late.
-        records["joint_angles"].append(np.array(getattr(arm, "joint_angles", ())))
+        posture = getattr(arm, "joint_angles", info.get("joint_angles", ()))
+        records["joint_angles"].append(np.array(posture))
 
     note(info)
     times: list[int] = []
@@ -203,6 +204,11 @@ def _play(
     unreported = np.full_like(arrays["joint_angles"][:, 1:], math.nan)
     arrays = {**dict.fromkeys(_EFFORT, unreported), **arrays}
     world: Any = env.unwrapped
+    says = None
+    if math.isnan(world.success_distance):
+        fine = "is_success" in info
+        require(fine, "info", sorted(info), "with is_success, or interface with success_distance")
+        says = bool(info["is_success"])
     episodes = [
         Episode(
             seed=seed,
@@ -212,6 +218,7 @@ def _play(
             control_step=float(world.parameters.control_step),
             tolerance=float(world.success_distance),
             reach=float(world.reach),
+            is_success=says,
         )
         for number, seed in enumerate(seeds)
     ]

@@ -32,7 +32,10 @@ def replay(results: Results) -> dict[str, Any]:
     Trained agents are shown by their first training.
     """
     agents = results.replayed
-    recorded = set() if results.paths.empty else set(results.paths["environment"])
+    paths = results.paths
+    if "hand_z" in paths:  # it shows the plane
+        paths = paths[paths["hand_z"].isna()]
+    recorded = set() if paths.empty else set(paths["environment"])
     scenes = {key: _scenes(results, key) for key in results.replayed_scenarios if key in recorded}
     there = {agent for scene in chain(*scenes.values()) for agent in scene["agents"]}
     return {

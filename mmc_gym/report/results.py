@@ -268,7 +268,7 @@ class Results:
 
 
 def _tolerance(one: Environment) -> str:
-    return f"{one.tolerance:g}"
+    return "as it says" if math.isnan(one.tolerance) else f"{one.tolerance:g}"
 
 
 def _lengths(one: Environment) -> str:

@@ -238,7 +238,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         drive, locks = state.drive, state.locks
         left = interface.turn(now, plan.next)
         joint_targets: Floats = now + left
-        if self.parts.drives:
+        if self.parts.drives and not interface.has_drive:
             turn, drive = self._turn(state, problem, plan, left)
             noise = state.posture.deviation
             joint_targets, drive = drive.targets(now, turn, left, noise, interface)
