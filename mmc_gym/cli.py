@@ -29,8 +29,6 @@ from mmc_gym._files import import_modules, read_yaml
 from mmc_gym._grid import CellError
 
 if TYPE_CHECKING:
-    from mmc_gym.agents.policy import PolicyCard
-    from mmc_gym.training.hyperparameters import Recipe
     from mmc_gym.training.training import TrainingProgress
 
 DESCRIPTION = "Compare agents that reach with a planar arm.  --version alone prints the version."
@@ -39,8 +37,9 @@ _PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
 
 _app = tyro.extras.SubcommandApp()
 _commands: dict[str, Callable[..., None]] = {}
-_FORMER = {"--agent": "--agents", "--env": "--scenarios", "--environments": "--scenarios"}
-_MEANT = {"--perturbations": "--scenarios", "--tasks": "--scenarios", "--models": "--agents"}
+_OTHER_WORDS = {"--agent": "--agents", "--models": "--agents"} | dict.fromkeys(
+    ("--env", "--environments", "--perturbations", "--tasks"), "--scenarios"
+)
 _ARGUMENT = {"report": "--store", "train": "--name", "list": "--what", "show": "--scenario"}
 
 
@@ -83,17 +82,17 @@ def _spelt(arguments: list[str]) -> list[str]:
     found = [command]
     for text in others:
         word, sign, value = text.partition("=")
-        option, present = word.replace("_", "-"), _FORMER.get(word)
+        option, present = word.replace("_", "-"), _OTHER_WORDS.get(word)
         if not word.startswith("--") or option in (*known, "--help"):
             found.append(text)
         elif command == "report" and option == "--store":
             _told("report takes its folder without --store")
             found += [value] if value else []
         elif present in known:
-            _told(f"{option} is called {present} now")
+            _told(f"{option} is called {present}")
             found.append(f"{present}{sign}{value}")
         else:
-            raise unknown(f"option of {command}", word, known, guess=_MEANT.get(option, ""))
+            raise unknown(f"option of {command}", word, known)
     return found
 
 
@@ -310,7 +309,6 @@ def report(
 @_command
 def train(
     name: Annotated[Positional[str], _arg("NAME")] = "",
-    all: Switch = False,
     env: Text = None,
     seed: Seed = 0,
     steps: Number = None,
@@ -318,63 +316,26 @@ def train(
     resume: Switch = False,
     tensorboard: OtherPlace = None,
     device: Annotated[str, _arg("TEXT")] = "cpu",
-    jobs: Number = None,
-    cluster: Text = None,
     more: World = WORLD,
 ) -> None:
     """Train an agent with YAML hyperparameters; --resume continues a killed training.
 
     Args:
         name: A name that ships, such as ppo or tqc-her, or your own YAML file: my/ppo-mine.yml.
-        all: Train every policy that ships (ppo-memory is a study).
         env: One of the environment ids in the YAML file; the first, if not given.
         seed: Seed of everything random.
         steps: Environment steps, instead of those in the YAML file.
-        out: Folder for checkpoint and policy; runs/NAME-SEED or runs/train-all, if not given.
-        resume: Continue from a checkpoint in the folder; --all always does.
+        out: Folder for checkpoint and policy; runs/NAME-SEED, if not given.
+        resume: Continue from a checkpoint in the folder.
         tensorboard: Folder for TensorBoard's logs.
         device: For PyTorch: cpu, cuda, cuda:1, auto.
-        jobs: With --all: number of trainings at once; one per core, if not given.
-        cluster: With --all: ray, or ray://HOST:PORT, to train on a Ray cluster.
     """
     more.load()
-    from mmc_gym.training.hyperparameters import names, read_recipe
-
-    if all == bool(name):
-        raise UserError(
-            f"name must be one of {', '.join(names())}, or the path of a YAML file, "
-            f"or else give --all, got {name!r}{' and --all' if all else ''}"
-        )
-    if all:
-        env_kwargs = " ".join(more.env_kwargs)
-        _only_for(
-            "a single training", env=env, seed=seed, tensorboard=tensorboard, env_kwargs=env_kwargs
-        )
-        _train_all(out or Path("runs/train-all"), steps, device, jobs, cluster)
-    else:
-        _only_for("--all", jobs=jobs, cluster=cluster)
-        recipe = read_recipe(name, env, steps, more.arguments)
-        _train_one(recipe, seed, out, resume, tensorboard, device)
-
-
-def _only_for(other: str, **options: Any) -> None:
-    """Raise a `UserError` if an option of `train` is given that is for something else only."""
-    for name, value in options.items():
-        if value:
-            raise UserError(f"--{name.replace('_', '-')} is for {other} only, got {value}")
-
-
-def _train_one(
-    recipe: Recipe,
-    seed: int,
-    out: Path | None,
-    resume: bool,
-    tensorboard: Path | None,
-    device: str,
-) -> None:
     from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
+    from mmc_gym.training.hyperparameters import read_recipe
     from mmc_gym.training.training import Training
 
+    recipe = read_recipe(name, env, steps, more.arguments)
     folder = out or Path("runs") / file_stem(recipe.name, seed)
     with progress_bar() as bar:
         task = bar.add_task(f"{recipe.name}, seed {seed}")
@@ -395,33 +356,6 @@ def _train_one(
         f"{FINAL_EPISODES} fixed episodes after {card.training_steps:,} steps in "
         f"{card.training_seconds:.0f} s"
     )
-
-
-def _train_all(
-    out: Path, steps: int | None, device: str, jobs: int | None, cluster: str | None
-) -> None:
-    from mmc_gym.training import training
-
-    policies = training.shipped_policies()
-    with progress_bar() as bar:
-        task = bar.add_task("policies", total=len(policies))
-
-        def on_policy(card: PolicyCard) -> None:
-            bar.advance(task)
-            bar.console.print(
-                f"{card.file_stem:<16} success {card.scores['success']:6.1%}  "
-                f"{card.training_steps:>10,} steps  {card.training_seconds:6.0f} s"
-            )
-
-        training.train_all(
-            policies,
-            out,
-            steps=steps,
-            device=device,
-            jobs=jobs,
-            cluster=cluster,
-            on_policy=on_policy,
-        )
 
 
 @_command

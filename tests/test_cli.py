@@ -43,15 +43,15 @@ def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, caps
     def fail(*arguments, **options):
         raise CellError(3, "cell", "ValueError: the first line\nthe second")
 
-    monkeypatch.setattr("mmc_gym.training.training.train_all", fail)
+    monkeypatch.setattr("mmc_gym.benchmark.runner.benchmark", fail)
     with pytest.raises(SystemExit) as stop:
-        main(["train", "--all"])
+        main(["benchmark"])
     assert stop.value.code == 1
     (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
     assert line.startswith("mmc-gym: cell 3, 'cell', failed: ValueError: the first line (")
     monkeypatch.setenv("MMC_GYM_TRACEBACK", "1")
     with pytest.raises(CellError):
-        main(["train", "--all"])
+        main(["benchmark"])
 
 
 def test_an_error_that_is_not_the_users_keeps_its_traceback(monkeypatch):
@@ -80,16 +80,14 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
         (["compare", "--agents", "mcc"], "mcc"),
         (["compare", "--episodes", "0"], "episodes"),
         (["train", "dqn"], "name 'dqn' is not accepted. It may be ppo, "),
-        (["train"], "or else give --all"),
-        (["train", "ppo", "--all"], "or else give --all"),
+        (["train"], "or the path of a YAML file"),
         (["train", "ppo", "--env", "MMCReachGoal-v0"], "env for ppo 'MMCReachGoal-v0' is not"),
-        (["train", "--all", "--cluster", "slurm"], "cluster must be 'ray'"),
+        (["benchmark", "--cluster", "slurm"], "cluster must be 'ray'"),
         (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
         (["train", "ppo", "--steps", "0"], "n_timesteps must be at least 1, got 0"),
         (["train", "ppo", "--device", "foo"], "device must be one that PyTorch can use here"),
         (["train", "ppo", "--out", __file__], "out must be a folder, got the file"),
-        (["train", "ppo", "--cluster", "ray"], "--cluster is for --all only, got ray"),
-        (["train", "--all", "--jobs", "-3"], "jobs must be a whole number of at least 1, got -3"),
+        (["benchmark", "--jobs", "-3"], "jobs must be a whole number of at least 1, got -3"),
         (
             ["list", "agents", "--import", "../.."],
             "import must be the name of a module",
@@ -101,7 +99,6 @@ def test_an_interruption_is_one_line(monkeypatch, capsys):
         ([*ENV_KWARGS, "x=" + "[" * 5000], "nested too deeply"),
         ([*ENV_KWARGS, "x={a: 1, a: 2}"], "the key 'a' occurs twice"),
         ([*ENV_KWARGS, "x=1", "x=2"], "env-kwargs must be given once for x, got 'x=2'"),
-        (["train", "--all", "--seed", "3"], "--seed is for a single training only, got 3"),
     ],
 )
 def test_mistakes_end_with_one_line_that_names_them(arguments, message, capsys):
@@ -121,7 +118,6 @@ def test_mistakes_end_with_one_line_that_names_them(arguments, message, capsys):
             "compare --agnts mmc",
             "option of compare '--agnts' is not accepted; did you mean '--agents'",
         ),
-        ("compare --perturbations delay", "did you mean '--scenarios'?"),
         (
             "compare mmc",
             "compare must be followed by options, got 'mmc'; did you mean --agents mmc?",
@@ -150,9 +146,9 @@ def test_what_is_misspelt_is_one_line_that_says_what_was_meant(arguments, messag
             ["--scenarios", "MMCReach-v0"],
             "--env is called --scenarios",
         ),
-        ("compare --agent=mmc", ["--agents=mmc"], "--agent is called --agents now"),
-        ("benchmark --environments random", ["--scenarios", "random"], "called --scenarios now"),
-        ("play --agent mmc", ["--agents", "mmc"], "--agent is called --agents now"),
+        ("compare --agent=mmc", ["--agents=mmc"], "--agent is called --agents"),
+        ("benchmark --environments random", ["--scenarios", "random"], "called --scenarios"),
+        ("play --agent mmc", ["--agents", "mmc"], "--agent is called --agents"),
         ("record film.gif", ["--out", "film.gif"], "record takes its file as --out FILE"),
         ("report --store runs/mine", ["runs/mine"], "report takes its folder without --store"),
     ],

@@ -1,4 +1,4 @@
-"""Train policies with stable-baselines3, resumable bit for bit: one, or many at once.
+"""Train policies with stable-baselines3, resumable bit for bit.
 
 A training is cut into legs.  At the start of each leg the environments are reset, all random
 generators are seeded from the training's seed and the leg's number, and the state of the training
@@ -9,16 +9,15 @@ policy as an undisturbed one.
 from __future__ import annotations
 
 import platform
-import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -29,9 +28,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_wrapper
 
 from mmc_gym._errors import UserError, is_whole, missing, require, require_whole
-from mmc_gym._files import check_folder, write_atomically
-from mmc_gym._grid import one_torch_thread, run_grid
-from mmc_gym.agents import AGENTS
+from mmc_gym._files import check_folder
+from mmc_gym._grid import one_torch_thread
 from mmc_gym.agents.policy import (
     EVALUATION_EPISODES,
     FINAL_EPISODES,
@@ -44,7 +42,7 @@ from mmc_gym.agents.policy import (
 from mmc_gym.agents.policy_network import PolicyNetwork
 from mmc_gym.interface import ReachInterface, read_attribute
 from mmc_gym.measures.rollout import evaluate
-from mmc_gym.training.hyperparameters import Recipe, names, read_recipe
+from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.policies import export_policy, load_checkpoint, read_head, save_checkpoint
 from mmc_gym.training.vec_env import GymnasiumVecEnv, Residual
 
@@ -392,93 +390,3 @@ def evaluate_policy(network: PolicyNetwork, card: PolicyCard, episodes: int) -> 
     given = card.hyperparameters.get("env_kwargs", {})
     arguments = {name: value for name, value in given.items() if name != "engine"}
     return evaluate(partial(PolicyAgent, network, card), card.env_id, arguments, episodes)
-
-
-class PolicyName(NamedTuple):
-    """A policy to train: the name of its hyperparameters, and the seed of its training."""
-
-    name: str
-    seed: int
-
-
-def shipped_policies() -> list[PolicyName]:
-    """Return every policy that ships, except those that a study trains."""
-    counts = {name: AGENTS[name].training_seeds for name in names() if name in AGENTS}
-    return [PolicyName(name, seed) for name, count in counts.items() for seed in range(count)]
-
-
-def train_all(
-    policies: Sequence[PolicyName],
-    out: Path,
-    *,
-    steps: int | None = None,
-    device: str = "cpu",
-    jobs: int | None = None,
-    cluster: str | None = None,
-    on_policy: Callable[[PolicyCard], None] = lambda card: None,
-) -> list[PolicyCard]:
-    """Train policies, many at once, write their files into `out`, and return their cards.
-
-    A policy that is in `out`, with the same hyperparameters, is not trained again.  Interrupted
-    trainings resume from their checkpoints.
-
-    Args:
-        policies: to train.
-        out: folder for the files.
-        steps: environment steps, instead of those of the hyperparameters.
-        device: of torch, such as "cpu".
-        jobs: how many are trained at once, see `run_grid`.
-        cluster: see `run_grid`.
-        on_policy: called with the card of each policy that is ready.
-
-    Raises:
-        UserError: if `out` is a file, the steps, the hyperparameters or the device are not
-            accepted, or a checkpoint is damaged or belongs to another training.
-        CellError: if a training failed.
-    """
-    check_folder(out, "out")
-    cards: dict[PolicyName, PolicyCard] = {}
-    cells: list[Training] = []
-    for policy in policies:
-        recipe, stem = read_recipe(policy.name, steps=steps), file_stem(*policy)
-        if (card := _finished(recipe, out / f"{stem}.json")) is not None:
-            cards[policy] = card
-            on_policy(card)
-            continue
-        cells.append(Training(recipe, policy.seed, out / "checkpoints" / stem, device=device))
-        cells[-1].find_checkpoint()  # a mistake is named here rather than in a worker
-
-    def keep(index: int, contents: dict[str, bytes]) -> None:
-        training = cells[index]
-        for file, content in contents.items():
-            write_atomically(out / file, content)
-        shutil.rmtree(training.folder, ignore_errors=True)  # replay buffers are large
-        policy = PolicyName(training.recipe.name, training.seed)
-        _, cards[policy] = load_policy(out / f"{file_stem(*policy)}.json")
-        on_policy(cards[policy])
-
-    function = train_cell if cluster is None else train_anywhere
-    run_grid(function, cells, jobs=jobs, cluster=cluster, on_result=keep)
-    return [cards[policy] for policy in policies]
-
-
-def train_cell(training: Training) -> dict[str, bytes]:
-    """Run or resume a training; return the contents of the policy's files by their names."""
-    training.run(resume=True)
-    return {file.name: file.read_bytes() for file in training.policy_files}
-
-
-def train_anywhere(training: Training) -> dict[str, bytes]:
-    """Run a training on a node of a cluster, where checkpoints would be of no use."""
-    with tempfile.TemporaryDirectory() as nowhere:
-        return train_cell(replace(training, folder=Path(nowhere)))
-
-
-def _finished(recipe: Recipe, path: Path) -> PolicyCard | None:
-    """Return the card at the path if its training had the recipe's hyperparameters, or None."""
-    try:
-        _, card = load_policy(path)
-    except (FileNotFoundError, UserError):
-        return None
-    same = (card.env_id, card.hyperparameters) == (recipe.env_id, recipe.hyperparameters)
-    return card if same else None

@@ -7,9 +7,7 @@ for each episode.  With `Residual`, a policy corrects the actions of another age
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, TypeAlias, cast
 
 import gymnasium as gym
@@ -143,11 +141,10 @@ class RandomScenarios(VecEnvWrapper):
     """Arms in groups; each group draws a scenario for every episode (domain randomisation).
 
     Each of the `names` and of the `ranges` is equally likely to be drawn; a strength is uniform in
-    its range.  With probability `twice` a second scenario is drawn and joined to the first, if
-    its perturbation is of another kind and they do not both have a task.  The wrapped environment
-    gives number, control mode, engine and other arguments of the arms, and never moves.  Groups
-    with obstacles move in pymunk, because the analytic engine knows no collisions.  The first
-    episodes of the groups have different lengths, so that later ones end at different steps.
+    its range.  The wrapped environment gives number, control mode, engine and other arguments of
+    the arms, and never moves.  Groups with obstacles move in pymunk, because the analytic engine
+    knows no collisions.  The first episodes of the groups have different lengths, so that later
+    ones end at different steps.
 
     Source: Peng, Andrychowicz, Zaremba & Abbeel (2018), Sim-to-real transfer of robotic control
     with dynamics randomization, ICRA, https://arxiv.org/abs/1710.06537.
@@ -159,7 +156,6 @@ class RandomScenarios(VecEnvWrapper):
         names: Sequence[str] = ("random",),
         ranges: Mapping[str, Sequence[float]] | None = None,
         groups: int = 32,
-        twice: float = 0.0,
     ) -> None:
         """Wrap a vector of equal environments.
 
@@ -169,7 +165,6 @@ class RandomScenarios(VecEnvWrapper):
             ranges: lowest and highest strength of families of perturbations by name, both
                 included; where strengths are whole numbers, only those are drawn.
             groups: number of groups.
-            twice: probability of a second scenario.
 
         Raises:
             UserError: if a name, a strength or the number of groups is not accepted.
@@ -177,14 +172,13 @@ class RandomScenarios(VecEnvWrapper):
         super().__init__(venv)
         fine = is_whole(groups) and groups >= 1 and venv.num_envs % groups == 0
         require(fine, "groups", groups, f"a divisor of the {venv.num_envs} environments")
-        require(0 <= twice <= 1, "twice", twice, "a probability")
         self._fixed = [scenario(name) for name in names]
         self._ranges = {name: _range(name, ends) for name, ends in (ranges or {}).items()}
         require(bool(self._fixed or self._ranges), "names", names, "one at least, without ranges")
         spec = venv.get_attr("spec")[0]
         own = ("task", "num_envs", "max_episode_steps")
         self._arguments = {key: value for key, value in spec.kwargs.items() if key not in own}
-        self._size, self._twice = venv.num_envs // groups, twice
+        self._size = venv.num_envs // groups
         ends = [
             perturbed(FAMILIES[name], end) for name in self._ranges for end in self._ranges[name]
         ]
@@ -231,6 +225,10 @@ class RandomScenarios(VecEnvWrapper):
                 env.close()
         self.venv.close()
 
+    def draw_group(self, share: float) -> VectorEnv:
+        """Make the arms of a group in a random scenario, see `make_group`."""
+        return self.make_group(self.draw(), share)
+
     def make_group(self, drawn: Scenario, share: float = 1.0) -> VectorEnv:
         """Make the arms of a group; their episode has `share` of the usual length."""
         arguments = {**self._arguments, **drawn.arguments, "autoreset_mode": "Disabled"}
@@ -241,20 +239,7 @@ class RandomScenarios(VecEnvWrapper):
         return gym.make_vec(drawn.env_id, self._size, copy=False, **arguments)
 
     def draw(self) -> Scenario:
-        """Return a random scenario, sometimes two that are joined."""
-        first = self._draw_one()
-        if self._random.random() >= self._twice:
-            return first
-        second = self._draw_one()
-        kinds = {type(one) for one in first.perturbations}
-        fits = kinds.isdisjoint(map(type, second.perturbations))
-        if second.task != "random" and first.task == "random":
-            first, second = second, first
-        if not fits or second.task != "random":
-            return first
-        return replace(first, perturbations=first.perturbations + second.perturbations)
-
-    def _draw_one(self) -> Scenario:
+        """Return a random scenario."""
         index = int(self._random.integers(len(self._fixed) + len(self._ranges)))
         if index < len(self._fixed):
             return self._fixed[index]
@@ -268,17 +253,7 @@ class RandomScenarios(VecEnvWrapper):
         """Draw a scenario for a group, and return its first observations."""
         if (old := self._groups[group]) is not None:
             old.close()
-        made = None
-        while made is None:
-            drawn = self.draw()
-            try:
-                made = self.make_group(drawn, share)
-            except UserError as error:
-                if len(drawn.perturbations) < 2 and drawn.task == "random":
-                    raise
-                # The task cannot be done under these perturbations: draw another.
-                warnings.warn(f"scenarios that do not go together: {error}", stacklevel=2)
-        self._groups[group] = made
+        self._groups[group] = made = self.draw_group(share)
         observation, _ = made.reset(seed=int(self._random.integers(2**31)))
         return observation
 

@@ -24,8 +24,9 @@ Hutter (2020), Learning quadrupedal locomotion over challenging terrain, Science
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -44,6 +45,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, unwrap_vec_w
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from typing_extensions import override
 
+from mmc_gym import UserError
 from mmc_gym.agents.policy_network import History, PolicyNetwork
 from mmc_gym.envs.scenarios import Scenario
 from mmc_gym.interface import ObservationLayout, ReachInterface, relative_speeds, turned_back
@@ -134,10 +136,15 @@ def lengthened(space: spaces.Space[Any], count: int) -> spaces.Box:
 
 
 class TruthfulScenarios(RandomScenarios):
-    """`RandomScenarios` whose observations are followed by the `Truth`."""
+    """`RandomScenarios`, two at once at times, whose observations are followed by the `Truth`.
 
-    def __init__(self, venv: VecEnv, **options: Any) -> None:
+    With probability `twice` a second scenario is drawn and joined to the first, if its perturbation
+    is of another kind and they do not both have a task.
+    """
+
+    def __init__(self, venv: VecEnv, twice: float = 0.0, **options: Any) -> None:
         """Wrap a vector of equal environments, with the options of `RandomScenarios`."""
+        self._twice = twice
         super().__init__(venv, **options)
         size = truth_size(venv.action_space.shape[0])  # type: ignore[index]
         self.observation_space = lengthened(venv.observation_space, size)
@@ -145,6 +152,32 @@ class TruthfulScenarios(RandomScenarios):
     @override
     def make_group(self, drawn: Scenario, share: float = 1.0) -> VectorEnv:
         return Truth(super().make_group(drawn, share))
+
+    @override
+    def draw_group(self, share: float) -> VectorEnv:
+        while True:
+            drawn = self.draw()
+            try:
+                return self.make_group(drawn, share)
+            except UserError as error:
+                if len(drawn.perturbations) < 2 and drawn.task == "random":
+                    raise
+                # The task cannot be done under these perturbations: draw another.
+                warnings.warn(f"scenarios that do not go together: {error}", stacklevel=2)
+
+    @override
+    def draw(self) -> Scenario:
+        first = super().draw()
+        if self._random.random() >= self._twice:
+            return first
+        second = super().draw()
+        kinds = {type(one) for one in first.perturbations}
+        fits = kinds.isdisjoint(map(type, second.perturbations))
+        if second.task != "random" and first.task == "random":
+            first, second = second, first
+        if not fits or second.task != "random":
+            return first
+        return replace(first, perturbations=first.perturbations + second.perturbations)
 
 
 class Memory(VecEnvWrapper):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from mmc_gym import UserError
 from mmc_gym.agents.policy import PolicyAgent, load_policy
 from mmc_gym.interface import ReachInterface
 from mmc_gym.training.training import Training, make_vec_env
@@ -36,6 +37,21 @@ def truth(name: str, steps: int, action: float = 0.3) -> np.ndarray:
 @pytest.mark.parametrize("name", ["delay-100", "vision-noise-0.1", "joint-noise-0.05"])
 def test_the_truth_is_on_time_and_without_noise(name):
     np.testing.assert_allclose(truth(name, 20), truth("random", 20), atol=1e-6)
+
+
+def test_two_scenarios_at_once_that_do_not_go_together_are_named(monkeypatch):
+    env = truthful(names=["pursuit"], ranges={"rotation": [10, 20]}, twice=1.0, groups=4)
+    env.seed(0)
+    make = env.make_group
+
+    def refuse_two(drawn: Any, share: float) -> Any:
+        if drawn.task == "pursuit" and drawn.perturbations:
+            raise UserError("pursuit is refused")
+        return make(drawn, share)
+
+    monkeypatch.setattr(env, "make_group", refuse_two)
+    with pytest.warns(UserWarning, match="do not go together: pursuit is refused"):
+        env.reset()
 
 
 HALF = np.sqrt(0.5)

@@ -36,7 +36,6 @@ def played(seed: int = 0, steps: int = 230, **arguments: Any) -> tuple[Any, ...]
 MANY = {
     "names": ("pursuit", "locks-2", "obstacles-2", "via-points"),
     "ranges": {"rotation": (-60, 60), "delay": (0, 200), "longer": (0, 50)},
-    "twice": 0.5,
 }
 
 
@@ -66,7 +65,7 @@ def test_the_vector_environments_of_others_are_replaced_too():
     assert (made.engine, made.control, made.setup.task_name) == (*arguments.values(), "pursuit")
 
 
-def test_every_scenario_is_met_and_two_at_once():
+def test_every_scenario_is_met():
     env = scenarios(**MANY)
     found = [env.draw() for _ in range(200)]
     assert {one.task for one in found} == {"random", "pursuit", "via-points"}
@@ -74,7 +73,6 @@ def test_every_scenario_is_met_and_two_at_once():
     assert kinds == {
         *("LockedJoint", "Obstacles", "VisuomotorRotation", "SensoryDelay", "SegmentLength")
     }
-    assert {len(one.perturbations) for one in found} == {0, 1, 2}
     turns = [one.strength for one in found if one.family == "rotation"]
     assert min(turns) < -30 and max(turns) > 30
 
@@ -86,25 +84,10 @@ def test_whole_strengths_are_drawn_whole(family):
     assert env.reset().shape == (ARMS, 15)
 
 
-def test_scenarios_that_do_not_go_together_are_named_and_others_are_drawn(monkeypatch):
-    env = scenarios(names=("pursuit",), ranges={"rotation": [10, 20]}, twice=1.0)
-    make = env.make_group
-
-    def refuse_two(drawn: Any, share: float) -> Any:
-        if drawn.task == "pursuit" and drawn.perturbations:
-            raise UserError("pursuit is refused")
-        return make(drawn, share)
-
-    monkeypatch.setattr(env, "make_group", refuse_two)
-    with pytest.warns(UserWarning, match="do not go together: pursuit is refused"):
-        env.reset()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"groups": 3}, "groups must be a divisor of the 8 environments, got 3"),
-        ({"twice": 2}, "twice must be a probability, got 2"),
         ({"names": ["randon"]}, "scenario 'randon' is not accepted; did you mean 'random'"),
         ({"ranges": {"rotatio": [0, 1]}}, "did you mean 'rotation"),
         ({"ranges": {"rotation": [5, 1]}}, "must be the lowest and the highest strength"),

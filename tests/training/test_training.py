@@ -2,7 +2,6 @@
 
 import shutil
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from pathlib import Path
@@ -21,7 +20,7 @@ from mmc_gym.body import ArmParameters
 from mmc_gym.interface import ReachInterface
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
-from mmc_gym.training.training import CHECKPOINT, Training, train_all
+from mmc_gym.training.training import CHECKPOINT, Training
 
 LEGS = 4
 RANDOM_SCENARIOS = "mmc_gym.training.vec_env.RandomScenarios"
@@ -279,74 +278,8 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
     assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}
 
 
-POLICIES = [module.PolicyName("ppo", 0), module.PolicyName("ppo", 1)]
-STEPS = 4_096  # one rollout
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.glob("*.safetensors")}
-
-
-@pytest.fixture(scope="module")
-def trained_grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("trained")
-    train_all(POLICIES[:1], folder, steps=STEPS, jobs=1)
-    return folder
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("where", [{"jobs": 2}, {"cluster": "ray"}])
-def test_several_processes_train_what_one_does(where, trained_grid, tmp_path, monkeypatch):
-    monkeypatch.setenv("RAY_ADDRESS", "local")  # else it joins another test's cluster, which ends
-    seen: list[Any] = []
-    cards = train_all(POLICIES, tmp_path, steps=STEPS, on_policy=seen.append, **where)
-    first = "ppo-0.safetensors"
-    assert contents(tmp_path)[first] == contents(trained_grid)[first]
-    assert [(card.name, card.seed) for card in cards] == POLICIES
-    assert sorted(card.seed for card in seen) == [0, 1]
-    assert not list(tmp_path.glob("checkpoints/*"))  # of no more use
-
-
-def test_only_damaged_policies_are_trained_again(trained_grid, tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(module, "train_cell", None)
-        (card,) = train_all(POLICIES[:1], trained_grid, steps=STEPS, jobs=1)
-    assert card == load_policy(trained_grid / "ppo-0.json")[1]
-    for file in trained_grid.glob("ppo-0.*"):
-        shutil.copy(file, tmp_path)
-    (tmp_path / "ppo-0.safetensors").write_bytes(b"damaged")
-    train_all(POLICIES[:1], tmp_path, steps=STEPS, jobs=1)
-    assert contents(tmp_path)["ppo-0.safetensors"] == contents(trained_grid)["ppo-0.safetensors"]
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"device": "foo"}, "device must be one that PyTorch can use"),
-        ({"jobs": 0}, "jobs must be a whole number of at least 1"),
-        ({"out": "file"}, "out must be a folder, got the file"),
-        ({"steps": 1}, r"checkpoint.safetensors is of another training, .*: .*, delete "),
-    ],
-)
-def test_mistakes_are_named_before_anything_is_trained(trained, tmp_path, options, message):
-    (tmp_path / "file").touch()
-    checkpoint = tmp_path / "checkpoints" / "ppo-1" / CHECKPOINT
-    checkpoint.parent.mkdir(parents=True)
-    if options == {"steps": 1}:
-        shutil.copy(trained / CHECKPOINT, checkpoint)
-    with pytest.raises(UserError, match=message):
-        train_all(POLICIES, tmp_path / options.pop("out", ""), **options)
-    assert not list(tmp_path.glob("*.json"))
-
-
 def test_wrong_types_of_arguments_are_named():
     with pytest.raises(UserError, match="out must be the path of a folder, got 3"):
         mmc_gym.train("ppo", steps=1, out=3)  # type: ignore[arg-type]
     with pytest.raises(UserError, match="env_kwargs must be a mapping, got 3"):
         mmc_gym.train("ppo", steps=1, env_kwargs=3)  # type: ignore[arg-type]
-
-
-def test_the_seeds_that_ship_are_those_asked_for():
-    counts = Counter(policy.name for policy in set(module.shipped_policies()))
-    assert (counts["ppo"], counts["sac"], counts["tqc-her"]) == (10, 5, 5)
-    assert "ppo-memory" not in counts  # a study trains it
