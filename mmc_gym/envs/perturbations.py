@@ -467,6 +467,17 @@ class Family:
     whole: bool = False
 
 
+def _resized(percent: float, sign: int) -> SegmentLength:
+    accepted = "less than 100 %" if sign < 0 else "more than -100 %"
+    require(sign * percent > -100, "the change of the segment's length", percent, accepted)
+    return SegmentLength(1 + sign * percent / 100)
+
+
+def _delay(ms: float) -> SensoryDelay:
+    require(0 <= ms <= 1e6, "the delay", ms, "from 0 to 1000000 ms")
+    return SensoryDelay(ms / 1000)
+
+
 def _joint(strength: float, time: float = 0.0) -> LockedJoint:
     fine = strength >= 1 and float(strength).is_integer()
     require(fine, "the joint that locks", strength, "a whole number from 1 (at the base) on")
@@ -525,7 +536,7 @@ FAMILIES: dict[str, Family] = {
             unit="%",
             description="last segment {} % longer",
             default=20.0,
-            make=lambda percent: SegmentLength(1 + percent / 100),
+            make=lambda percent: _resized(percent, sign=1),
             strengths=(10.0, 20.0, 50.0),
             told=(20.0, 50.0),
         ),
@@ -534,7 +545,7 @@ FAMILIES: dict[str, Family] = {
             unit="%",
             description="last segment {} % shorter",
             default=20.0,
-            make=lambda percent: SegmentLength(1 - percent / 100),
+            make=lambda percent: _resized(percent, sign=-1),
             strengths=(10.0, 20.0, 50.0),
             told=(20.0, 50.0),
         ),
@@ -595,7 +606,7 @@ FAMILIES: dict[str, Family] = {
             unit="ms",
             description="all senses late by {} ms",
             default=100.0,
-            make=lambda ms: SensoryDelay(ms / 1000),
+            make=_delay,
             strengths=(20.0, 40.0, 100.0, 200.0, 400.0),
         ),
         Family(

@@ -158,12 +158,12 @@ class ReachSetup:
             self.body = _changed(name, change, self.body)
             self.given_body = _changed(name, change, self.given_body, change.told)
         self.noises = [change for change in changes if isinstance(change, Noise)]
-        delays = [change.seconds for change in changes if isinstance(change, SensoryDelay)]
-        self.delay = round(sum(delays) / step)
-        late = [name for name in names if name.startswith("delay")]
-        if late and sum(delays) and not self.delay:
+        delays = [change for change in changes if isinstance(change, SensoryDelay)]
+        seconds = sum(change.seconds for change in delays)
+        self.delay = round(seconds / step)
+        if seconds and not self.delay:
             raise UserError(
-                f"{late[0]} would delay nothing: delays are whole control steps of "
+                f"{names[changes.index(delays[0])]} would delay nothing: delays are whole control steps of "
                 f"{1000 * step:g} ms, such as delay-{1000 * step:g} or delay-{2000 * step:g}"
             )
         self.are_senses_disturbed = bool(self.noises or self.delay)

@@ -8,32 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmc_gym.measures.catalogue import measure
-from mmc_gym.measures.episode import Episode, Floats, moving_part
-
-
-def straightness(points: ArrayLike) -> float:
-    """Return the distance between a path's ends over the path's length; 1 is straight.
-
-    |x_n − x_0| / Σ|x_{k+1} − x_k|, between 0 and 1; NaN for a path without length.
-
-    Args:
-        points: positions of the hand, or joint angles, (points, dimensions).
-    """
-    path = np.asarray(points, dtype=np.float64)
-    length = _length(path)
-    return float(np.linalg.norm(path[-1] - path[0])) / length if length > 0.0 else math.nan
-
-
-def _length(path: Floats) -> float:
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=-1).sum())
+from mmc_gym.measures.episode import Episode, moving_part
 
 
 def linearity_index(points: ArrayLike) -> float:
     """Return the largest distance of a path from the line between its ends, over its length.
 
     max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0 and u the unit vector from the first
-    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.  For
-    `points` see `straightness`.
+    to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.
+
+    Args:
+        points: positions of the hand, or joint angles, (points, dimensions).
 
     Source:
         Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
@@ -61,13 +46,8 @@ def path_ratio(episode: Episode) -> float:
     line = float(np.linalg.norm(episode.target - episode.seen_hands[0]))
     if line < episode.tolerance or not episode.target_stands:
         return math.nan
-    return _length(episode.seen_hands) / line
-
-
-@measure(label="path efficiency", best="high", decimals=3, successes_only=True)
-def path_efficiency(episode: Episode) -> float:
-    """Return the `straightness` of the hand's path while it moves."""
-    return straightness(episode.hands[episode.movement_points])
+    steps = np.diff(episode.seen_hands, axis=0)
+    return float(np.linalg.norm(steps, axis=-1).sum()) / line
 
 
 @measure(label="largest deviation / length", best="low", decimals=3, successes_only=True)
@@ -82,12 +62,6 @@ def maximal_deviation(episode: Episode) -> float:
     if np.linalg.norm(hands[-1] - hands[0]) < episode.tolerance:
         return math.nan
     return linearity_index(hands)
-
-
-@measure(label="path efficiency of the joints", best="high", decimals=3, successes_only=True)
-def joint_path_efficiency(episode: Episode) -> float:
-    """Return the `straightness` of the path of the joint angles while the hand moves."""
-    return straightness(episode.joint_angles[episode.movement_points])
 
 
 @measure(label="straighter in hand than in joint space", successes_only=True)

@@ -76,24 +76,8 @@ def success(episode: Episode) -> float:
 @measure(label="within 1 % of reach", shown=True, **_SHARE)
 def success_1_percent(episode: Episode) -> float:
     """Return 1 if the hand stays within 1 % of the reach for the last `DWELL` seconds, else 0."""
-    return _success_with_dwell(episode, part_of_reach=0.01)
-
-
-@measure(label="within 2 % of reach", **_SHARE)
-def success_2_percent(episode: Episode) -> float:
-    """Return 1 if the hand stays within 2 % of the reach for the last `DWELL` seconds, else 0."""
-    return _success_with_dwell(episode, part_of_reach=0.02)
-
-
-@measure(label="within 5 % of reach", **_SHARE)
-def success_5_percent(episode: Episode) -> float:
-    """Return 1 if the hand stays within 5 % of the reach for the last `DWELL` seconds, else 0."""
-    return _success_with_dwell(episode, part_of_reach=0.05)
-
-
-def _success_with_dwell(episode: Episode, part_of_reach: float) -> float:
     steps = round(DWELL / episode.control_step)
-    return float(stays_within(episode.distances, part_of_reach * episode.reach, steps))
+    return float(stays_within(episode.distances, 0.01 * episode.reach, steps))
 
 
 @measure(label="final distance", unit="lengths", best="low", decimals=3, shown=True)
@@ -109,17 +93,6 @@ def time_to_target(episode: Episode) -> float:
     An episode has this value exactly if its `success` is 1.
     """
     return arrival_time(episode.distances, episode.tolerance, episode.control_step)
-
-
-@measure(label="settling at the target", unit="s", best="low", successes_only=True)
-def settling_time(episode: Episode) -> float:
-    """Return the seconds from the hand's first entry within ε until it stays there.
-
-    `time_to_target` less T · min{k : d_k ≤ ε}: 0 for a hand that arrives and stays, NaN for one
-    that does not stay.
-    """
-    first = int(np.argmax(episode.distances <= episode.tolerance))
-    return time_to_target(episode) - first * episode.control_step
 
 
 @measure(label="overshoot", unit="lengths", best="low", decimals=3, successes_only=True)

@@ -123,12 +123,6 @@ def fitts_slope(episodes: Sequence[Episode]) -> float:
     return fitts_line(episodes).slope
 
 
-@set_measure(environment="distances", label="Fitts' intercept", unit="s")
-def fitts_intercept(episodes: Sequence[Episode]) -> float:
-    """Return a of the `fitts_line`."""
-    return fitts_line(episodes).intercept
-
-
 @set_measure(environment="distances", label="Fitts' law explains", unit="fraction")
 def fitts_r_squared(episodes: Sequence[Episode]) -> float:
     """Return R² of the `fitts_line`."""

@@ -11,9 +11,7 @@ its `moving_part`.  That part of minimum jerk is its `MINIMUM_JERK_SPAN`, with o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -134,22 +132,6 @@ def minimum_jerk_correlation(episode: Episode) -> float:
     return correlation_with_minimum_jerk(episode.movement_speeds, MINIMUM_JERK_SPAN)
 
 
-@measure(
-    label="unlike minimum jerk", unit="mean speeds", best="low", decimals=3, successes_only=True
-)
-def minimum_jerk_rmse(episode: Episode) -> float:
-    """Return the root mean square difference from minimum jerk, as a share of the mean speed.
-
-    √(mean (s_k/s̄ − m_k/m̄)²), where m is minimum jerk of the same duration and distance, and s̄ and m̄
-    are the means.  0 for minimum jerk of any size, √(3/7) at constant speed; NaN at rest.
-    """
-    profile = episode.movement_speeds
-    if profile.size < 3 or highest_speed(profile) == 0.0:
-        return math.nan
-    wanted = _minimum_jerk_profile(profile.size, MINIMUM_JERK_SPAN)
-    return float(np.sqrt(np.mean((profile / profile.mean() - wanted / wanted.mean()) ** 2)))
-
-
 @lru_cache(maxsize=1024)
 def _minimum_jerk_profile(steps: int, span: tuple[float, float]) -> Floats:
     profile: Floats = np.diff(minimum_jerk(np.linspace(*span, steps + 1)))
@@ -242,16 +224,6 @@ def episode_return(episode: Episode) -> float:
 @measure(label="time per action", unit="µs", best="low", decimals=1, shown=True)
 def action_time(episode: Episode) -> float:
     """Return the median time of one call of `predict`, µs; NaN for an episode without steps."""
-    return _of_times(episode, np.median)
-
-
-@measure(label="time per action, 99th percentile", unit="µs", best="low", decimals=1)
-def slow_action_time(episode: Episode) -> float:
-    """Return the time that one call of `predict` in a hundred exceeds, µs; NaN without steps."""
-    return _of_times(episode, lambda times: np.percentile(times, 99))
-
-
-def _of_times(episode: Episode, statistic: Callable[[Floats], Any]) -> float:
     times = episode.action_times * 1e6
     # Unknown in most episodes of a benchmark: the first one shows that without sorting.
-    return float(statistic(times)) if times.size and not np.isnan(times[0]) else math.nan
+    return float(np.median(times)) if times.size and not np.isnan(times[0]) else math.nan

@@ -23,7 +23,7 @@ from typing_extensions import override
 from mmc_gym._errors import UserError, is_whole, require
 from mmc_gym.agents.policy import BASE_AGENTS, corrected
 from mmc_gym.agents.policy_network import Float32
-from mmc_gym.envs.perturbations import FAMILIES, Obstacles
+from mmc_gym.envs.perturbations import FAMILIES, Obstacles, SensoryDelay
 from mmc_gym.envs.scenarios import Scenario, perturbed, scenario
 from mmc_gym.interface import ReachInterface
 
@@ -179,6 +179,7 @@ class RandomScenarios(VecEnvWrapper):
         own = ("task", "num_envs", "max_episode_steps")
         self._arguments = {key: value for key, value in spec.kwargs.items() if key not in own}
         self._size = venv.num_envs // groups
+        self._control_step = venv.get_attr("parameters")[0].control_step
         ends = [
             perturbed(FAMILIES[name], end) for name in self._ranges for end in self._ranges[name]
         ]
@@ -232,6 +233,11 @@ class RandomScenarios(VecEnvWrapper):
     def make_group(self, drawn: Scenario, share: float = 1.0) -> VectorEnv:
         """Make the arms of a group; their episode has `share` of the usual length."""
         arguments = {**self._arguments, **drawn.arguments, "autoreset_mode": "Disabled"}
+        arguments["perturbations"] = [
+            one
+            for one in drawn.perturbations  # less than half a control step is no delay
+            if not isinstance(one, SensoryDelay) or round(one.seconds / self._control_step)
+        ]
         if any(isinstance(one, Obstacles) for one in drawn.perturbations):
             arguments["engine"] = "pymunk"
         steps = gym.spec(drawn.env_id).max_episode_steps or 1

@@ -39,7 +39,7 @@ from mmc_gym.interface import ControlError
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
 
 ENVS = ("random", "centre-out")
-TIMES = ["action_time", "slow_action_time"]  # the only columns that are not the same at every run
+TIMES = ["action_time"]  # the only column that is not the same at every run
 AGENTS_FROM_OUTSIDE = '''
 import os
 import numpy as np
@@ -131,7 +131,7 @@ def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
     found = read_sets(tmp_path)
     assert list(found.columns) == list(SET_COLUMNS)
     values = found.set_index(["agent", "measure"])
-    assert set(values.loc["mmc"].index) == {"fitts_slope", "fitts_intercept", "fitts_r_squared"}
+    assert set(values.loc["mmc"].index) == {"fitts_slope", "fitts_r_squared"}
     assert 0 < values.loc[("mmc", "fitts_slope"), "value"] < 1
     assert 0 < values.loc[(REFERENCE, "fitts_slope"), "value"] < 1
     assert (values["episodes"] == 32).all() and (values["environment"] == "distances").all()

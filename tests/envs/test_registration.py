@@ -112,10 +112,13 @@ def test_a_name_with_any_strength_makes_a_perturbation(
         ("locked-0", "locked-0 has no such .*joint that locks must be a whole number from 1"),
         ("locks-1.5", "joint that locks must be a whole number from 1"),
         ("obstacles-5", "number of obstacles must be a whole number from 1 to 4"),
-        ("delay--40", "delay--40 has no such strength: seconds must be"),
+        (
+            "delay--40",
+            "delay--40 has no such strength: the delay must be from 0 to 1000000 ms, got",
+        ),
         (f"locked-1{400 * '0'}", "locked-inf has no such strength: the joint that locks must be"),
-        (f"delay-1{30 * '0'}", "delay-1000.* has no such strength: seconds must be at most 1000"),
-        ("shorter-100", "shorter-100 has no such strength: factor must be"),
+        (f"delay-1{30 * '0'}", "delay-1000.* has no such strength: the delay must be from 0 to"),
+        ("shorter-100", "shorter-100 has no such .* length must be less than 100 %, got 100"),
         ("delay-", "did you mean 'delay'"),
         ("centre-out+", "scenario '' is not accepted"),
         (None, "scenario None is not accepted. It may be"),
@@ -147,6 +150,11 @@ def test_what_an_arm_cannot_have_is_refused_by_its_name(name: str, mended: str, 
         with pytest.raises(UserError, match=hint):
             make(name)
         make(mended)
+
+
+def test_a_delay_that_rounds_to_nothing_is_refused_as_an_object_too() -> None:
+    with pytest.raises(UserError, match="SensoryDelay would delay nothing: .* such as delay-20"):
+        mmc_gym.make("random", perturbations=[SensoryDelay(0.005)])
 
 
 @pytest.mark.parametrize(

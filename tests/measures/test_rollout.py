@@ -135,7 +135,7 @@ def test_an_environment_of_your_own_needs_no_arm():
     (episode,) = run_episodes(says((np.array([1.0, 0.0]), None)), TimeLimit(Slider(), 5), [1])
     found = measure_all(episode)
     assert (found["success"], found["time_to_target"]) == (1, 0.5)
-    assert np.isnan(found["joint_work"]) and np.isnan(found["joint_path_efficiency"])
+    assert np.isnan(found["joint_work"]) and np.isnan(found["joint_effort"])
 
 
 def test_an_endless_episode_is_given_up(env, frozen, monkeypatch):

@@ -10,7 +10,6 @@ from mmc_gym.measures.speed import (
     correlation_with_minimum_jerk,
     count_peaks,
     log_dimensionless_jerk,
-    minimum_jerk_rmse,
     peakedness,
     phase_of_peak,
     sparc,
@@ -27,9 +26,8 @@ def of_speeds(measure, step=STEP):
 
 
 smoothness = of_speeds(sparc)
-unlike_minimum_jerk = of_speeds(minimum_jerk_rmse)
 smoothness_by_jerk = of_speeds(log_dimensionless_jerk)
-SHAPES = (peakedness, phase_of_peak, correlation_with_minimum_jerk, unlike_minimum_jerk)
+SHAPES = (peakedness, phase_of_peak, correlation_with_minimum_jerk)
 SMOOTHNESS = (smoothness, smoothness_by_jerk)
 
 
@@ -101,7 +99,6 @@ def test_the_moving_part_of_minimum_jerk_is_its_span_whatever_rest_surrounds_it(
     assert found == pytest.approx(MINIMUM_JERK_SPAN, abs=3e-4)
     speeds = moving[part]
     assert correlation_with_minimum_jerk(speeds, MINIMUM_JERK_SPAN) == pytest.approx(1, abs=1e-6)
-    assert unlike_minimum_jerk(speeds) == pytest.approx(0, abs=2e-3)
     # The numbers in the module's docstring.
     assert peakedness(speeds) == pytest.approx(1.658, abs=5e-4)
     assert smoothness_by_jerk(speeds) == pytest.approx(-4.41, abs=5e-3)

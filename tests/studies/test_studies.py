@@ -28,7 +28,7 @@ SHORT = {
         "--seeds 1 --arms 64 --steps 1024 --targets 20 --no-profile",
         r"median .* 95%",
     ),
-    "learners.train_all": ("--names ppo --seeds 1 --steps 4096 --jobs 1", r"ppo-0 .* 4,096 steps"),
+    "learners.train_all": ("--names ppo --seeds 1 --steps 4096 --jobs 1", r"ppo-0 +success"),
     "network.abilities": ("--segments 2 3 --arms 50 --iterations 100", r"inverse .*100%"),
     "network.normalization_training": ("--epochs 1 --widest 4", r"\[4, 4\]"),
     "body.physics": ("--agents mmc --episodes 5 --steps 40", r"(?s)mmc .* 100\.0.*analytic"),
