@@ -162,8 +162,9 @@ class ReachSetup:
         seconds = sum(change.seconds for change in delays)
         self.delay = round(seconds / step)
         if seconds and not self.delay:
+            late = names[changes.index(delays[0])]
             raise UserError(
-                f"{names[changes.index(delays[0])]} would delay nothing: delays are whole control steps of "
+                f"{late} would delay nothing: delays are whole control steps of "
                 f"{1000 * step:g} ms, such as delay-{1000 * step:g} or delay-{2000 * step:g}"
             )
         self.are_senses_disturbed = bool(self.noises or self.delay)
