@@ -153,7 +153,7 @@ def test_what_an_arm_cannot_have_is_refused_by_its_name(name: str, mended: str, 
 
 
 def test_a_delay_that_rounds_to_nothing_is_refused_as_an_object_too() -> None:
-    with pytest.raises(UserError, match="SensoryDelay would delay nothing: .* such as delay-20"):
+    with pytest.raises(UserError, match=r"SensoryDelay would delay nothing: .* such as delay-20"):
         mmc_gym.make("random", perturbations=[SensoryDelay(0.005)])
 
 
