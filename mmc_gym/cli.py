@@ -243,7 +243,7 @@ def benchmark(
 
     Args:
         agents: Names (ppo: all its training seeds; ppo-3: one), and everything else that compare
-            accepts; most that ship, if not given.
+            accepts; all that ship, if not given.
         scenarios: Names, such as random or centre-out+delay-150, or your own environments, by id,
             module:Id or module:function; all that ship, if not given.
         episodes: Episodes in each scenario; numbered trials are played once each.
@@ -253,7 +253,8 @@ def benchmark(
         cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
         interface: Of your own environments, see compare.
     """
-    from mmc_gym.benchmark import ranking, runner, suite
+    from mmc_gym.agents import AGENTS, REFERENCE
+    from mmc_gym.benchmark import ranking, runner
 
     more.load()
     failed: list[str] = []
@@ -266,7 +267,7 @@ def benchmark(
                 failed.append(f"{one.agent} in {one.environment}: {one.reason}")
 
         runner.benchmark(
-            agents or suite.default_agents(),
+            agents or (*AGENTS, REFERENCE),
             out,
             scenarios,
             episodes,

@@ -6,9 +6,7 @@ senses do not change it: this is resolved-rate control (Whitney 1969) over posit
 
 **By the Jacobian.**  With J, the derivative of the hand's position by the joint angles q,
 
-    e = target − hand,   shortened to at most `max_step`
-    damped least squares   Δq = Jᵀ(JJᵀ + λ²I)⁻¹e
-    null space             Δq = Jᵀ(JJᵀ + λ²I)⁻¹e − κ (I − J⁺J) ∇H(q)
+    Δq = Jᵀ(JJᵀ + λ²I)⁻¹e,     e = target − hand, shortened to at most `max_step`
 
 `max_step` and `damping` (λ) are in segment lengths.
 
@@ -27,11 +25,9 @@ the Euclidean distance of joint angles the short way round.
 Literature: D. E. Whitney (1969), Resolved motion rate control of manipulators and human
 prostheses, IEEE Trans. Man-Machine Systems 10, 47–53.  C. W. Wampler (1986), IEEE Trans. Syst. Man
 Cybern. 16, 93–101, and Y. Nakamura, H. Hanafusa (1986), J. Dyn. Syst. Meas. Control 108, 163–171
-(damping).  A. Liégeois (1977), Automatic supervisory control of the configuration and behavior of
-multibody mechanisms, IEEE Trans. Syst. Man Cybern. 7, 868–871 (null space).  S. R. Buss, J.-S. Kim
-(2005), Selectively damped least squares for inverse kinematics, J. Graphics Tools 10(3), 37–49
-(shortened error).  J. J. Craig, Introduction to Robotics: Mechanics and Control, ch. 4 (planar arm
-of three joints).
+(damping).  S. R. Buss, J.-S. Kim (2005), Selectively damped least squares for inverse kinematics,
+J. Graphics Tools 10(3), 37–49 (shortened error).  J. J. Craig, Introduction to Robotics: Mechanics
+and Control, ch. 4 (planar arm of three joints).
 """
 
 from __future__ import annotations
@@ -63,7 +59,6 @@ the lowest and highest angle of each joint in radians (None: joints turn freely)
 """
 
 STRAIGHT = 0.01  #: angle within which an arm is straight, and a target in line with it, radians
-COMFORT = 0.03  #: κ: share of the way to the comfortable posture that one iteration goes
 ORIENTATIONS = 90  #: orientations of a sweep, on either side of the target's direction
 
 _TINY = np.finfo(np.float64).tiny
@@ -160,9 +155,6 @@ def leave_line(joint_angles: Floats, target: Floats, segment_lengths: SegmentLen
     return joint_angles + BEND * stuck[..., None]
 
 
-# Solvers by the Jacobian
-
-
 def damped_least_squares(
     joint_angles: Floats,
     target: Floats,
@@ -176,44 +168,6 @@ def damped_least_squares(
     The change is at most `max_step` / (2 `damping`), at singularities too.  Joints stop at their
     limits.
     """
-    moved, *_ = _damped_step(joint_angles, target, segment_lengths, damping, max_step)
-    return moved if joint_limits is None else np.clip(moved, *np.transpose(joint_limits))
-
-
-def null_space(
-    joint_angles: Floats,
-    target: Floats,
-    segment_lengths: SegmentLengths,
-    joint_limits: JointLimits | None = None,
-) -> Floats:
-    """Iterate once by damped least squares, towards a comfortable posture: a `Solver`.
-
-    H = ½ Σ (q_i − m_i)²: Liégeois's distance from the middles m of the joints' ranges.  Without
-    limits the middles are 0, and the first joint is left out, because it only turns the whole arm:
-    of all postures that reach the target the evenly bent one is the most comfortable.  With limits
-    each term has the weight (narrowest range / its range)⁴.  Joints may then pass through the
-    forbidden range here: comfort brings them back, and the servos go round.  The projector is that
-    of the undamped pseudo-inverse, so comfort does not move the hand.
-    """
-    moved, jacobian_x, jacobian_y = _damped_step(joint_angles, target, segment_lengths)
-    if joint_limits is None:
-        toward_comfort = -COMFORT * wrap_angle(joint_angles)
-        toward_comfort[..., 0] = 0.0
-    else:
-        middle, spread = np.mean(joint_limits, axis=-1), np.ptp(joint_limits, axis=-1)
-        weight = (spread.min() / spread) ** 4
-        toward_comfort = COMFORT * weight * wrap_angle(middle - joint_angles)
-    return moved + _without_hand(jacobian_x, jacobian_y, toward_comfort)
-
-
-def _damped_step(
-    joint_angles: Floats,
-    target: Floats,
-    segment_lengths: SegmentLengths,
-    damping: float = 0.1,
-    max_step: float = 0.1,
-) -> tuple[Floats, Floats, Floats]:
-    """Return q + Jᵀ(JJᵀ + λ²I)⁻¹e, and ∂x/∂q and ∂y/∂q at q, (..., N) each."""
     hand, jacobian_x, jacobian_y = jacobian(joint_angles, segment_lengths)
     error = target - hand
     distance = np.hypot(error[..., 0], error[..., 1])[..., None]
@@ -226,29 +180,8 @@ def _damped_step(
     force_x = (yy * error[..., 0] - xy * error[..., 1]) / determinant
     force_y = (xx * error[..., 1] - xy * error[..., 0]) / determinant
     change = jacobian_x * force_x[..., None] + jacobian_y * force_y[..., None]
-    return joint_angles + change, jacobian_x, jacobian_y
-
-
-def _without_hand(jacobian_x: Floats, jacobian_y: Floats, change: Floats) -> Floats:
-    """Return (I − J⁺J) Δq (..., N), which does not move the hand; σ below 1e-6 σ_max are 0."""
-    xx = (jacobian_x * jacobian_x).sum(axis=-1)
-    yy = (jacobian_y * jacobian_y).sum(axis=-1)
-    xy = (jacobian_x * jacobian_y).sum(axis=-1)
-    angle = np.arctan2(2 * xy, xx - yy) / 2  # of the eigenvector of J Jᵀ with the larger value
-    larger = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    smaller = np.stack([-larger[..., 1], larger[..., 0]], axis=-1)
-    least = np.full_like(xx, _TINY)
-    for toward in (larger, smaller):
-        row = toward[..., :1] * jacobian_x + toward[..., 1:] * jacobian_y
-        square = (row * row).sum(axis=-1)
-        inverse = np.divide(1.0, square, out=np.zeros_like(square), where=square > least)
-        share = (row * change).sum(axis=-1) * inverse
-        change = change - share[..., None] * row
-        least = np.maximum(1e-6**2 * square, _TINY)
-    return change
-
-
-# The solver in closed form
+    moved = joint_angles + change
+    return moved if joint_limits is None else np.clip(moved, *np.transpose(joint_limits))
 
 
 def closed_form(

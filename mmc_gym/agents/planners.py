@@ -47,7 +47,7 @@ ITERATIONS = 3  #: iterations of inverse kinematics in a control step
 
 # The plan moves only a fraction of a length in a step.  So it needs less damping than a solver
 # alone, which keeps the hand on the path.
-_track = partial(damped_least_squares, damping=0.05, max_step=0.1)
+_track = partial(damped_least_squares, damping=0.05)
 
 
 class MovementTiming(NamedTuple):

@@ -15,7 +15,6 @@ from mmc_gym.agents.inverse_kinematics import (
     Solver,
     closed_form,
     damped_least_squares,
-    null_space,
 )
 from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_arm, tuned_mmc
 from mmc_gym.agents.optimal_control import OptimalControlAgent
@@ -88,7 +87,6 @@ class AgentEntry:
         control: the control mode in which it is compared.  Agents that give joint targets act in
             every mode that has a servo; only joint positions do not depend on late senses.
         training_seeds: how many trainings of it ship with the package; 0 if it is not trained.
-        by_default: whether it takes part in a benchmark that is given no agents.
     """
 
     description: str
@@ -96,7 +94,6 @@ class AgentEntry:
     knowledge: Knowledge
     control: Control = "joint_position"
     training_seeds: int = 0
-    by_default: bool = True
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
         """Make it for an environment, whose wrappers may change no observation or action."""
@@ -117,14 +114,11 @@ _BODY = {
 }
 
 
-def _ik(
-    description: str, solver: Solver, iterations_per_step: int = 3, by_default: bool = True
-) -> AgentEntry:
+def _ik(description: str, solver: Solver, iterations_per_step: int = 3) -> AgentEntry:
     return AgentEntry(
         description,
         lambda interface: InverseKinematicsAgent(interface, solver, iterations_per_step),
         Knowledge("inverse kinematics"),
-        by_default=by_default,
     )
 
 
@@ -213,9 +207,6 @@ AGENTS: dict[str, AgentEntry] = {
         "uniformly random actions, the same at every run",
         RandomAgent,
         Knowledge("baseline", "not given", "not given", "nothing"),
-    ),
-    "ik-nullspace": _ik(
-        "as ik-dls, with a comfortable posture in the null space", null_space, by_default=False
     ),
     "ik-closed-form": _ik(
         "inverse kinematics in closed form, the solution nearest to the posture; N up to 3",

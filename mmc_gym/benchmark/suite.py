@@ -17,7 +17,6 @@ import numpy as np
 from mmc_gym._errors import MismatchWarning
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
-from mmc_gym.agents.registry import AGENTS, REFERENCE
 from mmc_gym.agents.resolver import ResolvedAgent
 from mmc_gym.agents.sb3 import ModelAgent
 from mmc_gym.envs.perturbations import FAMILIES, Family
@@ -96,11 +95,6 @@ def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any], interface: Any 
         found = scenario(env)
     given = {**found.env_kwargs, **env_kwargs}
     return replace(found, env_kwargs=given, interface=interface)
-
-
-def default_agents() -> tuple[str, ...]:
-    """Return the names of the agents that take part by default."""
-    return (*(name for name, entry in AGENTS.items() if entry.by_default), REFERENCE)
 
 
 def make_player(

@@ -13,7 +13,6 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS, REFERENCE, resolve, resolve_all, resolver
 from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.agents.registry import UNKNOWN
-from mmc_gym.benchmark.suite import default_agents
 from mmc_gym.interface import CannotActError
 
 OWN = """
@@ -153,7 +152,6 @@ def test_the_steps_of_a_training_are_known_or_none(folder, frozen):
 
 
 def test_the_ideal_hand_takes_part_and_acts_in_no_environment():
-    assert REFERENCE in default_agents() and "ik-nullspace" not in default_agents()
     ideal = resolve(REFERENCE)
     assert (ideal.is_reference, ideal.knowledge.kind, ideal.fingerprint) == (True, "ideal", "")
     with pytest.raises(CannotActError, match="a hand without an arm"):
