@@ -108,8 +108,7 @@ def paths_and_profiles(
         for (above, below), (name, each) in zip(drawn, movements.items(), strict=True):
             above.set_title(textwrap.fill(name, 16))
             draw_paths(above, each, reach, tolerance)
-            draw_speed(below, speed_quartiles(each), control_step)
-            below.set_xlabel("time [s]")
+            draw_speed(below, each, control_step)
         top = max(below.get_ylim()[1] for _, below in drawn)
         for above, below in axes.reshape(rows, 2, columns)[:, :, 0]:
             above.set_ylabel("[segment lengths]")
@@ -181,19 +180,14 @@ def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = N
     return whole
 
 
-def speed_quartiles(movements: Sequence[PlottedMovement]) -> Floats:
-    """Return the quartiles over all movements of the speed in each step, (3, longest)."""
+def draw_speed(axes: Axes, movements: Sequence[PlottedMovement], control_step: float) -> None:
+    """Draw the median and the quartiles over all movements of the speed in each step."""
     padded = np.full((len(movements), max(len(one.speeds) for one in movements)), np.nan)
     for row, movement in zip(padded, movements, strict=True):
         row[: len(movement.speeds)] = movement.speeds  # NaNs drop out of the quartiles
-    quartiles: Floats = np.nanpercentile(padded, (25, 50, 75), axis=0)
-    return quartiles
-
-
-def draw_speed(axes: Axes, quartiles: Floats, control_step: float) -> None:
-    """Draw `speed_quartiles` over time."""
-    low, median, high = quartiles
+    low, median, high = np.nanpercentile(padded, (25, 50, 75), axis=0)
     # A difference quotient is the speed in the middle of its step.
     times = (np.arange(len(median)) + 0.5) * control_step
     axes.fill_between(times, low, high, color="0.8", linewidth=0, label="quartiles")
     axes.plot(times, median, color="black", linewidth=1.2, label="median")
+    axes.set_xlabel("time [s]")

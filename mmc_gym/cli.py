@@ -40,6 +40,10 @@ _commands: dict[str, Callable[..., None]] = {}
 _OTHER_WORDS = {"--agent": "--agents", "--models": "--agents"} | dict.fromkeys(
     ("--env", "--environments", "--perturbations", "--tasks"), "--scenarios"
 )
+_COMPARED = (
+    *("mmc-body", "ik-body", "mmc", "mmc-classical", "ik-dls"),
+    *("ppo", "sac", "tqc-her", "random"),
+)
 _ARGUMENT = {"report": "--store", "train": "--name", "list": "--what", "show": "--scenario"}
 
 
@@ -170,17 +174,7 @@ NO_IMPORTS, WORLD, PLAYED = Imports(), World(), Played()
 
 @_command
 def compare(
-    agents: Names = (
-        "mmc-body",
-        "ik-body",
-        "mmc",
-        "mmc-classical",
-        "ik-dls",
-        "ppo",
-        "sac",
-        "tqc-her",
-        "random",
-    ),
+    agents: Names = _COMPARED,
     scenarios: Names = ("random",),
     focus: Names = (),
     episodes: Seed = 200,

@@ -122,22 +122,17 @@ class Scores:
     seeds: Mapping[str, int]
 
 
-def arrange(frame: pd.DataFrame, value: str = "value") -> Scores:
-    """Return the scores of a tidy frame as arrays.
+def arrange(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:
+    """Return the scores in several columns of a tidy frame as arrays.
 
     Args:
         frame: a row per episode, with the columns agent, training_seed (missing for an agent
-            without training), environment, instance, and `value`.
-        value: the column of the scores, NaN where an episode has none.
+            without training), environment, instance, and those of the scores.
+        names: the columns of the scores, NaN where an episode has none.
 
     Raises:
         ValueError: if a column is missing, an episode occurs twice, or a policy lacks instances.
     """
-    return arrange_all(frame, [value])[value]
-
-
-def arrange_all(frame: pd.DataFrame, names: Sequence[str]) -> dict[str, Scores]:
-    """Return the scores of several columns of a tidy frame, as `arrange` does for one."""
     missing = [column for column in (*COLUMNS, *names) if column not in frame.columns]
     if missing or frame.empty:
         raise ValueError(f"frame must have rows with {[*COLUMNS, *names]}, it lacks {missing}")
@@ -229,7 +224,7 @@ class Bootstrap:
     def of(
         cls, frame: pd.DataFrame, value: str = "value", resamples: int = RESAMPLES, seed: int = 0
     ) -> Bootstrap:
-        """Resample a tidy frame; its arguments and errors are those of `arrange`.
+        """Resample a column of a tidy frame; arguments and errors are those of `arrange`.
 
         Example:
             >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
@@ -238,7 +233,7 @@ class Bootstrap:
             >>> found.estimate, found.seeds, found.instances
             (1.5, (0,), 4)
         """
-        return cls(arrange(frame, value), resamples, seed)
+        return cls(arrange(frame, [value])[value], resamples, seed)
 
     def estimate(self, agent: str, statistic: PooledStatistic = "iqm") -> Estimate:
         """Estimate a statistic of an agent over its training seeds and all instances."""

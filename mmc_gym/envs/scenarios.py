@@ -47,12 +47,6 @@ BASELINE = "random"
 """The scenario without perturbation: strength 0 of every family."""
 
 
-def is_own(env: EnvLike) -> bool:
-    """Tell whether it is the user's environment, not one of this package."""
-    spec = gym.registry.get(env) if isinstance(env, str) else None
-    return spec is None or not str(spec.entry_point).startswith("mmc_gym.envs.")
-
-
 def name_of(env: EnvLike) -> str:
     """Return the name of an environment for tables: its id, or the name of the function."""
     return env if isinstance(env, str) else getattr(env, "__name__", type(env).__name__)
@@ -123,7 +117,9 @@ def make_environment(
     try:
         return _made(env, arguments if control is None else {**arguments, "control": control})
     except TypeError as error:
-        if control is not None and is_own(env):
+        spec = gym.registry.get(env) if isinstance(env, str) else None
+        is_own = spec is None or not str(spec.entry_point).startswith("mmc_gym.envs.")
+        if control is not None and is_own:
             return make_environment(env, **arguments)
         raise _not_accepted(env, error) from error
 

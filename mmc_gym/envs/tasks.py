@@ -331,14 +331,12 @@ def _paper_task() -> PointToPoint:
     return PointToPoint(points, tuple(permutations(range(21), 2)))
 
 
-def outward_task(distances: Sequence[float], directions: int = 8) -> PointToPoint:
-    """Return the task from half a reach in front of the base to targets around that point.
+def outward_task(distances: Sequence[float]) -> PointToPoint:
+    """Return the task from half a reach in front of the base to eight targets around that point.
 
-    Args:
-        distances: from start to target, as fractions of the reach.
-        directions: of the targets, evenly around the start.
+    Their `distances` from the start are fractions of the reach.
     """
-    turns = [k / directions * math.tau for k in range(directions)]
+    turns = [k / 8 * math.tau for k in range(8)]
     circles = [
         (distance * math.cos(turn), 0.5 + distance * math.sin(turn))
         for distance in distances

@@ -11,7 +11,7 @@ import pandas as pd
 
 from mmc_gym._console import number
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.statistics import Bootstrap, Scores, arrange_all
+from mmc_gym.benchmark.statistics import Bootstrap, Scores, arrange
 from mmc_gym.measures import MEASURES, Measure, SetMeasure
 from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results, count
@@ -228,7 +228,7 @@ def failure_table(results: Results) -> Table | None:
 def score_table(results: Results, environment: str) -> Table:
     """Return all measures of all agents in a scenario."""
     episodes = results.by_scenario[environment]
-    scores = arrange_all(episodes, [one.name for one in results.measures])
+    scores = arrange(episodes, [one.name for one in results.measures])
     columns = [
         _column(results, Bootstrap(scores[measure.name], results.resamples), measure)
         for measure in results.measures

@@ -25,7 +25,7 @@ from functools import partial
 from importlib.resources import files
 from operator import mul
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, cast
 
 import gymnasium as gym
 from pydantic import ConfigDict, Field, ValidationError, create_model
@@ -88,11 +88,11 @@ class Recipe:
         Raises:
             UserError: if there is no such algorithm.
         """
-        for algorithm in ALGORITHMS:
-            if self.name.partition("-")[0] == algorithm:
-                return algorithm
-        known = ", ".join(ALGORITHMS)
-        raise UserError(f"name must begin with one of {known}, got {self.name!r}")
+        name = self.name.partition("-")[0]
+        if name not in ALGORITHMS:
+            known = ", ".join(ALGORITHMS)
+            raise UserError(f"name must begin with one of {known}, got {self.name!r}")
+        return cast(Algorithm, name)
 
     @property
     def algorithm_class(self) -> type[BaseAlgorithm]:

@@ -173,7 +173,7 @@ def test_intervals_cover_the_truth_where_the_same_instances_are_hard_in_all_envi
 def test_environments_share_the_draw_of_as_many_instances_and_count_equally():
     values = np.random.default_rng(8).normal(size=(1, 30))
     e, f, g = rows("a", values, "E"), rows("a", values[:, :8], "F"), rows("a", values, "G")[::-1]
-    scores = arrange(pd.concat([e, f, g]))
+    scores = arrange(pd.concat([e, f, g]), ["value"])["value"]
     assert np.array_equal(scores.values["a"][0], scores.values["a"][2])
     first, other, shared = Bootstrap(scores, 20, 3).instances
     assert np.array_equal(first, shared)
