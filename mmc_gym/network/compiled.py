@@ -46,29 +46,27 @@ def compiled_iterations(
     check_clamped(network, clamped)
     count, nodes = network.segment_count, network.segment_count + 1
     shapes = {
-        # As `MMCState.values`, but always with pending segments and with velocities.
-        "state": (nodes * count // 2 + 2 * count, 2),
+        # As `MMCState.values`, but always with velocities.
+        "state": (nodes * count // 2 + count, 2),
         "total": (nodes, 2),  # S_i
         "length": (count,),
         "size": (count,),  # the length before normalization, see `_normalize`
         "others": (count,),
     }
     no_blocks = np.empty(0, [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()])
-    lengths, is_late = np.array(network.segment_lengths), network.schedule == "delayed"
+    lengths, rows = np.array(network.segment_lengths), np.array(clamped, dtype=np.intp)
     rule = np.array([1 / network.damping, *velocity_rule(network)])
-    rows = np.array(clamped, dtype=np.intp)
-    return partial(iterate, no_blocks, lengths, rule, is_late, rows)
+    return partial(iterate, no_blocks, lengths, rule, rows)
 
 
 @compiled
-def iterate(no_blocks, lengths, rule, is_late, clamped, values, held, result, times):
+def iterate(no_blocks, lengths, rule, clamped, values, held, result, times):
     """Write the state after some iterations into `result`.
 
     Args:
         no_blocks: an empty array of blocks; its type says how many segments there are.
         lengths: of the segments, (N,).
         rule: 1/d, and the factors of `velocity_rule`.
-        is_late: whether the schedule is "delayed".
         clamped: rows that are held, (n,).
         values: the state, (rows, 2, batch); see `MMCState`.
         held: values of the clamped rows, (n, 2, batch or 1).
@@ -78,59 +76,37 @@ def iterate(no_blocks, lengths, rule, is_late, clamped, values, held, result, ti
     blocks = np.zeros(1, no_blocks.dtype)
     for i in range(lengths.shape[0]):
         blocks[0].length[i] = lengths[i]
-    is_inverse = clamped.shape[0] == 1 and clamped[0] == _pending_row(blocks[0]) - 1  # R alone
+    is_inverse = clamped.shape[0] == 1 and clamped[0] == _velocity_row(blocks[0]) - 1  # R alone
     for first in range(0, values.shape[2], LANES):
         block = blocks[0]  # here, because a record does not keep its array alive
         lanes = min(LANES, values.shape[2] - first)
         for row in range(values.shape[0]):
-            at = _row_in(block, row, is_late)
             for axis in range(2):
                 for k in range(lanes):
-                    block.state[at, axis, k] = values[row, axis, first + k]
+                    block.state[row, axis, k] = values[row, axis, first + k]
         _hold(block, clamped, held, first, lanes)
         for _ in range(times):
-            if is_late:
-                for k in range(lanes):
-                    _normalize(block, _pending_row(block), k)
-                if not is_inverse:
-                    _hold(block, clamped, held, first, lanes)
-                _advance_late(block, rule[0], rule[1], rule[2], lanes)
-            else:
-                _advance(block, rule[0], rule[1], rule[2], lanes)
+            _advance(block, rule[0], rule[1], rule[2], lanes)
             if not is_inverse:
                 _average_hand(block, rule[0], lanes)
                 _hold(block, clamped, held, first, lanes)
         if times > 0:
             _stop(block, clamped)
         for row in range(values.shape[0]):
-            at = _row_in(block, row, is_late)
             for axis in range(2):
                 for k in range(lanes):
-                    result[row, axis, first + k] = block.state[at, axis, k]
-
-
-@inner
-def _pending_row(block):
-    """Return the row of a block where pending segments begin; above it are all vectors."""
-    return block.state.shape[0] - 2 * block.length.shape[0]
+                    result[row, axis, first + k] = block.state[row, axis, k]
 
 
 @inner
 def _velocity_row(block):
-    """Return the row of a block where velocities begin."""
+    """Return the row of a block where velocities begin; above it are all vectors."""
     return block.state.shape[0] - block.length.shape[0]
 
 
 @inner
-def _row_in(block, row, is_late):
-    """Return the row of a block that holds a row of the state."""
-    is_velocity = not is_late and row >= _pending_row(block)
-    return row + block.length.shape[0] if is_velocity else row
-
-
-@inner
 def _hold(block, clamped, held, first, lanes):
-    """Write the clamped values: vectors, and under "delayed" the segments that are pending."""
+    """Write the clamped values."""
     for index in range(clamped.shape[0]):
         for axis in range(2):
             for k in range(lanes):
@@ -202,7 +178,7 @@ def _average_hand(block, share, lanes):
 
 @inner
 def _advance(block, share, gain, memory, lanes):
-    """Do an iteration of the schedule "synchronous"."""
+    """Do an iteration, but for the mean of R."""
     state, total, velocity = block.state, block.total, _velocity_row(block)
     nodes, gain = float(total.shape[0]), gain * share
     for k in range(lanes):
@@ -218,20 +194,20 @@ def _advance(block, share, gain, memory, lanes):
             state[velocity + i, 1, k] = velocity_y
             state[i, 0, k] = x + velocity_x
             state[i, 1, k] = y + velocity_y
-        _normalize(block, 0, k)
+        _normalize(block, k)
 
 
 @inner
-def _normalize(block, start, k):
+def _normalize(block, k):
     """Bring segments to their lengths: with three divisions in one, 1/a = b c / (a b c)."""
     size, others, count = block.size, block.others, block.length.shape[0]
-    segments = block.state  # from the row `start`
+    segments = block.state  # its first rows
     for first in range(0, count, _SHARED):
         last = min(first + _SHARED, count)
         product = 1.0
         for i in range(first, last):
-            x, y = segments[start + i, 0, k] + _NUDGE, segments[start + i, 1, k]
-            segments[start + i, 0, k] = x
+            x, y = segments[i, 0, k] + _NUDGE, segments[i, 1, k]
+            segments[i, 0, k] = x
             size[i, k] = np.sqrt(x * x + y * y)
             others[i, k] = product
             product *= size[i, k]
@@ -240,30 +216,5 @@ def _normalize(block, start, k):
             i = first + last - 1 - m
             scale = block.length[i, k] * (others[i, k] * rest)
             rest *= size[i, k]
-            segments[start + i, 0, k] *= scale
-            segments[start + i, 1, k] *= scale
-
-
-@inner
-def _advance_late(block, share, gain, memory, lanes):
-    """Do an iteration of the schedule "delayed": only the self term reads the new segments."""
-    state, total = block.state, block.total
-    pending, velocity = _pending_row(block), _velocity_row(block)
-    own = 1.0 - share * (total.shape[0] - 2)  # (d − m)/d
-    for k in range(lanes):
-        _add_up(state, total, k)
-        _average_diagonals(state, total, share, k)
-        for i in range(block.length.shape[0]):
-            x, y = state[pending + i, 0, k], state[pending + i, 1, k]
-            triangles_x = total[i, 0, k] - total[i + 1, 0, k] - 2.0 * state[i, 0, k]
-            triangles_y = total[i, 1, k] - total[i + 1, 1, k] - 2.0 * state[i, 1, k]
-            change_x = share * triangles_x + own * x - x
-            change_y = share * triangles_y + own * y - y
-            velocity_x = gain * change_x + memory * state[velocity + i, 0, k]
-            velocity_y = gain * change_y + memory * state[velocity + i, 1, k]
-            state[velocity + i, 0, k] = velocity_x
-            state[velocity + i, 1, k] = velocity_y
-            state[i, 0, k] = x
-            state[i, 1, k] = y
-            state[pending + i, 0, k] = x + velocity_x
-            state[pending + i, 1, k] = y + velocity_y
+            segments[i, 0, k] *= scale
+            segments[i, 1, k] *= scale

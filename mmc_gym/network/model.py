@@ -166,11 +166,11 @@ class MMCNetwork:
         velocity_damping: d_v (paper: 5).  Dynamic networks only.
         velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
         schedule: "synchronous" or "delayed".
-        engine: "numpy"; or "numba", which compiles the iterations of a Euclidean network.  That
-            takes a quarter of the time, and the result is equal up to rounding (1e-12).  Only a
-            stretched arm whose target needs it bent is in a balance: rounding decides to which side
-            it bends, and differences grow (1e-9 after 60 iterations, then to another posture).
-            The first run with N segments compiles for some seconds.
+        engine: "numpy"; or "numba", which compiles the iterations of a Euclidean and synchronous
+            network.  That takes a quarter of the time, and the result is equal up to rounding
+            (1e-12).  Only a stretched arm whose target needs it bent is in a balance: rounding
+            decides to which side it bends, and differences grow (1e-9 after 60 iterations, then to
+            another posture).  The first run with N segments compiles for some seconds.
 
     Raises:
         UserError: for fewer than two segments, a value outside its range, or an unknown argument;
@@ -212,9 +212,11 @@ class MMCNetwork:
         require_number("velocity_decay", value, "between 0 and 1", lambda decay: 0 <= decay <= 1)
         require_choice("engine", self.engine, get_args(NetworkEngine))
         if self.engine == "numba":
-            accepted = "Euclidean for the engine 'numba'"
+            engine = "for the engine 'numba'"
             fine = type(self.normalizer) is EuclideanNormalizer
-            require(fine, "normalizer", self.normalizer, accepted)
+            require(fine, "normalizer", self.normalizer, f"Euclidean {engine}")
+            fine = self.schedule == "synchronous"
+            require(fine, "schedule", self.schedule, f"'synchronous' {engine}")
             import mmc_gym.network.compiled  # noqa: F401  (raises here if numba is missing)
 
     @property
