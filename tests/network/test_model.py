@@ -270,6 +270,7 @@ def at_rest(network):
         ({"damping": 2.0}, r"damping must be .* more than \(N \+ 1\) / 2 = 2, .* got 2.0"),
         ({"normalizer": "paper"}, "normalizer must be a Normalizer, .*, got 'paper'"),
         ({"normalizer": LEARNED, "engine": "numba"}, "normalizer must be Euclidean for the engine"),
+        ({"schedule": "delayed", "engine": "numba"}, "schedule must be 'synchronous' for the"),
         ({"velocity_damping": None}, "velocity_damping must be finite, at least 0, got None"),
         ({"dynamics": "paper", "velocity_damping": 0.5}, "velocity_damping must .*1.* got 0.5"),
         ({"velocity_decay": 1.1}, "velocity_decay must be between 0 and 1, got 1.1"),
