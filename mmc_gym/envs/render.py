@@ -86,7 +86,9 @@ class Renderer:
             (_, right), (left, _) = body.force_field
             canvas.draw_curl_field(right - left)
         for obstacle in body.obstacles:
-            canvas.draw_obstacle(obstacle)
+            middle, radius = obstacle[:2], canvas.pixels(obstacle[2])
+            canvas.disc(shapes.BORDER, middle, radius)
+            canvas.ring(shapes.OUTLINE, middle, radius, 4)
         if pull := math.hypot(*body.gravity):
             start, along = np.full(2, 0.85 * canvas.view.reach), np.array(body.gravity) / pull
             ways = [
@@ -94,7 +96,8 @@ class Renderer:
             ]
             canvas.line(shapes.TRACE, ways[:2], 4)
             canvas.rod(shapes.TRACE, ways[1], ways[2], 18, 0)
-        canvas.draw_base()
+        canvas.square(shapes.OUTLINE, (0, 0), 31, math.pi / 4)  # the plate under the arm
+        canvas.square(shapes.BASE, (0, 0), 28, math.pi / 4)
         canvas.draw_caption(self._setup.caption)
 
     def _paint_path(self, scene: Scene) -> None:
@@ -104,7 +107,9 @@ class Renderer:
         if len(set(places)) <= 1:
             return
         if setup.task.periodic:
-            canvas.draw_track(places)
+            color = shapes.blend(shapes.BACKGROUND, shapes.TARGET, 0.45)
+            for place in places[:: max(1, len(places) // 160)]:
+                canvas.disc(color, place, 2)
             return
         last = len(places) - 1 - places[::-1].index(target)
         canvas.draw_next_targets(target, places[last + 1 :], setup.success_distance)
@@ -117,7 +122,9 @@ class Renderer:
             if length != old:
                 canvas.draw_old_length(start, angle, old)
         if body.hand_mass:
-            canvas.draw_hand_mass(nodes[-1], body.hand_mass)
+            radius = 9 * body.hand_mass ** (1 / 3)  # of a ball whose volume grows with the mass
+            canvas.disc(shapes.REACHABLE, nodes[-1], radius + 2.5)
+            canvas.disc(shapes.OUTLINE, nodes[-1], radius)
         if scene.ghost is not None:
             canvas.draw_ghost(scene.ghost, self._setup.given_body.segment_lengths)
         lock_step = self._setup.lock_step
@@ -129,7 +136,8 @@ class Renderer:
         canvas, setup, (x, y) = self._canvas, self._setup, scene.target
         cursor = hand if setup.cursor is None else setup.cursor.cursor(*hand, (x, y))
         if setup.cursor is not None:
-            canvas.draw_cursor(hand, cursor)
+            canvas.line(shapes.CURSOR, (hand, cursor), 1.8)
+            canvas.hollow_diamond(shapes.CURSOR, cursor, 9.5)
         is_reached = math.dist(cursor, scene.target) <= setup.success_distance
         canvas.draw_target(scene.target, setup.success_distance, is_reached)
 
@@ -141,8 +149,9 @@ class Renderer:
         lengths = setup.given_body.segment_lengths
         nodes = shapes.node_positions(np.cumsum(relative).tolist(), lengths)
         points = np.stack((seen.target - seen.offset, seen.target))
-        hand, target = ((x, y) for x, y in in_the_world(points, relative).tolist())
-        self._canvas.draw_sensed(nodes, hand, target)
+        self._canvas.edged_line(shapes.SENSED, nodes, 2)
+        for x, y in in_the_world(points, relative).tolist():
+            self._canvas.hollow_diamond(shapes.SENSED, (x, y), 8)
 
 
 def open_display(*, must_be_seen: bool = False) -> None:

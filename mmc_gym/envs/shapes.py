@@ -164,11 +164,6 @@ class Canvas:
                 self.disc(BORDER, (0, 0), self.pixels(radius) + 0.75)
                 self.disc(color, (0, 0), self.pixels(radius) - 0.75)
 
-    def draw_base(self) -> None:
-        """Paint the plate under the arm."""
-        self.square(OUTLINE, (0, 0), 31, math.pi / 4)
-        self.square(BASE, (0, 0), 28, math.pi / 4)
-
     def draw_arm(self, segment_angles: Sequence[float], segment_lengths: Sequence[float]) -> None:
         """Paint an arm of N segments (absolute angles) as tapering rods on round joints."""
         nodes = node_positions(segment_angles, segment_lengths)
@@ -192,12 +187,6 @@ class Canvas:
         for node in nodes[1:]:
             self.disc(GHOST, node, 5.5)
             self.disc(REACHABLE, node, 3)
-
-    def draw_sensed(self, nodes: Sequence[Point], hand: Point, target: Point) -> None:
-        """Paint the sensed arm (N + 1 nodes) as a thin line, hand and target as diamonds."""
-        self.edged_line(SENSED, nodes, 2)
-        for point in (hand, target):
-            self.hollow_diamond(SENSED, point, 8)
 
     def draw_trace(self, points: Iterable[Place]) -> None:
         """Paint the past points of the hand, oldest first, as dots that fade with age."""
@@ -224,12 +213,6 @@ class Canvas:
     def _target_radius(self, success_distance: float) -> float:
         return max(self.pixels(success_distance), 3)
 
-    def draw_track(self, points: Sequence[Place]) -> None:
-        """Paint the path of a moving target as faint dots."""
-        color = blend(BACKGROUND, TARGET, 0.45)
-        for point in points[:: max(1, len(points) // 160)]:
-            self.disc(color, point, 2)
-
     def draw_next_targets(
         self, target: Place, points: Sequence[Place], success_distance: float
     ) -> None:
@@ -252,18 +235,6 @@ class Canvas:
                 self.line(FIELD, arc, 2)
                 self.rod(FIELD, arc[-3], arc[-1], 12, 0)  # the head of the arrow
 
-    def draw_obstacle(self, disc: tuple[float, float, float]) -> None:
-        """Paint a disc (x, y, radius) that stops the arm."""
-        middle, radius = disc[:2], self.pixels(disc[2])
-        self.disc(BORDER, middle, radius)
-        self.ring(OUTLINE, middle, radius, 4)
-
-    def draw_hand_mass(self, hand: Point, mass: float) -> None:
-        """Paint a ball at the hand; its volume grows with the mass."""
-        radius = 9 * mass ** (1 / 3)
-        self.disc(REACHABLE, hand, radius + 2.5)
-        self.disc(OUTLINE, hand, radius)
-
     def draw_lock(self, joint: Point) -> None:
         """Paint a lock on a joint: a dark square with a light keyhole."""
         for color, radius in ((REACHABLE, 18), (OUTLINE, 15)):
@@ -278,8 +249,3 @@ class Canvas:
         bar = (x - half * along_y, y + half * along_x), (x + half * along_y, y - half * along_x)
         self.edged_line(OUTLINE, (start, (x, y)), 2)
         self.edged_line(OUTLINE, bar, 2)
-
-    def draw_cursor(self, hand: Point, cursor: Point) -> None:
-        """Paint the cursor as a diamond, with a line to the hand."""
-        self.line(CURSOR, (hand, cursor), 1.8)
-        self.hollow_diamond(CURSOR, cursor, 9.5)

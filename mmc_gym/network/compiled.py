@@ -1,4 +1,4 @@
-"""Iterations of the network, compiled by numba: arms side by side in lanes.
+"""Iterations of the network in the inverse task, compiled by numba: arms side by side in lanes.
 
 `model` has the equations.  Two things make them cheap.  All triangles that a vector is part of are
 summed at once: with S_i = Σ_k v_ik, the sum of all vectors from the node i (v_ki = −v_ik),
@@ -28,7 +28,7 @@ import numpy as np
 
 from mmc_gym._compiling import compiled, inner
 from mmc_gym.network.chain import Floats
-from mmc_gym.network.iteration import check_clamped, velocity_rule
+from mmc_gym.network.iteration import velocity_rule
 
 if TYPE_CHECKING:
     from mmc_gym.network.model import MMCNetwork
@@ -39,11 +39,8 @@ _SHARED = 3  # segments share a division; more zero vectors would underflow toge
 
 
 @lru_cache(maxsize=256)
-def compiled_iterations(
-    network: MMCNetwork, clamped: tuple[int, ...]
-) -> Callable[[Floats, Floats, Floats, int], None]:
-    """Return `iterate` for a network and clamped rows, as a function of its last four arguments."""
-    check_clamped(network, clamped)
+def compiled_iterations(network: MMCNetwork) -> Callable[[Floats, Floats, Floats, int], None]:
+    """Return `iterate` for a network, as a function of its last four arguments."""
     count, nodes = network.segment_count, network.segment_count + 1
     shapes = {
         # As `MMCState.values`, but always with velocities.
@@ -54,29 +51,26 @@ def compiled_iterations(
         "others": (count,),
     }
     no_blocks = np.empty(0, [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()])
-    lengths, rows = np.array(network.segment_lengths), np.array(clamped, dtype=np.intp)
     rule = np.array([1 / network.damping, *velocity_rule(network)])
-    return partial(iterate, no_blocks, lengths, rule, rows)
+    return partial(iterate, no_blocks, np.array(network.segment_lengths), rule)
 
 
 @compiled
-def iterate(no_blocks, lengths, rule, clamped, values, held, result, times):
+def iterate(no_blocks, lengths, rule, values, targets, result, times):
     """Write the state after some iterations into `result`.
 
     Args:
         no_blocks: an empty array of blocks; its type says how many segments there are.
         lengths: of the segments, (N,).
         rule: 1/d, and the factors of `velocity_rule`.
-        clamped: rows that are held, (n,).
         values: the state, (rows, 2, batch); see `MMCState`.
-        held: values of the clamped rows, (n, 2, batch or 1).
+        targets: at which R is held, (1, 2, batch or 1).
         result: the new state, (rows, 2, batch).
         times: number of iterations.
     """
     blocks = np.zeros(1, no_blocks.dtype)
     for i in range(lengths.shape[0]):
         blocks[0].length[i] = lengths[i]
-    is_inverse = clamped.shape[0] == 1 and clamped[0] == _velocity_row(blocks[0]) - 1  # R alone
     for first in range(0, values.shape[2], LANES):
         block = blocks[0]  # here, because a record does not keep its array alive
         lanes = min(LANES, values.shape[2] - first)
@@ -84,14 +78,12 @@ def iterate(no_blocks, lengths, rule, clamped, values, held, result, times):
             for axis in range(2):
                 for k in range(lanes):
                     block.state[row, axis, k] = values[row, axis, first + k]
-        _hold(block, clamped, held, first, lanes)
+        for axis in range(2):
+            for k in range(lanes):
+                target = targets[0, axis, first + k if targets.shape[2] > 1 else 0]
+                block.state[_velocity_row(block) - 1, axis, k] = target
         for _ in range(times):
             _advance(block, rule[0], rule[1], rule[2], lanes)
-            if not is_inverse:
-                _average_hand(block, rule[0], lanes)
-                _hold(block, clamped, held, first, lanes)
-        if times > 0:
-            _stop(block, clamped)
         for row in range(values.shape[0]):
             for axis in range(2):
                 for k in range(lanes):
@@ -100,26 +92,8 @@ def iterate(no_blocks, lengths, rule, clamped, values, held, result, times):
 
 @inner
 def _velocity_row(block):
-    """Return the row of a block where velocities begin; above it are all vectors."""
+    """Return the row of a block where velocities begin; above it are all vectors, R the last."""
     return block.state.shape[0] - block.length.shape[0]
-
-
-@inner
-def _hold(block, clamped, held, first, lanes):
-    """Write the clamped values."""
-    for index in range(clamped.shape[0]):
-        for axis in range(2):
-            for k in range(lanes):
-                value = held[index, axis, first + k if held.shape[2] > 1 else 0]
-                block.state[clamped[index], axis, k] = value
-
-
-@inner
-def _stop(block, clamped):
-    """Set the velocities of clamped segments to zero."""
-    for index in range(clamped.shape[0]):
-        if clamped[index] < block.length.shape[0]:
-            block.state[_velocity_row(block) + clamped[index]] = 0.0
 
 
 @inner
@@ -169,16 +143,8 @@ def _average_diagonals(vector, total, share, k):
 
 
 @inner
-def _average_hand(block, share, lanes):
-    """Replace R by the mean of its computations, after all others; the inverse task holds R."""
-    last = block.total.shape[0] - 1
-    for k in range(lanes):
-        _average(block.state, block.total, share, 0, last, k)
-
-
-@inner
 def _advance(block, share, gain, memory, lanes):
-    """Do an iteration, but for the mean of R."""
+    """Do an iteration; R is held."""
     state, total, velocity = block.state, block.total, _velocity_row(block)
     nodes, gain = float(total.shape[0]), gain * share
     for k in range(lanes):

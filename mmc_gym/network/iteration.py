@@ -84,13 +84,18 @@ def linear_operator(
         clamped: rows that are held (`Clamps.rows`).
         triangles: ∂₂∂₂ᵀ, see `chain.triangle_products`; by default that of the network, in numpy.
         arrays: the module that `triangles` is an array of, numpy or torch.
+
+    Raises:
+        UserError: if clamps are those of another schedule.
     """
-    check_clamped(network, clamped)
     if triangles is None:
         triangles = chain.triangle_products(network.segment_count)
     count, size, vectors = network.segment_count, network.row_count, len(triangles)
     delayed = network.schedule == "delayed"
     dynamic = network.dynamics != "kinematic"
+    held = [row for row in clamped if row < count and delayed]
+    if {row for row in clamped if row >= vectors} != {vectors + row for row in held}:
+        raise UserError(f"clamps must come from a network of schedule {network.schedule!r}")
     # Rows of the identity select rows of the old state.
     identity = arrays.eye(size, dtype=triangles.dtype, device=triangles.device)
     old, velocity = identity[:vectors], identity[size - count :]
@@ -144,15 +149,6 @@ def held_rows(
         segments = [row for row in held if row < network.segment_count]
         held |= {len(pairs) + row: held[row] for row in segments}
     return held
-
-
-def check_clamped(network: Any, clamped: Sequence[int]) -> None:
-    """Raise a `UserError` if clamps are those of another schedule."""
-    count = network.segment_count
-    vectors = count * (count + 1) // 2
-    held = [row for row in clamped if row < count and network.schedule == "delayed"]
-    if {row for row in clamped if row >= vectors} != {vectors + row for row in held}:
-        raise UserError(f"clamps must come from a network of schedule {network.schedule!r}")
 
 
 def _as_slice(rows: tuple[int, ...]) -> slice | NDArray[np.intp]:

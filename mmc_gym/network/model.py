@@ -166,7 +166,7 @@ class MMCNetwork:
         velocity_damping: d_v (paper: 5).  Dynamic networks only.
         velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
         schedule: "synchronous" or "delayed".
-        engine: "numpy"; or "numba", which compiles the iterations of a Euclidean and synchronous
+        engine: "numpy"; or "numba", which compiles the inverse task of a Euclidean and synchronous
             network.  That takes a quarter of the time, and the result is equal up to rounding
             (1e-12).  Only a stretched arm whose target needs it bent is in a balance: rounding
             decides to which side it bends, and differences grow (1e-9 after 60 iterations, then to
@@ -257,10 +257,9 @@ class MMCNetwork:
         """Hold the end effector at `target` (..., 2): the inverse task."""
         # As `clamp`, but three times as fast: agents call it in every control step.
         target = _as_floats("target", target, (2,))
-        row = self.segment_count * (self.segment_count + 1) // 2 - 1
         batch = range(target.ndim - 1)
         values = target.transpose(target.ndim - 1, *batch).copy()[None]
-        return Clamps((row,), values, self.segment_count)
+        return Clamps((self._hand_row,), values, self.segment_count)
 
     def forward(self, segments: ArrayLike) -> Clamps:
         """Hold every segment at its vector in `segments` (..., N, 2): the forward task."""
@@ -319,10 +318,10 @@ class MMCNetwork:
         rows, size = len(result), result[0, 0].size
         source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
         held = clamped.reshape(len(clamped), 2, clamped[0, 0].size if clamps.rows else 1)
-        if self.engine == "numba":
+        if self.engine == "numba" and clamps.rows == (self._hand_row,):
             from mmc_gym.network.compiled import compiled_iterations
 
-            compiled_iterations(self, clamps.rows)(source, held, out, iterations)
+            compiled_iterations(self)(source, held, out, iterations)
         else:
             compile_iteration(self, clamps.rows, values.dtype.char)(source, held, out, iterations)
         return MMCState(result, self.segment_count)
@@ -362,6 +361,10 @@ class MMCNetwork:
             )
 
     @cached_property
+    def _hand_row(self) -> int:
+        return self.segment_count * (self.segment_count + 1) // 2 - 1
+
+    @cached_property
     def row_count(self) -> int:
         """Number of rows of its states, see `MMCState`."""
         count = self.segment_count
@@ -373,8 +376,7 @@ class MMCNetwork:
 
         Only states with a new target are examined.
         """
-        count = self.segment_count
-        hand = count * (count + 1) // 2 - 1
+        count, hand = self.segment_count, self._hand_row
         if hand not in rows:
             return values
         target = clamped[rows.index(hand)]

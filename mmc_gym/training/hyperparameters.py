@@ -25,7 +25,7 @@ from functools import partial
 from importlib.resources import files
 from operator import mul
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
 from pydantic import ConfigDict, Field, ValidationError, create_model
@@ -92,7 +92,7 @@ class Recipe:
         if name not in ALGORITHMS:
             known = ", ".join(ALGORITHMS)
             raise UserError(f"name must begin with one of {known}, got {self.name!r}")
-        return cast(Algorithm, name)
+        return name
 
     @property
     def algorithm_class(self) -> type[BaseAlgorithm]:
