@@ -1,6 +1,7 @@
 """Errors of users' input, and checks that raise them.
 
-Messages name the argument, the value and what is accepted.
+Messages name the argument, the value and what is accepted.  Checks of numbers and arrays return the
+value converted.
 """
 
 from __future__ import annotations
@@ -67,9 +68,6 @@ def shown(value: object) -> str:
     """Return the `repr` of a value, cut off after `_LONGEST_VALUE` characters."""
     text = repr(value)
     return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
-
-
-# Numbers: each function returns the value converted, or raises a `UserError` that names it.
 
 
 def is_whole(value: object) -> TypeGuard[int]:
@@ -170,9 +168,6 @@ def _array(value: Any) -> NDArray[Any]:
     return array if array.dtype.kind in "fiu" else np.array(None)
 
 
-# Names
-
-
 def nearest(value: object, known: Iterable[object]) -> str:
     """Return the name in `known` whose spelling is closest to `value`, or "" if none is close.
 
@@ -243,9 +238,6 @@ def require_known(what: str, given: Iterable[str], known: Iterable[str]) -> None
             other = "segment_lengths" if name in _COUNTS and "segment_lengths" in known else ""
             guess = _question(other or nearest(name, known))
             raise UserError(f"{what} takes no argument {name!r}{guess} It takes {', '.join(known)}")
-
-
-# Files, checked by pydantic
 
 
 def explain(error: ValidationError) -> str:

@@ -124,8 +124,6 @@ Place = Annotated[Path, _arg("PATH")]
 OtherPlace = Annotated[Path | None, _arg("PATH")]
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
-# Options that commands share.
-
 
 @dataclass(frozen=True)
 class Imports:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mmc_gym._errors import UserError
 from mmc_gym._notebook import html_table
 from mmc_gym.agents import AGENTS, AgentEntry
-from mmc_gym.envs.perturbations import FAMILIES, Family
+from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, environment_id, find_task, scenario
 from mmc_gym.envs.tasks import TASKS, Task
 
@@ -81,14 +81,14 @@ def list_perturbations() -> Listing:
     Listed(name='rotation', what='cursor turned by 30°', needs='°')
     """
     rows = (
-        Listed(name, one.description.format(f"{one.default:g}"), _strength(one))
+        Listed(
+            name,
+            one.description.format(f"{one.default:g}"),
+            f"{one.unit}{', or -told' * (one.told is not None)}",
+        )
         for name, one in FAMILIES.items()
     )
     return Listing(Listed("perturbation", "what it is", "strength in"), rows)
-
-
-def _strength(family: Family) -> str:
-    return f"{family.unit}{', or -told' * (family.told is not None)}"
 
 
 def list_scenarios() -> Listing:

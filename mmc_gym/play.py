@@ -81,13 +81,9 @@ class Game:
         agent: str,
         seed: int | None = None,
     ) -> None:
-        """Open the window.
+        """Open the window for an `MMCReachEnv` that renders "rgb_array" and has no time limit.
 
-        Args:
-            env: an `MMCReachEnv`, wrapped or not, that renders "rgb_array" and has no time limit.
-            makers: functions that make the agents, by name; called when one is chosen.
-            agent: name of the first agent.
-            seed: of the postures.
+        The `makers` make the agents, by name, when they are chosen; `agent` is the first.
         """
         self._env, self._reach = env, cast("MMCReachEnv", env.unwrapped)
         self._view = drawing.View(self._reach.setup.farthest)

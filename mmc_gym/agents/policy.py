@@ -88,8 +88,7 @@ class PolicyCard:
         env_id: the environment that it was trained in.
         control: the control mode that its actions are of.
         view: see `mmc_gym.agents.policy_network`.
-        activation: see `PolicyNetwork`.
-        distribution: see `PolicyNetwork`.
+        activation, distribution: see `PolicyNetwork`.
         base_agent: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none.
         hyperparameters: the entries of the YAML file.
         training_steps: environment steps.

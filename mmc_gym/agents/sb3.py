@@ -134,7 +134,8 @@ class ModelAgent(Agent[Any]):
             raise CannotActError(f"env must be wrapped in {lacks}, got it without")
         missing = [one for one in self.trained_in.others if one not in others]
         if missing:
-            _warn(f"{self.label} was trained behind {', '.join(missing)}, which env lacks")
+            message = f"{self.label} was trained behind {', '.join(missing)}, which env lacks"
+            warnings.warn(message, MismatchWarning, stacklevel=3)
         return self
 
     @property
@@ -153,10 +154,6 @@ def _shape(space: Any) -> Any:
     if isinstance(space, gym.spaces.Dict):
         return {name: one.shape for name, one in space.items()}
     return space.shape
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, MismatchWarning, stacklevel=4)
 
 
 def as_agent(thing: Any) -> Any:

@@ -178,11 +178,10 @@ class ArmParameters:
     def strongest_field(self) -> float:
         """Largest force field (its spectral norm) that the substeps can simulate, mass / s.
 
-        In a substep h the field F turns the hand's velocity by up to 2 arctan(h |F| Λ / 2), with
-        the hand's mobility Λ (`mmc_gym.body.force_field`).  Pivots, servos and loads only lower
-        the mobility of the last segment when it flies free, Λ = 1/m + (l/2)²/I.  The bound is a
-        turn of 90°.  Twice as strong fields throw arms at up to thirty times their speed limit;
-        four times as strong ones tear pivots open by 20 lengths.
+        In a substep h the field F turns the hand's velocity by up to 2 arctan(h |F| Λ / 2), 90° at
+        the bound.  Λ = 1/m + (l/2)²/I is the hand's mobility on a last segment that flies free;
+        pivots, servos and loads lower it.  Twice as strong fields throw arms at up to thirty times
+        their speed limit.
         """
         mobility = (1 + 3 / (1 + 4 * self.drive_inertia)) / self.masses[-1]
         return 2 / (self.substep * mobility)
@@ -191,8 +190,8 @@ class ArmParameters:
     def strongest_push(self) -> float:
         """Largest rate at which a force field may push along the movement of the hand, mass / s.
 
-        It is the larger eigenvalue of the field's symmetric part.  Up to it, servos at their torque
-        limit stop an arm that turns at three times its speed limit; beyond, arms may run away.
+        It is the larger eigenvalue of the field's symmetric part.  Servos at their torque limit
+        still stop an arm that turns at three times its speed limit; beyond, arms may run away.
         """
         reaches = [sum(self.segment_lengths[joint:]) for joint in range(len(self.masses))]
         return self.torque_limit / (3 * self.speed_limit * reaches[0] * sum(reaches))

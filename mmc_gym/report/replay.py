@@ -47,12 +47,10 @@ def replay(results: Results) -> dict[str, Any]:
         "agents": [agent for agent in agents if agent in there],
         "scenes": scenes,
         "chosen": agents[:_SIDE_BY_SIDE],
-        "colours": {name.lower(): _hex(getattr(shapes, name)) for name in _COLOURS},
+        "colours": {
+            name.lower(): "#{:02x}{:02x}{:02x}".format(*getattr(shapes, name)) for name in _COLOURS
+        },
     }
-
-
-def _hex(colour: Sequence[int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:

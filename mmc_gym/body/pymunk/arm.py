@@ -11,7 +11,7 @@ substep and needs one write per control step.  None gives more than `torque_limi
     velocity   a SimpleMotor turns the joint at the commanded speed
     torque     a SimpleMotor gives the commanded torque until the joint turns at `speed_limit`
 
-Calls made in every step go directly to Chipmunk, through the same library as pymunk's properties.
+Frequent calls go directly to Chipmunk, through the same library as pymunk's properties.
 `pymunk.Space.step` spends as long on callbacks and added bodies, of which there are none here, as
 Chipmunk spends on the physics.  A test holds the direct calls against pymunk's own, bit for bit.
 """

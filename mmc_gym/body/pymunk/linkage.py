@@ -6,8 +6,6 @@ The rods have shapes, and can collide, only if there are obstacles.  The joints 
 hand inward, each with its pivot last.  Chipmunk sweeps over them in this order, and satisfies the
 last ones best.  Each physics step corrects all of a pivot's error.  In this order the pivots open
 ten times less than in the order from the base outward.
-
-Frequent calls go directly to Chipmunk, through the same library as pymunk's properties.
 """
 
 from __future__ import annotations
