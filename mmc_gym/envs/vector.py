@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections import deque
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
@@ -30,13 +28,12 @@ from mmc_gym.body import make_arms
 from mmc_gym.body.base import ArmBatch
 from mmc_gym.envs.reach import GoalEnvironment, Info, reward_and_info
 from mmc_gym.envs.spec import Options, ReachEnvironment, check_names
-from mmc_gym.envs.workspace import Point, distances
+from mmc_gym.envs.workspace import distances
 from mmc_gym.interface import Seen, relative_speeds
 
 if TYPE_CHECKING:
     from mmc_gym.body.analytic.arms import AnalyticArmBatch
     from mmc_gym.envs.compiled import CompiledStep
-    from mmc_gym.envs.render import Renderer, Scene
 
 Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
@@ -57,16 +54,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     Those of `MMCReachEnv`, and `num_envs`, `max_episode_steps` (by default the task's; None: no
     limit), `autoreset_mode` (Gymnasium's `AutoresetMode`, or its value: "NextStep", "SameStep",
     "Disabled"), `threads` that step the arms (1), and `copy` (True: each observation is a new
-    array; False: the next step overwrites it), as in Gymnasium's vector environments.
+    array; False: the next step overwrites it), as in Gymnasium's vector environments.  It draws no
+    pictures; `vectorization_mode="sync"` does.
 
     It cannot be pickled or copied: make a new one.
     """
 
-    metadata = {
-        "render_modes": ["rgb_array"],
-        "render_fps": 50,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,
@@ -76,7 +70,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 1,
         copy: bool = True,
-        render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         """Make the environment; the class docstring lists the arguments.
@@ -84,9 +77,13 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         Raises:
             UserError: a `ValueError`, if an argument is unknown, or not accepted.
         """
-        own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "copy", "render_mode")
+        mode, accepted = (
+            arguments.pop("render_mode", None),
+            "left out; vectorization_mode='sync' draws",
+        )
+        require(mode is None, "render_mode", mode, accepted)
+        own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "copy")
         check_names(arguments, *own)
-        require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = self.make_setup(**arguments)
         if max_episode_steps == "task":
             max_episode_steps = setup.task.episode_steps
@@ -97,12 +94,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         if not isinstance(autoreset_mode, AutoresetMode):
             require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.render_mode = render_mode
-        self.metadata = {
-            **type(self).metadata,
-            "render_fps": setup.frame_rate,
-            "autoreset_mode": self.autoreset_mode,
-        }
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.single_action_space = setup.action_space
         self.single_observation_space = space = setup.observation_space
         self.action_space = batch_space(setup.action_space, num_envs)
@@ -125,14 +117,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
             self._compiled = CompiledStep(setup, cast("AnalyticArmBatch", self._body))
         # Whether a thread may take its arms through a whole step without waiting for the others.
         self._is_fused = (
-            self._compiled is not None
-            and setup.task.advance == "time"
-            and setup.cursor is None
-            and render_mode is None
+            self._compiled is not None and setup.task.advance == "time" and setup.cursor is None
         )
-        self._renderers: list[Renderer] = []
-        traced = self._all if render_mode is not None else ()
-        self._traces: list[deque[Point]] = [deque(maxlen=setup.trace_length) for _ in traced]
 
     def reset(
         self,
@@ -211,29 +197,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         """The simulated arms, to look at: their state is true, even if senses are disturbed."""
         return self._body
 
-    def render(self) -> tuple[Any, ...] | None:
-        """Return a picture (height, width, 3) of each arm."""
-        if self.render_mode is None:
-            gym.logger.warn("render() needs render_mode='rgb_array'")
-            return None
-        from mmc_gym.envs.render import Renderer
-
-        if not self._renderers:
-            self._renderers = [Renderer(self.setup, "rgb_array") for _ in self._all]
-        return tuple(map(Renderer.draw, self._renderers, map(self._scene, self._all)))
-
-    def _scene(self, arm: np.intp) -> Scene:
-        from mmc_gym.envs.render import Scene
-
-        return Scene(
-            self._body.segment_angles[arm].tolist(),
-            self._targets[arm].tolist(),
-            trace=self._traces[arm] if self._traces else (),
-            path=self._paths[arm, : self._last_places[arm] + 1].tolist(),
-            steps=int(self._steps[arm]),
-            observation=pick(self._late[0], arm),
-        )
-
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""
         del kwargs
@@ -273,9 +236,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         self._steps[arms] = self._places[arms] = 0
         self._speeds[arms] = 0.0
         self._targets[arms] = self._paths[arms, 0]
-        for arm in arms if self._traces else ():
-            self._traces[arm].clear()
-            self._traces[arm].append(tuple(self._body.end_effectors[arm].tolist()))
 
     def _move(self, values: NDArray[np.floating]) -> None:
         """Let the arms carry out their actions."""
@@ -283,9 +243,6 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         commands = np.multiply(values, scale, dtype=np.float64)
         self._body.command(commands + self._body.joint_angles if is_relative else commands)
         self._body.step()
-        if self._traces:
-            for trace, (x, y) in zip(self._traces, self._body.end_effectors.tolist()):
-                trace.append((x, y))
 
     def _move_targets(self) -> None:
         """Move the targets to where they are after this step."""

@@ -95,11 +95,6 @@ class GymnasiumVecEnv(VecEnv):
     def close(self) -> None:
         self.vector_env.close()
 
-    @override
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        pictures: Any = self.vector_env.render()
-        return [None] * self.num_envs if pictures is None else list(pictures)
-
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Return the attribute, which all environments share, once for each chosen one."""
         is_space = attr_name in ("action_space", "observation_space")

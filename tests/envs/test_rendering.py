@@ -4,7 +4,6 @@ import math
 import os
 import subprocess
 import sys
-from functools import partial
 from unittest.mock import Mock, call
 
 import gymnasium as gym
@@ -97,29 +96,22 @@ def test_the_target_is_a_cross_and_a_ring_of_the_success_radius_that_shows_succe
     assert dark[1] > dark[0] + 50
 
 
-@pytest.mark.parametrize("vectorized", [False, True])
-def test_the_trace_is_the_hands_path_whatever_frames_are_drawn(vectorized):
+def test_the_trace_is_the_hands_path_whatever_frames_are_drawn():
     """It fades within a second, and a reset clears it."""
-    make = partial(gym.make_vec, num_envs=2) if vectorized else gym.make
-    often, once, resting = (make("MMCReach-v0", render_mode="rgb_array") for _ in range(3))
+    often, once, resting = (gym.make("MMCReach-v0", render_mode="rgb_array") for _ in range(3))
     posture = [0.5, 0.5, 0.5]
     start = tuple(np.cumsum([(math.cos(a), math.sin(a)) for a in (0.5, 1.0, 1.5)], axis=0)[-1])
-
-    def seen(env):
-        return np.array(env.render()[0] if vectorized else env.render())
-
     darkness = []
     for env in (often, once, resting):
         env.reset(seed=0, options={"joint_angles": posture, "target": FAR})
     for step in range(60):
         for env in (often, once):
-            action = np.float32([1, 0, 0] if step < 20 else [0, 0, 0])
-            env.step(np.tile(action, (2, 1)) if vectorized else action)
-        darkness.append(255 - gray(seen(often), start, 2).min())
+            env.step(np.float32([1, 0, 0] if step < 20 else [0, 0, 0]))
+        darkness.append(255 - gray(often.render(), start, 2).min())
     assert darkness[10] > darkness[30] > darkness[45] > darkness[55]
-    np.testing.assert_array_equal(seen(often), seen(once))
+    np.testing.assert_array_equal(often.render(), once.render())
     once.reset(seed=0, options={"joint_angles": posture, "target": FAR})
-    np.testing.assert_array_equal(seen(once), seen(resting))
+    np.testing.assert_array_equal(once.render(), resting.render())
 
 
 @pytest.mark.parametrize("lengths", [(1.0,), (2.0, 0.5), (1.0, 0.6, 0.4, 0.2, 0.1), (30.0,) * 8])
@@ -222,21 +214,6 @@ def test_every_perturbation_can_be_seen(name):
             one.step(np.full(3, 0.4, np.float32))
     below = np.s_[40:]  # the caption
     assert np.abs(env.render()[below].astype(int) - plain.render()[below]).max() > 30
-
-
-def test_a_vector_of_environments_shows_what_single_ones_do():
-    names = ["locks", "delay-100", "hand-mass"]
-    arguments = {"perturbations": names, "render_mode": "rgb_array"}
-    vector = gym.make_vec("MMCReachViaPoints-v0", 2, **arguments)
-    single = [gym.make("MMCReachViaPoints-v0", **arguments) for _ in range(2)]
-    for seed, env in ((3, vector), (3, single[0]), (4, single[1])):
-        env.reset(seed=seed)
-        for _ in range(12):
-            env.step(np.full(env.action_space.shape, 0.3, np.float32))
-    pictures = vector.render()
-    np.testing.assert_array_equal(pictures, [env.render() for env in single])
-    assert not np.array_equal(*pictures)
-    vector.close()
 
 
 def test_a_window_shows_every_step_at_the_control_rate(monkeypatch):

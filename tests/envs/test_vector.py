@@ -220,7 +220,7 @@ def test_bad_input_is_refused_and_leaves_no_trace(case):
         ({"num_envs": 0}, "num_envs must be .*got 0"),
         ({"max_episode_steps": 0}, "max_episode_steps must be .*got 0"),
         ({"autoreset_mode": "next-step"}, "'next-step' .*; did you mean 'NextStep'"),
-        ({"render_mode": "human"}, "render_mode 'human' is not accepted. It may be None or rgb"),
+        ({"render_mode": "rgb_array"}, "render_mode must be left out; vectorization_mode='sync'"),
         ({"thread": 2}, "'thread'; did you mean 'threads'"),
         ({"threads": 0}, "threads must be .*got 0"),
     ],
