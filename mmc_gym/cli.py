@@ -522,10 +522,7 @@ def _flush() -> None:
 
 
 def _show_warning(
-    usual: Callable[..., None],
-    message: Warning | str,
-    category: type[Warning],
-    *place: Any,
+    usual: Callable[..., None], message: Warning | str, category: type[Warning], *place: Any
 ) -> None:
     """Print a `MismatchWarning` as errors are printed: without its place in the code."""
     if issubclass(category, MismatchWarning):

@@ -18,12 +18,7 @@ from mmc_gym.agents.inverse_kinematics import leave_line
 from mmc_gym.agents.planners import MovementTiming, begin, follow, step
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
 from mmc_gym.network import Clamps, EuclideanNormalizer, MMCNetwork, MMCState, Normalizer
-from mmc_gym.network.chain import (
-    Floats,
-    nearest_reachable,
-    segments_from_joint_angles,
-    wrap_angle,
-)
+from mmc_gym.network.chain import Floats, nearest_reachable, segments_from_joint_angles, wrap_angle
 from mmc_gym.network.embodied import Embodiment, embodied_run
 from mmc_gym.network.time_base import share, timed_step
 
@@ -95,11 +90,7 @@ class MMCAgent(NetworkAgent[MMCState]):
 
 
 def run_within_limits(
-    interface: ReachInterface,
-    network: MMCNetwork,
-    state: MMCState,
-    clamps: Clamps,
-    iterations: int,
+    interface: ReachInterface, network: MMCNetwork, state: MMCState, clamps: Clamps, iterations: int
 ) -> MMCState:
     """Run networks, and keep their joints within the limits.
 

@@ -44,13 +44,7 @@ from mmc_gym.agents.policy_network import (
     turned_actions,
 )
 from mmc_gym.body import ArmParameters
-from mmc_gym.interface import (
-    CannotActError,
-    Control,
-    ControlError,
-    Observation,
-    ReachInterface,
-)
+from mmc_gym.interface import CannotActError, Control, ControlError, Observation, ReachInterface
 
 EVALUATION_EPISODES = 200  # of every evaluation during a training
 FINAL_EPISODES = 500  # of the evaluation after a training; its scores are on the card

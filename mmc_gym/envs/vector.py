@@ -77,11 +77,8 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         Raises:
             UserError: a `ValueError`, if an argument is unknown, or not accepted.
         """
-        mode, accepted = (
-            arguments.pop("render_mode", None),
-            "left out; vectorization_mode='sync' draws",
-        )
-        require(mode is None, "render_mode", mode, accepted)
+        drawn = arguments.pop("render_mode", None)
+        require(drawn is None, "render_mode", drawn, "left out; vectorization_mode='sync' draws")
         own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "copy")
         check_names(arguments, *own)
         self.setup = setup = self.make_setup(**arguments)

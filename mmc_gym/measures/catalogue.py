@@ -44,7 +44,7 @@ OfEpisode = TypeVar("OfEpisode", bound=Callable[[Episode], float])
 OfEpisodes = TypeVar("OfEpisodes", bound=Callable[[Sequence[Episode]], float])
 
 # Shown where a unit would stand: how a number without a unit is computed.
-METHODS = ("correlation", "SPARC", "log dimensionless jerk")
+METHODS = ("correlation", "SPARC")
 
 # Names of other columns of the data; no measure may use them.
 _COLUMNS = (

@@ -3,9 +3,8 @@
 A profile (steps,) holds the hand's speed in each control step.  Shape and smoothness are taken from
 its `moving_part`.  That part of minimum jerk is its `MINIMUM_JERK_SPAN`, with other numbers:
 
-                                whole               its moving part
-    peak / mean                 15/8 = 1.875        1.658
-    log dimensionless jerk      −ln 204.8 = −5.32   −4.41
+                    whole           its moving part
+    peak / mean     15/8 = 1.875    1.658
 """
 
 from __future__ import annotations
@@ -164,27 +163,6 @@ def sparc(episode: Episode) -> float:
     if selected.size < 2:
         return math.nan
     return -float(np.hypot(1 / (selected.size - 1), np.diff(selected)).sum())
-
-
-@measure(label="smoothness", unit="log dimensionless jerk", best="high", successes_only=True)
-def log_dimensionless_jerk(episode: Episode) -> float:
-    """Return minus the log of a profile's jerk, whatever its size and duration; high is smooth.
-
-    −ln(D³/s_p² ∫₀^D (d²s/dt²)² dt), where s_p is the peak and D the duration; −ln 204.8 for minimum
-    jerk.  Differences over T approximate the derivatives, so changes from one step to the next
-    count in full, and a bell of 35 samples gets 0.2 too much.  NaN for fewer than three steps, at
-    rest, and without any jerk.
-
-    Source:
-        Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), see `sparc`.
-    """
-    profile = episode.movement_speeds
-    highest = highest_speed(profile)
-    if profile.size < 3 or highest == 0.0:
-        return math.nan
-    # T cancels: D⁴ / T⁴ · mean (Δ²s)² / s_p², with D = n T.
-    jerk = profile.size**4 * float(np.mean(np.diff(profile / highest, 2) ** 2))
-    return -math.log(jerk) if jerk > 0.0 else math.nan
 
 
 @measure(label="joint effort", unit="mass len²/s", best="low", decimals=1, successes_only=True)

@@ -52,9 +52,7 @@ class GymnasiumVecEnv(VecEnv):
         require(mode == AutoresetMode.SAME_STEP, "autoreset_mode of vector_env", mode, accepted)
         self.vector_env = vector_env
         super().__init__(
-            vector_env.num_envs,
-            vector_env.single_observation_space,
-            vector_env.single_action_space,
+            vector_env.num_envs, vector_env.single_observation_space, vector_env.single_action_space
         )
         self.metadata = vector_env.metadata
 

@@ -162,7 +162,6 @@ def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(ma
         "velocity_peaks": 1.0,
         "minimum_jerk_correlation": math.nan,  # of two equal speeds
         "sparc": pytest.approx(-1.45, abs=0.1),
-        "log_dimensionless_jerk": math.nan,
         "joint_effort": 4.0,
         "joint_work": 5.0,
         "episode_return": -0.25,
