@@ -143,7 +143,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         self._late: deque[Any] = deque(maxlen=setup.delay + 1)  # observations on their way
         self._speeds: list[float] = []  # of the joints a step earlier, as fractions of their limit
         self._renderer: Renderer | None = None
-        self._trace: deque[Point] = deque(maxlen=setup.trace_length)
+        self._trace: deque[Point] = deque(maxlen=max(2, setup.frame_rate))  # one second
         self._ghost: list[float] | None = None
         self._place([0.0] * setup.joint_count, [(setup.reach, 0.0)])
 

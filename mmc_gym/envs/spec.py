@@ -81,7 +81,6 @@ class ReachSetup:
         path_length: number of places on the path of the target.
         draws_pairs: whether `workspace.draw_pairs` can draw many trials at once.
         frame_rate: pictures a second, one each control step.
-        trace_length: number of places on the hand's trace in a picture, one second.
         action: what actions mean for the servos.
         action_space, observation_space: of one arm.
         layout: of the observations; its `reach` is the sum of the given lengths.
@@ -143,7 +142,6 @@ class ReachSetup:
         self.observation_space = self.layout.space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
         self.frame_rate = round(1 / self.given_body.control_step)
-        self.trace_length = max(2, self.frame_rate)
         self.task.check(self.workspace)
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
         self._is_own_task = not type(self.task).__module__.startswith("mmc_gym.")

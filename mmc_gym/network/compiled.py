@@ -125,31 +125,20 @@ def _add_up(vector, total, k):
 
 
 @inner
-def _average(vector, total, share, i, j, k):
-    """Replace v_ij by the mean of its computations."""
-    row, own = _row(i, j, total.shape[0]), 1.0 - share * total.shape[0]
-    x, y = vector[row, 0, k], vector[row, 1, k]
-    vector[row, 0, k] = share * (total[i, 0, k] - total[j, 0, k]) + own * x
-    vector[row, 1, k] = share * (total[i, 1, k] - total[j, 1, k]) + own * y
-
-
-@inner
-def _average_diagonals(vector, total, share, k):
-    nodes = total.shape[0]
-    for i in range(nodes):
-        for j in range(nodes):
-            if i + 1 < j and j - i < nodes - 1:
-                _average(vector, total, share, i, j, k)
-
-
-@inner
 def _advance(block, share, gain, memory, lanes):
     """Do an iteration; R is held."""
     state, total, velocity = block.state, block.total, _velocity_row(block)
-    nodes, gain = float(total.shape[0]), gain * share
+    nodes, gain = total.shape[0], gain * share
+    own = 1.0 - share * nodes
     for k in range(lanes):
         _add_up(state, total, k)
-        _average_diagonals(state, total, share, k)
+        for i in range(nodes):
+            for j in range(nodes):
+                if i + 1 < j and j - i < nodes - 1:  # a diagonal: the mean of its computations
+                    row = _row(i, j, nodes)
+                    for axis in range(2):
+                        mean = share * (total[i, axis, k] - total[j, axis, k])
+                        state[row, axis, k] = mean + own * state[row, axis, k]
         for i in range(block.length.shape[0]):
             x, y = state[i, 0, k], state[i, 1, k]
             change_x = total[i, 0, k] - total[i + 1, 0, k] - nodes * x
