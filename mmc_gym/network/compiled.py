@@ -111,17 +111,14 @@ def _add_up(vector, total, k):
         # The sum begins with a vector, because beginning with 0 takes one more addition.
         is_last = i == nodes - 1
         row = _row(i - 1, i, nodes) if is_last else _row(i, i + 1, nodes)
-        x = -vector[row, 0, k] if is_last else vector[row, 0, k]
-        y = -vector[row, 1, k] if is_last else vector[row, 1, k]
-        for j in range(nodes):
-            if i + 1 < j:
-                x += vector[_row(i, j, nodes), 0, k]
-                y += vector[_row(i, j, nodes), 1, k]
-            elif j < i - is_last:
-                x -= vector[_row(j, i, nodes), 0, k]
-                y -= vector[_row(j, i, nodes), 1, k]
-        total[i, 0, k] = x
-        total[i, 1, k] = y
+        for axis in range(2):
+            x = -vector[row, axis, k] if is_last else vector[row, axis, k]
+            for j in range(nodes):
+                if i + 1 < j:
+                    x += vector[_row(i, j, nodes), axis, k]
+                elif j < i - is_last:
+                    x -= vector[_row(j, i, nodes), axis, k]
+            total[i, axis, k] = x
 
 
 @inner
@@ -140,15 +137,12 @@ def _advance(block, share, gain, memory, lanes):
                         mean = share * (total[i, axis, k] - total[j, axis, k])
                         state[row, axis, k] = mean + own * state[row, axis, k]
         for i in range(block.length.shape[0]):
-            x, y = state[i, 0, k], state[i, 1, k]
-            change_x = total[i, 0, k] - total[i + 1, 0, k] - nodes * x
-            change_y = total[i, 1, k] - total[i + 1, 1, k] - nodes * y
-            velocity_x = gain * change_x + memory * state[velocity + i, 0, k]
-            velocity_y = gain * change_y + memory * state[velocity + i, 1, k]
-            state[velocity + i, 0, k] = velocity_x
-            state[velocity + i, 1, k] = velocity_y
-            state[i, 0, k] = x + velocity_x
-            state[i, 1, k] = y + velocity_y
+            for axis in range(2):
+                x = state[i, axis, k]
+                change = total[i, axis, k] - total[i + 1, axis, k] - nodes * x
+                speed = gain * change + memory * state[velocity + i, axis, k]
+                state[velocity + i, axis, k] = speed
+                state[i, axis, k] = x + speed
         _normalize(block, k)
 
 
