@@ -42,16 +42,10 @@ _GROWTH_SECONDS = 5.0  # after which we look whether the cluster has more nodes
 
 
 class CellError(RuntimeError):
-    """A cell of a grid failed; the error that the function raised is the `__cause__`.
-
-    Attributes:
-        index: number of the cell.
-        cell: the cell itself.
-    """
+    """A cell of a grid failed; the error that the function raised is the `__cause__`."""
 
     def __init__(self, index: int, cell: object, reason: str) -> None:
         super().__init__(f"cell {index}, {shown(cell)}, failed: {reason}")
-        self.index, self.cell = index, cell
 
 
 class WorkerDied(RuntimeError):
