@@ -68,4 +68,14 @@ class PandaReach(ReachInterface):
 
 if __name__ == "__main__":
     env = Encoders(gym.make("PandaReachJoints-v3"))
-    print(mmc_gym.compare(["mmc-body", "ik-body"], env, episodes=20, interface=PandaReach()))
+    for name in ("mmc-body", "ik-body"):
+        agent, returns, reached = mmc_gym.make_agent(name, env, interface=PandaReach()), [], []
+        for seed in range(20):
+            (observation, info), state, ended, rewards = env.reset(seed=seed), None, False, 0.0
+            while not ended:
+                action, state = agent.predict(observation, state)
+                observation, reward, terminated, truncated, info = env.step(action)
+                ended, rewards = terminated or truncated, rewards + reward
+            returns.append(rewards)
+            reached.append(info["is_success"])
+        print(f"{name}: {np.mean(reached):.0%} of 20 targets, return {np.mean(returns):.2f}")

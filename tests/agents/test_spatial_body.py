@@ -25,7 +25,8 @@ class SpaceInterface(ReachInterface):
         return np.clip(turn, -1.0, 1.0).astype(np.float32)
 
 
-INTERFACE = SpaceInterface((1.0,), "joint_delta", 1.0, 20.0, TURN, success_distance=0.02, arm=ARM)
+LENGTHS = (0.33, 0.39, 0.23)
+INTERFACE = SpaceInterface(LENGTHS, "joint_delta", 1.0, 20.0, TURN, success_distance=0.02, arm=ARM)
 LONGER = np.array([0, 0, 0, 0, 0.2, 0, 0, 0.3])
 
 
