@@ -169,7 +169,7 @@ class RandomScenarios(VecEnvWrapper):
         self._ranges = {name: _range(name, ends) for name, ends in (ranges or {}).items()}
         require(bool(self._fixed or self._ranges), "names", names, "one at least, without ranges")
         spec = venv.get_attr("spec")[0]
-        own = ("task", "num_envs", "max_episode_steps")
+        own = ("task", "num_envs", "max_episode_steps", "render_mode")
         self._arguments = {key: value for key, value in spec.kwargs.items() if key not in own}
         self._size = venv.num_envs // groups
         self._control_step = venv.get_attr("parameters")[0].control_step
