@@ -31,13 +31,7 @@ from mmc_gym._errors import (
     require_rows,
 )
 from mmc_gym.body import ArmParameters, Engine
-from mmc_gym.envs.perturbations import (
-    Cursor,
-    LockedJoint,
-    Noise,
-    Perturbation,
-    SensoryDelay,
-)
+from mmc_gym.envs.perturbations import Cursor, LockedJoint, Noise, Perturbation, SensoryDelay
 from mmc_gym.envs.scenarios import environment_id, find_perturbation, find_task
 from mmc_gym.envs.tasks import RandomTarget, Request, Task, Trial
 from mmc_gym.envs.workspace import REACH_TOLERANCE, NoTarget, Point, Workspace
