@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from mmc_gym import agents, benchmark, body, measures, network, report, training
     from mmc_gym._errors import MismatchWarning, UserError
     from mmc_gym.benchmark.compare import compare
+    from mmc_gym.benchmark.trials import run_experiment
     from mmc_gym.listing import (
         list_agents,
+        list_experiments,
         list_measures,
         list_perturbations,
         list_scenarios,
@@ -37,6 +39,7 @@ __all__ = [
     "compare",
     "envs",
     "list_agents",
+    "list_experiments",
     "list_measures",
     "list_perturbations",
     "list_scenarios",
@@ -48,6 +51,7 @@ __all__ = [
     "network",
     "report",
     "run_episodes",
+    "run_experiment",
     "train",
     "training",
 ]
@@ -57,11 +61,13 @@ _HOMES = {
     "UserError": "_errors",
     "compare": "benchmark.compare",
     "list_agents": "listing",
+    "list_experiments": "listing",
     "list_measures": "listing",
     "list_perturbations": "listing",
     "list_scenarios": "listing",
     "list_tasks": "listing",
     "run_episodes": "measures",
+    "run_experiment": "benchmark.trials",
     "train": "training.training",
 }
 

@@ -390,7 +390,9 @@ def play(
 
 @_command
 def list_(
-    what: Positional[Literal["agents", "tasks", "perturbations", "scenarios", "measures"]],
+    what: Positional[
+        Literal["agents", "tasks", "perturbations", "scenarios", "experiments", "measures"]
+    ],
     more: Imports = NO_IMPORTS,
 ) -> None:
     """List the available agents, tasks, ..., a line each: name, description and needs.
@@ -407,10 +409,11 @@ def list_(
 
 @_command
 def show(scenario: Annotated[Positional[str], _arg("NAME")], more: Imports = NO_IMPORTS) -> None:
-    """Describe a scenario: how to make it, what happens in it, and what agents are given.
+    """Describe a scenario or an experiment: how to make it, what happens, what agents are given.
 
     Args:
-        scenario: Name of a task, of a perturbation with any strength (delay-150), or an id.
+        scenario: Name of a task, of a perturbation with any strength (delay-150), or an id; or
+            that of an experiment.
     """
     from mmc_gym import listing
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mmc_gym._errors import UserError
 from mmc_gym._notebook import html_table
 from mmc_gym.agents import AGENTS, AgentEntry
+from mmc_gym.benchmark.experiment import EXPERIMENTS, find_experiment
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, environment_id, find_task, scenario
 from mmc_gym.envs.tasks import TASKS, Task
@@ -102,6 +104,15 @@ def list_scenarios() -> Listing:
     return Listing(Listed("scenario", "what it is", "episodes"), rows)
 
 
+def list_experiments() -> Listing:
+    """Return the names of experiments over trials, each of any strength."""
+    found = {name: find_experiment(name) for name in EXPERIMENTS}
+    rows = (
+        Listed(name, one.description, f"{len(one.schedule)} trials") for name, one in found.items()
+    )
+    return Listing(Listed("experiment", "what it is", "length"), rows)
+
+
 def list_measures() -> Listing:
     """Return the names of all measures of an episode, yours included."""
     from mmc_gym.measures import MEASURES
@@ -118,10 +129,10 @@ def _unit(measure: Measure) -> str:
 
 
 def describe(name: str) -> Iterator[tuple[str, str]]:
-    """Yield headings and texts that describe a scenario.
+    """Yield headings and texts that describe a scenario, an experiment, or one after the other.
 
     Args:
-        name: of a scenario, or the id of an environment.
+        name: of a scenario or experiment, or the id of an environment.
 
     Raises:
         UserError: for an unknown name.
@@ -131,7 +142,16 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
             f"scenario {name!r} is not accepted: it is an agent. `mmc-gym list agents` describes "
             "it, `mmc-gym list scenarios` has what can be shown"
         )
-    found = scenario(name)
+    rows: list[tuple[str, str]] = []
+    with suppress(UserError):
+        rows = [*find_experiment(name).rows(), ("run it", f"mmc-gym adapt {name}")]
+    try:
+        found = scenario(name)
+    except UserError:
+        if not rows:
+            raise
+        yield from rows
+        return
     env = found.make()
     setup: Any = env.get_wrapper_attr("setup")
     task = setup.task
@@ -153,6 +173,7 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
         low, high = space.low.min(), space.high.max()
         yield f"{kind}s", f"{space.shape[0]} numbers, {space.dtype}, within {low:g} and {high:g}"
     env.close()
+    yield from rows
 
 
 def _about(thing: object) -> str:

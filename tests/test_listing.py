@@ -8,6 +8,7 @@ import pytest
 import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
+from mmc_gym.benchmark.experiment import EXPERIMENTS
 from mmc_gym.benchmark.suite import SCENARIOS
 from mmc_gym.cli import main
 from mmc_gym.envs.perturbations import FAMILIES
@@ -21,6 +22,7 @@ NAMES = {
     "tasks": TASKS,
     "perturbations": FAMILIES,
     "scenarios": SCENARIOS,
+    "experiments": EXPERIMENTS,
     "measures": MEASURES,
 }
 

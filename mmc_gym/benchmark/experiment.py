@@ -209,7 +209,7 @@ class Experiment:
     @functools.cached_property
     def directions(self) -> tuple[float, ...]:
         """All directions in which there are targets."""
-        pools = {one.targets for one in self._schedule}
+        pools = {one.targets for one in self.schedule}
         return tuple(sorted({direction for pool in pools for direction in pool}))
 
     def task(self, go_cue: float = 0.0, target_jump: float = 0.0) -> CuedTarget:
@@ -219,12 +219,9 @@ class Experiment:
         pairs = tuple((0, end) for end in range(1, len(ends) + 1))
         return CuedTarget(((0.0, 0.5), *ends), pairs, go_cue, target_jump)
 
-    def schedule(self) -> tuple[PlannedTrial, ...]:
-        """Return what happens in each trial, the same for all subjects."""
-        return self._schedule
-
     @functools.cached_property
-    def _schedule(self) -> tuple[PlannedTrial, ...]:
+    def schedule(self) -> tuple[PlannedTrial, ...]:
+        """What happens in each trial, the same for all subjects."""
         planned: list[PlannedTrial] = []
         for index, block in enumerate(self.blocks):
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
@@ -248,7 +245,7 @@ class Experiment:
     def targets_of(self, seed: int) -> NDArray[np.float64]:
         """Return the target's direction in each trial of the subject with this seed."""
         random, left, found = np.random.default_rng(seed), dict[Any, list[float]](), []
-        for one in self._schedule:
+        for one in self.schedule:
             key = one.block, one.targets
             if not left.get(key):
                 left[key] = random.permutation(one.targets).tolist()
@@ -257,23 +254,23 @@ class Experiment:
 
     def plot_timeline(self, axes: Axes) -> None:
         """Draw the strength of the perturbation over trials, with phases, probes and rests."""
-        for name in dict.fromkeys(one.probe for one in self._schedule):
-            of = [one for one in self._schedule if one.probe == name]
+        for name in dict.fromkeys(one.probe for one in self.schedule):
+            of = [one for one in self.schedule if one.probe == name]
             style: Any = {"linestyle": "", "marker": ".", "markersize": 3, "label": name}
             if not name:
                 style = {"color": "0.2", "drawstyle": "steps-mid"}
-            axes.plot([one.trial + 1 for one in of], [one.strength for one in of], **style)
-        first = np.cumsum([0, *(block.trials for block in self.blocks)]) + 0.5
+            axes.plot([one.trial for one in of], [one.strength for one in of], **style)
+        first = np.cumsum([0, *(block.trials for block in self.blocks)]) - 0.5
         text: Any = {"ha": "center", "va": "bottom", "transform": axes.get_xaxis_transform()}
         for block, (begin, end) in zip(self.blocks, pairwise(first), strict=True):
             pause = f"{block.rest:g} s rest, " if block.rest else ""
             axes.text((begin + end) / 2, 1.03, pause + block.name, **text)
             axes.axvline(begin, color="0.7", linewidth=0.6, linestyle=":" if pause else "-")
-        names = [name for one in self._schedule for name in one.perturbations]
+        names = [name for one in self.schedule for name in one.perturbations]
         units = dict.fromkeys(scenario(name).unit for name in dict.fromkeys(names))
         unit = f"\n[{', '.join(units)}]" if units else ""
-        axes.set(xlim=(0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
-        if any(one.probe for one in self._schedule):
+        axes.set(xlim=(-0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
+        if any(one.probe for one in self.schedule):
             axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
     def plot(self) -> Figure:
@@ -289,9 +286,10 @@ class Experiment:
 
     def rows(self) -> Iterator[tuple[str, str]]:
         """Yield headings and texts that describe it, a row for each block."""
-        yield self.name, f"{self.description} ({self.source})" if self.source else self.description
+        yield "experiment", f"{self.name}: {self.description}"
+        yield from [("after", self.source)] if self.source else []
         others = _described(self, "name", "blocks", "description", "source")
-        yield "trials", f"{len(self._schedule)}, {others}"
+        yield "trials", ", ".join(filter(None, [str(len(self.schedule)), others]))
         for block in self.blocks:
             yield block.name, _described(block, "name")
 
@@ -310,11 +308,15 @@ def _described(thing: Any, *left_out: str) -> str:
     for one in fields(thing):
         value = getattr(thing, one.name)
         if one.name not in left_out and value not in (one.default, 0.0, ()):
-            if isinstance(value, tuple):
-                each = (f"({_described(of)})" if isinstance(of, Probe) else f"{of}" for of in value)
-                value = " ".join(each)
-            parts.append(f"{one.name.replace('_', ' ')} {value}")
+            each = value if isinstance(value, tuple) else (value,)
+            parts.append(f"{one.name.replace('_', ' ')} {' '.join(map(_word, each))}")
     return ", ".join(parts)
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, Probe):
+        return f"{value.name} ({_described(value, 'name')})"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 class Kind(NamedTuple):

@@ -137,7 +137,7 @@ class TrialsCell:
 
 def run_cell(cell: TrialsCell) -> bytes:
     """Play a cell, and return its file."""
-    experiment, schedule = cell.experiment, cell.experiment.schedule()
+    experiment, schedule = cell.experiment, cell.experiment.schedule
     player, arguments = cell.player()
     trials, subjects = range(len(schedule)), len(cell.subjects)
     is_agent = isinstance(player, Agent)
@@ -205,7 +205,7 @@ def _file(
 
     Paths are lists of 2 (steps + 1) numbers, x and y of one time after the other.
     """
-    schedule, subjects = cell.experiment.schedule(), len(cell.subjects)
+    schedule, subjects = cell.experiment.schedule, len(cell.subjects)
     rows: dict[str, list[Any]] = {
         "trial": [one.trial for one in schedule],
         "block": [one.block for one in schedule],

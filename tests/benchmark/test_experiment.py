@@ -23,7 +23,7 @@ blocks:
 
 
 def planned(*blocks: Block) -> list[tuple[tuple[str, ...], str]]:
-    schedule = Experiment("mine", blocks).schedule()
+    schedule = Experiment("mine", blocks).schedule
     return [(one.perturbations, one.probe) for one in schedule]
 
 
@@ -39,7 +39,7 @@ def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
     experiment = find_experiment(name)
-    schedule = experiment.schedule()
+    schedule = experiment.schedule
     assert [one.trial for one in schedule] == list(range(len(schedule)))
     assert schedule[0].perturbations in ((), ("clamp-0",))
     assert all(block.name in str(experiment) for block in experiment.blocks)
