@@ -6,9 +6,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 # Before any library is imported.
 # One thread a worker: the tests run in parallel already, and sums keep their order.
@@ -64,17 +62,17 @@ class Frozen:
 
 
 @pytest.fixture
-def oracle() -> Oracle:
+def oracle():
     return Oracle()
 
 
 @pytest.fixture
-def frozen() -> Frozen:
+def frozen():
     return Frozen()
 
 
 @pytest.fixture
-def env() -> Iterator[gym.Env[Any, Any]]:
+def env():
     env = gym.make("MMCReach-v0")
     yield env
     env.close()
@@ -140,7 +138,7 @@ PATIENCE = 120  # seconds; the machine may be busy
 
 
 @pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def browser(tmp_path_factory):
     """A browser without a window; the test is skipped without Chromium and its driver."""
     chrome = next(filter(None, map(shutil.which, CHROMES)), None)
     driver = shutil.which("chromedriver")
@@ -162,10 +160,10 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 @pytest.fixture
-def keep() -> Callable[[str, str], None]:
+def keep():
     """Write base64 content of the browser into the folder MMC_GYM_ARTEFACTS, if that is set."""
 
-    def write(name: str, content: str) -> None:
+    def write(name, content):
         if folder := os.environ.get("MMC_GYM_ARTEFACTS"):
             Path(folder).mkdir(parents=True, exist_ok=True)
             (Path(folder) / name).write_bytes(base64.b64decode(content))

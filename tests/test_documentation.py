@@ -44,7 +44,7 @@ pytestmark = [
 ]
 
 
-def squares(path: Path, frame: int) -> np.ndarray:
+def squares(path, frame):
     """Return the mean colours of a picture's squares."""
     with Image.open(path) as image:
         image.seek(frame)

@@ -59,7 +59,7 @@ def nothing_is_left():
     plt.close("all")
 
 
-def has_labels(axes) -> bool:
+def has_labels(axes):
     """Return whether both axes have a label: their own, of a shared panel, or of the figure."""
     x = [one.get_xlabel() for one in axes.get_shared_x_axes().get_siblings(axes)]
     y = [one.get_ylabel() for one in axes.get_shared_y_axes().get_siblings(axes)]

@@ -17,7 +17,7 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.network import MMCNetwork
 
 
-def pixels(png: bytes) -> np.ndarray:
+def pixels(png):
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), int)
 
 

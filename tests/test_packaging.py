@@ -1,7 +1,5 @@
 """What an installed mmc-gym is: light to import, complete in its wheel and its source archive."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -20,7 +18,7 @@ HEAVY = {"matplotlib", "numba", "pandas", "pydantic", "pygame", "rich", "scipy",
 HEAVY |= {"stable_baselines3"}
 
 
-def run_python(code: str) -> str:
+def run_python(code):
     """Return what a fresh interpreter prints."""
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, cwd=ROOT
@@ -29,7 +27,7 @@ def run_python(code: str) -> str:
     return done.stdout
 
 
-def build(kind: str, folder: Path) -> Path:
+def build(kind, folder):
     """Build the wheel or sdist of the source tree with the installed hatchling."""
     hook = f"import hatchling.build as b; print(b.build_{kind}({str(folder)!r}))"
     return folder / run_python(hook).split()[-1]

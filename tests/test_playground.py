@@ -1,7 +1,5 @@
 """The playground does what the package does, and works by mouse, touch and keyboard."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -3,8 +3,6 @@
 It is built without running examples, which other tests do, and without films.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import runpy
@@ -58,7 +56,7 @@ def site(tmp_path_factory):
 class Page(HTMLParser):
     """The links and anchors of a page, and its words outside of code."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         super().__init__()
         self.links: list[str] = []
         self.anchors: set[str] = {""}

@@ -4,8 +4,6 @@ They run in a folder that has what the pages speak of: a benchmark, trainings, a
 stable-baselines3, and modules of the reader.  Long ones are shortened: see `SHORTER` and `SMALL`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import runpy
@@ -42,17 +40,17 @@ pytestmark = [
 ]
 
 
-def blocks(text: str, language: str) -> list[str]:
+def blocks(text, language):
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
 
-def commands(text: str) -> list[str]:
+def commands(text):
     """Return the commands of mmc-gym on a page, without their comments."""
     lines = "\n".join(blocks(text, "sh")).replace("\\\n", "").splitlines()
     return [shlex.join(shlex.split(one, comments=True)) for one in lines if one[:8] == "mmc-gym "]
 
 
-def run(folder: Path, *command: str) -> str:
+def run(folder, *command):
     """Run a command of Python in a folder; return what it prints."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
     command = (sys.executable, *command)
@@ -94,7 +92,7 @@ def readers_folder(tmp_path_factory):
     return folder
 
 
-def small(command: str) -> list[str]:
+def small(command):
     """Return the arguments of a command, with options for less work."""
     _, name, *given = shlex.split(command)
     more = {key: value for key, value in SMALL.get(name, {}).items() if key not in given}

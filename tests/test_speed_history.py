@@ -1,7 +1,5 @@
 """The history of `make speed`: what counts as a loss of speed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -48,7 +48,7 @@ def by_night(names, daily=DAILY):
 TROUBLES = {"perturbations": ("longer-20", "locked", "delay-40")}
 
 
-def success_rate(name: str, episodes: int, env_id: str = "MMCReach-v0", **options: object) -> float:
+def success_rate(name, episodes, env_id="MMCReach-v0", **options):
     envs = gym.make_vec(env_id, num_envs=episodes, **options)
     (observations, _), state, agent = envs.reset(seed=0), None, make_agent(name, envs)
     for _ in range(99):  # the step after would begin the next episodes
@@ -92,8 +92,8 @@ def test_an_arm_acts_in_any_batch_as_it_does_alone(name, world):
     envs = [make(**options) for options in WORLDS[world]]
     agent, together = make_agent(name, envs[0]), None
     observations = np.concatenate([one.reset(seed=60_000)[0] for one in envs])
-    batches: list = [*(range(len(observations)) if count == 1 else (2, 5)), [8, 2, 0, 3]]
-    states: list = [None] * len(batches)
+    batches = [*(range(len(observations)) if count == 1 else (2, 5)), [8, 2, 0, 3]]
+    states = [None] * len(batches)
     for _ in range(40):
         actions, together = agent.predict(observations, together, deterministic=True)
         for place, batch in enumerate(batches):
@@ -132,10 +132,7 @@ def test_an_arm_in_one_line_with_its_target_gets_there(name, count, bearing):
     """No method of iteration does, unless it is bent a little; all get the same help."""
     direction = np.array([np.cos(bearing), np.sin(bearing)])
     options = [
-        {
-            "joint_angles": [bearing, *[bend] * (count - 1)],
-            "target": count * part * direction,
-        }
+        {"joint_angles": [bearing, *[bend] * (count - 1)], "target": count * part * direction}
         for bend, part in ((0, 2 / 3), (0, -1 / 2), (0, 0.0), (np.pi, 0.6), (np.pi, -0.6))
     ]
     envs = gym.make_vec("MMCReach-v0", len(options), segment_lengths=(1.0,) * count)

@@ -59,8 +59,7 @@ def test_a_plan_whose_target_moves_turns_without_a_jump_of_velocity():
 
 @pytest.mark.parametrize("lengths", [(1.0, 1.0, 1.0), (0.5,) * 6])
 @pytest.mark.parametrize(
-    ("name", "correlation", "accuracy"),
-    [("minimum-jerk", 0.999, 1e-4), ("mmc-bell", 0.96, 0.06)],
+    ("name", "correlation", "accuracy"), [("minimum-jerk", 0.999, 1e-4), ("mmc-bell", 0.96, 0.06)]
 )
 def test_speed_is_bell_shaped_and_the_hand_arrives_in_time(name, correlation, accuracy, lengths):
     # Bent, to a target well inside; nearly stretched or folded arms have less regular movements.

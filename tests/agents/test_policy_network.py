@@ -138,7 +138,7 @@ def test_probabilities_are_those_of_the_actions_before_they_were_turned():
 
 def test_a_policy_that_sees_something_else_is_refused():
     env = gym.make("MMCReachGoal-v0")
-    policy = MultiInputActorCriticPolicy(env.observation_space, env.action_space, lambda _: 1e-3)  # type: ignore[arg-type]
+    policy = MultiInputActorCriticPolicy(env.observation_space, env.action_space, lambda _: 1e-3)
     with pytest.raises(ValueError, match="policy must see the observation or one of our views"):
         export_policy(policy)
 

@@ -112,7 +112,7 @@ def test_a_mapping_gives_labels_and_several_trainings(folder, oracle, frozen):
     assert (made["Oracle"].factory(env), made["thaw"].factory(env)) == (oracle, frozen)
     found = resolve_all({"a": [oracle, frozen], "b": "runs/mine-*", "c": "mmc"})
     assert [(one.label, one.training_seed) for one in found] == [
-        *(("a", 0), ("a", 1), ("b", 1), ("b", 2), ("c", None)),
+        *(("a", 0), ("a", 1), ("b", 1), ("b", 2), ("c", None))
     ]
 
 

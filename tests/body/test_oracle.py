@@ -155,8 +155,7 @@ CONVERGED = {
 }
 SLOW = ("plain", "longer", "locks", "gravity", "hand mass 1", "torque")
 converged = pytest.mark.parametrize(
-    "case",
-    [pytest.param(c, marks=pytest.mark.slow if c in SLOW else ()) for c in CONVERGED],
+    "case", [pytest.param(c, marks=pytest.mark.slow if c in SLOW else ()) for c in CONVERGED]
 )
 
 

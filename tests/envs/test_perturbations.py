@@ -1,7 +1,7 @@
 """Facts about the perturbations: what goes wrong, by how much, and what stays as it was."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -27,7 +27,7 @@ from mmc_gym.envs.perturbations import (
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import find_perturbation
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
-from mmc_gym.interface import CONTROLS, Control, ReachInterface, Seen
+from mmc_gym.interface import CONTROLS, ReachInterface, Seen
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 
 DISC = Obstacles().discs[0]
@@ -35,7 +35,7 @@ STILL = np.zeros(3, np.float32)
 Perturbed = Sequence[str | Perturbation]
 
 
-def movement(env: MMCReachEnv, steps: int = 100, **reset: Any) -> list[dict[str, Any]]:
+def movement(env, steps=100, **reset):
     """What reset and steps tell while the MMC agent acts; `angles` are the joint angles."""
     agent, state = make_agent("mmc", env), None
     observation, info = env.reset(**reset)
@@ -47,27 +47,27 @@ def movement(env: MMCReachEnv, steps: int = 100, **reset: Any) -> list[dict[str,
     return infos
 
 
-def joint_angles(env: MMCReachEnv) -> np.ndarray:
+def joint_angles(env):
     return np.array(env.arm.joint_angles)
 
 
-def centre_out(perturbations: Perturbed) -> list[list[dict[str, Any]]]:
+def centre_out(perturbations):
     """The eight movements of centre-out."""
     env = MMCReachEnv(task="centre-out", perturbations=perturbations)
     return [movement(env, seed=0, options={"trial": trial}) for trial in range(8)]
 
 
 @pytest.fixture(scope="module")
-def straight() -> list[list[dict[str, Any]]]:
+def straight():
     return centre_out([])
 
 
-def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def turned(first, second):
     """How far joint angles are apart, the short way round."""
     return np.abs(np.remainder(first - second + math.pi, math.tau) - math.pi)
 
 
-def rough_actions(steps: int, seed: int) -> np.ndarray:
+def rough_actions(steps, seed):
     random = np.random.default_rng(seed)
     return random.uniform(-1, 1, (steps // 5, 3)).astype(np.float32).repeat(5, axis=0)
 
@@ -92,20 +92,14 @@ def rough_actions(steps: int, seed: int) -> np.ndarray:
         ("gravity-60", {"gravity": (1.0, -62.0)}, True),
     ],
 )
-def test_perturbations_of_the_body_change_it_and_add_up(
-    perturbations: Any, body: dict[str, Any], is_told: bool
-) -> None:
-    own: Any = {
-        "force_field": ((1.0, 0.0), (0.0, 1.0)),
-        "hand_mass": 0.5,
-        "gravity": (1.0, -2.0),
-    }
+def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_told):
+    own = {"force_field": ((1.0, 0.0), (0.0, 1.0)), "hand_mass": 0.5, "gravity": (1.0, -2.0)}
     env = MMCReachEnv(perturbations=perturbations, **own)
     assert env.setup.body == ArmParameters(**{**own, **body})
     assert env.parameters == (env.setup.body if is_told else ArmParameters(**own))
 
 
-def rightward(infos: list[dict[str, Any]]) -> np.ndarray:
+def rightward(infos):
     """How far the hand is to the right of the straight line to its target, step by step."""
     path, target = np.array([info["end_effector"] for info in infos]), infos[0]["target"]
     x, y = (target - path[0]) / math.dist(target, path[0])
@@ -115,8 +109,8 @@ def rightward(infos: list[dict[str, Any]]) -> np.ndarray:
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("curl", "mean", "largest"), [(60, 0.01, 0.05), (120, 0.1, 0.3)])
 def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(
-    curl: float, mean: float, largest: float, sign: int, straight: list[list[dict[str, Any]]]
-) -> None:
+    curl, mean, largest, sign, straight
+):
     bent = centre_out([ForceField(sign * curl)])
     pushes = [sign * (rightward(a) - rightward(b)) for a, b in zip(bent, straight, strict=True)]
     assert np.mean([push.max() for push in pushes]) > mean  # the target is 0.6 away
@@ -125,7 +119,7 @@ def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(
     assert all(infos[-1]["is_success"] for infos in bent)
 
 
-def test_a_heavy_hand_is_late(straight: list[list[dict[str, Any]]]) -> None:
+def test_a_heavy_hand_is_late(straight):
     light, heavy = (
         [max(step for step, info in enumerate(one) if not info["is_success"]) + 1 for one in infos]
         for infos in (straight, centre_out(["hand-mass"]))
@@ -137,7 +131,7 @@ def test_a_heavy_hand_is_late(straight: list[list[dict[str, Any]]]) -> None:
 
 @pytest.mark.parametrize("told", [False, True])
 @pytest.mark.parametrize("factor", [0.5, 1.2])
-def test_who_is_not_told_a_length_misses_by_its_change(factor: float, told: bool) -> None:
+def test_who_is_not_told_a_length_misses_by_its_change(factor, told):
     change = SegmentLength(factor, told=told)
     env = MMCReachEnv(perturbations=change)
     assert env.setup.body.segment_lengths == (1.0, 1.0, factor)
@@ -148,7 +142,7 @@ def test_who_is_not_told_a_length_misses_by_its_change(factor: float, told: bool
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_targets_of_a_locked_arm_can_be_reached_by_its_other_joints(joint: int) -> None:
+def test_targets_of_a_locked_arm_can_be_reached_by_its_other_joints(joint):
     env = MMCReachEnv(perturbations=LockedJoint(joint))
     for seed in range(200):
         target = env.reset(seed=seed)[1]["target"]
@@ -162,7 +156,7 @@ def test_targets_of_a_locked_arm_can_be_reached_by_its_other_joints(joint: int) 
 
 @pytest.mark.parametrize("engine", ["pymunk", "analytic"])
 @pytest.mark.parametrize(("name", "step"), [("locked", 0), ("locks", 10)])
-def test_a_joint_locks_at_its_time_and_for_the_episode(name: str, step: int, engine: str) -> None:
+def test_a_joint_locks_at_its_time_and_for_the_episode(name, step, engine):
     env = MMCReachEnv(perturbations=name, engine=engine)
     moved = []
     for seed in range(5):
@@ -173,20 +167,20 @@ def test_a_joint_locks_at_its_time_and_for_the_episode(name: str, step: int, eng
     assert (max(moved) > 0.2) == (step > 0)
 
 
-def observed(perturbations: Perturbed, steps: int = 4000) -> tuple[np.ndarray, MMCReachEnv]:
+def observed(perturbations, steps=4000):
     """Observations (steps, 15) of an arm that hangs limp, at rest."""
     env = MMCReachEnv(control="joint_torque", perturbations=perturbations)
     env.reset(seed=0, options={"joint_angles": [0.3, 0.5, -0.4], "target": (-1.0, 1.5)})
     return np.array([env.step(STILL)[0] for _ in range(steps)], np.float64), env
 
 
-def seen(env: MMCReachEnv, observations: np.ndarray) -> np.ndarray:
+def seen(env, observations):
     """Where targets and hands are seen in the world, (steps, 4)."""
     shown = ReachInterface.of(env).see(observations)
     return np.hstack([shown.target, shown.hand])
 
 
-def assert_white(errors: np.ndarray, std: float) -> None:
+def assert_white(errors, std):
     """Zero mean, the stated spread, and no memory, within four standard errors."""
     count = len(errors)
     assert np.abs(errors.mean(axis=0)).max() < 4 * std / math.sqrt(count)
@@ -195,7 +189,7 @@ def assert_white(errors: np.ndarray, std: float) -> None:
     assert np.abs(correlation).max() < 4 / math.sqrt(count)
 
 
-def test_noise_is_as_large_as_stated_and_white() -> None:
+def test_noise_is_as_large_as_stated_and_white():
     observations, env = observed([JointNoise(std=0.03)])
     errors = np.arctan2(observations[:, 3:6], observations[:, :3]) - (0.3, 0.5, -0.4)
     assert_white(errors, 0.03)
@@ -211,9 +205,7 @@ def test_noise_is_as_large_as_stated_and_white() -> None:
 
 
 @pytest.mark.parametrize(("speed", "distance"), [(0.0, 0.0), (1.5, 1.0), (-3.0, 2.5)])
-def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(
-    speed: float, distance: float
-) -> None:
+def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(speed, distance):
     still = np.zeros((1, 3))
     true = Seen(still, np.array([[0.0, distance]]), still + speed, np.zeros((1, 2)))
     felt = JointNoise(std=0.01, speed_std=0.02).disturb(true, np.ones)
@@ -225,7 +217,7 @@ def test_joint_noise_grows_with_speed_and_vision_noise_with_distance(
 
 
 @pytest.mark.parametrize("name", ["joint-noise", "vision-noise", "delay-100"])
-def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name: str) -> None:
+def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name):
     disturbed, plain = MMCReachEnv(perturbations=name), MMCReachEnv()
     for env in (disturbed, plain):
         env.reset(seed=0)
@@ -239,9 +231,7 @@ def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name: str) -> No
 @pytest.mark.parametrize(
     ("name", "steps"), [("delay-40", 2), ("delay-200", 10), (["delay-40", "delay-200"], 12)]
 )
-def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
-    name: Any, steps: int
-) -> None:
+def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(name, steps):
     late = MMCReachEnv(perturbations=name)
     wrapped = gym.wrappers.DelayObservation(MMCReachEnv(), delay=steps)
     for seed in range(2):  # the second episode remembers nothing of the first
@@ -256,9 +246,7 @@ def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(
 @pytest.mark.parametrize(
     "rotation", [VisuomotorRotation(40.0), VisuomotorRotation(30.0, (0.0, 1.5))]
 )
-def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(
-    rotation: VisuomotorRotation,
-) -> None:
+def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(rotation):
     env = MMCReachEnv(perturbations=rotation, control_weight=0.0, precision_weight=0.0)
     env.reset(seed=0)
     turn = np.exp(1j * math.radians(rotation.degrees))
@@ -276,14 +264,14 @@ def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(
         assert rotation.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
 
 
-def test_who_knows_nothing_of_a_rotation_misses_by_it() -> None:
+def test_who_knows_nothing_of_a_rotation_misses_by_it():
     miss = 2 * 0.6 * math.sin(math.radians(15))
     for infos in centre_out(["rotation-30"]):  # about the start
         np.testing.assert_allclose(infos[0]["cursor"], infos[0]["end_effector"], atol=1e-9)
         assert infos[-1]["distance"] == pytest.approx(miss, abs=0.01)
 
 
-def clearance(env: MMCReachEnv | MMCReachVectorEnv) -> float:
+def clearance(env):
     """Least distance between the surfaces of arms and obstacles; negative: how deep they are in."""
     body = env.setup.body
     angles = joint_angles(env) if isinstance(env, MMCReachEnv) else env.arms.joint_angles
@@ -304,9 +292,7 @@ def clearance(env: MMCReachEnv | MMCReachVectorEnv) -> float:
     ],
 )
 @pytest.mark.parametrize("discs", [find_perturbation("obstacles-4"), Obstacles(((0, 2.2, 1.0),))])
-def test_segments_sink_no_deeper_into_obstacles_than_stated(
-    control: Control, discs: Obstacles
-) -> None:
+def test_segments_sink_no_deeper_into_obstacles_than_stated(control, discs):
     env = MMCReachVectorEnv(32, control=control, perturbations=discs)
     random, deepest = np.random.default_rng(0), 0.0
     env.reset(seed=0)
@@ -318,7 +304,7 @@ def test_segments_sink_no_deeper_into_obstacles_than_stated(
     assert 0.01 < deepest < 0.07
 
 
-def test_starts_and_targets_are_clear_of_obstacles() -> None:
+def test_starts_and_targets_are_clear_of_obstacles():
     env = MMCReachEnv(perturbations="obstacles")
     env.reset(seed=0)
     for _ in range(200):
@@ -332,17 +318,17 @@ def test_starts_and_targets_are_clear_of_obstacles() -> None:
 
 
 class Misspelt(Perturbation):
-    def change_bodies(self, body: ArmParameters) -> ArmParameters:
+    def change_bodies(self, body):
         return body
 
 
 class Forgetful(Noise):
     """No method returns anything."""
 
-    def disturb(self, seen: Seen, draw: Any) -> Any:
+    def disturb(self, seen, draw):
         del seen, draw
 
-    def change_body(self, body: ArmParameters) -> Any:
+    def change_body(self, body):
         return body if type(self) is Forgetful else None
 
 
@@ -352,10 +338,7 @@ class Forgetful(Noise):
         (Misspelt(), r"Misspelt must have a method change_body\(self, body\), got change_bodies"),
         (type("Lost", (Forgetful,), {})(), "what Lost.change_body returns must be .*, got None"),
         (Forgetful(), "what Forgetful.disturb returns must be a changed Seen, got None"),
-        (
-            "rotation-30+delay-40",
-            r"perturbations '.* a list such as \['rotation-30', 'delay-40'",
-        ),
+        ("rotation-30+delay-40", r"perturbations '.* a list such as \['rotation-30', 'delay-40'"),
         ("gremlins", "perturbations 'gremlins' is not accepted. It may be force-field, .*locks"),
         (None, "perturbations None is not accepted. It may be .* or a Perturbation$"),
         (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
@@ -367,7 +350,7 @@ class Forgetful(Noise):
         ([LockedJoint(0), LockedJoint(1, time=0.2)], "must lock at one time"),
     ],
 )
-def test_what_cannot_be_or_be_combined_is_refused(perturbations: Any, message: str) -> None:
+def test_what_cannot_be_or_be_combined_is_refused(perturbations, message):
     with pytest.raises(UserError, match=message):
         MMCReachEnv(perturbations=perturbations).reset()
 
@@ -388,7 +371,7 @@ ENTANGLED: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("arguments", ENTANGLED)
 @pytest.mark.parametrize("task", ["random", "via-points"])
-def test_what_can_be_made_can_be_reset_with_any_seed(arguments: dict[str, Any], task: str) -> None:
+def test_what_can_be_made_can_be_reset_with_any_seed(arguments, task):
     env, vector = (make(task=task, **arguments) for make in (MMCReachEnv, MMCReachVectorEnv))
     for seed in range(30):
         observation, info = env.reset(seed=seed)
@@ -397,7 +380,7 @@ def test_what_can_be_made_can_be_reset_with_any_seed(arguments: dict[str, Any], 
         np.testing.assert_array_equal(vector.reset(seed=seed)[0][0], observation)
 
 
-def test_a_posture_whose_locks_leave_no_target_is_refused_unless_there_is_one_already() -> None:
+def test_a_posture_whose_locks_leave_no_target_is_refused_unless_there_is_one_already():
     env = MMCReachEnv(perturbations=[LockedJoint(1), LockedJoint(2), "longer-50"])
     env.reset(seed=0)
     state, stretched = env.np_random.bit_generator.state, [1.0, 0.0, 0.0]
@@ -413,10 +396,8 @@ def test_a_posture_whose_locks_leave_no_target_is_refused_unless_there_is_one_al
 @pytest.mark.parametrize("told", [False, True])
 @pytest.mark.parametrize("factor", [0.5, 1.5])
 @pytest.mark.parametrize("task", ["random", "pursuit"])
-def test_goals_of_an_arm_of_another_length_are_in_their_space(
-    factor: float, told: bool, task: str
-) -> None:
-    arguments: dict[str, Any] = {
+def test_goals_of_an_arm_of_another_length_are_in_their_space(factor, told, task):
+    arguments = {
         "segment_lengths": (1.0, 0.4),
         "task": task,
         "perturbations": [SegmentLength(factor, told=told), "rotation-45"],
@@ -442,6 +423,6 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space(
         (lambda: LockedJoint(1.5).change_body(ArmParameters()), "joint"),
     ],
 )
-def test_values_that_make_no_sense_are_refused(make: Callable[[], object], name: str) -> None:
+def test_values_that_make_no_sense_are_refused(make, name):
     with pytest.raises(ValueError, match=f"^{name} must be"):
         make()

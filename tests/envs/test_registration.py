@@ -9,7 +9,6 @@ import json
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import partial
 from itertools import combinations, cycle, pairwise, product
 from typing import Any, get_args
@@ -30,19 +29,13 @@ from mmc_gym.envs.perturbations import (
     JointNoise,
     LockedJoint,
     Obstacles,
-    Perturbation,
     SegmentLength,
     SensoryDelay,
     VisionNoise,
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.scenarios import (
-    TASK_SCENARIOS,
-    environment_id,
-    make_environment,
-    scenario,
-)
+from mmc_gym.envs.scenarios import TASK_SCENARIOS, environment_id, make_environment, scenario
 from mmc_gym.envs.tasks import TASKS
 from mmc_gym.envs.vector import MMCReachVectorEnv
 from mmc_gym.interface import Control
@@ -85,9 +78,7 @@ DISC = (1.5, 1.0, 0.25)
         ("rotation-1000000", "rotation-1000000", VisuomotorRotation(1e6)),
     ],
 )
-def test_a_name_with_any_strength_makes_a_perturbation(
-    name: str, full_name: str, perturbation: Perturbation
-) -> None:
+def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturbation):
     one = scenario(name)
     assert one.name == full_name
     assert one == scenario(full_name)
@@ -105,10 +96,7 @@ def test_a_name_with_any_strength_makes_a_perturbation(
         ("rotatoin-30", "did you mean 'rotation-30'"),
         ("centre-out+rotatoin-30-told", "'rotatoin-30-told'.*did you mean 'rotation-30-told'"),
         ("centreout+rotation-30", "'centreout' is not accepted; did you mean 'centre-out'"),
-        (
-            "rotation-30+centre-out",
-            "'centre-out' is a task, which stands first",
-        ),
+        ("rotation-30+centre-out", "'centre-out' is a task, which stands first"),
         ("locked-0", "locked-0 has no such .*joint that locks must be a whole number from 1"),
         ("locks-1.5", "joint that locks must be a whole number from 1"),
         ("obstacles-5", "number of obstacles must be a whole number from 1 to 4"),
@@ -124,7 +112,7 @@ def test_a_name_with_any_strength_makes_a_perturbation(
         (None, "scenario None is not accepted. It may be"),
     ],
 )
-def test_a_wrong_name_is_refused_with_a_hint(name: Any, hint: str) -> None:
+def test_a_wrong_name_is_refused_with_a_hint(name, hint):
     with pytest.raises(UserError, match=hint):
         scenario(name)
 
@@ -133,15 +121,11 @@ def test_a_wrong_name_is_refused_with_a_hint(name: Any, hint: str) -> None:
     ("name", "mended", "hint"),
     [
         ("locked-7", "locked-3", "locked-7 is not possible for this arm: .* joint 7 from the base"),
-        (
-            "delay-5",
-            "delay-20",
-            "delay-5 would delay nothing: .* of 20 ms, such as delay-20",
-        ),
+        ("delay-5", "delay-20", "delay-5 would delay nothing: .* of 20 ms, such as delay-20"),
         ("pursuit+obstacles-2+rotation-30+rotation-3", "rotation-3", "at most one rotation"),
     ],
 )
-def test_what_an_arm_cannot_have_is_refused_by_its_name(name: str, mended: str, hint: str) -> None:
+def test_what_an_arm_cannot_have_is_refused_by_its_name(name, mended, hint):
     for make in (
         mmc_gym.make,
         partial(mmc_gym.make_vec, num_envs=2),
@@ -166,9 +150,7 @@ def test_a_delay_that_rounds_to_nothing_is_refused_as_an_object_too() -> None:
         ("MMCReachPursuit-v0", "pursuit", "pursuit", "", None),
     ],
 )
-def test_a_task_and_perturbations_together_have_one_name(
-    name: str, full_name: str, task: str, family: str, strength: float | None
-) -> None:
+def test_a_task_and_perturbations_together_have_one_name(name, full_name, task, family, strength):
     one = scenario(name)
     assert (one.name, one.task, one.family, one.strength) == (full_name, task, family, strength)
     assert one == scenario(full_name)
@@ -179,7 +161,7 @@ def test_a_task_and_perturbations_together_have_one_name(
     assert setup.perturbations == vector.perturbations == one.perturbations
 
 
-def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments() -> None:
+def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments():
     name, arguments = "pursuit+rotation-45", {"control": "joint_velocity", "max_episode_steps": 9}
     one = mmc_gym.make(name, render_mode="rgb_array", **arguments)
     assert one.spec.id == "MMCReachPursuit-v0"
@@ -196,8 +178,8 @@ def test_a_name_makes_what_gymnasium_makes_of_the_id_and_arguments() -> None:
 
 
 @pytest.mark.parametrize("argument", ["task", "perturbations", "max_episode_steps"])
-def test_what_a_name_sets_is_no_argument(argument: str) -> None:
-    given: dict[str, Any] = {"task": "paper", "perturbations": ["rotation-30"]}
+def test_what_a_name_sets_is_no_argument(argument):
+    given = {"task": "paper", "perturbations": ["rotation-30"]}
     given["max_episode_steps"] = 7
     one = {argument: given[argument]}
     with pytest.raises(UserError, match=f"{argument} must be left out.*scenario 'delay-400' sets"):
@@ -209,17 +191,17 @@ def test_what_a_name_sets_is_no_argument(argument: str) -> None:
     assert find_scenarios(["delay-400"], {"substeps": 2})["delay-400"].env_kwargs == {"substeps": 2}
 
 
-def test_perturbations_have_no_ids() -> None:
+def test_perturbations_have_no_ids():
     assert {*IDS} == {"MMCReachGoal-v0", *map(environment_id, TASKS)}
 
 
-def test_an_environment_is_no_name_of_one() -> None:
+def test_an_environment_is_no_name_of_one():
     for env in (gym.make("MMCReach-v0"), None):
         with pytest.raises(UserError, match="env must be an id, the name of a scenario, or a func"):
             make_environment(env)
 
 
-def test_a_scenario_makes_its_environments_and_counts_its_trials() -> None:
+def test_a_scenario_makes_its_environments_and_counts_its_trials():
     for name in ("distances", "via-points", "locked-3-told"):
         one = scenario(name)
         env, vector = one.make("joint_delta"), one.make_vec(2, "joint_delta")
@@ -231,7 +213,7 @@ def test_a_scenario_makes_its_environments_and_counts_its_trials() -> None:
     assert scenario("distances").instances(3) == [{"trial": trial} for trial in range(32)]
 
 
-def test_every_task_is_a_scenario_and_all_of_the_benchmark_have_names_of_the_grammar() -> None:
+def test_every_task_is_a_scenario_and_all_of_the_benchmark_have_names_of_the_grammar():
     assert list(TASK_SCENARIOS) == list(TASKS)
     assert all(scenario(name) == one for name, one in SCENARIOS.items())
     assert find_scenarios([]) == SCENARIOS
@@ -239,7 +221,7 @@ def test_every_task_is_a_scenario_and_all_of_the_benchmark_have_names_of_the_gra
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_the_id_of_a_task_makes_it_and_has_its_time(name: str) -> None:
+def test_the_id_of_a_task_makes_it_and_has_its_time(name):
     env, task = gym.make(environment_id(name)), TASKS[name]
     assert env.unwrapped.setup.task is task
     assert env.unwrapped.setup.perturbations == ()
@@ -250,8 +232,8 @@ def test_the_id_of_a_task_makes_it_and_has_its_time(name: str) -> None:
 
 
 @pytest.mark.parametrize("mode", [None, "vector_entry_point", "sync"])
-def test_a_task_of_another_length_than_the_ids_is_refused_by_name(mode: str | None) -> None:
-    def make(env_id: str, **arguments: Any) -> Any:
+def test_a_task_of_another_length_than_the_ids_is_refused_by_name(mode):
+    def make(env_id, **arguments):
         if mode is None:
             return gym.make(env_id, **arguments)
         return gym.make_vec(env_id, 2, vectorization_mode=mode, **arguments)
@@ -265,7 +247,7 @@ def test_a_task_of_another_length_than_the_ids_is_refused_by_name(mode: str | No
     assert gym.make_vec("MMCReach-v0", task="pursuit", max_episode_steps=7).max_episode_steps == 7
 
 
-def test_registering_imports_neither_physics_nor_drawing() -> None:
+def test_registering_imports_neither_physics_nor_drawing():
     code = "import mmc_gym, sys; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in done.stdout.split()}
@@ -273,14 +255,14 @@ def test_registering_imports_neither_physics_nor_drawing() -> None:
 
 
 @pytest.fixture
-def env(name: str, control: str) -> Iterator[gym.Env]:
+def env(name, control):
     env = mmc_gym.make(name, control=control)
     env.action_space.seed(0)
     yield env
     env.close()
 
 
-def harsh_actions(env: gym.Env, steps: int, seed: int = 0) -> np.ndarray:
+def harsh_actions(env, steps, seed=0):
     """Random actions, among them many at the borders of the space, each held for a while."""
     random = np.random.default_rng(seed)
     assert isinstance(env.action_space, gym.spaces.Box)
@@ -290,13 +272,13 @@ def harsh_actions(env: gym.Env, steps: int, seed: int = 0) -> np.ndarray:
     return actions[last].astype(np.float32)
 
 
-def rollout(env: gym.Env, actions: np.ndarray, seed: int = 7) -> list[Transition]:
+def rollout(env, actions, seed=7):
     """All that reset and steps return, with a reset at every truncation."""
     return [env.reset(seed=seed), *continued(env, actions)]
 
 
-def continued(env: gym.Env, actions: np.ndarray) -> list[Transition]:
-    record: list[Transition] = []
+def continued(env, actions):
+    record = []
     for action in actions:
         record.append(env.step(action))
         if record[-1][3]:
@@ -305,21 +287,21 @@ def continued(env: gym.Env, actions: np.ndarray) -> list[Transition]:
 
 
 @every_case
-def test_gymnasium_approves(env: gym.Env) -> None:
+def test_gymnasium_approves(env):
     check_env(env.unwrapped)  # pytest makes its warnings errors
     assert env.spec is not None
     assert gym.envs.registration.EnvSpec.from_json(env.spec.to_json()) == env.spec
 
 
 @every_case
-def test_stable_baselines3_approves(env: gym.Env, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stable_baselines3_approves(env, capsys):
     check_env_for_sb3(env.unwrapped, warn=True, skip_render_check=False)
     is_goal_env = isinstance(env.observation_space, gym.spaces.Dict)
     assert ("GoalEnv" in capsys.readouterr().out) == is_goal_env
 
 
 @every_case
-def test_same_seed_and_actions_give_the_same_episodes(env: gym.Env) -> None:
+def test_same_seed_and_actions_give_the_same_episodes(env):
     assert env.spec is not None
     other = gym.make(env.spec)
     actions = harsh_actions(env, 250)
@@ -330,7 +312,7 @@ def test_same_seed_and_actions_give_the_same_episodes(env: gym.Env) -> None:
 
 
 @every_case
-def test_a_copy_of_a_running_environment_has_the_same_future(env: gym.Env) -> None:
+def test_a_copy_of_a_running_environment_has_the_same_future(env):
     actions = harsh_actions(env, 250)
     env.reset(seed=3)
     for action in actions[:30]:
@@ -342,8 +324,8 @@ def test_a_copy_of_a_running_environment_has_the_same_future(env: gym.Env) -> No
 
 
 @every_case
-def test_what_is_returned_shares_no_memory(env: gym.Env) -> None:
-    def arrays(transition: Transition) -> list[np.ndarray]:
+def test_what_is_returned_shares_no_memory(env):
+    def arrays(transition):
         observation, info = transition[0], transition[-1]
         parts = observation.values() if isinstance(observation, dict) else [observation]
         return [*parts, info["end_effector"], info["target"]]
@@ -354,7 +336,7 @@ def test_what_is_returned_shares_no_memory(env: gym.Env) -> None:
 
 
 @every_case
-def test_an_episode_stays_in_its_space_and_ends_by_the_time_limit_alone(env: gym.Env) -> None:
+def test_an_episode_stays_in_its_space_and_ends_by_the_time_limit_alone(env):
     assert env.observation_space.contains(env.reset(seed=0)[0])
     limit = env.spec.max_episode_steps
     steps = [env.step(action) for action in harsh_actions(env, limit)]

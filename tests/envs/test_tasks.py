@@ -1,10 +1,8 @@
 """Facts about the tasks: where trials start, and where their targets are and go."""
 
 import math
-from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,6 @@ from mmc_gym.envs.tasks import (
     PointToPoint,
     Pursuit,
     RandomTarget,
-    Request,
     Trial,
     ViaPoints,
 )
@@ -30,13 +27,13 @@ from studies.paper.protocol import PAIRS, TARGETS
 STILL = np.zeros(3, np.float32)
 
 
-def targets_of(env: MMCReachEnv, steps: int, **reset: Any) -> np.ndarray:
+def targets_of(env, steps, **reset):
     """Where the target is at reset and after each step, (steps + 1, 2)."""
     infos = [env.reset(**reset)[1], *(env.step(STILL)[4] for _ in range(steps))]
     return np.array([info["target"] for info in infos])
 
 
-def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent() -> None:
+def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
     env = MMCReachEnv(task="paper")
     assert env.setup.task.trial_count == len(PAIRS) == 420
     observations, infos = zip(*(env.reset(options={"trial": trial}) for trial in range(420)))
@@ -65,9 +62,7 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent() -> Non
         (3, {}, "task 3 is not accepted. It may be random, .* or a Task$"),
     ],
 )
-def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(
-    task: Any, arguments: dict[str, Any], message: str
-) -> None:
+def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(task, arguments, message):
     with pytest.raises(UserError, match=message):
         MMCReachEnv(task=task, **arguments)
 
@@ -75,10 +70,10 @@ def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(
 class Mine(RandomTarget):
     """The path is what `drawn` returns."""
 
-    def __init__(self, drawn: Callable[[Request], Any]) -> None:
+    def __init__(self, drawn):
         object.__setattr__(self, "drawn", drawn)
 
-    def draw(self, request: Request) -> Any:
+    def draw(self, request):
         return self.drawn(request)
 
 
@@ -97,9 +92,7 @@ class Mine(RandomTarget):
         (lambda one: Trial([0, 0, 0], [(0, 5 * one.random.random())]), "0 to 3 from the base"),
     ],
 )
-def test_what_an_own_task_draws_is_checked_when_the_environment_is_made(
-    make: Callable[..., Any], drawn: Callable[[Request], Any], message: str
-) -> None:
+def test_what_an_own_task_draws_is_checked_when_the_environment_is_made(make, drawn, message):
     with pytest.raises(UserError, match=message):
         make(task=Mine(drawn))
     path = np.array([[0.0, 1.0], [0.5, 1.0]])  # arrays are paths, too
@@ -109,7 +102,7 @@ def test_what_an_own_task_draws_is_checked_when_the_environment_is_made(
     assert np.ravel(info["target"]).tolist() == path[1].tolist()
 
 
-def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far() -> None:
+def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far():
     env = MMCReachEnv(task="centre-out")
     infos = [env.reset(options={"trial": trial})[1] for trial in range(8)]
     starts = np.array([info["end_effector"] for info in infos])
@@ -129,7 +122,7 @@ def test_centre_out_goes_in_eight_directions_45_degrees_apart_and_equally_far() 
         ({"task": DoubleStep(delay=0.1), "substeps": 2}, 10),  # steps of 0.01 s
     ],
 )
-def test_the_target_jumps_once_and_at_its_time(arguments: dict[str, Any], step: int) -> None:
+def test_the_target_jumps_once_and_at_its_time(arguments, step):
     env = MMCReachEnv(**arguments)
     for seed in range(5):
         targets = targets_of(env, 40, seed=seed)
@@ -137,7 +130,7 @@ def test_the_target_jumps_once_and_at_its_time(arguments: dict[str, Any], step: 
         assert jumps.tolist() == [step]
 
 
-def test_a_pursued_target_has_the_stated_frequencies_and_no_others() -> None:
+def test_a_pursued_target_has_the_stated_frequencies_and_no_others():
     task = TASKS["pursuit"]
     assert isinstance(task, Pursuit)
     path = targets_of(MMCReachEnv(task="pursuit"), 499, seed=0)
@@ -150,7 +143,7 @@ def test_a_pursued_target_has_the_stated_frequencies_and_no_others() -> None:
         assert coordinate[slow] / coordinate[fast] == pytest.approx(fast / slow)
 
 
-def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time() -> None:
+def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time():
     env = MMCReachEnv(task="pursuit")
     assert env.setup.path_length == TASKS["pursuit"].episode_steps == 500
     paths = [targets_of(env, 1000, seed=seed) for seed in range(4)]
@@ -162,7 +155,7 @@ def test_a_pursued_path_is_periodic_and_within_reach_and_another_each_time() -> 
     assert len({tuple(path[0]) for path in paths}) == 4
 
 
-def visit(env: MMCReachEnv, seed: int, steps: int = 300) -> list[dict[str, Any]]:
+def visit(env, seed, steps=300):
     """Infos of a movement of the MMC agent, each with its reward."""
     agent, state = make_agent("mmc", env), None
     observation, info = env.reset(seed=seed)
@@ -175,7 +168,7 @@ def visit(env: MMCReachEnv, seed: int, steps: int = 300) -> list[dict[str, Any]]
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_next_via_point_appears_when_the_last_has_been_reached(seed: int) -> None:
+def test_the_next_via_point_appears_when_the_last_has_been_reached(seed):
     infos = visit(MMCReachEnv(task="via-points"), seed)
     places = list(dict.fromkeys(tuple(info["target"]) for info in infos))
     assert len(places) == 3
@@ -187,7 +180,7 @@ def test_the_next_via_point_appears_when_the_last_has_been_reached(seed: int) ->
 
 
 @pytest.mark.parametrize("reward_type", ["dense", "sparse"])
-def test_only_the_last_via_point_is_a_success(reward_type: str) -> None:
+def test_only_the_last_via_point_is_a_success(reward_type):
     infos = visit(MMCReachEnv(task="via-points", reward_type=reward_type), seed=0)
     last = tuple(infos[-1]["target"])
     assert infos[-1]["is_success"]
@@ -198,13 +191,13 @@ def test_only_the_last_via_point_is_a_success(reward_type: str) -> None:
             assert info["reward"] == (0.0 if info["is_success"] else -1.0)
 
 
-def test_paths_have_the_length_that_is_drawn_and_no_other() -> None:
+def test_paths_have_the_length_that_is_drawn_and_no_other():
     class Growing(RandomTarget):
         """Paths of as many places as asked for."""
 
         places = 2
 
-        def draw(self, request: Request) -> Trial:
+        def draw(self, request):
             return Trial(request.draw_posture(), [(1.0, k / 10) for k in range(self.places)])
 
     for make in (MMCReachEnv, partial(MMCReachVectorEnv, 1)):
@@ -216,7 +209,7 @@ def test_paths_have_the_length_that_is_drawn_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_posture_and_target_can_be_set_in_every_task(name: str) -> None:
+def test_posture_and_target_can_be_set_in_every_task(name):
     env = MMCReachEnv(task=name)
     posture = [0.5, 0.6, -0.7]
     observation, _ = env.reset(seed=0, options={"joint_angles": posture})
@@ -225,11 +218,8 @@ def test_posture_and_target_can_be_set_in_every_task(name: str) -> None:
     assert (targets == (1.0, 0.5)).all()
 
 
-@pytest.mark.parametrize(
-    ("task", "trial"),
-    [("random", 0), ("paper", 420), ("paper", 1.5)],
-)
-def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, trial: Any) -> None:
+@pytest.mark.parametrize(("task", "trial"), [("random", 0), ("paper", 420), ("paper", 1.5)])
+def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task, trial):
     env, twin = MMCReachEnv(task=task), MMCReachEnv(task=task)
     for one in (env, twin):
         one.reset(seed=1)
@@ -252,6 +242,6 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task: str, tri
         (lambda: PointToPoint(((0.5, 0.0),), ((0, 1),)), "pairs"),
     ],
 )
-def test_values_that_make_no_sense_are_refused(make: Callable[[], object], name: str) -> None:
+def test_values_that_make_no_sense_are_refused(make, name):
     with pytest.raises(ValueError, match=f"^{name} must be"):
         make()

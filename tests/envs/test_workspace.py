@@ -37,12 +37,7 @@ def test_targets_are_uniform_over_the_area_that_the_hand_reaches(lengths):
     assert stats.chisquare(counts.ravel()).pvalue > 0.01
 
 
-@given(
-    lengths=LENGTHS,
-    x=st.floats(-50, 50),
-    y=st.floats(-50, 50),
-    seed=st.integers(0, 2**32 - 1),
-)
+@given(lengths=LENGTHS, x=st.floats(-50, 50), y=st.floats(-50, 50), seed=st.integers(0, 2**32 - 1))
 def test_targets_are_reachable_and_so_is_the_nearest_point(lengths, x, y, seed):
     space = workspace(lengths)
     assert space.contains(space.draw_target(np.random.default_rng(seed), []))

@@ -13,7 +13,6 @@ from mmc_gym._files import import_modules
 from mmc_gym.measures import (
     MEASURES,
     SET_MEASURES,
-    Episode,
     catalogue,
     leave_out_failures,
     measure,
@@ -32,7 +31,7 @@ def forget_what_is_registered():
 
 def register_half_way_time():
     @measure(label="half-way time", unit="s", best="low", decimals=2, successes_only=True)
-    def half_way_time(episode: Episode) -> float:
+    def half_way_time(episode):
         halfway = episode.distances[0] / 2
         return int((episode.distances <= halfway).argmax()) * episode.control_step
 

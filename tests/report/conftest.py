@@ -4,8 +4,6 @@ mmc is quick and jerky and blind to rotations; ik-dls is smooth and as blind; pp
 seeds, is smooth and hardly minds a rotation; ppo-smooth moves with minimum jerk.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -124,11 +122,7 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
         like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
         write(folder, CellKey(REFERENCE, None, "random"), minimum_jerk_episodes(like))
     skipped = NotPlayed(
-        agent="mmc",
-        training_seed=None,
-        environment="pursuit",
-        status="skipped",
-        reason="<b>no</b>",
+        agent="mmc", training_seed=None, environment="pursuit", status="skipped", reason="<b>no</b>"
     )
     manifest = Manifest(
         episodes=instances,

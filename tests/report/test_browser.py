@@ -3,8 +3,6 @@
 See `browser` and `keep` in `tests/conftest.py`.
 """
 
-from __future__ import annotations
-
 import base64
 import re
 

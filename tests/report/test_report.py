@@ -1,7 +1,5 @@
 """The report: one file that needs nothing beside it, whose words follow from its figures."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Reading a store: who the agents are, and what is done where something is missing or damaged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

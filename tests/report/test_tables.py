@@ -1,7 +1,5 @@
 """What tables and figures say of a benchmark."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

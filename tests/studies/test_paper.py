@@ -104,8 +104,7 @@ def test_the_examples_in_docstrings_hold():
 
 
 @pytest.mark.parametrize(
-    ("start", "number", "digits"),
-    [("Euclidean", 13, 5e-5), ("classical (Euclidean): ", 6, 5e-4)],
+    ("start", "number", "digits"), [("Euclidean", 13, 5e-5), ("classical (Euclidean): ", 6, 5e-4)]
 )
 def test_rows_without_learned_weights_agree_with_the_data(start, number, digits, results):
     rows = [row for name in ("kinematic", "dynamic") for row in results[name].rows]

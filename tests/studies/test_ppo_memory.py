@@ -1,7 +1,5 @@
 """The study that trains `ppo-memory`: a short run, what the teacher sees, and its lessons."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -18,12 +16,12 @@ ARMS = 8
 SCENARIOS = {"names": ["random"], "groups": 1}
 
 
-def truthful(**arguments: Any) -> study.TruthfulScenarios:
+def truthful(**arguments):
     plain = make_vec_env("MMCReach-v0", ARMS, {"engine": "analytic", "control": "joint_delta"})
     return study.TruthfulScenarios(plain, **{**SCENARIOS, **arguments})
 
 
-def truth(name: str, steps: int, action: float = 0.3) -> np.ndarray:
+def truth(name, steps, action=0.3):
     """The truth that follows observations of equal arms under equal actions, (steps, arms, …)."""
     env = truthful(names=[name])
     env.seed(0)
@@ -97,10 +95,10 @@ def test_the_policy_that_is_kept_acts_and_remembers_as_the_model_that_was_traine
         {f"{study.HERE}.TruthfulScenarios": SCENARIOS},
         {f"{study.HERE}.Memory": {"blocks": [1, 2, 3]}},
     ]
-    models: list[Any] = []
+    models = []
     recipe = study.taught_recipe(**changes, vec_env_wrapper=wrappers)
     one = study.TaughtTraining(recipe, 0, tmp_path, evaluations=1)
-    one.save = lambda model: (models.append(model), Training.save(one, model))  # type: ignore[method-assign, assignment]
+    one.save = lambda model: (models.append(model), Training.save(one, model))
     card = one.run()
     network, same = load_policy(tmp_path / "ppo-memory-0.json")
     assert (card.blocks, same.blocks) == ((1, 2, 3), (1, 2, 3))
@@ -121,7 +119,7 @@ def test_a_student_learns_to_act_as_its_teacher_which_stays_as_it_is():
     model = study.TaughtPPO(study.TaughtPolicy, env, lessons=1.0, n_steps=50, batch_size=50, seed=0)
     observations = torch.as_tensor(env.reset())
 
-    def off() -> tuple[float, np.ndarray]:
+    def off():
         with torch.no_grad():
             right = model.policy.teacher_actions(observations)
             done = model.policy.student_actions(observations)

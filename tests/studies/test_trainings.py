@@ -6,13 +6,13 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from mmc_gym.agents.policy import PolicyCard, load_policy, shipped_file
+from mmc_gym.agents.policy import load_policy, shipped_file
 from studies.learners.trainings import main, summarize, trainings
 
 _, CARD = load_policy(shipped_file("ppo", 0))
 
 
-def training(seed: int, curve: tuple[float, ...], **scores: float) -> PolicyCard:
+def training(seed, curve, **scores):
     """A training that was evaluated every 1,000 steps, which take a minute."""
     legs = range(1, len(curve) + 1)
     seconds = [60.0 * leg for leg in legs]

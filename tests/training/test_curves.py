@@ -8,7 +8,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.agents.policy import PolicyCard, load_policy, save_policy, shipped_file
+from mmc_gym.agents.policy import load_policy, save_policy, shipped_file
 from mmc_gym.cli import main
 from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
 
@@ -16,7 +16,7 @@ RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
 NETWORK, CARD = load_policy(shipped_file("ppo", 0))
 
 
-def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes) -> PolicyCard:
+def training(name="ppo", seed=0, success=RISE, seconds_per_leg=60.0, **changes):
     """A training that was evaluated every 1,000 steps; its wall time is twice its CPU time."""
     legs = np.arange(1, len(success) + 1)
     times = {"seconds": 2 * seconds_per_leg * legs, "cpu_seconds": seconds_per_leg * legs}

@@ -20,12 +20,12 @@ HER = "HerReplayBuffer"
 SAC: dict[str, Any] = {"algorithm": "sac"}
 
 
-def recipe(algorithm: str = "ppo", **changes: Any) -> Recipe:
+def recipe(algorithm="ppo", **changes):
     least = {"n_timesteps": 1000, "policy": "MlpPolicy"}
     return Recipe(f"{algorithm}-mine", "MMCReach-v0", {**least, **changes})
 
 
-def make(one: Recipe) -> Any:
+def make(one):
     settings = one.settings
     return one.make_model(make_vec_env(one.env_id, settings["n_envs"], settings["env_kwargs"]), 0)
 

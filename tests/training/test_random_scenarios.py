@@ -1,7 +1,5 @@
 """Training under perturbations that are drawn for each episode."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from stable_baselines3.common.env_util import make_vec_env as common_make_vec_env
@@ -13,17 +11,17 @@ from mmc_gym.training.vec_env import RandomScenarios
 ARMS = 8
 
 
-def plain() -> Any:
+def plain():
     return make_vec_env("MMCReach-v0", ARMS, {"engine": "analytic", "control": "joint_delta"})
 
 
-def scenarios(seed: int = 0, **arguments: Any) -> RandomScenarios:
+def scenarios(seed=0, **arguments):
     env = RandomScenarios(plain(), **{"groups": 4, **arguments})
     env.seed(seed)
     return env
 
 
-def played(seed: int = 0, steps: int = 230, **arguments: Any) -> tuple[Any, ...]:
+def played(seed=0, steps=230, **arguments):
     """Observations, rewards and ends of arms under random scenarios and random actions."""
     env = scenarios(seed, **arguments)
     first, actions = env.reset(), np.random.default_rng(0).uniform(-1, 1, (steps, ARMS, 3))
@@ -61,7 +59,7 @@ def test_the_vector_environments_of_others_are_replaced_too():
     assert env.reset().shape == (ARMS, 15)
     (drawn_env, *_) = env._groups
     assert drawn_env is not None
-    made: Any = drawn_env.unwrapped
+    made = drawn_env.unwrapped
     assert (made.engine, made.control, made.setup.task_name) == (*arguments.values(), "pursuit")
 
 

@@ -2,7 +2,6 @@
 
 import shutil
 import sys
-from collections.abc import Callable, Iterator
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -39,20 +38,20 @@ TINY: dict[str, dict[str, Any]] = {
 }
 
 
-def tiny(name: str, **changes: Any) -> Recipe:
+def tiny(name, **changes):
     return read_recipe(name).with_changes(**{**SMALL, **TINY[name], **changes})
 
 
-def training(name: str, folder: Path, seed: int = 3, **changes: Any) -> Training:
+def training(name, folder, seed=3, **changes):
     return Training(tiny(name, **changes), seed, folder, evaluations=LEGS)
 
 
-def weights(folder: Path, name: str = "ppo", seed: int = 3) -> bytes:
+def weights(folder, name="ppo", seed=3):
     return (folder / f"{name}-{seed}.safetensors").read_bytes()
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_episodes() -> Iterator[None]:
+def few_episodes():
     """Evaluations take longer than such trainings."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("EVALUATION_EPISODES", "FINAL_EPISODES"):
@@ -61,11 +60,11 @@ def few_episodes() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def trained_by_name(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def trained_by_name(tmp_path_factory):
     """Trains each once; PPO with TensorBoard's logs."""
-    folders: dict[str, Path] = {}
+    folders = {}
 
-    def train(name: str) -> Path:
+    def train(name):
         if name not in folders:
             folders[name] = tmp_path_factory.mktemp(name)
             one = training(name, folders[name])
@@ -79,7 +78,7 @@ def trained_by_name(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str],
 
 
 @pytest.fixture
-def trained(trained_by_name: Callable[[str], Path]) -> Path:
+def trained(trained_by_name):
     return trained_by_name("ppo")
 
 
@@ -97,7 +96,7 @@ def test_the_policy_depends_on_the_seed_alone(name, trained_by_name, tmp_path):
     ["ppo", "tqc-her", *(pytest.param(n, marks=pytest.mark.slow) for n in ("ppo-residual", "sac"))],
 )
 def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(name, tmp_path):
-    def interrupt(progress: Any) -> None:
+    def interrupt(progress):
         if progress.steps > 400:  # a leg after a checkpoint has begun
             raise KeyboardInterrupt
 
@@ -109,7 +108,7 @@ def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(nam
     with pytest.raises(KeyboardInterrupt):
         interrupted.run()
     assert not any(file.exists() for file in interrupted.policy_files)
-    steps: list[int] = []
+    steps = []
     resumed.report = lambda progress: steps.append(progress.steps)
     resumed.run(resume=True)
     assert 400 < steps[0] <= steps[-1] == 800
@@ -120,7 +119,7 @@ def test_a_training_killed_while_it_writes_has_its_last_checkpoint(trained, tmp_
     copy = tmp_path / "copy"
     shutil.copytree(trained, copy)
     (copy / f".{CHECKPOINT}.half").write_bytes(b"half a checkpoint")
-    heads: list[Path] = []
+    heads = []
     read_head = module.read_head
     monkeypatch.setattr(module, "read_head", lambda path: heads.append(path) or read_head(path))
     training("ppo", copy).run(resume=True)
@@ -143,8 +142,8 @@ def test_the_card_describes_the_whole_training(trained, tmp_path):
 
 def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(tmp_path):
     one = training("ppo", tmp_path, n_timesteps=1)
-    models: list[Any] = []
-    one.save = lambda model: (models.append(model), Training.save(one, model))  # type: ignore[method-assign, assignment]
+    models = []
+    one.save = lambda model: (models.append(model), Training.save(one, model))
     one.run()
     network, card = load_policy(tmp_path / "ppo-3.json")
     envs = gym.make_vec(card.env_id, 5, control="joint_delta")
@@ -280,6 +279,6 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
 
 def test_wrong_types_of_arguments_are_named():
     with pytest.raises(UserError, match="out must be the path of a folder, got 3"):
-        mmc_gym.train("ppo", steps=1, out=3)  # type: ignore[arg-type]
+        mmc_gym.train("ppo", steps=1, out=3)
     with pytest.raises(UserError, match="env_kwargs must be a mapping, got 3"):
         mmc_gym.train("ppo", steps=1, env_kwargs=3)  # type: ignore[arg-type]

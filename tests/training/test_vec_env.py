@@ -1,7 +1,5 @@
 """Vector environments do what stable-baselines3's DummyVecEnv does; residual learning."""
 
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ from gymnasium.envs.classic_control import CartPoleEnv
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecEnv
 
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
@@ -19,18 +16,18 @@ IDS = ("MMCReach-v0", "MMCReachGoal-v0")
 COUNT = 3
 
 
-def native(env_id: str = IDS[0], count: int = COUNT, **arguments: Any) -> GymnasiumVecEnv:
+def native(env_id=IDS[0], count=COUNT, **arguments):
     return GymnasiumVecEnv(gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments))
 
 
-def of_single_ones(env_id: str = IDS[0], count: int = COUNT, **arguments: Any) -> GymnasiumVecEnv:
+def of_single_ones(env_id=IDS[0], count=COUNT, **arguments):
     """Around Gymnasium's own vector environment."""
     make = lambda: gym.make(env_id, **arguments)  # noqa: E731
     envs = SyncVectorEnv([make] * count, autoreset_mode=AutoresetMode.SAME_STEP)
     return GymnasiumVecEnv(envs)
 
 
-def dummy(env_id: str = IDS[0], count: int = COUNT, **arguments: Any) -> VecEnv:
+def dummy(env_id=IDS[0], count=COUNT, **arguments):
     return make_vec_env(env_id, count, env_kwargs=arguments)
 
 
@@ -118,7 +115,7 @@ def test_without_a_correction_it_is_the_base_agent():
     residual = Residual(native(count=ARMS, control="joint_delta"))
     residual.seed(3)
     envs = native(count=ARMS, control="joint_delta").vector_env
-    agent, state = make_agent("mmc", envs), None  # type: ignore[arg-type]
+    agent, state = make_agent("mmc", envs), None
     seen, (observed, _) = residual.reset(), envs.reset(seed=3)
     assert residual.observation_space.contains(seen[0])
     started = np.ones(ARMS, dtype=bool)
