@@ -28,7 +28,10 @@ import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 import mmc_gym  # noqa: E402, F401  registers the environments
-from mmc_gym.measures import Episode  # noqa: E402
+from mmc_gym.envs.perturbations import FAMILIES  # noqa: E402
+from mmc_gym.envs.scenarios import TASK_SCENARIOS  # noqa: E402
+from mmc_gym.envs.tasks import TASKS  # noqa: E402
+from mmc_gym.measures import MEASURES, SET_MEASURES, Episode  # noqa: E402
 
 # A deadline measures the machine, not the code.  Where CI is set the examples are the same in
 # every run; elsewhere hypothesis looks for new ones.
@@ -76,6 +79,16 @@ def env():
     env = gym.make("MMCReach-v0")
     yield env
     env.close()
+
+
+@pytest.fixture
+def forget_what_is_registered():
+    registries = FAMILIES, MEASURES, SET_MEASURES, TASKS, TASK_SCENARIOS, gym.registry
+    before = [dict(registry) for registry in registries]
+    yield
+    for registry, entries in zip(registries, before, strict=True):
+        registry.clear()
+        registry.update(entries)
 
 
 def episode_of(hands, targets, control_step=0.02, joint_angles=None, **changes):

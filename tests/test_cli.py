@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from importlib.metadata import version
+from unittest.mock import Mock
 
 import pytest
 
@@ -11,13 +12,6 @@ from mmc_gym._grid import CellError
 from mmc_gym.cli import _commands, _spelt, main
 
 ENV_KWARGS = ["compare", "--agents", "mmc", "--env-kwargs"]
-
-
-def test_compare_writes_data_and_figure(tmp_path, capsys):
-    main(["compare", "--agents", "mmc", "random", "--episodes", "3", "--out", str(tmp_path)])
-    assert "mmc" in capsys.readouterr().out
-    written = {path.name for path in tmp_path.iterdir()}
-    assert {"episodes.csv", "summary.csv", "paths_and_profiles.png"} <= written
 
 
 def test_train_takes_your_own_file_and_resumes(tmp_path, capsys):
@@ -40,10 +34,8 @@ def test_train_takes_your_own_file_and_resumes(tmp_path, capsys):
 
 
 def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, capsys):
-    def fail(*arguments, **options):
-        raise CellError(3, "cell", "ValueError: the first line\nthe second")
-
-    monkeypatch.setattr("mmc_gym.benchmark.runner.benchmark", fail)
+    error = CellError(3, "cell", "ValueError: the first line\nthe second")
+    monkeypatch.setattr("mmc_gym.benchmark.runner.benchmark", Mock(side_effect=error))
     with pytest.raises(SystemExit) as stop:
         main(["benchmark"])
     assert stop.value.code == 1
@@ -55,84 +47,49 @@ def test_a_cell_that_fails_is_one_line_unless_all_is_asked_for(monkeypatch, caps
 
 
 def test_an_error_that_is_not_the_users_keeps_its_traceback(monkeypatch):
-    def fail(*arguments, **options):
-        raise ValueError("a defect")
-
-    monkeypatch.setattr("mmc_gym.report.write_report", fail)
+    monkeypatch.setattr("mmc_gym.report.write_report", Mock(side_effect=ValueError("a defect")))
     with pytest.raises(ValueError, match="a defect"):
         main(["report"])
 
 
-def test_an_interruption_is_one_line(monkeypatch, capsys):
-    def interrupt(*arguments, **options):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("mmc_gym.report.write_report", interrupt)
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError("Unable to allocate 9 TiB"), 2, "not enough memory. Unable to allocate 9 TiB"),
+    ],
+)
+def test_an_interruption_or_too_little_memory_is_one_line(error, status, line, monkeypatch, capsys):
+    monkeypatch.setattr("mmc_gym.report.write_report", Mock(side_effect=error))
     with pytest.raises(SystemExit) as stop:
         main(["report"])
-    assert stop.value.code == 130
-    assert capsys.readouterr().err == "mmc-gym: interrupted\n"
+    assert stop.value.code == status
+    assert capsys.readouterr().err == f"mmc-gym: {line}\n"
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["compare", "--agents", "mcc"], "mcc"),
-        (["compare", "--episodes", "0"], "episodes"),
         (["train", "dqn"], "name 'dqn' is not accepted. It may be ppo, "),
         (["train"], "or the path of a YAML file"),
-        (["train", "ppo", "--env", "MMCReachGoal-v0"], "env for ppo 'MMCReachGoal-v0' is not"),
-        (["benchmark", "--cluster", "slurm"], "cluster must be 'ray'"),
         (["train", "my/dqn.yml"], "No such file or directory: 'my/dqn.yml'"),
-        (["train", "ppo", "--steps", "0"], "n_timesteps must be at least 1, got 0"),
-        (["train", "ppo", "--device", "foo"], "device must be one that PyTorch can use here"),
-        (["train", "ppo", "--out", __file__], "out must be a folder, got the file"),
-        (["benchmark", "--jobs", "-3"], "jobs must be a whole number of at least 1, got -3"),
-        (
-            ["list", "agents", "--import", "../.."],
-            "import must be the name of a module",
-        ),
+        (["list", "agents", "--import", "../.."], "import must be the name of a module"),
         (["compare", "--agents", "\udcff=mmc"], "arguments must be in UTF-8, got '\\udcff=mmc'"),
         (["compare", "--episodes", "9" * 20], f"episodes must be at most 1000000, got {'9' * 20}"),
-        ([*ENV_KWARGS, "x=!!float 5e"], "could not convert string to float: '5e'"),
         ([*ENV_KWARGS, "x=2020-99-99"], "month must be in 1..12"),
-        ([*ENV_KWARGS, "x=" + "[" * 5000], "nested too deeply"),
-        ([*ENV_KWARGS, "x={a: 1, a: 2}"], "the key 'a' occurs twice"),
         ([*ENV_KWARGS, "x=1", "x=2"], "env-kwargs must be given once for x, got 'x=2'"),
-    ],
-)
-def test_mistakes_end_with_one_line_that_names_them(arguments, message, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert "Traceback" not in error
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
         ("compar", "command 'compar' is not accepted; did you mean 'compare'?"),
-        (
-            "compare --agnts mmc",
-            "option of compare '--agnts' is not accepted; did you mean '--agents'",
-        ),
-        (
-            "compare mmc",
-            "compare must be followed by options, got 'mmc'; did you mean --agents mmc?",
-        ),
-        (
-            "compare --scenarios random paper",
-            "--scenarios must be exactly one here; benchmark plays",
-        ),
+        ("compare --agnts mmc", "option of compare '--agnts' is not accepted; did you mean '--ag"),
+        ("compare mmc", "must be followed by options, got 'mmc'; did you mean --agents mmc?"),
+        ("compare --scenarios random paper", "--scenarios must be exactly one here; benchmark"),
         ("record --agents mmc ppo", "--agents must be exactly one here, got mmc ppo"),
         ("compare --agents mmc --focus ppo", "focus 'ppo' is not accepted. It may be mmc"),
     ],
 )
-def test_what_is_misspelt_is_one_line_that_says_what_was_meant(arguments, message, capsys):
+def test_mistakes_end_with_one_line_that_says_what_was_meant(arguments, message, capsys):
     with pytest.raises(SystemExit) as stop:
-        main(arguments.split())
+        main(arguments.split() if isinstance(arguments, str) else arguments)
     assert stop.value.code == 2
     error = capsys.readouterr().err
     assert message in error and len(error.splitlines()) == 1
@@ -141,14 +98,8 @@ def test_what_is_misspelt_is_one_line_that_says_what_was_meant(arguments, messag
 @pytest.mark.parametrize(
     ("former", "present", "told"),
     [
-        (
-            "compare --env MMCReach-v0",
-            ["--scenarios", "MMCReach-v0"],
-            "--env is called --scenarios",
-        ),
+        ("compare --env random", ["--scenarios", "random"], "--env is called --scenarios"),
         ("compare --agent=mmc", ["--agents=mmc"], "--agent is called --agents"),
-        ("benchmark --environments random", ["--scenarios", "random"], "called --scenarios"),
-        ("play --agent mmc", ["--agents", "mmc"], "--agent is called --agents"),
         ("record film.gif", ["--out", "film.gif"], "record takes its file as --out FILE"),
         ("report --store runs/mine", ["runs/mine"], "report takes its folder without --store"),
     ],
@@ -224,17 +175,6 @@ def test_an_interruption_during_an_import_that_swallows_it_is_one_line(tmp_path)
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "mmc-gym: interrupted\n")
-
-
-def test_too_little_memory_is_one_line(monkeypatch, capsys):
-    def fail(*arguments, **options):
-        raise MemoryError("Unable to allocate 9 TiB")
-
-    monkeypatch.setattr("mmc_gym.report.write_report", fail)
-    with pytest.raises(SystemExit) as stop:
-        main(["report"])
-    assert stop.value.code == 2
-    assert capsys.readouterr().err == "mmc-gym: not enough memory. Unable to allocate 9 TiB\n"
 
 
 def test_the_version_is_printed_and_help_says_so(capsys):

@@ -5,14 +5,8 @@ import runpy
 import sys
 from pathlib import Path
 
-import gymnasium as gym
 import matplotlib.pyplot as plt
 import pytest
-
-from mmc_gym.envs.perturbations import FAMILIES
-from mmc_gym.envs.scenarios import TASK_SCENARIOS
-from mmc_gym.envs.tasks import TASKS
-from mmc_gym.measures import MEASURES
 
 FOLDER = Path(__file__).parents[1] / "examples"
 EXAMPLES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.py"))
@@ -45,17 +39,11 @@ SHOWS = {
     "network/plot_velocity_profiles.py": r"kinematic: fastest in iteration 1,.*time base: .* 2\d,",
 }
 
-REGISTRIES = (FAMILIES, MEASURES, TASKS, TASK_SCENARIOS, gym.registry)
-
 
 @pytest.fixture
-def nothing_is_left():
+def nothing_is_left(forget_what_is_registered):
     """Remove what an example registers and draws."""
-    before = [dict(registry) for registry in REGISTRIES]
     yield
-    for registry, entries in zip(REGISTRIES, before, strict=True):
-        registry.clear()
-        registry.update(entries)
     plt.close("all")
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import cloudpickle
 import numpy as np
 import pytest
-from loky import process_executor
 
 from mmc_gym import _grid
 from mmc_gym._grid import CellError, run_grid
@@ -144,33 +143,9 @@ def test_what_cannot_travel_is_an_error_of_its_cell(function, cell, message):
         run_grid(function, [cell, cell], jobs=2)
 
 
-@pytest.mark.slow
-def test_nothing_dies_where_a_grid_ends_while_a_call_is_handed_over(monkeypatch):
-    # loky's thread pauses between the end of one cell and the start of the next.  An error in that
-    # thread is a warning of pytest, and so an error of this test.
-    manager = process_executor._ExecutorManagerThread
-    process = manager.process_result_item
-
-    def process_and_pause(thread, result):
-        process(thread, result)
-        time.sleep(0.02)
-
-    monkeypatch.setattr(manager, "process_result_item", process_and_pause)
-    for _ in range(3):
-        with pytest.raises(ZeroDivisionError):
-            run_grid(square, range(6), jobs=2, on_result=lambda index, result: 1 / 0)
-        assert run_grid(square, range(4), jobs=2) == [0, 1, 4, 9]
-
-
 def test_a_cell_whose_worker_died_is_computed_again(tmp_path):
     cells = [0, tmp_path / "died", *range(2, 6)]
     assert run_grid(die, cells, jobs=2) == [0, "computed again", 2, 3, 4, 5]
-
-
-@pytest.mark.slow
-def test_a_cell_that_kills_its_worker_twice_ends_the_grid():
-    with pytest.raises(CellError, match="cell 1, 'killer', failed: WorkerDied: its process died"):
-        run_grid(die, [0, "killer", *range(2, 40)], jobs=2)
 
 
 @pytest.mark.parametrize("cells", [[0, "killer", 2, 3], ["killer"], []])

@@ -103,23 +103,6 @@ def test_the_layout_knows_the_spaces_of_the_environments(env_id):
         ObservationLayout(4, 4.0).additions(space)
 
 
-@pytest.mark.parametrize("perturbations", ["longer-20", "rotation-45"])
-@pytest.mark.parametrize("env_id", ["MMCReach-v0", "MMCReachGoal-v0"])
-def test_posture_target_and_hand_are_read_off_an_observation(env_id, perturbations):
-    env = gym.make(env_id, perturbations=perturbations)
-    options = {"joint_angles": [0.3, 0.6, -0.6], "target": [-1.0, 1.5]}
-    observation, info = env.reset(seed=0, options=options)
-    interface = ReachInterface.of(env)
-    for _ in range(20):
-        sensed = interface.sense(observation)
-        seen = info.get("cursor", info["end_effector"])
-        angles = env.unwrapped.arm.joint_angles
-        np.testing.assert_allclose(np.exp(1j * sensed.joint_angles), np.exp(1j * np.array(angles)))
-        np.testing.assert_allclose(sensed.target, options["target"], atol=1e-6)
-        np.testing.assert_allclose(interface.see(observation).hand, seen, atol=1e-6)
-        observation, _, _, _, info = env.step(np.array([0.9, -0.5, 0.2], np.float32))
-
-
 @pytest.mark.parametrize("kind", [list, np.array])
 def test_speeds_are_fractions_of_their_limit(kind):
     found = relative_speeds(kind([-9.0, -1.0, 0.5, 9.0]), 2.0)
@@ -131,18 +114,12 @@ def wrong_observations():
     flat, goals = (
         one.encode(angles, speeds, hand=hands, target=targets) for one in (LAYOUT, GOALS)
     )
-    nan, infinite = (np.where(np.arange(15) == 4, value, flat) for value in (np.nan, np.inf))
+    nan = np.where(np.arange(15) == 4, np.nan, flat)
     return {
         "too long": (np.append(flat, 0), r"observation must have shape \(..., 15\), got \(16,\)"),
         "text": ("far", "observation must be an array of numbers, got 'far'"),
         "NaN": (nan, r"observation must be finite numbers, got \[.*nan"),
-        "infinity": (infinite.tolist(), r"observation must be finite numbers, got \[.*inf"),
-        "NaN of one arm": (np.stack([flat, nan]), "observation must be finite numbers"),
         "no goals": ({"observation": goals["observation"]}, "mapping with observation, achieved_"),
-        "NaN goal": (goals | {"desired_goal": [0, np.nan]}, r"\['desired_goal'\] must be finite"),
-        "none": (None, "observation must be an array of numbers, got None"),
-        "scalar": (3.0, r"observation must have shape \(..., 15\), got \(\)"),
-        "empty": ([], r"observation must have shape \(..., 15\), got \(0,\)"),
         "one goal for two": (
             goals | {"desired_goal": np.zeros((2, 2))},
             "observation must be of arrays with the same batch axes, got {'observation': ",

@@ -14,7 +14,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 
-HEAVY = {"matplotlib", "numba", "pandas", "pydantic", "pygame", "rich", "scipy", "torch"}
+HEAVY = {"matplotlib", "numba", "pandas", "pydantic", "pygame", "pymunk", "rich", "scipy", "torch"}
 HEAVY |= {"stable_baselines3"}
 
 

@@ -1,10 +1,7 @@
-import xml.etree.ElementTree as ElementTree
-
-import matplotlib
 import numpy as np
 import pytest
 
-from mmc_gym._plotting import PlottedMovement, paths_and_profiles, save_figure
+from mmc_gym._plotting import PlottedMovement, paths_and_profiles
 
 
 def movement(number, steps=100):
@@ -47,13 +44,3 @@ def test_at_most_six_agents_stand_side_by_side_at_one_scale():
     assert tops[:5] == pytest.approx([tops[0]] * 5) and max(tops[5:]) < min(tops[:5])
     below = [axes for axes in shown if not axes.get_title()]
     assert len({axes.get_ylim() for axes in below}) == 1 and below[0].get_ylim()[1] >= 10
-
-
-def test_both_files_are_complete_and_the_same_figure_gives_the_same_file(movements, tmp_path):
-    before = dict(matplotlib.rcParams)
-    png, svg = save_figure(draw(movements), tmp_path / "a")
-    assert png.read_bytes().startswith(b"\x89PNG") and b"IEND" in png.read_bytes()[-12:]
-    assert ElementTree.parse(svg).getroot().tag.endswith("svg")
-    again = save_figure(draw(movements), tmp_path / "b")[1]
-    assert again.read_text() == svg.read_text()
-    assert dict(matplotlib.rcParams) == before

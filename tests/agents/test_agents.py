@@ -23,7 +23,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
 from mmc_gym.agents.body_model.agent import Parts
 from mmc_gym.agents.inverse_kinematics import InverseKinematicsAgent, damped_least_squares
-from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, network_of_arm, out_of_line
+from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, out_of_line
 from mmc_gym.agents.policy import shipped_file
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.interface import CannotActError, ReachInterface, Sensed
@@ -344,13 +344,11 @@ def test_vectors_of_any_kind_have_the_interface_of_their_environments():
         (lambda it: MMCAgent("env", MMCNetwork()), "interface must be a ReachInterface, .*'env'"),
         (lambda it: MMCAgent(it, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
         (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
-        (lambda it: MMCAgent(it, MMCNetwork(), 1.5), "iterations_per_step must be .*, got 1.5"),
         (lambda it: TimedMMCAgent(it, MMCNetwork(), 0), "iterations_per_step must be a whole"),
         (
             lambda it: InverseKinematicsAgent(it, damped_least_squares, 0),
             "iterations_per_step must be a whole",
         ),
-        (lambda it: network_of_arm(it, dampening=4), "'dampening'; did you mean 'damping'"),
         (lambda it: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
         (lambda it: Parts(vigour=1.5), "vigour must be a number between 0 and 1, got 1.5"),
     ],

@@ -65,15 +65,6 @@ def test_stays_finite_and_ends_no_farther_away_from_anywhere(data):
 
 
 @pytest.mark.parametrize(("name", "lengths"), CASES)
-def test_a_batch_is_solved_as_its_members_are_alone(name, lengths):
-    postures, targets = random_reaches(lengths, 4)
-    together = iterate(SOLVERS[name], postures[None], targets[None], lengths, 5)[0]
-    for index, (posture, target) in enumerate(zip(postures, targets)):
-        alone = iterate(SOLVERS[name], posture, target, lengths, 5)
-        np.testing.assert_allclose(together[index], alone, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize(("name", "lengths"), CASES)
 def test_joints_turn_the_short_way_round_so_angles_do_not_jump_at_pi(name, lengths):
     postures, targets = random_reaches(lengths)
     change = SOLVERS[name](postures, targets, lengths) - postures

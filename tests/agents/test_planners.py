@@ -101,14 +101,7 @@ def test_stays_finite_in_the_hard_cases(name, lengths):
 def test_a_movement_begins_anew_only_where_the_target_jumps():
     hand, target = np.zeros((3, 2)), np.array([[1.0, 0.0]] * 3)
     movement = planners.begin(hand, target, DT)
-    steps = np.ceil((planners.SHORTEST + 1 / planners.AVERAGE_SPEED) / DT)
-    assert movement.duration.tolist() == [steps] * 3
     for _ in range(5):
         movement = planners.step(planners.follow(movement, hand, target, DT))
     target = target + planners.NEW_TARGET_DISTANCE * np.array([[0.0, 0.0], [0.0, 0.9], [0.0, 1.1]])
-    movement = planners.follow(movement, hand, target, DT)
-    assert movement.elapsed.tolist() == [5, 5, 0]
-    for _ in range(30):
-        movement = planners.step(movement)
-    movement = planners.follow(movement, hand, target + 0.01, DT)
-    assert (movement.remaining == planners.HORIZON).all()
+    assert planners.follow(movement, hand, target, DT).elapsed.tolist() == [5, 5, 0]

@@ -45,15 +45,6 @@ def rewrite(card, **changes):
     card.write_text(json.dumps({**entries, policy._DIGEST: policy._digest(entries)}))
 
 
-def test_saving_and_loading_gives_the_same_network(tmp_path):
-    network, card = load_policy(PRETRAINED / "ppo-0.json")
-    save_policy(network, card, tmp_path)
-    loaded, same_card = load_policy(tmp_path / "ppo-0.safetensors")
-    assert same_card == card
-    for name, tensor in network.tensors.items():
-        np.testing.assert_array_equal(loaded.tensors[name], tensor)
-
-
 @pytest.mark.parametrize(("name", "seed"), [cell for cell in SHIPPED if cell[0] in names()])
 def test_what_ships_is_complete_and_of_the_shipped_hyperparameters(name, seed):
     network, card = load_policy(PRETRAINED / f"{name}-{seed}.json")
@@ -179,10 +170,7 @@ def test_a_policy_of_joint_deltas_moves_the_arm_alike_under_position_control():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            {"segment_lengths": (1, 1, 2)},
-            r"lengths \(1.0, 1.0, 1.0\) in training, \(1.0, 1.0, 2.0\)",
-        ),
+        ({"segment_lengths": (1, 1, 2)}, r"lengths .* in training, \(1.0, 1.0, 2.0\)"),
         ({"gravity": (0, -9), "hand_mass": 1}, "gravity .* here; hand_mass 0.0 in training, 1.0"),
         ({"substeps": 8}, "control_step 0.02 in training, 0.04 here"),
     ],

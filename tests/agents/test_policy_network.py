@@ -84,28 +84,6 @@ def test_exploring_it_draws_from_the_same_distribution(name):
     np.testing.assert_allclose(actual.std(0), expected.std(0), atol=0.02)
 
 
-def test_turning_arm_and_target_about_the_base_changes_nothing_in_the_targets_view():
-    angle = 0.7
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    env = gym.make("MMCReach-v0")
-    posture, target = np.array([0.2, -1.0, 0.4]), np.array([1.0, -1.5])
-    one, _ = env.reset(options={"joint_angles": posture, "target": target})
-    turned = {"joint_angles": posture + np.array([angle, 0, 0]), "target": turn @ target}
-    other, _ = env.reset(options=turned)
-    np.testing.assert_allclose(seen(one, "target"), seen(other, "target"), atol=1e-6)
-    assert not np.allclose(one, other, atol=0.1)
-
-
-def test_in_the_targets_view_the_posture_0_points_at_the_target():
-    env = gym.make("MMCReach-v0", control="joint_position")
-    observed, info = env.reset(seed=4)
-    for _ in range(99):
-        action = turned_actions(np, np.zeros(3, np.float32), observed, LAYOUT)
-        observed, _, _, _, info = env.step(action)
-    hand, target = info["end_effector"], info["target"]
-    np.testing.assert_allclose(hand / np.hypot(*hand), target / np.hypot(*target), atol=0.01)
-
-
 def test_actions_turned_and_turned_back_are_what_they_were():
     observed = observations("MMCReach-v0")
     actions = np.random.default_rng(1).uniform(-1, 1, (20, 3)).astype(np.float32)

@@ -161,16 +161,11 @@ def test_the_ideal_hand_takes_part_and_acts_in_no_environment():
 @pytest.mark.parametrize(
     ("agent", "message"),
     [
-        *(
-            (name, "agent '.*' is not accepted. It may be mmc-body.*ppo-3")
-            for name in ("xyzzy", "")
-        ),
+        ("xyzzy", "agent 'xyzzy' is not accepted. It may be mmc-body.*ppo-3"),
         ("mcm", "agent 'mcm' is not accepted; did you mean 'mmc'"),
-        ("ppo--1", "did you mean 'ppo"),
-        *((name, "10 are shipped, ppo-0 to ppo-9") for name in ("ppo-10", "ppo-77", "ppo-01")),
+        *((name, "10 are shipped, ppo-0 to ppo-9") for name in ("ppo-10", "ppo-01")),
         ("mmc-3", "agent 'mmc-3' is not accepted: mmc is not trained"),
         ("mmc,ppo", r"agents must be separate names, mmc ppo \(in Python a list, .*got 'mmc,ppo'"),
-        ("mmc; own", "agents must be separate names, mmc own"),
         (gym.make("MMCReach-v0"), "environments come after it, got the environment <TimeLimit"),
         (f"{'x' * 300}=mmc", "the label of an agent must be a text of at most 100 characters"),
         *((thing, f"agent {thing} is not accepted. It may be mmc") for thing in (None, 3)),

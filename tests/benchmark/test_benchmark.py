@@ -1,13 +1,9 @@
 """A benchmark can be interrupted, added to and spread; an agent that fails is told."""
 
 import importlib
-import os
 import platform
 import shutil
-import signal
-import subprocess
 import sys
-import time
 
 import gymnasium as gym
 import numpy as np
@@ -16,12 +12,11 @@ import pytest
 from rich.console import Console
 
 import mmc_gym
-from mmc_gym import cli
 from mmc_gym._errors import UserError
 from mmc_gym.agents import resolve_all
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark import runner
-from mmc_gym.benchmark.ranking import RANKING, print_ranking
+from mmc_gym.benchmark.ranking import print_ranking
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import (
     SET_COLUMNS,
@@ -193,28 +188,6 @@ def test_a_damaged_cell_is_played_again(store, played):
     assert_same_stores(store, played[0])
 
 
-@pytest.mark.slow
-def test_a_run_that_was_killed_goes_on(tmp_path):
-    agents, names = ["mmc", "ik-dls", "random"], ["random", "delay-100", "centre-out", "locked-2"]
-    script = (
-        "from pathlib import Path; from mmc_gym.benchmark.runner import benchmark\n"
-        f"benchmark({agents}, Path({str(tmp_path / 'killed')!r}), {names}, 4, jobs=1)"
-    )
-    run = subprocess.Popen([sys.executable, "-c", script])
-    deadline = time.monotonic() + 120
-    while len(list(tmp_path.glob("killed/episodes/*.parquet"))) < 3:
-        assert time.monotonic() < deadline
-        assert run.poll() is None
-        time.sleep(0.01)
-    os.kill(run.pid, signal.SIGKILL)
-    run.wait()
-    seen = []
-    play(agents, tmp_path / "killed", names, on_progress=seen.append)
-    assert 3 <= seen[0].done < 12
-    play(agents, tmp_path / "whole", names, jobs=2)
-    assert_same_stores(tmp_path / "killed", tmp_path / "whole")
-
-
 def test_other_settings_are_refused(store, monkeypatch):
     for message, arguments in {
         "episodes is 4, asked for is 5": {"episodes": 5},
@@ -366,28 +339,3 @@ def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):
         with pytest.raises(UserError, match=message):
             play(**{"agents": ["mmc"], "out": tmp_path / "out", **arguments})
     assert not (tmp_path / "out").exists()
-
-
-def test_the_command_prints_the_ranking(tmp_path, capsys):
-    arguments = ["--agents", "mmc", "twin=mmc", "random", "--scenarios", "random"]
-    cli.main(["benchmark", *arguments, "--episodes", "3", "--jobs", "1", "--out", str(tmp_path)])
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    rows = [line[:2] for line in lines if line and line[0].isdecimal()]
-    assert rows[:3] == [["1", "mmc"], ["1", "twin"], ["3", "random"]]
-    ranking = pd.read_csv(tmp_path / RANKING)
-    assert ranking["agent"].tolist() == ["mmc", "twin", "random"]
-    assert ranking["success"][0] == read_episodes(tmp_path)["success"][:3].mean()
-    with pytest.raises(SystemExit):
-        cli.main(["benchmark", "--agents", "nobody", "--out", str(tmp_path)])
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings(
-    "ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"
-)
-@pytest.mark.usefixtures("ray")
-def test_a_cluster_gives_what_one_process_gives(tmp_path, monkeypatch):
-    monkeypatch.setenv("RAY_ADDRESS", "local")
-    play(["mmc", "random"], tmp_path / "cluster", jobs=2, cluster="ray")
-    play(["mmc", "random"], tmp_path / "here")
-    assert_same_stores(tmp_path / "cluster", tmp_path / "here")

@@ -29,16 +29,6 @@ def printed(target):
     return target.file.buffer.getvalue().decode(target.encoding)
 
 
-def test_the_oracle_succeeds_and_the_frozen_agent_does_not(oracle, frozen):
-    agents = {"oracle": oracle, "frozen": frozen}
-    found = compare(agents, episodes=40, console=console()).episodes.groupby("agent")
-    assert found["success"].mean()["oracle"] > 0.95
-    assert found["success"].mean()["frozen"] == 0
-    assert found["time_to_target"].count()["frozen"] == 0
-    assert found["final_distance"].median()["oracle"] < 1e-3
-    assert found["path_ratio"].min()["oracle"] > 0.9
-
-
 def test_all_agents_see_the_same_starts_and_targets(oracle, frozen):
     agents = {"frozen": frozen, "oracle": oracle, "random": "random"}
     found = compare(agents, episodes=10, seed=3, console=console()).episodes
@@ -60,7 +50,7 @@ def test_beside_the_agents_stands_an_ideal_hand_where_it_meets_the_same_targets(
     assert "without an arm" not in via.note
 
 
-@pytest.mark.parametrize("agent", ["mmc", "ik-dls", "ppo", "sac", "tqc-her", "minimum-jerk"])
+@pytest.mark.parametrize("agent", ["mmc", "ppo", "tqc-her", "minimum-jerk"])
 def test_agents_that_play_all_at_once_act_as_one_by_one(agent, env, monkeypatch):
     monkeypatch.setattr("mmc_gym.benchmark.suite.TOGETHER", 8)
     found = compare([agent], episodes=12, seed=3).recorded[agent]
@@ -71,19 +61,6 @@ def test_agents_that_play_all_at_once_act_as_one_by_one(agent, env, monkeypatch)
         np.testing.assert_array_equal(one.rewards, other.rewards)
     timed = [np.isfinite(one.action_times).all() for one in found]
     assert timed == [True] * TIMED + [False] * 2
-
-
-def test_your_own_environment_and_wrappers_are_played_one_by_one(frozen):
-    played = []
-
-    class Seen(gym.Wrapper):
-        def step(self, action):
-            played.append(action)
-            return super().step(action)
-
-    compare({"still": frozen}, lambda **given: Seen(gym.make("MMCReach-v0", **given)), 2)
-    compare(["mmc"], lambda **given: Seen(gym.make("MMCReach-v0", **given)), 2)
-    assert len(played) == 2 * 2 * 100
 
 
 def test_a_scenario_is_played_by_its_name():
@@ -172,12 +149,6 @@ def test_its_frame_has_a_row_for_each_agent_and_its_figure_a_column(oracle, froz
     assert [axes.get_title() for axes in given.axes[:3]] == titles
 
 
-def test_a_terminal_gets_all_signs(frozen):
-    terminal = console(terminal=True)
-    compare({"frozen": frozen}, episodes=2, console=terminal)
-    assert "[µs]" in printed(terminal)
-
-
 def test_your_own_agents_stand_first_and_are_compared_with_each_other_one(oracle, frozen):
     terminal = console(width=300, terminal=True)
     found = compare(["mmc", oracle, "random"], episodes=20, console=terminal)
@@ -195,6 +166,7 @@ def test_your_own_agents_stand_first_and_are_compared_with_each_other_one(oracle
     word = "slower" if ours > theirs else "faster"
     assert time.startswith(f"Oracle, time to target: {abs(ours - theirs):.2f} s {word} than mmc [")
     assert "random" not in time  # it never ends there
+    assert "[µs]" in printed(terminal)  # a terminal gets all signs
 
 
 def test_any_agents_can_be_in_focus_and_the_first_is_without_your_own():
@@ -231,9 +203,7 @@ def test_agents_that_do_not_fit_continue_in_a_further_table(frozen):
     ("arguments", "message"),
     [
         ({"agents": ["mmc", "nobody"]}, "'nobody' is not accepted"),
-        ({"agents": ["mmc"], "episodes": 0}, "episodes must be a whole number of .*, got 0"),
         ({"agents": ["mmc"], "out": __file__}, "out must be a folder"),
-        ({"agents": ["mmc"], "seed": -1}, "seed must be a whole number of at least 0, got -1"),
         ({"agents": ["mmc"], "env": "NoSuchEnv-v0"}, "env must be .*'NoSuchEnv-v0'"),
         ({"agents": ["mmc"], "env": "CartPole-v1"}, "env must be a reaching .*CartPole-v1"),
         ({"agents": {"mine": len}, "env": "CartPole-v1"}, r"info\['end_effector'\]"),

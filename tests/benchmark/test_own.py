@@ -1,9 +1,9 @@
 """Your own environments, rewards, tasks, perturbations and agents, wherever these are named."""
 
-import inspect
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -17,8 +17,8 @@ from mmc_gym.benchmark.store import read_episodes, read_manifest
 from mmc_gym.cli import main
 from mmc_gym.envs import Family, register_perturbation, register_task
 from mmc_gym.envs.perturbations import FAMILIES, Perturbation
-from mmc_gym.envs.scenarios import TASK_SCENARIOS, scenario
-from mmc_gym.envs.tasks import TASKS, RandomTarget, Trial
+from mmc_gym.envs.scenarios import scenario
+from mmc_gym.envs.tasks import RandomTarget, Trial
 from mmc_gym.report import write_report
 
 
@@ -52,38 +52,14 @@ class Flat(gym.Wrapper):
         return observation, 1.0, *ends, info
 
 
-MODULE = f"""
-from dataclasses import dataclass, replace
-import gymnasium as gym
-import numpy as np
-from mmc_gym.envs import Family, register_perturbation, register_task
-from mmc_gym.envs.perturbations import Perturbation
-from mmc_gym.envs.tasks import RandomTarget, Trial
-from mmc_gym.measures import measure
-
-{"".join(map(inspect.getsource, (Here, Heavy, Flat)))}
-
-def still(observation):
-    return np.zeros(3)
-
+EXAMPLE = Path(__file__).parents[2] / "examples" / "bring_your_own.py"
+MY_ARM = """
 gym.register("MyArm-v0", "mmc_gym.envs.reach:MMCReachEnv", max_episode_steps=7,
-             kwargs={{"segment_lengths": (1, 1, 0.5), "control": "joint_velocity"}})
-register_task("short", Here(), "short episodes")
-register_perturbation(Family("heavy", "segment masses", "{{}} masses at the hand", 2.0, Heavy))
-
-@measure(label="steps", shown=True)
-def number_of_steps(episode):
-    return float(len(episode.rewards))
+             kwargs={"segment_lengths": (1, 1, 0.5), "control": "joint_velocity"})
 """
 
 
-@pytest.fixture(autouse=True)
-def forget_what_is_registered():
-    known = [(all_of, dict(all_of)) for all_of in (TASKS, TASK_SCENARIOS, FAMILIES, gym.registry)]
-    yield
-    for all_of, before in known:
-        all_of.clear()
-        all_of.update(before)
+pytestmark = pytest.mark.usefixtures("forget_what_is_registered")
 
 
 def test_an_own_task_has_a_name_an_id_and_a_scenario(tmp_path):
@@ -226,7 +202,7 @@ def test_episodes_have_a_whole_number_of_steps(steps):
 
 @pytest.mark.slow
 def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
-    (tmp_path / "my_things.py").write_text(MODULE)
+    (tmp_path / "my_things.py").write_text(EXAMPLE.read_text() + MY_ARM)
 
     def run(*arguments):
         command = [sys.executable, "-m", "mmc_gym.cli", *arguments]
@@ -234,15 +210,14 @@ def test_the_command_line_imports_modules_of_the_working_directory(tmp_path):
 
     mine = ("--import", "my_things")
     agents = ("--agents", "mmc", "still=my_things:still", "--episodes", "3")
-    names = ("--scenarios", "short", "heavy-3", "my_things:Flat", "my_things:MyArm-v0")
+    names = ("--scenarios", "ahead", "weak-30", "my_things:Squared", "my_things:MyArm-v0")
     run("benchmark", *mine, *agents, *names, "--jobs", "2")
     frame = read_episodes(tmp_path / "runs/benchmark")
-    steps = frame.groupby("environment")["number_of_steps"].first().to_dict()
-    assert steps == dict(zip(names[1:], (4.0, 100.0, 100.0, 7.0)))
-    assert len(frame) == 2 * 4 * 3
+    assert frame.groupby(["agent", "environment"])["half_way_time"].size().to_list() == [3] * 8
+    assert frame.groupby("environment")["duration"].first()["my_things:MyArm-v0"] == 0.14
     run("report")
     run("compare", *agents, "--scenarios", "my_things:MyArm-v0")
-    film = ("--out", "film.gif", "--scenarios", "MMCReachShort-v0")
+    film = ("--out", "film.gif", "--scenarios", "MMCReachAhead-v0")
     run("record", *film, "--agents", "my_things:still", *mine)
-    assert "short episodes" in run("list", "tasks", *mine).stdout
-    assert "7 masses at the hand" in run("show", "heavy-7", *mine).stdout
+    assert "targets straight ahead" in run("list", "tasks", *mine).stdout
+    assert "7 % of their torque" in run("show", "weak-7", *mine).stdout

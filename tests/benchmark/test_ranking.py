@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from mmc_gym.agents.registry import REFERENCE
-from mmc_gym.benchmark.ranking import print_ranking, rank_agents
+from mmc_gym.benchmark.ranking import RANKING, print_ranking, rank_agents
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import CellKey, NotPlayed, update_manifest
 
@@ -112,3 +112,4 @@ def test_a_ranking_fits_80_columns_with_names_and_intervals_whole(tmp_path):
     (row,) = [line for line in lines if " ik-closed-form " in line]
     assert lines[lines.index(row) + 1].count("]") == 3
     assert "failed: mmc in pursuit: died" in lines[-1]
+    assert set(pd.read_csv(tmp_path / RANKING)["agent"]) == {"mmc", "ik-closed-form"}

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from mmc_gym.benchmark.suite import has_reference, minimum_jerk_episodes
+from mmc_gym.benchmark.suite import minimum_jerk_episodes
 from mmc_gym.measures import measure_all
 from mmc_gym.measures.rollout import episode_seeds, run_episodes
 from mmc_gym.network.time_base import minimum_jerk
@@ -49,8 +49,3 @@ def test_episodes_may_differ_in_length(make_episode):
     assert [len(ideal.hands) for ideal in ideals] == [101, 31]
     assert np.array_equal(ideals[0].hands[:31], ideals[1].hands)
     assert minimum_jerk_episodes([]) == ()
-
-
-def test_there_is_none_where_targets_depend_on_when_the_last_was_reached(env):
-    assert has_reference(env)
-    assert not has_reference(gym.make("MMCReachViaPoints-v0"))

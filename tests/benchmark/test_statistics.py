@@ -13,12 +13,10 @@ from mmc_gym.benchmark.statistics import (
     arrange,
     bootstrap_interval,
     success_interval,
-    summarize,
     weighted_iqm,
     weighted_mean,
     weighted_median,
 )
-from mmc_gym.measures.catalogue import MEASURES
 
 
 def interquartile_mean(values):
@@ -68,19 +66,6 @@ def test_a_whole_weight_counts_as_so_many_equal_values(statistic, plain, count):
     assert np.isnan(statistic(values[:0], weights[:, :0])).all()
 
 
-def coverage(intervals, truth):
-    """The part of the intervals that the truth is in."""
-    return np.mean([one.low <= truth <= one.high for one in intervals])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("statistic", "truth"), [("mean", 1.0), ("median", math.log(2))])
-def test_about_95_percent_of_the_intervals_cover_the_truth(statistic, truth):
-    samples = np.random.default_rng(5).exponential(size=(200, 100))
-    found = (bootstrap_interval(one, statistic, seed, 999) for seed, one in enumerate(samples))
-    assert 0.89 <= coverage(found, truth) <= 0.985
-
-
 def test_missing_values_are_left_out_and_counted():
     values = np.random.default_rng(0).normal(size=40)
     holes = np.insert(values, [0, 7, 7, 40], np.nan)
@@ -92,22 +77,6 @@ def test_missing_values_are_left_out_and_counted():
     assert one.estimate == 2.0 and math.isnan(one.low) and math.isnan(one.high)
     equal = bootstrap_interval(np.full(50, 0.1), "mean")  # rounding leaves no width
     assert (equal.low, equal.estimate, equal.high) == (0.1, 0.1, 0.1)
-
-
-def test_a_summary_has_a_row_for_each_agent_and_measure_in_the_order_given():
-    success, distance = (MEASURES[name] for name in ("success", "final_distance"))
-    episodes = pd.DataFrame(
-        {
-            "agent": ["b", "b", "a", "a"],
-            "success": [1.0, 0.0, 1.0, 1.0],
-            "final_distance": [0.01, 0.5, 0.02, np.nan],
-        }
-    )
-    summary = summarize(episodes, [success, distance])
-    assert list(summary["agent"]) == ["b", "b", "a", "a"]
-    assert list(summary["measure"]) == ["success", "final_distance"] * 2
-    assert list(summary["estimate"]) == [0.5, pytest.approx(0.255), 1.0, 0.02]
-    assert list(summary["missing"]) == [0, 0, 0, 1]
 
 
 def test_an_interval_of_success_covers_the_sampling_of_episodes_and_of_seeds():
@@ -158,16 +127,6 @@ def test_the_interval_of_a_mean_is_as_wide_as_seeds_and_instances_vary():
     values = random.normal(size=(40, 1)) + 2.0 * random.normal(size=(1, 100))
     error = math.sqrt(values.mean(1).var() / 40 + values.mean(0).var() / 100)
     assert width(estimate(rows("a", values))) == pytest.approx(2 * 1.96 * error, rel=0.08)
-
-
-def test_intervals_cover_the_truth_where_the_same_instances_are_hard_in_all_environments():
-    def interval(seed):
-        random = np.random.default_rng(seed)
-        hard = random.normal(size=(1, 25))
-        met = [rows("a", hard + 0.5 * random.normal(size=(1, 25)), env) for env in "EFGHIJ"]
-        return estimate(*met, rows("a", random.normal(size=(1, 8)), "numbered"), resamples=100)
-
-    assert coverage(map(interval, range(50)), 0) >= 0.84
 
 
 def test_environments_share_the_draw_of_as_many_instances_and_count_equally():

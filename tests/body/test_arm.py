@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters, make_arm, make_arms
 
-slow = pytest.mark.slow
-
 
 def arm_of(engine, servo="position", **parameters):
     return make_arm(engine, ArmParameters(**parameters), servo)
@@ -177,15 +175,6 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play,
         drive(each, [0.3 * largest, -0.9 * largest, 0.5 * largest], 20)
     assert arm.joint_angles == free.joint_angles
     assert abs(arm.joint_angles[1] - 0.7) > 0.1
-
-
-@pytest.mark.parametrize("count", [1, 5, *(pytest.param(n, marks=slow) for n in (2, 8, 40))])
-def test_arms_of_any_number_of_segments_move_and_stay_finite(engine, count, servo, play):
-    arm = arm_of(engine, servo, segment_lengths=tuple(np.linspace(1.5, 0.3, count).tolist()))
-    states = play(arm, servo, seed=0, steps=50)
-    assert np.isfinite(states).all()
-    assert len(arm.joint_angles) == count
-    assert states[0] != states[-1]
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ def test_recording_changes_no_movement_and_is_copied(play):
     parameters = ArmParameters(force_field=((0.0, 3.0), (-3.0, 0.0)))
     alone, recorded = Arm(parameters), recording(Arm(parameters))
     assert play(recorded, "position", 0) == play(alone, "position", 0)
+    assert np.isnan([*alone.servo_impulses, *alone.servo_work]).all()  # it was not asked for
     copied = copy.deepcopy(recorded)
     assert copied.servo_work == recorded.servo_work
     played = [play(arm, "position", 1) for arm in (copied, copy.deepcopy(alone), recorded)]
@@ -36,17 +37,6 @@ def test_a_torque_has_its_impulse_and_its_work_is_kinetic_energy_gained_or_lost(
     assert reached == pytest.approx(speed + torque / (1 / 3) * 0.02, rel=1e-3)
     assert arm.servo_impulses[0] == pytest.approx(abs(torque) * 0.02)
     assert arm.servo_work[0] == pytest.approx(0.5 / 3 * abs(reached**2 - speed**2), rel=0.01)
-
-
-def test_nothing_is_recorded_unless_it_is_asked_for():
-    arm = Arm()
-    arm.step()
-    assert np.isnan(arm.servo_impulses).all() and np.isnan(arm.servo_work).all()
-    recording(arm).step()
-    last = arm.servo_impulses
-    arm.records_effort = False
-    arm.step()
-    assert arm.servo_impulses is last
 
 
 def test_the_analytic_engine_tells_no_effort():

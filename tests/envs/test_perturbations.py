@@ -1,7 +1,6 @@
 """Facts about the perturbations: what goes wrong, by how much, and what stays as it was."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -24,7 +23,7 @@ from mmc_gym.envs.perturbations import (
     VisionNoise,
     VisuomotorRotation,
 )
-from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
+from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import find_perturbation
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS, ReachInterface, Seen
@@ -32,7 +31,6 @@ from mmc_gym.network.chain import node_positions, segments_from_joint_angles
 
 DISC = Obstacles().discs[0]
 STILL = np.zeros(3, np.float32)
-Perturbed = Sequence[str | Perturbation]
 
 
 def movement(env, steps=100, **reset):
@@ -55,11 +53,6 @@ def centre_out(perturbations):
     """The eight movements of centre-out."""
     env = MMCReachEnv(task="centre-out", perturbations=perturbations)
     return [movement(env, seed=0, options={"trial": trial}) for trial in range(8)]
-
-
-@pytest.fixture(scope="module")
-def straight():
-    return centre_out([])
 
 
 def turned(first, second):
@@ -97,36 +90,6 @@ def test_perturbations_of_the_body_change_it_and_add_up(perturbations, body, is_
     env = MMCReachEnv(perturbations=perturbations, **own)
     assert env.setup.body == ArmParameters(**{**own, **body})
     assert env.parameters == (env.setup.body if is_told else ArmParameters(**own))
-
-
-def rightward(infos):
-    """How far the hand is to the right of the straight line to its target, step by step."""
-    path, target = np.array([info["end_effector"] for info in infos]), infos[0]["target"]
-    x, y = (target - path[0]) / math.dist(target, path[0])
-    return (path - path[0]) @ (y, -x)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("curl", "mean", "largest"), [(60, 0.01, 0.05), (120, 0.1, 0.3)])
-def test_a_curl_field_bends_movements_to_its_side_and_they_arrive(
-    curl, mean, largest, sign, straight
-):
-    bent = centre_out([ForceField(sign * curl)])
-    pushes = [sign * (rightward(a) - rightward(b)) for a, b in zip(bent, straight, strict=True)]
-    assert np.mean([push.max() for push in pushes]) > mean  # the target is 0.6 away
-    assert max(push.max() for push in pushes) > largest
-    assert np.mean([-push.min() for push in pushes]) < 0.001
-    assert all(infos[-1]["is_success"] for infos in bent)
-
-
-def test_a_heavy_hand_is_late(straight):
-    light, heavy = (
-        [max(step for step, info in enumerate(one) if not info["is_success"]) + 1 for one in infos]
-        for infos in (straight, centre_out(["hand-mass"]))
-    )
-    assert all(late >= early for early, late in zip(light, heavy, strict=True))
-    assert sum(heavy) >= sum(light) + 4  # steps
-    assert max(heavy) < 20
 
 
 @pytest.mark.parametrize("told", [False, True])
@@ -402,11 +365,10 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space(factor, told, task
         "task": task,
         "perturbations": [SegmentLength(factor, told=told), "rotation-45"],
     }
-    for env in (MMCReachGoalEnv(**arguments), MMCReachGoalVectorEnv(2, **arguments)):
-        action = np.full(env.action_space.shape, 0.7, np.float32)
-        for seed in range(5):
-            assert env.observation_space.contains(env.reset(seed=seed)[0])
-            assert all(env.observation_space.contains(env.step(action)[0]) for _ in range(60))
+    env = MMCReachGoalVectorEnv(5, **arguments)
+    action = np.full(env.action_space.shape, 0.7, np.float32)
+    assert env.observation_space.contains(env.reset(seed=0)[0])
+    assert all(env.observation_space.contains(env.step(action)[0]) for _ in range(60))
 
 
 @pytest.mark.parametrize(
@@ -416,11 +378,8 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space(factor, told, task
         (lambda: LockedJoint(time=-0.1), "time"),
         (lambda: SensoryDelay(math.inf), "seconds"),
         (lambda: JointNoise(speed_std=math.nan), "speed_std"),
-        (lambda: VisionNoise(distance_std=-1.0), "distance_std"),
         (lambda: VisuomotorRotation(math.nan), "degrees"),
         (lambda: VisuomotorRotation(30.0, (0.0, math.inf)), "centre"),
-        (lambda: HandMass(-1.0).change_body(ArmParameters()), "hand_mass"),
-        (lambda: LockedJoint(1.5).change_body(ArmParameters()), "joint"),
     ],
 )
 def test_values_that_make_no_sense_are_refused(make, name):

@@ -197,17 +197,14 @@ def test_a_moved_target_is_seen_and_rewarded_at_the_next_step_and_nothing_else_c
     ("method", "given", "message"),
     [
         ("step", [0.0, math.nan, 0.0], "action must lie within -1 and 1, got"),
-        ("step", np.float32([0.0, 1.0001, 0.0]), "action must lie within -1 and 1, got"),
         ("step", [0.0, 0.0], r"action must have shape \(3,\), got \(2,\)"),
         ("step", "abc", "action must be numbers within"),
-        ("step", [[1], 2, 3], "action must be numbers within"),
         ("reset", {"goal": (0, 0)}, "'goal' is not accepted. It may be joint_angles, target or"),
         ("reset", {"target": "there"}, r"options\['target'\] must be 2 finite .*'there'"),
         ("reset", {"target": (3.0, 0.1)}, r"\['target'\] .*between 0 and 3.*\(3.0, 0.1\)"),
         ("reset", {"joint_angles": (0, 0)}, r"options\['joint_angles'\] must be 3 finite"),
         ("reset", {"joint_angles": (0, 0, 0), "target": (9, 9)}, r"options\['target'\]"),
         ("set_target", (3.1, 0.0), r"between 0 and 3 from the base, got \(3.1, 0.0\)"),
-        ("set_target", "far away", "target must be 2 finite numbers, got 'far away'"),
     ],
 )
 def test_bad_input_is_refused_and_leaves_no_trace(method, given, message):
@@ -238,15 +235,12 @@ def test_what_the_arm_cannot_do_is_refused(arm, options, message):
     ("arguments", "message"),
     [
         ({"control": "torque"}, "control 'torque' .*; did you mean 'joint_torque'"),
-        ({"control": ["joint_delta"]}, r"control \['joint_delta'\] is not accepted"),
         ({"reward_type": "golden"}, "reward_type 'golden' is not accepted. It may be dense or sp"),
         ({"render_mode": "ansi"}, "render_mode 'ansi' is not accepted. It may be None, human or"),
         ({"engine": "pymunck"}, "engine 'pymunck' .*; did you mean 'pymunk'"),
         ({"control_weight": "a"}, "control_weight must be finite and not negative, got 'a'"),
-        ({"success_distance": math.nan}, "success_distance must be finite and not negative"),
         ({"segment_length": (1.0,)}, "'segment_length'; did you mean 'segment_lengths'"),
         ({"n_segments": 4}, "no argument 'n_segments'; did you mean 'segment_lengths'"),
-        ({"colour": 1}, "takes no argument 'colour'. It takes render_mode, control, "),
     ],
 )
 def test_impossible_environments_are_refused(arguments, message):

@@ -173,12 +173,6 @@ def test_a_lock_is_on_its_joint_and_only_once_it_is_locked(joint):
     assert not looks_perturbed(lock, point, steps=9)
 
 
-def test_a_picture_is_named_by_its_task_and_perturbations():
-    assert ReachSetup().caption == ""
-    setup = ReachSetup(task="pursuit", perturbations=["locked", ForceField(3.0)])
-    assert setup.caption == "pursuit, locked, ForceField"
-
-
 def test_arrows_turn_as_the_field_bends():
     """Upside down, a field's arrows are the opposite field's."""
     scene = Scene([0.0] * 3, FAR)  # the same upside down

@@ -56,10 +56,10 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
         ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture has the hand at"),
         # The cursor leaves the reach.
         ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "where trial .* starts"),
+        ("paper", {"joint_limits": ((-1.0, 1.0),) * 3}, "beyond the joint limits"),
         ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
         ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
         ("centre-in", {}, "task 'centre-in' is not accepted; did you mean 'centre-out'"),
-        (3, {}, "task 3 is not accepted. It may be random, .* or a Task$"),
     ],
 )
 def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(task, arguments, message):
@@ -82,11 +82,9 @@ class Mine(RandomTarget):
     ("drawn", "message"),
     [
         (lambda _: [[0, 0, 0], [(1, 1)]], r"what Mine.draw returns must be a Trial\(joint_ang"),
-        (lambda _: (1.0, 1.0), r"Mine.draw returns must be a Trial.*got \(1.0, 1.0\)"),
         (lambda _: None, r"Mine.draw returns must be a Trial.*got None"),
         (lambda _: Trial([0, 0], [(1, 1)]), "joint_angles of Mine.draw must be 3 finite numbers"),
         (lambda _: Trial([0, 0, 0], (1.0, 1.0)), "targets of Mine.draw must be a path, one or mo"),
-        (lambda _: Trial([0, 0, 0], []), r"targets of Mine.draw must be a path.*got \[\]"),
         (lambda _: Trial([0, 0, 0], [(9, 9)]), r"draw .* 0 to 3 from the base, got \[\(9, 9\)\]"),
         # Only some trials are wrong.
         (lambda one: Trial([0, 0, 0], [(0, 5 * one.random.random())]), "0 to 3 from the base"),
@@ -238,7 +236,6 @@ def test_a_trial_that_is_none_is_refused_and_leaves_all_as_it_was(task, trial):
         *((lambda m=m: Pursuit(multiples_x=m), "multiples_x") for m in (3, (2.5,), ())),
         (lambda: PointToPoint(((0,), (1,)), ((0, 1),)), "points"),
         (lambda: Pursuit(period=0.0), "period"),
-        (lambda: PointToPoint(((0.5, 0.0),), ()), "pairs"),
         (lambda: PointToPoint(((0.5, 0.0),), ((0, 1),)), "pairs"),
     ],
 )

@@ -99,15 +99,6 @@ def test_the_evenly_bent_posture_has_the_hand_where_it_is_asked_for(lengths, sha
     assert all(0 <= angle <= math.pi for angle in posture[1:])
 
 
-def test_an_evenly_bent_posture_beyond_reach_or_limits_is_refused():
-    for lengths, x in (((1.0, 1.0, 1.0), 3.1), ((1.5,), 1.4)):
-        with pytest.raises(ValueError, match="no evenly bent posture"):
-            workspace(lengths).posture_at((x, 0.0))
-    limited = Workspace(ArmParameters(joint_limits=((-1.0, 1.0),) * 3))
-    with pytest.raises(ValueError, match="beyond the joint limits"):
-        limited.posture_at((0.0, 0.5))
-
-
 @pytest.mark.parametrize("centre", [(0.0, 0.0), (0.0, 1.5), (-2.0, 1.0)])
 @pytest.mark.parametrize("degrees", [30.0, -90.0, 180.0])
 def test_a_cursor_reaches_its_targets_by_a_hand_that_is_in_reach(centre, degrees):

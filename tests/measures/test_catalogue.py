@@ -20,13 +20,7 @@ from mmc_gym.measures import (
     set_measure,
 )
 
-
-@pytest.fixture(autouse=True)
-def forget_what_is_registered():
-    yield
-    for registry in (MEASURES, SET_MEASURES):
-        for one in catalogue.own_measures():
-            registry.pop(one.name, None)
+pytestmark = pytest.mark.usefixtures("forget_what_is_registered")
 
 
 def register_half_way_time():

@@ -8,7 +8,7 @@ import pytest
 
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.store import read_episodes, read_manifest, read_sets
-from mmc_gym.measures import MEASURES, measure
+from mmc_gym.measures import measure
 from mmc_gym.report import write_report
 
 MODULE = """
@@ -40,9 +40,8 @@ if __name__ == "__main__":
 """
 
 
-def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys, monkeypatch):
-    monkeypatch.delitem(MEASURES, "energy", raising=False)  # and so removed afterwards
-
+@pytest.mark.usefixtures("forget_what_is_registered")
+def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys):
     @measure(label="kinetic energy", unit="J", best="low", shown=True)
     def energy(episode):
         return float((episode.speeds**2).sum())
@@ -51,7 +50,6 @@ def test_a_comparison_has_a_column_and_a_row_for_it(tmp_path, capsys, monkeypatc
     assert pd.read_csv(tmp_path / "episodes.csv")["energy"].gt(0).all()
     assert set(pd.read_csv(tmp_path / "summary.csv").query("measure == 'energy'")["unit"]) == {"J"}
     assert "kinetic energy" in capsys.readouterr().out
-    del MEASURES["energy"]
 
 
 @pytest.mark.slow

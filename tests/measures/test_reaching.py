@@ -32,14 +32,6 @@ def test_success_and_time_are_about_staying(at_distances, distances, is_success,
     assert reaching.time_to_target(episode) == pytest.approx(time, nan_ok=True)
 
 
-def test_there_is_a_time_to_target_exactly_where_there_is_success():
-    random = np.random.default_rng(0)
-    for _ in range(200):
-        distances = random.uniform(0, 0.1, size=random.integers(1, 6))
-        arrival = reaching.arrival_time(distances, 0.05, 0.02)
-        assert math.isnan(arrival) != reaching.stays_within(distances, 0.05)
-
-
 def test_success_with_dwell_is_within_a_part_of_the_reach_for_a_fifth_of_a_second(make_episode):
     hands = np.zeros((101, 2))
     for distance, success in ((0.029, 1), (0.031, 0)):  # of a reach of 3

@@ -221,7 +221,6 @@ VECTOR = gym.make_vec("MMCReach-v0", num_envs=2)
         ({"env": "MMCReach-v0"}, "env must be an environment, .*, got 'MMCReach-v0'"),
         ({"env": gym.make("CartPole-v1")}, r"CartPole-v1.*info\['distance'\].*control_step.*reach"),
         ({"seeds": [-1]}, r"seeds must be whole numbers of at least 0, .*, got \[-1\]"),
-        ({"options": {"trial": 1}}, "options must be a list of 1 mappings, .*, got {'tr"),
         ({"options": [{}, {}]}, r"options must be a list of 1 mappings, .*, got \[{}, {}\]"),
         ({"env": VECTOR, "seeds": [0, 1]}, r"actions must have shape \(2, 3\), got \(3,\)"),
         ({"env": VECTOR, "seeds": [0, 1, 2]}, "env must have 3 arms"),

@@ -16,17 +16,12 @@ def take(names, episodes):
 def test_the_environments_exist_and_are_what_the_measures_need():
     assert {measure.environment for measure in SET_MEASURES.values()} <= set(SCENARIOS)
 
-    def starts(name, trials):
-        env = SCENARIOS[name].make()
-        infos = [env.reset(options={"trial": trial})[1] for trial in trials]
-        hands = {tuple(info["end_effector"].round(6)) for info in infos}
-        return len(hands), np.unique([round(info["distance"], 6) for info in infos])
-
     assert [len(SCENARIOS[name].instances(1)) for name in ("paper", "distances")] == [420, 32]
-    count, _ = starts("paper", range(0, 420, 20))
-    assert count == 21
-    count, distances = starts("distances", range(32))
-    assert count == 1 and distances == pytest.approx([0.3, 0.6, 0.9, 1.2])
+    env = SCENARIOS["distances"].make()
+    infos = [env.reset(options={"trial": trial})[1] for trial in range(32)]
+    assert len({tuple(info["end_effector"].round(6)) for info in infos}) == 1
+    distances = np.unique([round(info["distance"], 6) for info in infos])
+    assert distances == pytest.approx([0.3, 0.6, 0.9, 1.2])
 
 
 TURNS = math.tau * np.random.default_rng(0).integers(-3, 4, size=(20, 3))
@@ -43,14 +38,6 @@ TURNS = math.tau * np.random.default_rng(0).integers(-3, 4, size=(20, 3))
 )
 def test_postures_spread_from_none_to_the_root_of_two(postures, spread):
     assert sets.posture_spread(postures) == pytest.approx(spread, abs=1e-7, nan_ok=True)
-
-
-def test_small_spreads_are_standard_deviations_across_the_seam_too():
-    angles = np.random.default_rng(1).normal(math.pi, 0.05, size=(4000, 1))
-    wrapped = (angles + math.pi) % math.tau - math.pi
-    assert sets.posture_spread(wrapped) == pytest.approx(angles.std(), rel=1e-3)
-    both = np.concatenate([wrapped, np.zeros_like(wrapped)], axis=-1)
-    assert sets.posture_spread(both) == pytest.approx(angles.std() / math.sqrt(2), rel=1e-3)
 
 
 def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(make_episode):

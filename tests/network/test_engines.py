@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, MMCState, chain
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork, MMCState
 from mmc_gym.network.model import NO_CLAMPS
 
 every_engine = pytest.mark.parametrize("engine", ["numba", "torch"])
@@ -19,48 +17,6 @@ def random_state(network, shape, seed=0, dtype=np.float64):
     state = network.run(network.state_from_joint_angles(angles), iterations=1)
     state.values[:] += random.normal(0, 0.1, state.values.shape)
     return state
-
-
-@pytest.mark.slow  # numba compiles anew for each number of segments
-@every_engine
-@given(
-    count=st.integers(2, 5),
-    dynamics=st.sampled_from(["kinematic", "paper", "reference"]),
-    schedule=st.sampled_from(["synchronous", "delayed"]),
-    learned=st.booleans(),
-    excess=st.floats(0.5, 20),
-    velocity_damping=st.floats(1, 10),
-    velocity_decay=st.floats(0, 1),
-    iterations=st.integers(0, 12),
-    batch=st.sampled_from([(), (3,), (2, 1, 2), (LANES + 1,)]),
-    data=st.data(),
-)
-@settings(max_examples=150)
-def test_it_computes_what_numpy_does(
-    engine, count, dynamics, schedule, learned, excess, velocity_damping, velocity_decay,
-    iterations, batch, data, iterate,
-):  # fmt: skip
-    """Whatever the number of segments, the rules and what is clamped."""
-    lengths = data.draw(st.lists(st.floats(0.3, 3), min_size=count, max_size=count))
-    is_learned = learned and engine == "torch"
-    schedule = "synchronous" if engine == "numba" else schedule
-    network = MMCNetwork(
-        segment_lengths=tuple(lengths),
-        damping=(count + 1) / 2 + excess,
-        normalizer=LearnedNormalizer.shipped("paper") if is_learned else EuclideanNormalizer(),
-        dynamics=dynamics,
-        schedule=schedule,
-        velocity_damping=velocity_damping,
-        velocity_decay=velocity_decay,
-    )
-    random = np.random.default_rng(data.draw(st.integers(0, 999)))
-    pairs = data.draw(st.lists(st.sampled_from(chain.vector_pairs(count)), unique=True))
-    shape = data.draw(st.sampled_from([(), batch]))
-    clamps = network.clamp({pair: random.uniform(-2, 2, (*shape, 2)) for pair in pairs})
-    state = random_state(network, batch, seed=int(random.integers(999)))
-    expected = network.run(state, clamps, iterations)
-    found = iterate(engine, network, state, clamps, iterations)
-    np.testing.assert_allclose(found.values, expected.values, rtol=0, atol=1e-12)
 
 
 @every_engine

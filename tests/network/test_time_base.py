@@ -56,19 +56,6 @@ def test_a_movement_is_bell_shaped_for_longer_arms_too(segments):
     assert 0.4 < (steps.argmax() + 0.5) / 60 < 0.6
 
 
-def test_arms_of_a_batch_move_as_each_alone():
-    targets = np.array([[-1.0, 1.5], [0.5, -0.5], [2.0, 1.0]])
-    shares = np.array([0.1, 0.0, 0.7])
-    starts = NETWORK.state_from_joint_angles([POSTURE] * 3)
-    together = timed_step(NETWORK, starts, targets, shares)
-    for index in range(3):
-        alone = timed_step(NETWORK, START, targets[index], shares[index])
-        np.testing.assert_allclose(together.segments[index], alone.segments, atol=1e-12)
-    state, postures = timed_trajectory(NETWORK, START, targets, 25)
-    assert postures.shape == (25, 3, 3, 2) and state.batch_shape == (3,)
-    np.testing.assert_array_equal(postures[-1], state.segments)
-
-
 def test_the_state_it_is_given_stays_and_float32_is_kept():
     state = NETWORK.state_from_joint_angles(np.array(POSTURE, dtype=np.float32))
     values = state.values.copy()

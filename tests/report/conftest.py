@@ -4,7 +4,6 @@ mmc is quick and jerky and blind to rotations; ik-dls is smooth and as blind; pp
 seeds, is smooth and hardly minds a rotation; ppo-smooth moves with minimum jerk.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 
 from mmc_gym.agents import resolve
 from mmc_gym.agents.inverse_kinematics import hand_position
-from mmc_gym.agents.policy import PRETRAINED, load_policy, save_policy
 from mmc_gym.agents.registry import IDEAL, REFERENCE
 from mmc_gym.benchmark.store import (
     EPISODES,
@@ -144,13 +142,6 @@ def write(folder, key, episodes, keeps_paths=True):
     write_cell(folder, key, files)
 
 
-def own_policy(folder, **changes):
-    """Write a copy of ppo-0 whose card has these changes; return the path of its card."""
-    network, card = load_policy(PRETRAINED / "ppo-0.json")
-    save_policy(network, replace(card, name="mine", **changes), folder)
-    return str(folder / "mine-0.json")
-
-
 @pytest.fixture(scope="session")
 def benchmark_store(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benchmark")
@@ -171,11 +162,6 @@ def make_store():
 @pytest.fixture(scope="session")
 def movers():
     return AGENTS
-
-
-@pytest.fixture(scope="session")
-def make_policy():
-    return own_policy
 
 
 @pytest.fixture(scope="session")

@@ -1,11 +1,12 @@
 """Reading a store: who the agents are, and what is done where something is missing or damaged."""
 
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents import resolve
+from mmc_gym.agents.policy import PRETRAINED, load_policy, save_policy
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.store import CellKey, NotPlayed, Policy, update_manifest
 from mmc_gym.report import write_report
@@ -73,14 +74,16 @@ def test_how_an_agent_was_trained(sources, steps, said):
     assert identify(policies(*sources, steps=steps)).training == said
 
 
-def test_a_policy_given_by_its_file_is_known_by_its_card(make_policy, tmp_path):
-    path = make_policy(tmp_path, view="target", control="joint_position")
-    one = identify(policies(path))
+def test_a_policy_given_by_its_file_is_known_by_its_card(tmp_path):
+    network, card = load_policy(PRETRAINED / "ppo-0.json")
+    save_policy(network, replace(card, name="mine", view="target"), tmp_path)
+    path = tmp_path / "mine-0.json"
+    one = identify(policies(str(path)))
     assert (one.name, one.knowledge.kind) == ("", "yours")
     assert one.knowledge.lengths.startswith("not given")
     assert one.knowledge.senses.startswith("all joint angles")
     assert len(one.cards) == 1
-    Path(path).unlink()  # what it is stands in the store
+    path.unlink()  # what it is stands in the store
     assert (one.knowledge.kind, one.cards) == ("yours", ())
 
 

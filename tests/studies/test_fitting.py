@@ -81,15 +81,6 @@ def test_without_biases_a_normalizer_is_odd_before_and_after_its_refinement():
     assert all(bias.any() for bias in train_normalizers((6,), SHORT)[0].normalizer.biases)
 
 
-def test_refining_reduces_the_angle_error():
-    rough = replace(ACCURATE, samples=500, epochs=40, refinement_iterations=0)
-    errors = []
-    for recipe in (rough, replace(rough, refinement_iterations=40)):
-        normalizer = train_normalizers((8, 8), recipe)[0].normalizer
-        errors.append(angle_errors(normalizer, np.linspace(0.8, 1.2, 9)).mean())
-    assert errors[1] < errors[0] / 20
-
-
 def test_the_measures_find_a_known_error():
     turn, shrink = 0.1, 0.8
 

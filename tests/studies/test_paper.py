@@ -7,17 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, MMCNetwork
+from mmc_gym.network import LearnedNormalizer
 from studies.network.fitting import PAPER
 from studies.paper import experiment, networks, protocol
 from studies.paper.experiment import ExperimentSettings
 from studies.paper.experiments import bettered, forward_and_mixed, movements, normalization
 from studies.paper.experiments import population as hidden_units
-from studies.paper.experiments.bettered import measure
-from studies.paper.experiments.forward_and_mixed import TASKS, errors, factor, random_tasks
 from studies.paper.experiments.population import layer_tunings
-from studies.paper.networks import architecture_name, trained_architectures
-from studies.paper.protocol import OVERSHOOT
+from studies.paper.networks import architecture_name
 from studies.paper.published import POINTS
 from studies.paper.run import EXPERIMENTS, reproduce
 
@@ -25,7 +22,6 @@ pytestmark = pytest.mark.slow
 
 ACCURATE = LearnedNormalizer.shipped("accurate")
 SHIPPED = (LearnedNormalizer.shipped("paper"), ACCURATE)
-FEW = ((2,), (3, 2))
 
 
 def stand_in(settings, architectures=((16,), (16, 16))):
@@ -127,48 +123,6 @@ def test_the_points_on_movements_are_all_measured(results):
     assert "dynamic (Euclidean) 2.61, 0.15 (" in points[5]
 
 
-def test_the_accurate_normalizer_is_as_good_as_was_sought(results):
-    result = results["accurate"]
-    assert row(result, "accurate: mean angle error at lengths 0.9 to 1.1").ours <= 0.01
-    assert row(result, "accurate: the same, as a multiple of the Euclidean").ours <= 1.02
-    assert row(result, "accurate: movements that end above 0.1").ours <= 7
-    assert row(result, "accurate: worst angle error").ours < 5
-    exact = measure(EuclideanNormalizer(), directions=36)
-    assert max(exact.near_error, exact.worst_error.max()) < 1e-12
-    assert exact.distance[:, -1].mean() == pytest.approx(0.02264, abs=1e-5)
-
-
-@pytest.mark.parametrize("iterations", [40, 100])
-def test_a_time_base_makes_each_movement_bell_shaped_as_minimum_jerk_is(iterations, results):
-    frame = results["bell-shaped"].data["bell_shape"].set_index(["name", "iterations"]).sort_index()
-    for name in ("minimum jerk", "time base (Euclidean)", "time base (accurate [16, 16])"):
-        found = frame.loc[name, iterations]
-        assert len(found) == 420
-        assert found["correlation"].median() >= 0.98
-        assert 1.8 <= found["peak_to_mean"].median() <= 2.0
-        assert 0.45 <= found["time_to_peak"].median() <= 0.55
-        assert (found["velocity_peaks"] == 1).mean() >= 0.95
-        assert (found["overshoot"] > OVERSHOOT).sum() == 0
-        kinematic = frame.loc["kinematic (Euclidean)", iterations]
-        assert found["final"].mean() <= kinematic["final"].mean()
-    for name in ("dynamic (Euclidean), decay 0.92", "kinematic (Euclidean), synchronous"):
-        assert frame.loc[name, 40]["correlation"].median() < 0.1
-
-
-@pytest.mark.parametrize("normalizer", [EuclideanNormalizer(), ACCURATE], ids=["exact", "learned"])
-@pytest.mark.parametrize("task", TASKS)
-def test_forward_mixed_and_inverse_tasks_are_solved(task, normalizer):
-    network = MMCNetwork(normalizer=normalizer)
-    state, vectors = random_tasks(network, 100, seed=1)
-    clamps = network.clamp({pair: vectors[pair] for pair in TASKS[task]})
-    course = errors(network, state, clamps, 500)
-    assert np.median(course[-1]) < 0.01
-    assert course[-1].mean() < 0.03 * course[0].mean()
-    if task.startswith("forward"):
-        means = course.mean(axis=1)
-        np.testing.assert_allclose(means[60:200] / means[59:199], factor(10), rtol=1e-4)
-
-
 @pytest.mark.parametrize("bias", [-1.0, 0.7])
 @pytest.mark.parametrize("strength", [0.5, 3.0])
 def test_a_first_layer_unit_prefers_the_direction_of_its_weights(strength, bias):
@@ -181,18 +135,3 @@ def test_a_first_layer_unit_prefers_the_direction_of_its_weights(strength, bias)
     half = (np.tanh(bias + strength) + np.tanh(bias - strength)) / 2
     width = 2 * np.degrees(np.arccos((np.arctanh(half) - bias) / strength))
     np.testing.assert_allclose(found.width, width, atol=1.0)
-
-
-def test_networks_are_trained_once_and_alike_in_two_processes(small_recipe, tmp_path, monkeypatch):
-    settings = ExperimentSettings(quick=True, folder=tmp_path / "one")
-    one = trained_architectures(settings, FEW)
-    two = trained_architectures(replace(settings, folder=tmp_path / "two", jobs=2), FEW)
-    other = trained_architectures(replace(settings, seed=1), FEW)
-    monkeypatch.setattr(networks, "train_normalizers", None)  # nothing is trained again
-    read = trained_architectures(settings, FEW)
-    assert list(one) == ["[2]", "[3, 2]"]
-    for name, found in one.items():
-        assert found.training_mse.shape == (2, 6)
-        for same in (two[name], read[name]):
-            np.testing.assert_array_equal(found.training_mse, same.training_mse)
-        assert not np.allclose(found.training_mse, other[name].training_mse)

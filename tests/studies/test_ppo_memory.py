@@ -42,7 +42,7 @@ def test_two_scenarios_at_once_that_do_not_go_together_are_named(monkeypatch):
     env.seed(0)
     make = env.make_group
 
-    def refuse_two(drawn: Any, share: float) -> Any:
+    def refuse_two(drawn, share):
         if drawn.task == "pursuit" and drawn.perturbations:
             raise UserError("pursuit is refused")
         return make(drawn, share)
@@ -71,12 +71,6 @@ def test_the_truth_tells_of_the_body(name, index, expected):
     (body,) = truth(name, 1)[..., 17:]
     np.testing.assert_allclose(body[:, index], np.broadcast_to(expected, body[:, index].shape))
     assert not np.delete(body, np.r_[index], axis=-1).any()
-
-
-def test_a_joint_that_locks_on_the_way_does_so_in_truth_too():
-    locked = truth("locks-2", 12)[..., 17 + 9]
-    np.testing.assert_array_equal(locked[:10], 0.0)
-    np.testing.assert_array_equal(locked[10:], 1.0)
 
 
 def test_the_velocity_of_a_target_is_true_and_a_jump_is_none():

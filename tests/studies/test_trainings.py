@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 
 import pandas as pd
-import pytest
 
 from mmc_gym.agents.policy import load_policy, shipped_file
 from studies.learners.trainings import main, summarize, trainings
@@ -48,15 +47,6 @@ def test_seeds_that_never_reach_a_level_are_later_than_the_others():
     assert math.isnan(row["low"]) and math.isnan(row["high"])
     row = summary_of(*most, *few)["steps_to_95"]
     assert math.isnan(row["estimate"]) and (row["count"], row["missing"]) == (2, 3)
-
-
-def test_the_final_success_has_an_interval_over_the_seeds():
-    cards = [training(seed, (1.0,), success=0.9 + 0.05 * seed) for seed in range(3)]
-    found = summary_of(*cards)
-    assert interval(found["success"]) == pytest.approx((0.95, 0.9, 1.0), abs=0.015)
-    assert found["time_to_target"]["count"] == 0  # the scores lack it
-    estimate, low, high = interval(summary_of(*[cards[0]] * 4)["success"])
-    assert low < estimate - 0.01 and high > estimate + 0.01  # other episodes could fail
 
 
 def test_the_table_is_printed_and_written(tmp_path, capsys, monkeypatch):

@@ -95,7 +95,6 @@ def tried(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "keys", "in_use"),
     [
-        ("ppo", "", {"learning_rate": 3e-4, "ent_coef": 0.0, "gamma": 0.99, "n_epochs": 10}),
         (
             "ppo",
             "learning_rate: lin_1.2345e-5, ent_coef: 0.5, batch_size: 77, n_epochs: 12",

@@ -71,8 +71,6 @@ def test_your_own_file_is_read_by_its_path(tmp_path):
     [
         (b"A: {", "must be YAML"),
         (b"A: {gamma: 0.5, gamma: 0.6}", "must be YAML: the key 'gamma' occurs twice"),
-        (b"A: {gamma: !!float 5e}", "must be YAML: could not convert string to float"),
-        (b"[" * 5000, "must be YAML: it is nested too deeply"),
         (b"\xff\xff", "must be YAML"),
         (b"", "must map environments to hyperparameters, got None"),
         (b"A: 1", "must have hyperparameters for A, got 1"),
@@ -144,18 +142,15 @@ def test_all_that_an_entry_names_is_made():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"frame_stack": 4}, "ppo-mine: hyperparameter 'frame_stack' is not accepted"),
         ({"learning_rat": 1e-3}, "'learning_rat' is not accepted; did you mean 'learning_rate'"),
         ({"policy": f"{POLICIES}.TQCGoalPolicy"}, "may be MlpPolicy or .*PPOTargetPolicy"),
         ({"rollout_buffer_class": "os.system"}, "rollout_buffer_class must be .*, got 'os.system'"),
         ({"vec_env_wrapper": [RESIDUAL, "os.system"]}, "'os.system' is not accepted"),
         ({"vec_env_wrapper": {RESIDUAL: 3}}, "Residual must be a mapping, got 3"),
         ({"policy_kwargs": "dict(net_arch=os.system('ls'))"}, "must be a valid dictionary"),
-        ({"policy_kwargs": "!!python/name:os.system"}, "must be a valid dictionary"),
         ({"policy_kwargs": {"activation_fn": "nn.ELU"}}, "activation_fn 'nn.ELU' is not accepted"),
         ({"env_kwargs": "control"}, "env_kwargs must be a valid dictionary, got 'control'"),
         ({"n_timesteps": 0}, "n_timesteps must be at least 1, got 0"),
-        ({"n_steps": 1.5}, "hyperparameters of ppo-mine: n_steps must be .* integer, .*, got 1.5"),
         ({**SAC, "replay_buffer_class": "Pickle"}, f"'Pickle' is not accepted. It may be {HER}"),
         # A leg that would never end.
         ({"env_kwargs": {"max_episode_steps": None}}, "max_episode_steps must be a whole number"),

@@ -89,7 +89,6 @@ def test_whole_strengths_are_drawn_whole(family):
         ({"names": ["randon"]}, "scenario 'randon' is not accepted; did you mean 'random'"),
         ({"ranges": {"rotatio": [0, 1]}}, "did you mean 'rotation"),
         ({"ranges": {"rotation": [5, 1]}}, "must be the lowest and the highest strength"),
-        ({"ranges": {"locked": [1, 2.5]}}, "a whole number from 1"),
         ({"ranges": {"locked": [1, 4]}}, "joint"),
         ({"names": []}, "names must be one at least"),
     ],
