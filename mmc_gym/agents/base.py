@@ -88,6 +88,11 @@ class Agent(ABC, Generic[State]):
             UserError: if observation, state and `episode_start` do not fit together.
         """
 
+    @property
+    def learns(self) -> bool:
+        """Whether `between_trials` keeps anything."""
+        return type(self).between_trials is not Agent.between_trials
+
     def between_trials(self, state: State | None, rest: float = 0.0) -> State | None:
         """Return what the agent keeps of a trial for the next one; here nothing, None.
 

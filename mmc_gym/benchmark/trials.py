@@ -141,7 +141,7 @@ def run_cell(cell: TrialsCell) -> bytes:
     player, arguments = cell.player()
     trials, subjects = range(len(schedule)), len(cell.subjects)
     is_agent = isinstance(player, Agent)
-    keeps = cell.keeps_all or getattr(type(player), "between_trials", None) != Agent.between_trials
+    keeps = cell.keeps_all or getattr(player, "learns", False)
     sequences = [np.random.SeedSequence((cell.seed, subject)) for subject in cell.subjects]
     seeds = [one.generate_state(len(schedule) + 1).tolist() for one in sequences]
     angles = [experiment.targets_of(of[-1]).tolist() for of in seeds]

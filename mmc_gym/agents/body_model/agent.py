@@ -6,7 +6,8 @@
 - `body`: segment lengths, a turned cursor, and joints that are locked;
 - `imagination`: a posture with the hand at the target, found by an internal model;
 - `obstacles`: remembered once they are felt, and ways round them;
-- `drive`: joint targets on the way there.
+- `drive`: joint targets on the way there;
+- `memory`: what is learned from movement to movement, if anything.
 
 The internal model is the MMC network (`mmc-body`) or damped least squares (`ik-body`).  The two
 agents share all other parts, so only a difference between them is due to the network.  Each part
@@ -26,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import require_number, spelt
+from mmc_gym._errors import require, require_number, require_numbers, spelt
 from mmc_gym.agents.base import InternalModelAgent, Started, every, some, where
 from mmc_gym.agents.body_model import spatial
 from mmc_gym.agents.body_model.arm import Points, command_of, commanded_turn, hand
-from mmc_gym.agents.body_model.body import PUSH, BodyEvidence, Locks
+from mmc_gym.agents.body_model.body import PUSH, Body, BodyEvidence, Locks
 from mmc_gym.agents.body_model.drive import STRONGEST, Drive, in_proportion
 from mmc_gym.agents.body_model.imagination import (
     Imagination,
@@ -40,6 +41,7 @@ from mmc_gym.agents.body_model.imagination import (
     settled_network,
     within_reach,
 )
+from mmc_gym.agents.body_model.memory import Memory
 from mmc_gym.agents.body_model.obstacles import Contacts, Plan, Ways
 from mmc_gym.agents.body_model.senses import Delay, PostureTrack, TargetTrack
 from mmc_gym.agents.mmc import network_of_arm
@@ -50,6 +52,7 @@ from mmc_gym.network.chain import Floats
 LAG = 1.5  # control steps until the joints are where a command takes them
 FARTHER = 0.3  # movement of a target after which a new posture is imagined, segment lengths
 CLEAR = 0.01  # noise of the joint angles below which forces on the joints can be seen, radians
+BETWEEN = -1  # looks of a state between two movements
 
 
 @spelt
@@ -67,9 +70,14 @@ class Parts:
         drives: whether the servos are inverted; else their target is the imagined posture.
         avoids: whether contacts are remembered, and ways round them planned.
         vigour: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed.
+        rate: share of what a movement shows that is learned, see `body_model.memory`; several
+            numbers for several states, such as a fast one and a slow one.  At 1 all is learned
+            within the movement.
+        retention: share of it that is left for the next movement, of each state.  At 0 nothing is.
 
     Raises:
-        UserError: for a vigour outside 0 to 1.
+        UserError: for a number outside 0 to 1, rates of more than 1 together, or another number of
+            rates than of retentions.
     """
 
     filters: bool = True
@@ -80,10 +88,28 @@ class Parts:
     drives: bool = True
     avoids: bool = True
     vigour: float = 1.0
+    rate: tuple[float, ...] = (1.0,)
+    retention: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
         accepted = "a number between 0 and 1"
         require_number("vigour", self.vigour, accepted, lambda number: 0 <= number <= 1)
+        accepted = "numbers between 0 and 1, of each state, such as (0.2,)"
+        for name in ("rate", "retention"):
+            numbers = require_numbers(name, getattr(self, name), accepted, _are_shares)
+            object.__setattr__(self, name, numbers)
+        count, total = len(self.rate), sum(self.rate)
+        require(len(self.retention) == count, "retention", self.retention, f"{count}, as of rate")
+        require(total <= 1, "rate", self.rate, "at most 1 together")
+
+    @property
+    def learns(self) -> bool:
+        """Whether anything is learned from movement to movement."""
+        return any(self.retention) or sum(self.rate) < 1
+
+
+def _are_shares(numbers: tuple[float, ...]) -> bool:
+    return len(numbers) > 0 and all(0 <= number <= 1 for number in numbers)
 
 
 class BodyState(NamedTuple):
@@ -98,6 +124,7 @@ class BodyState(NamedTuple):
     contacts: Contacts
     plan: Plan
     drive: Drive
+    memory: Memory
 
 
 class BodyAgent(InternalModelAgent[BodyState]):
@@ -128,7 +155,21 @@ class BodyAgent(InternalModelAgent[BodyState]):
             contacts=Contacts.start(arms, joints),
             plan=Plan.start(joint_angles, target),
             drive=Drive.start(arms, joints),
+            memory=Memory.start(arms, joints, len(self.parts.rate)),
         )
+
+    @property
+    @override
+    def learns(self) -> bool:
+        return self.parts.learns
+
+    @override
+    def between_trials(self, state: BodyState | None, rest: float = 0.0) -> BodyState | None:
+        if state is None or not self.learns:
+            return None
+        given, parts = state.evidence.given.lengths, self.parts
+        kept = state.memory.kept(state.evidence.body, given, parts.rate, parts.retention, rest)
+        return state._replace(looks=np.full_like(state.looks, BETWEEN), memory=kept)
 
     @override
     def predict(
@@ -142,7 +183,10 @@ class BodyAgent(InternalModelAgent[BodyState]):
         batch = seen.joint_angles.shape[:-1]
         arms = math.prod(batch)
         seen = Seen(**{key: each.reshape(arms, each.shape[-1]) for key, each in vars(seen).items()})
-        state = self._sense(self.resumed(state, seen, episode_start), seen)
+        state = self.resumed(state, seen, episode_start)
+        if self.learns:
+            state = self._remembered(state, seen)
+        state = self._sense(state, seen)
         problem = self._forecast(state)
         plan = self._plan(state, problem)
         joint_targets, state = self._drive(state, problem, plan)
@@ -150,6 +194,22 @@ class BodyAgent(InternalModelAgent[BodyState]):
         now = Seen(problem.joint_angles, seen.target, seen.joint_speeds, seen.hand)
         action = self.interface.act(joint_targets, now)
         return action.reshape(*batch, action.shape[-1]), state
+
+    def _remembered(self, state: BodyState, seen: Seen) -> BodyState:
+        """Let movements begin with what was learned in those before."""
+        between = state.looks == BETWEEN
+        if some(between):
+            state = where(between, self.start(seen)._replace(memory=state.memory), state)
+        hands, given = _points(seen.hand), state.evidence.given.lengths
+        memory = state.memory.begun(state.looks == 0, hands, seen.joint_angles, given)
+        return state._replace(memory=memory)
+
+    def _body(self, state: BodyState) -> Body:
+        """Return the body to act on."""
+        best = state.evidence.best
+        if not self.learns:
+            return best
+        return state.memory.body(best, state.evidence.given.lengths, sum(self.parts.rate))
 
     def _sense(self, state: BodyState, seen: Seen) -> BodyState:
         """Update the memory of the parts; `start` has entered the first observation already."""
@@ -159,7 +219,10 @@ class BodyAgent(InternalModelAgent[BodyState]):
             after = self._feel(self._look(state, seen), state.posture)
             state = where(is_first, state, after) if some(is_first) else after
         if self.parts.identifies_body:
-            evidence = state.evidence.observed(seen.joint_angles, _points(seen.hand))
+            hands = _points(seen.hand)
+            if self.learns:
+                hands = state.memory.as_given(hands, seen.joint_angles)
+            evidence = state.evidence.observed(seen.joint_angles, hands)
             state = state._replace(evidence=evidence)
         return state
 
@@ -210,7 +273,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         held = locks.is_locked if some(locks.is_locked) else None
         if held is not None:
             now = np.where(held, locks.place, now)
-        body = state.evidence.best
+        body = self._body(state)
         aim = within_reach(body.felt(state.target.ahead(late + LAG)), body.lengths)
         return ReachProblem(now, aim, body.lengths, held)
 
@@ -240,6 +303,13 @@ class BodyAgent(InternalModelAgent[BodyState]):
         joint_targets: Floats = now + left
         if self.parts.drives and not interface.has_drive:
             turn, drive = self._turn(state, problem, plan, left)
+            if self.learns:
+                is_early = 2 * drive.elapsed <= drive.duration
+                memory = state.memory.moved(now, problem.lengths, is_early)
+                turn, memory = memory.corrected(
+                    turn, now, problem.aim, problem.lengths, problem.held
+                )
+                state = state._replace(memory=memory)
             noise = state.posture.deviation
             joint_targets, drive = drive.targets(now, turn, left, noise, interface)
         if some(locks.is_locked):

@@ -113,14 +113,20 @@ def least_squares(problem: ReachProblem, iterations: int) -> Floats:
         error = aim - to_hand[..., 0]
         error = error * np.minimum(1, LONGEST_ERROR / np.maximum(np.abs(error), 1e-9))
         jacobian = 1j * to_hand if held is None else np.where(held, 0, 1j * to_hand)
-        xx = (jacobian.real**2).sum(axis=-1) + DAMPING**2
-        yy = (jacobian.imag**2).sum(axis=-1) + DAMPING**2
-        xy = (jacobian.real * jacobian.imag).sum(axis=-1)
-        pull_x = yy * error.real - xy * error.imag
-        pull_y = xx * error.imag - xy * error.real
-        pull = (pull_x - 1j * pull_y) / (xx * yy - xy * xy)
-        joint_angles = joint_angles + (jacobian * pull[..., None]).real
+        joint_angles = joint_angles + pulled(jacobian, error, DAMPING)
     return wrap_angle(joint_angles)
+
+
+def pulled(jacobian: Points, error: Points, damping: float) -> Floats:
+    """Return the turns Jᵀ(JJᵀ + λ²I)⁻¹e of joints that pull the hand, (..., N), by e, (...)."""
+    xx = (jacobian.real**2).sum(axis=-1) + damping**2
+    yy = (jacobian.imag**2).sum(axis=-1) + damping**2
+    xy = (jacobian.real * jacobian.imag).sum(axis=-1)
+    pull_x = yy * error.real - xy * error.imag
+    pull_y = xx * error.imag - xy * error.real
+    pull = (pull_x - 1j * pull_y) / (xx * yy - xy * xy)
+    turns: Floats = (jacobian * pull[..., None]).real
+    return turns
 
 
 class Imagination:

@@ -1,0 +1,125 @@
+"""Memory: what is identified in one movement is believed in the next ones, and forgotten.
+
+A belief x has the lengths of the segments, as differences from the given ones, the turn φ of the
+cursor about the place where a movement begins, and the angle δ by which the hand leaves the way
+that it should take, as in a field of forces.  It is the sum of states that learn and forget at
+rates of their own.  With what a movement shows beyond the belief, e, and a rest of t seconds after
+it,
+
+    x_i ← a_i^(1 + t) (x_i + b_i e),        x = Σ x_i,      a_i retention, b_i rate
+
+In the notation of Smith et al. (2006), A_i = a_i and B_i = a_i b_i without a rest; a second of
+rest counts as much as a movement.  Within the movement the agent acts on x + Σ b_i e for lengths
+and cursor, so for b = 1 and a = 0 it is an agent that learns all within a movement and keeps
+nothing.
+
+Evidence about the body is gathered in the coordinates of the belief, in which the body is as given
+if the belief is right: a hand seen at x counts as x̃ = e^{−iφ}(x − c) − Σ Δℓ_j u_j.  The angle δ is
+that of Σ v w̄ over the first half of a movement, where w is the displacement of the hand that a
+command intends, and v the one that follows.  Commands correct it in advance and ask for w e^{−iδr},
+where r is the share of the way that is left, so that the hand ends where it should.
+
+Literature: M. A. Smith, A. Ghazizadeh, R. Shadmehr (2006), Interacting adaptive processes with
+different timescales underlie short-term motor learning, PLoS Biol. 4, e179.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mmc_gym.agents.body_model.arm import Bools, Points, hand, unit_vectors
+from mmc_gym.agents.body_model.body import Body
+from mmc_gym.agents.body_model.imagination import pulled
+from mmc_gym.network.chain import Floats
+
+FIRM = 0.05  # damping of the correction, segment lengths
+
+
+class Memory(NamedTuple):
+    """Beliefs, and what has been seen of the present movement."""
+
+    states: Floats  # x_i: N differences of lengths, φ and δ in radians, (n, states, N + 2)
+    shift: Points  # c of the cursor that is believed, (n,)
+    begin: Points  # where the hand was when the movement began
+    place: Points  # where it was in the last control step
+    intended: Points  # w of the last command, without the correction
+    drift: Points  # Σ v w̄
+
+    @classmethod
+    def start(cls, arms: int, joints: int, states: int) -> Memory:
+        """Return the memory of arms that believe what they are given."""
+        still = np.zeros(arms, complex)
+        return cls(np.zeros((arms, states, joints + 2)), *([still] * 5))
+
+    @property
+    def belief(self) -> Floats:
+        """x, (n, N + 2)."""
+        belief: Floats = self.states.sum(axis=1)
+        return belief
+
+    @property
+    def turn(self) -> Points:
+        """e^{iφ} of the cursor that is believed."""
+        turn: Points = np.exp(1j * self.belief[:, -2])
+        return turn
+
+    def begun(self, begins: Bools, seen: Points, joint_angles: Floats, given: Floats) -> Memory:
+        """Return the memory where movements begin with the hand seen there, given ℓ (n, N)."""
+        felt = hand(joint_angles, given + self.belief[:, :-2])
+        shift, zero = seen - self.turn * felt, np.zeros_like(felt)
+        new = Memory(self.states, shift, begin=felt, place=felt, intended=zero, drift=zero)
+        return Memory(
+            self.states,
+            *(np.where(begins, one, old) for one, old in zip(new[1:], self[1:], strict=True)),
+        )
+
+    def as_given(self, seen: Points, joint_angles: Floats) -> Points:
+        """Return where a hand of the given body would be if this one is seen here: x̃."""
+        added = (self.belief[:, :-2] * unit_vectors(joint_angles)).sum(axis=-1)
+        return (seen - self.shift) * self.turn.conj() - added
+
+    def body(self, beyond: Body, given: Floats, rate: float) -> Body:
+        """Return the body to act on: the belief, and a share of what is identified beyond it."""
+        lengths = given + self.belief[:, :-2] + rate * (beyond.lengths - given)
+        part = np.exp(1j * rate * np.angle(beyond.turn))
+        # What is identified turns about the place where the movement began, and may be shifted.
+        begin = self.begin
+        shift = rate * (beyond.shift - begin * (1 - beyond.turn)) + begin * (1 - part)
+        return Body(lengths, self.turn * part, self.turn * shift + self.shift)
+
+    def moved(self, joint_angles: Floats, lengths: Floats, is_early: Bools) -> Memory:
+        """Return the memory after a control step, which counts for δ if `is_early`, (n,)."""
+        place = hand(joint_angles, lengths)
+        drift = self.drift + is_early * (place - self.place) * self.intended.conj()
+        return self._replace(place=place, drift=drift)
+
+    def corrected(
+        self, turn: Floats, joint_angles: Floats, aim: Points, lengths: Floats, held: Bools | None
+    ) -> tuple[Floats, Memory]:
+        """Return the turns of the joints that take the hand where `turn` would without drift."""
+        units = lengths * unit_vectors(joint_angles)
+        to_hand = 1j * np.cumsum(units[:, ::-1], axis=-1)[:, ::-1]
+        intended = (to_hand * turn).sum(axis=-1)
+        left = np.abs(aim - self.place) / np.maximum(np.abs(aim - self.begin), 1e-9)
+        against = np.exp(-1j * self.belief[:, -1] * np.minimum(left, 1.0))
+        if held is not None:
+            to_hand = np.where(held, 0, to_hand)
+        more = pulled(to_hand, intended * (against - 1), FIRM)
+        return turn + more, self._replace(intended=intended)
+
+    def kept(
+        self,
+        beyond: Body,
+        given: Floats,
+        rate: tuple[float, ...],
+        retention: tuple[float, ...],
+        rest: float,
+    ) -> Memory:
+        """Return the memory for the next movement after a rest of so many seconds."""
+        angles = np.stack([np.angle(beyond.turn), np.angle(self.drift)], axis=-1)
+        error = np.concatenate([beyond.lengths - given, angles], axis=-1)
+        learned = self.states + np.array(rate)[:, None] * error[:, None]
+        forgotten = np.array(retention) ** (1 + rest)
+        return self._replace(states=forgotten[:, None] * learned)

@@ -1,0 +1,89 @@
+"""Body agents that learn from movement to movement."""
+
+import numpy as np
+import pytest
+
+from mmc_gym._errors import UserError
+from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
+from mmc_gym.benchmark.experiment import Block, Experiment
+from mmc_gym.benchmark.trials import run_experiment
+from mmc_gym.interface import ReachInterface
+
+
+def played(blocks, parts, build=mmc_body, subjects=1, **env_kwargs):
+    """Return the direction of the hand in each trial, at its fastest and at the end, degrees."""
+    agents = {"learner": lambda env: build(ReachInterface.of(env), parts)}
+    experiment = Experiment("short", tuple(blocks))
+    result = run_experiment(experiment, agents, subjects, jobs=1, env_kwargs=env_kwargs)
+    way = result.hands - result.hands[:, :1]
+    fastest = np.linalg.norm(np.diff(way, axis=1), axis=-1).argmax(axis=1) + 1
+    found = [way[np.arange(len(way)), fastest], way[:, -1]]
+    angles = [np.degrees(np.arctan2(one[:, 1], one[:, 0])) for one in found]
+    return [(one - result.trials["target_angle"] + 180) % 360 - 180 for one in angles]
+
+
+def turned(trials, targets=(90.0,), **more):
+    return Block("turned", trials, ("rotation-30",), targets, **more)
+
+
+@pytest.mark.parametrize("build", [mmc_body, ik_body])
+@pytest.mark.parametrize(
+    ("rate", "retention"), [((0.2,), (0.9,)), ((0.4, 0.05), (0.6, 1.0)), ((1.0,), (1.0,))]
+)
+def test_a_turned_cursor_is_learned_and_forgotten_at_the_given_rates(build, rate, retention):
+    parts = Parts(vigour=0.0, rate=rate, retention=retention)
+    _, ends = played([turned(6), Block("washout", 4, targets=(90.0,), rest=2.0)], parts, build)
+    states, expected = np.zeros(len(rate)), []
+    for trial in range(10):
+        error = (30.0 if trial < 6 else 0.0) - states.sum()
+        expected.append(-(states.sum() + sum(rate) * error))
+        rest = 2.0 if trial == 5 else 0.0
+        states = np.array(retention) ** (1 + rest) * (states + np.array(rate) * error)
+    np.testing.assert_allclose(ends, expected, atol=1.0)
+
+
+def test_what_is_learned_shows_at_the_beginning_of_a_movement():
+    blocks = [Block("baseline", 4), turned(24, (0.0, 180.0)), Block("washout", 1)]
+    first, _ = played(blocks, Parts(vigour=0.0, rate=(0.3,), retention=(0.98,)))
+    assert np.abs(first[:4]).max() < 8  # nothing is learned where nothing is wrong
+    assert abs(first[4]) < 15 and np.abs(first[24:28] + 28).max() < 6 and first[28] < -12
+
+
+def test_a_field_is_corrected_in_advance():
+    targets, field = (90.0,), ("force-field-60",)
+    blocks = [Block("field", 16, field, targets), Block("none", 1, (), targets)]
+    parts = Parts(vigour=0.0, rate=(0.3,), retention=(1.0,))
+    first, ends = played(blocks, parts, torque_limit=120.0)
+    pushed, _ = played(blocks[:1], Parts(vigour=0.0), torque_limit=120.0)
+    np.testing.assert_allclose(pushed[0], first[0], atol=0.5)
+    assert np.ptp(pushed) < 0.1 < 10 < abs(first[0])  # without learning nothing changes
+    assert abs(first[15]) < abs(first[0]) / 3 and first[16] * first[0] < 0  # an after-effect
+    np.testing.assert_allclose(ends, 0.0, atol=1.0)
+
+
+def test_subjects_learn_as_they_do_alone():
+    parts, blocks = Parts(vigour=0.0, rate=(0.3,), retention=(0.9,)), [turned(3, (0.0, 90.0))]
+    together = np.concatenate(played(blocks, parts, subjects=3))
+    alone = np.concatenate(played(blocks, parts))
+    assert (together.reshape(2, 3, 3)[:, 0] == alone.reshape(2, 3)).all()
+
+
+def test_by_default_nothing_is_kept():
+    agent = mmc_body(ReachInterface((1.0, 1.0), "joint_delta", 6.0, 12.0, 0.02))
+    _, state = agent.predict(np.zeros(12, np.float32))
+    assert not agent.learns and agent.between_trials(state) is None
+
+
+@pytest.mark.parametrize(
+    ("rate", "retention", "message"),
+    [
+        ((1.5,), (0.0,), "rate must be numbers between 0 and 1"),
+        ((0.5,), (-1.0,), "retention must be numbers between 0 and 1"),
+        ((), (), "rate must be numbers between 0 and 1"),
+        ((0.5,), (0.5, 0.9), "retention must be 1, as of rate"),
+        ((0.7, 0.7), (0.5, 0.9), "rate must be at most 1 together"),
+    ],
+)
+def test_rates_are_checked(rate, retention, message):
+    with pytest.raises(UserError, match=message):
+        Parts(rate=rate, retention=retention)
