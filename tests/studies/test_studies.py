@@ -31,12 +31,19 @@ SHORT = {
     "learners.train_all": ("--names ppo --seeds 1 --steps 4096 --jobs 1", r"ppo-0 +success"),
     "network.abilities": ("--segments 2 3 --arms 50 --iterations 100", r"inverse .*100%"),
     "network.normalization_training": ("--epochs 1 --widest 4", r"\[4, 4\]"),
+    "other_bodies.panda_tqc": ("--at 1100 --out .", r"1,100 steps"),
+    "other_bodies.panda": (
+        "--episodes 3 --bodies given --agents mmc-body pybullet",
+        r"given .* 100\.0 .* 100\.0, -[1-4]\.\d\d .* 100\.0, -[3-9]\.",
+    ),
     "body.physics": ("--agents mmc --episodes 5 --steps 40", r"(?s)mmc .* 100\.0.*analytic"),
 }
 
 
 @pytest.mark.parametrize("study", SHORT)
 def test_a_study_runs_and_prints_its_table(study, tmp_path, monkeypatch, capsys):
+    if study.startswith("other_bodies.panda"):
+        pytest.importorskip("panda_gym")
     monkeypatch.chdir(tmp_path)
     if study == "body_model.standings":
         benchmark(["mmc-body", "ik-dls", "ppo-0"], "store", ["random"], 3, jobs=1)

@@ -194,7 +194,8 @@ def settled_network(
     arm: HingeArm, target: Floats, starts: Floats, held: Bools, tolerance: float
 ) -> Floats:
     """Let the network settle from each start: a `Solver`."""
-    network, targets = HingeNetwork(arm, velocity_decay=0.5), np.tile(target, (len(starts), 1))
+    network = HingeNetwork(arm, damping=0.7 * arm.joint_count, velocity_decay=0.5)
+    targets = np.tile(target, (len(starts), 1))
     places = {int(joint): starts[:, joint] for joint in np.flatnonzero(held)}
     near = tolerance, 1.0
     return network.solve(targets, start=starts, held=places, starts=1, tolerance=near).joint_angles
