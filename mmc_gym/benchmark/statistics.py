@@ -398,6 +398,22 @@ def bootstrap_interval(
     return Interval(estimate, low, high, present.size, missing)
 
 
+def resampled_means(samples: ArrayLike, resamples: int = RESAMPLES, seed: int = 0) -> Floats:
+    """Return the mean over a sample (n, ...), then that of each resample, (R + 1, ...).
+
+    NaNs are left out.  Whatever is computed from each row has the `percentile_interval` of its rows
+    but the first, such as a fit to a mean curve.
+    """
+    table = np.asarray(samples, dtype=np.float64)
+    counts = _counts((seed, _INSTANCES, len(table)), len(table), resamples)
+    present = ~np.isnan(table)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            np.tensordot(counts, np.where(present, table, 0.0), 1)
+            / np.tensordot(counts, present.astype(np.float64), 1)
+        )
+
+
 def success_interval(successes: ArrayLike, episodes: int) -> Interval:
     """Return the mean success of several trainings, with its 95 % interval over seeds and episodes.
 

@@ -1,0 +1,179 @@
+"""Measures of learning: what they return for movements and learners that are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mmc_gym.measures import MEASURES, SET_MEASURES
+from mmc_gym.measures.experiment import LEARNING_MEASURES, Learning
+from mmc_gym.measures.learning import (
+    TwoStates,
+    correction_gain,
+    correction_latency,
+    fit_exponential,
+    fit_two_states,
+    generalization_width,
+    initial_direction,
+    lateral_deviation,
+    simulate_learners,
+)
+from mmc_gym.measures.people import people
+from mmc_gym.network.time_base import minimum_jerk
+
+STEP = 0.02
+BELL = minimum_jerk(np.linspace(0, 1, 52))[:, None]
+LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
+TURN, NONE = np.full(120, 30.0), np.zeros(60)
+
+
+@pytest.mark.parametrize("turn", [-150.0, -30.0, 0.0, 30.0, 150.0])
+@pytest.mark.parametrize("start", [(0.0, 0.0), (2.0, -1.0)])
+def test_direction_and_deviation_are_positive_to_the_left(turn: float, start: Any) -> None:
+    angle = np.radians(70.0 + turn)
+    path = np.array(start) + 0.5 * BELL * [np.cos(angle), np.sin(angle)]
+    target = np.array(start) + 3.0 * np.array([np.cos(np.radians(70)), np.sin(np.radians(70))])
+    assert initial_direction(path, target) == pytest.approx(turn)
+    at_peak = 0.5 * BELL[26, 0]
+    assert lateral_deviation(path, target) == pytest.approx(at_peak * np.sin(np.radians(turn)))
+
+
+def test_a_later_correction_does_not_change_the_initial_direction() -> None:
+    path = BELL * [1.0, 0.0]
+    bent = path + np.where(np.arange(52) > 30, np.arange(52) - 30, 0)[:, None] * [0.0, 0.01]
+    directions = initial_direction(np.stack([path, bent]), np.array([1.0, 0.0]))
+    assert directions == pytest.approx([0.0, 0.0])
+
+
+def test_a_hand_that_never_moves_has_no_direction() -> None:
+    assert np.isnan(initial_direction(np.ones((3, 51, 2)), np.zeros(2))).all()
+
+
+@pytest.mark.parametrize("latency", [0.06, 0.12, 0.2])
+@pytest.mark.parametrize("gain", [0.3, 1.0])
+def test_a_late_and_partial_correction_of_a_jump(latency: float, gain: float) -> None:
+    plain = np.zeros((4, 101, 2)) + np.linspace(0, 1, 101)[:, None] * [1.0, 0.0]
+    times = np.arange(101) * STEP
+    course = minimum_jerk(np.clip((times - 0.2 - latency) / 0.4, 0, 1))
+    jumped = plain + gain * 0.1 * course[:, None] * [0.0, 1.0]
+    assert correction_gain(jumped, plain, (0.0, 0.1)) == pytest.approx(gain)
+    found = correction_latency(jumped, plain, (0.0, 0.1), 0.2, STEP)
+    assert found == pytest.approx(latency, abs=STEP)
+    assert np.isnan(correction_latency(plain, plain, (0.0, 0.1), 0.2, STEP))
+
+
+def test_an_exponential_is_found_again() -> None:
+    rates = np.array([0.01, 0.1, 0.7])
+    curves = 20 - 15 * np.exp(-rates[:, None] * np.arange(100))
+    curves[:, 7] = np.nan
+    found = fit_exponential(curves)
+    assert found.start == pytest.approx([5.0] * 3, rel=1e-4)
+    assert found.asymptote == pytest.approx([20.0] * 3, rel=1e-4)
+    assert found.rate == pytest.approx(rates, rel=1e-4)
+
+
+def test_noise_has_no_rate() -> None:
+    noise = np.random.default_rng(0).normal(size=(20, 100))
+    assert np.isnan(fit_exponential(noise).rate).all()
+    assert np.isnan(fit_exponential(np.zeros(100)).rate)
+
+
+SCHEDULES = {
+    "washout": (np.r_[NONE, TURN, NONE], np.nan),
+    "unseen": (np.r_[NONE, TURN, NONE * np.nan], np.nan),
+    "counter": (np.r_[NONE, TURN, -TURN[:20], NONE], np.r_[np.full(200, np.nan), NONE]),
+}
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+@pytest.mark.parametrize("learner", [LEARNER, TwoStates(0.9, 0.999, 0.05, 0.01)])
+def test_two_states_are_found_again(schedule: str, learner: TwoStates) -> None:
+    adaptation, errors = simulate_learners(learner, *SCHEDULES[schedule])
+    found = np.ravel(fit_two_states(adaptation, errors))
+    assert found == pytest.approx(np.array(learner), abs=2e-3)
+
+
+def test_learners_overlearn_nothing_and_rebound_in_the_clamp() -> None:
+    adaptation, errors = simulate_learners(LEARNER, *SCHEDULES["counter"])
+    assert adaptation.max() < 30.0
+    clamped = adaptation[0, 200:]
+    assert errors[0, 200:] == pytest.approx(0.0)
+    assert clamped[0] < clamped[:20].max() > clamped[-1] > 0.0
+
+
+def test_fits_to_noisy_learners_scatter_around_the_truth() -> None:
+    groups = [
+        simulate_learners(LEARNER, *SCHEDULES["counter"], subjects=20, noise=3.0, seed=seed)
+        for seed in range(20)
+    ]
+    adaptation, errors = (np.mean(curves, axis=1) for curves in zip(*groups, strict=True))
+    found = np.array(fit_two_states(adaptation, errors))
+    scatter = found.std(axis=1, ddof=1) / np.sqrt(20)
+    assert (np.abs(found.mean(axis=1) - np.array(LEARNER)) < 4 * scatter).all()
+    assert found.mean(axis=1) == pytest.approx(np.array(LEARNER), rel=0.05)
+
+
+def test_who_does_not_learn_has_no_states() -> None:
+    adaptation, errors = simulate_learners(TwoStates(0.6, 0.99, 0.0, 0.0), SCHEDULES["washout"][0])
+    assert np.isnan(fit_two_states(adaptation, errors)).all()
+
+
+@pytest.mark.parametrize("width", [15.0, 38.0, 90.0])
+def test_the_width_of_a_gaussian(width: float) -> None:
+    offsets = np.array([-135.0, -90, -45, -22.5, 0, 22.5, 45, 90, 135, 180])
+    adaptation = 20 * np.exp(-((offsets - 5) ** 2) / (2 * width**2))
+    assert generalization_width(adaptation, offsets) == pytest.approx(width, rel=1e-3)
+    assert np.isnan(generalization_width(adaptation[:3], offsets[:3]))
+
+
+def learning_in(schedule: Any, learner: TwoStates, kinds: Any = "", rest: int = 0) -> Learning:
+    perturbations, clamps = schedule
+    adaptation, errors = simulate_learners(learner, perturbations, clamps)
+    changes = np.diff(np.nan_to_num(perturbations), prepend=0) != 0
+    return Learning(
+        adaptation=adaptation,
+        errors=errors,
+        perturbations=perturbations,
+        kinds=np.broadcast_to(kinds, perturbations.shape),
+        offsets=np.zeros(len(perturbations)),
+        blocks=np.cumsum(changes),
+        rests=np.where(np.arange(len(perturbations)) == rest, 60.0, 0.0),
+    )
+
+
+def test_measures_of_an_experiment() -> None:
+    schedule = np.r_[NONE, TURN, NONE, TURN, NONE]
+    learning = learning_in((schedule, np.nan), LEARNER, rest=180)
+    found = {name: float(one.of(learning)[0]) for name, one in LEARNING_MEASURES.items()}
+    curve = learning.adaptation[0]
+    assert [len(one) for one in learning.exposures] == [120, 120]
+    assert found["final_adaptation"] == pytest.approx(curve[170:180].mean())
+    assert found["after_effect"] == pytest.approx(curve[180:184].mean())
+    assert found["retention"] == pytest.approx(curve[180:184].mean() / curve[170:180].mean())
+    assert found["savings"] > 1.0  # the slow state is still there
+    assert [found[name] for name in LEARNER._fields] == pytest.approx(list(LEARNER), abs=2e-3)
+    assert np.isnan([found["width"], found["clamp_asymptote"]]).all()
+
+
+def test_measures_of_a_clamp() -> None:
+    schedule = np.zeros(180), np.r_[NONE * np.nan, np.full(120, 15.0)]
+    kinds = np.where(np.arange(180) < 60, "", "clamp")
+    learning = learning_in(schedule, LEARNER, kinds)
+    found = {name: float(one.of(learning)[0]) for name, one in LEARNING_MEASURES.items()}
+    assert found["clamp_asymptote"] == pytest.approx(learning.adaptation[0, -10:].mean())
+    assert found["clamp_asymptote"] > 15.0  # nothing stops at the error that never goes
+    assert np.isnan([found["rate"], found["savings"], found["after_effect"]]).all()
+
+
+def test_figures_of_people_have_a_source_and_belong_to_a_measure() -> None:
+    known = {*MEASURES, *SET_MEASURES, *LEARNING_MEASURES, "correction_latency", "correction_gain"}
+    for name, one in people().items():
+        assert name in known
+        has_figure = one.low is not None or one.high is not None
+        assert has_figure == bool(one.source and one.task and one.differs) == (not one.missing)
+    assert people()["correction_latency"].figure == "0.117 to 0.2"
+    assert people()["savings"].figure == "above 1"
+    assert people()["width"].authors == "McDougle et al. 2017"
+    assert people()["fitts_slope"].figure == "–"
