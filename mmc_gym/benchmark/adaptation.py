@@ -6,6 +6,7 @@ mean over the drawn subjects, and a fit is a fit to that curve.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -52,42 +53,31 @@ def learning_of(result: ExperimentResult, agent: str) -> Learning:
     """Return what the subjects of an agent show of learning, (subjects, trials).
 
     The mean of each subject's baseline at each target is subtracted.  Probes in other directions
-    are sorted by direction within their block, since each subject meets them in an order of its
-    own.  Where a force field is the perturbation, its unit is the mean deviation in the first trial
-    with it.
+    are sorted by direction within their block, since each subject meets them in an own order.  In a
+    force field the unit is the mean deviation in its first trial; the field pushes less in some
+    directions, and that is taken out.
     """
-    schedule = result.experiment.schedule
-    blocks, strengths = (
-        np.array([getattr(one, name) for one in schedule]) for name in ("block", "strength")
-    )
+    schedule = result.experiment.schedule()
+    blocks = np.array([one.block for one in schedule])
+    strengths = np.array([one.strength for one in schedule])
     clamped = np.array(["clamp" in "".join(one.perturbations) for one in schedule])
-    kinds = np.where(clamped, "clamp", "").astype(object)
-    kinds = np.array([one.probe or kind for one, kind in zip(schedule, kinds)])
-    rows = result.trials[result.trials["agent"] == agent].sort_values(["subject", "trial"])
-    shape = (rows["subject"].nunique(), len(schedule))
-    angles = rows["target_angle"].to_numpy(np.float64).reshape(shape)
-    hands, cursors = (
-        paths[rows.index].astype(np.float64).reshape(*shape, *paths.shape[1:])
-        for paths in (result.hands, result.cursors)
-    )
-    towards = np.radians(angles)
-    aims = hands[:, :, 0] + np.stack([np.cos(towards), np.sin(towards)], axis=-1)
-    is_field = rows["perturbation"].str.contains("force-field").any()
-    measured = lateral_deviation if is_field else initial_direction
+    kinds = np.array([one.probe for one in schedule])
+    kinds = np.where(clamped & (kinds == ""), "clamp", kinds)
+    angles, own, seen, is_field = _errors(result, agent)
     first = np.flatnonzero(strengths)[:1]  # empty without a perturbation
-    own = measured(hands, aims)
     baseline = _baseline(own, angles, np.arange(len(schedule)) < first.sum())
-    own, seen = own - baseline, measured(cursors, aims) - np.where(clamped, 0.0, baseline)
-    perturbations = np.where(clamped, 0.0, strengths) * np.sign(strengths[first].sum())
+    own, seen = own - baseline, seen - np.where(clamped, 0.0, baseline)
+    sign = np.sign(strengths[first].sum())
+    perturbations = np.where(clamped, 0.0, strengths) * sign
+    adaptation, errors, deviation = -own * sign, seen * sign, math.nan
     if is_field:
         perturbations /= np.abs(strengths).max()
-        deviation = np.nanmean(own[:, first]) / perturbations[first].sum()
+        own = _without_directions(own, angles, blocks + len(schedule) * (kinds != ""))
+        deviation = float(np.nanmean(own[:, first]) / perturbations[first].sum())
         is_known = abs(deviation) > LEAST_DEVIATION and perturbations[first].sum() > 0.5
-        errors = own / (deviation if is_known else np.nan)
+        errors = own / (deviation if is_known else math.nan)
         adaptation = perturbations - errors
-    else:
-        adaptation, errors = (values * np.sign(strengths[first].sum()) for values in (-own, seen))
-    order = np.tile(np.arange(len(schedule)), (shape[0], 1))
+    order = np.tile(np.arange(len(schedule)), (len(own), 1))
     for block in np.unique(blocks):
         here = np.flatnonzero((blocks == block) & (kinds == "transfer"))
         order[:, here] = here[np.argsort(angles[:, here], axis=1, kind="stable")]
@@ -103,7 +93,24 @@ def learning_of(result: ExperimentResult, agent: str) -> Learning:
         blocks=blocks,
         rests=np.array([one.rest for one in schedule]),
         unit="fraction" if is_field else "°",
+        deviation=abs(deviation),
     )
+
+
+def _errors(result: ExperimentResult, agent: str) -> tuple[Floats, Floats, Floats, bool]:
+    """Return the targets' directions, and how far hand and cursor miss them, (subjects, trials).
+
+    In degrees; if there is a force field, as the last value says, in segment lengths.
+    """
+    rows = result.trials[result.trials["agent"] == agent].sort_values(["subject", "trial"])
+    shape = (rows["subject"].nunique(), -1)
+    degrees = rows["target_angle"].to_numpy(np.float64)
+    hands, cursors = result.hands[rows.index], result.cursors[rows.index]
+    towards = np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
+    is_field = bool(rows["perturbation"].str.contains("force-field").any())
+    measured = lateral_deviation if is_field else initial_direction
+    own, seen = (measured(paths, hands[:, 0] + towards) for paths in (hands, cursors))
+    return degrees.reshape(shape), own.reshape(shape), seen.reshape(shape), is_field
 
 
 def _baseline(values: Floats, angles: Floats, before: NDArray[np.bool_]) -> Floats:
@@ -113,6 +120,18 @@ def _baseline(values: Floats, angles: Floats, before: NDArray[np.bool_]) -> Floa
     return known / np.maximum(same.sum(axis=-1), 1)
 
 
+def _without_directions(values: Floats, angles: Floats, groups: NDArray[np.int64]) -> Floats:
+    """Subtract how the mean at each target differs from the mean of its group of trials."""
+    found = values.copy()
+    for group in np.unique(groups):
+        level = np.nanmean(values[:, groups == group])
+        for angle in np.unique(angles[:, groups == group]):
+            here = (angles == angle) & (groups == group)
+            found[here] -= np.nanmean(values[here]) - level
+    return found
+
+
+DEVIATION = Quantity(name="deviation", label="first deviation", unit="lengths", decimals=3)
 LATENCY = Quantity(name="correction_latency", label="latency of corrections", unit="s", decimals=3)
 GAIN = Quantity(name="correction_gain", label="gain of corrections")
 
@@ -126,22 +145,23 @@ def _corrections(result: ExperimentResult, agent: str) -> dict[Quantity, list[fl
     of_agent = result.trials[result.trials["agent"] == agent]
     found: dict[Quantity, list[float]] = {LATENCY: [], GAIN: []}
     for _, trials in of_agent.groupby("subject"):
-        responses, starts, sizes = [], [], []
-        for row, trial in trials[trials["probe"].str.startswith("jump")].iterrows():
-            same = (trials["target_angle"] == trial["target_angle"]) & (trials["probe"] == "")
+        responses, starts, sizes = list[Any](), list[float](), list[float]()
+        for trial in trials[trials["probe"].str.startswith("jump")].itertuples():
+            same = (trials["target_angle"] == trial.target_angle) & (trials["probe"] == "")
+            row, go_step = int(str(trial.Index)), int(str(trial.go_step))
             goal = result.targets[row] - (result.cursors[row] - result.hands[row])
-            goal = goal[trial["go_step"] + 1 :]
+            goal = goal[go_step + 1 :]
             wanted = (goal[-1] - goal[0]).astype(np.float64)
             is_new = np.linalg.norm(goal - goal[0], axis=-1) > LEAST_JUMP
             if same.any() and is_new[-1]:
                 plain = result.hands[trials.index[same]].mean(axis=0)
-                sizes.append(np.linalg.norm(wanted))
+                sizes.append(float(np.linalg.norm(wanted)))
                 responses.append((result.hands[row] - plain) @ wanted / sizes[-1])
-                starts.append(np.argmax(is_new) + trial["go_step"] + 1)
+                starts.append(int(np.argmax(is_new)) + go_step + 1)
         if responses:
             along = np.stack([responses, np.zeros_like(responses)], axis=-1)
-            none, wanted = np.zeros_like(along), (np.mean(sizes), 0.0)
-            jump = np.mean(starts) * result.control_step
+            none, wanted = np.zeros_like(along), np.array([np.mean(sizes), 0.0])
+            jump = float(np.mean(starts)) * result.control_step
             latency = correction_latency(along, none, wanted, jump, result.control_step)
             found[LATENCY].append(latency)
             found[GAIN].append(correction_gain(along, none, wanted))
@@ -162,6 +182,8 @@ def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.D
             adaptation=resampled_means(learning.adaptation, resamples),
             errors=resampled_means(learning.errors, resamples),
         )
+        single = Interval(learning.deviation, math.nan, math.nan, len(learning.errors), 0)
+        rows.append({"agent": agent, **_facts(DEVIATION), **vars(single)})
         for measure in LEARNING_MEASURES.values():
             found = measure.of(curves)
             ends = percentile_interval(found[1:])
@@ -227,9 +249,16 @@ def learning_figure(result: ExperimentResult, resamples: int = RESAMPLES) -> Fig
             _draw_curve(below, learning, str(agent), style, resamples)
             _, begins = np.unique(learning.blocks, return_index=True)
             for begin in begins[1:]:
-                below.axvline(begin - 0.5, color="0.8", linewidth=0.8, zorder=0)
+                below.axvline(begin + 0.5, color="0.8", linewidth=0.8, zorder=0)
         full = np.where(learning.kinds == "", learning.perturbations, np.nan)
-        below.step(np.arange(len(full)), full, "0.6", where="mid", linewidth=0.8, label="complete")
+        below.step(
+            np.arange(1, len(full) + 1),
+            full,
+            "0.6",
+            where="mid",
+            linewidth=0.8,
+            label="full compensation",
+        )
         unit = "share of the deviation" if learning.unit == "fraction" else learning.unit
         below.set(xlabel="trial", ylabel=f"adaptation [{unit}]")
         figure.legend(loc="outside lower center", ncols=4, frameon=False, handlelength=3.5)
@@ -246,9 +275,9 @@ def _draw_curve(
         cycles = np.array_split(trials, max(1, len(trials) // CYCLE)) if len(trials) else []
         if not cycles:
             continue
-        of_subjects = np.stack([np.nanmean(learning.adaptation[:, one], 1) for one in cycles], -1)
+        of_subjects = np.stack([learning.adaptation[:, one].mean(axis=1) for one in cycles], -1)
         means = resampled_means(of_subjects, resamples)
-        places = [one.mean() for one in cycles]
+        places = [one.mean() + 1 for one in cycles]
         axes.plot(places, means[0], linewidth=1.2, label=label, **style)
         axes.fill_between(
             places, *np.quantile(means[1:], TAILS, axis=0), color=style["color"], alpha=0.2, lw=0
@@ -256,4 +285,4 @@ def _draw_curve(
         label = ""
     catches = np.flatnonzero(learning.kinds == "catch")
     means = learning.adaptation[:, catches].mean(axis=0)
-    axes.plot(catches, means, "x", color=style["color"], markersize=4)
+    axes.plot(catches + 1, means, "x", color=style["color"], markersize=4)

@@ -40,6 +40,7 @@ class Learning:
     blocks: NDArray[np.int64]  #: number of the block, (trials,)
     rests: Floats  #: before the trial, seconds, (trials,)
     unit: str = "°"  #: of adaptation, errors and perturbations
+    deviation: float = math.nan  #: first one in a force field, segment lengths
 
     @cached_property
     def exposures(self) -> list[NDArray[np.int64]]:
@@ -60,12 +61,19 @@ class Learning:
 
     @cached_property
     def two_states(self) -> TwoStates:
-        """The fit to all trials."""
-        return fit_two_states(self.adaptation, self.errors)
+        """The fit to all trials; NaN if nothing was to be learned."""
+        has_lesson = bool(self.exposures) or bool((self.kinds == "clamp").any())
+        found = fit_two_states(self.adaptation, self.errors)
+        return found if has_lesson else TwoStates(*[self.none] * 4)
 
     def level(self, trials: NDArray[np.int64]) -> Floats:
         """Return the mean adaptation in some trials, NaN without any."""
         return np.asarray(self.adaptation[..., trials].mean(axis=-1)) if len(trials) else self.none
+
+    @property
+    def noticeable(self) -> float:
+        """The least adaptation that ratios and widths are taken of: 1 % of the perturbation."""
+        return 0.01 * float(np.abs(self.perturbations).max())
 
     @property
     def none(self) -> Floats:
@@ -143,7 +151,8 @@ def retention(learning: Learning) -> Floats:
     begin = learning.exposures[0][0] if learning.exposures else len(learning.rests)
     rested = np.flatnonzero(learning.rests[begin + 1 :] > 0)[:1] + begin + 1
     after, before = (np.add.outer(rested, np.arange(*ends)).ravel() for ends in _AROUND)
-    return learning.level(after) / learning.level(before[before >= begin])
+    learned = learning.level(before[before >= begin])
+    return learning.level(after) / np.where(learned > learning.noticeable, learned, math.nan)
 
 
 _AROUND = (0, AT_START), (-AT_END, 0)
@@ -163,8 +172,14 @@ def savings(learning: Learning) -> Floats:
 @learning_measure(label="width of generalisation", unit="°", decimals=1)
 def width(learning: Learning) -> Floats:
     """Return the `generalization_width` of the probes in other directions."""
-    probes = np.flatnonzero(learning.kinds == "transfer")
-    return generalization_width(learning.adaptation[..., probes], learning.offsets[probes])
+    begin = learning.exposures[0][0] if learning.exposures else len(learning.kinds)
+    probes = np.flatnonzero(learning.kinds[begin:] == "transfer") + begin
+    if not len(probes):
+        return learning.none
+    adaptation = learning.adaptation[..., probes]
+    is_seen = adaptation.max(axis=-1) > learning.noticeable
+    found = generalization_width(adaptation, learning.offsets[probes])
+    return np.where(is_seen, found, math.nan)
 
 
 @learning_measure(label="asymptote under the clamp", unit=ADAPTATION)
@@ -174,7 +189,7 @@ def clamp_asymptote(learning: Learning) -> Floats:
     Source:
         Morehead, Taylor, Parvin & Ivry (2017), J. Cogn. Neurosci. 29, 1061–1074.
     """
-    shown = np.abs(learning.errors.reshape(-1, len(learning.kinds))).max(axis=0) > 1e-6
+    shown = np.abs(learning.errors.reshape(-1, len(learning.kinds))).max(axis=0) > 0.1
     return learning.level(np.flatnonzero((learning.kinds == "clamp") & shown)[-AT_END:])
 
 

@@ -88,11 +88,11 @@ def correction_gain(jumped: ArrayLike, plain: ArrayLike, wanted: ArrayLike) -> f
 def correction_latency(
     jumped: ArrayLike, plain: ArrayLike, wanted: ArrayLike, jump: float, control_step: float
 ) -> float:
-    """Return the seconds from a jump in flight until the mean path responds; NaN if it does not.
+    """Return the seconds from a jump in flight until the mean path responds.
 
     The response is the mean acceleration with a jump less that without.  A line through the points
     where it first has 25 % and 75 % of its peak is extended to 0, so that a strong response does
-    not count as an early one.
+    not count as an early one.  NaN if the path never differs by 1 % of the jump.
 
     Args:
         jumped: see `correction_gain`, as for `plain` and `wanted`.
@@ -108,7 +108,7 @@ def correction_latency(
     response = np.diff(path, 2)  # centred at the times control_step, 2 control_step, …
     response[: max(0, math.ceil(jump / control_step) - 1)] = 0.0
     highest = response.max(initial=0.0)
-    if highest <= 1e-6 * np.abs(path).max(initial=0.0):
+    if np.abs(path).max() < 0.01 * np.linalg.norm(wanted):
         return math.nan
     times = (np.arange(len(response)) + 1) * control_step
     rise = slice(0, int(np.argmax(response)) + 1)
@@ -209,8 +209,8 @@ def fit_two_states(adaptation: ArrayLike, errors: ArrayLike) -> TwoStates:
 def _two_states(values: Floats, errors: Floats) -> Any:
     present = ~np.isnan(values)
     known = values[present]
-    if present.sum() < 8 or not np.any(known) or not np.any(errors):
-        return np.full(4, math.nan)
+    if present.sum() < 8 or np.abs(known).max() <= 1e-3 * np.abs(errors).max():
+        return np.full(4, math.nan)  # nothing seen, or nothing learned
 
     def state(retention: float) -> Floats:
         return np.asarray(lfilter([0.0, 1.0], [1.0, -retention], errors)[present])

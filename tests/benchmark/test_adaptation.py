@@ -1,0 +1,112 @@
+"""Tables and figures of learning, from trials of learners that are known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from mmc_gym.benchmark.adaptation import (
+    learning_figure,
+    learning_of,
+    learning_table,
+    print_learning,
+)
+from mmc_gym.benchmark.experiment import Block, Experiment, Probe
+from mmc_gym.benchmark.statistics import resampled_means
+from mmc_gym.measures.learning import TwoStates, simulate_learners
+from mmc_gym.network.time_base import minimum_jerk
+
+LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
+BELL = minimum_jerk(np.linspace(0, 1, 21))[:, None]
+
+
+def played(turn: float, subjects: int = 6) -> Any:
+    """Return a result of straight movements of `LEARNER`s, with a cursor turned by `turn`."""
+    name = (f"rotation-{turn:g}",)
+    blocks = (
+        Block("baseline", 16),
+        Block("learning", 48, name, probes=(Probe("catch", 8),)),
+        Block("washout", 24),
+        Block("learning again", 24, name, rest=30.0),
+    )
+    experiment = Experiment("own", blocks)
+    schedule = experiment.schedule()
+    strengths = np.array([one.strength for one in schedule])
+    compensated, _ = simulate_learners(LEARNER, strengths, subjects=subjects, noise=1.0)
+    angles = np.stack([experiment.targets_of(seed) for seed in range(subjects)])
+
+    def paths(degrees: Any) -> Any:
+        way = np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
+        return (BELL * way.reshape(-1, 1, 2)).astype(np.float32)
+
+    columns = {
+        key: [getattr(one, key) for one in schedule] * subjects for key in ("block", "probe")
+    }
+    trials = pd.DataFrame(
+        {
+            "agent": "known",
+            "subject": np.repeat(np.arange(subjects), len(schedule)),
+            "trial": list(range(len(schedule))) * subjects,
+            "perturbation": ["+".join(one.perturbations) for one in schedule] * subjects,
+            "target_angle": angles.ravel(),
+            "go_step": 0,
+            **columns,
+        }
+    )
+    return SimpleNamespace(
+        experiment=experiment,
+        trials=trials,
+        hands=paths(angles - compensated),
+        cursors=paths(angles - compensated + strengths),
+        targets=np.repeat(paths(angles)[:, -1:], 21, axis=1),
+        control_step=0.02,
+    )
+
+
+@pytest.mark.parametrize("turn", [30.0, -30.0])
+def test_learners_are_found_again_in_their_paths(turn: float) -> None:
+    result = played(turn)
+    learning = learning_of(result, "known")
+    visible = learning.perturbations - learning.adaptation
+    assert learning.errors == pytest.approx(visible, abs=1e-3)
+    table = learning_table(result, 50).set_index("measure")
+    for name, true in LEARNER._asdict().items():
+        assert table.loc[name, "estimate"] == pytest.approx(true, rel=0.2), name
+        assert table.loc[name, "low"] <= table.loc[name, "estimate"] <= table.loc[name, "high"]
+    end = simulate_learners(LEARNER, learning.perturbations * 1.0)[0][0, 54:64].mean()
+    assert table.loc["final_adaptation", "estimate"] == pytest.approx(end, abs=1.5)
+    assert 0 < table.loc["after_effect", "estimate"] < table.loc["final_adaptation", "estimate"]
+    assert "width" not in table.index  # nothing was probed
+
+
+def test_the_table_is_printed_with_people_beside() -> None:
+    console = Console(record=True, width=120)
+    print_learning(learning_table(played(30.0), 20), console)
+    text = console.export_text()
+    assert "after-effect" in text and "known" in text
+    assert "above 1" in text and "Zarahn et al. 2008" in text
+
+
+def test_the_figure_has_the_timeline_and_a_curve_per_agent() -> None:
+    above, below = learning_figure(played(30.0), 20).axes
+    assert above.get_ylabel().startswith("perturbation")
+    curves = [line for line in below.lines if line.get_label() == "known"]
+    assert len(curves) == 1
+    heights = np.concatenate(
+        [line.get_ydata() for line in below.lines if len(line.get_xdata()) > 2]
+    )
+    assert np.nanmax(heights) == 30.0
+
+
+def test_means_of_resamples_begin_with_the_mean() -> None:
+    samples = np.array([[1.0, 2.0], [3.0, np.nan], [5.0, 4.0]])
+    means = resampled_means(samples, 200)
+    assert means.shape == (201, 2)
+    assert means[0] == pytest.approx([3.0, 3.0])
+    assert np.nanmin(means) >= 1.0 and np.nanmax(means) <= 5.0
+    assert means[1:, 0].std() == pytest.approx(np.sqrt(8 / 3 / 3), rel=0.2)
