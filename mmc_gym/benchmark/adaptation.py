@@ -57,7 +57,7 @@ def learning_of(result: ExperimentResult, agent: str) -> Learning:
     force field the unit is the mean deviation in its first trial; the field pushes less in some
     directions, and that is taken out.
     """
-    schedule = result.experiment.schedule()
+    schedule = result.experiment.schedule
     blocks = np.array([one.block for one in schedule])
     strengths = np.array([one.strength for one in schedule])
     clamped = np.array(["clamp" in "".join(one.perturbations) for one in schedule])

@@ -1,9 +1,6 @@
 """Tables and figures of learning, from trials of learners that are known."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +22,7 @@ LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
 BELL = minimum_jerk(np.linspace(0, 1, 21))[:, None]
 
 
-def played(turn: float, subjects: int = 6) -> Any:
+def played(turn, subjects=6):
     """Return a result of straight movements of `LEARNER`s, with a cursor turned by `turn`."""
     name = (f"rotation-{turn:g}",)
     blocks = (
@@ -35,18 +32,16 @@ def played(turn: float, subjects: int = 6) -> Any:
         Block("learning again", 24, name, rest=30.0),
     )
     experiment = Experiment("own", blocks)
-    schedule = experiment.schedule()
+    schedule = experiment.schedule
     strengths = np.array([one.strength for one in schedule])
     compensated, _ = simulate_learners(LEARNER, strengths, subjects=subjects, noise=1.0)
     angles = np.stack([experiment.targets_of(seed) for seed in range(subjects)])
 
-    def paths(degrees: Any) -> Any:
+    def paths(degrees):
         way = np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
         return (BELL * way.reshape(-1, 1, 2)).astype(np.float32)
 
-    columns = {
-        key: [getattr(one, key) for one in schedule] * subjects for key in ("block", "probe")
-    }
+    probes = [one.probe for one in schedule] * subjects
     trials = pd.DataFrame(
         {
             "agent": "known",
@@ -54,8 +49,8 @@ def played(turn: float, subjects: int = 6) -> Any:
             "trial": list(range(len(schedule))) * subjects,
             "perturbation": ["+".join(one.perturbations) for one in schedule] * subjects,
             "target_angle": angles.ravel(),
+            "probe": probes,
             "go_step": 0,
-            **columns,
         }
     )
     return SimpleNamespace(
@@ -69,7 +64,7 @@ def played(turn: float, subjects: int = 6) -> Any:
 
 
 @pytest.mark.parametrize("turn", [30.0, -30.0])
-def test_learners_are_found_again_in_their_paths(turn: float) -> None:
+def test_learners_are_found_again_in_their_paths(turn):
     result = played(turn)
     learning = learning_of(result, "known")
     visible = learning.perturbations - learning.adaptation
@@ -84,7 +79,7 @@ def test_learners_are_found_again_in_their_paths(turn: float) -> None:
     assert "width" not in table.index  # nothing was probed
 
 
-def test_the_table_is_printed_with_people_beside() -> None:
+def test_the_table_is_printed_with_people_beside():
     console = Console(record=True, width=120)
     print_learning(learning_table(played(30.0), 20), console)
     text = console.export_text()
@@ -92,7 +87,7 @@ def test_the_table_is_printed_with_people_beside() -> None:
     assert "above 1" in text and "Zarahn et al. 2008" in text
 
 
-def test_the_figure_has_the_timeline_and_a_curve_per_agent() -> None:
+def test_the_figure_has_the_timeline_and_a_curve_per_agent():
     above, below = learning_figure(played(30.0), 20).axes
     assert above.get_ylabel().startswith("perturbation")
     curves = [line for line in below.lines if line.get_label() == "known"]
@@ -103,7 +98,7 @@ def test_the_figure_has_the_timeline_and_a_curve_per_agent() -> None:
     assert np.nanmax(heights) == 30.0
 
 
-def test_means_of_resamples_begin_with_the_mean() -> None:
+def test_means_of_resamples_begin_with_the_mean():
     samples = np.array([[1.0, 2.0], [3.0, np.nan], [5.0, 4.0]])
     means = resampled_means(samples, 200)
     assert means.shape == (201, 2)

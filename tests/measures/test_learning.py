@@ -1,9 +1,5 @@
 """Measures of learning: what they return for movements and learners that are known."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -31,7 +27,7 @@ TURN, NONE = np.full(120, 30.0), np.zeros(60)
 
 @pytest.mark.parametrize("turn", [-150.0, -30.0, 0.0, 30.0, 150.0])
 @pytest.mark.parametrize("start", [(0.0, 0.0), (2.0, -1.0)])
-def test_direction_and_deviation_are_positive_to_the_left(turn: float, start: Any) -> None:
+def test_direction_and_deviation_are_positive_to_the_left(turn, start):
     angle = np.radians(70.0 + turn)
     path = np.array(start) + 0.5 * BELL * [np.cos(angle), np.sin(angle)]
     target = np.array(start) + 3.0 * np.array([np.cos(np.radians(70)), np.sin(np.radians(70))])
@@ -40,20 +36,20 @@ def test_direction_and_deviation_are_positive_to_the_left(turn: float, start: An
     assert lateral_deviation(path, target) == pytest.approx(at_peak * np.sin(np.radians(turn)))
 
 
-def test_a_later_correction_does_not_change_the_initial_direction() -> None:
+def test_a_later_correction_does_not_change_the_initial_direction():
     path = BELL * [1.0, 0.0]
     bent = path + np.where(np.arange(52) > 30, np.arange(52) - 30, 0)[:, None] * [0.0, 0.01]
     directions = initial_direction(np.stack([path, bent]), np.array([1.0, 0.0]))
     assert directions == pytest.approx([0.0, 0.0])
 
 
-def test_a_hand_that_never_moves_has_no_direction() -> None:
+def test_a_hand_that_never_moves_has_no_direction():
     assert np.isnan(initial_direction(np.ones((3, 51, 2)), np.zeros(2))).all()
 
 
 @pytest.mark.parametrize("latency", [0.06, 0.12, 0.2])
 @pytest.mark.parametrize("gain", [0.3, 1.0])
-def test_a_late_and_partial_correction_of_a_jump(latency: float, gain: float) -> None:
+def test_a_late_and_partial_correction_of_a_jump(latency, gain):
     plain = np.zeros((4, 101, 2)) + np.linspace(0, 1, 101)[:, None] * [1.0, 0.0]
     times = np.arange(101) * STEP
     course = minimum_jerk(np.clip((times - 0.2 - latency) / 0.4, 0, 1))
@@ -64,7 +60,7 @@ def test_a_late_and_partial_correction_of_a_jump(latency: float, gain: float) ->
     assert np.isnan(correction_latency(plain, plain, (0.0, 0.1), 0.2, STEP))
 
 
-def test_an_exponential_is_found_again() -> None:
+def test_an_exponential_is_found_again():
     rates = np.array([0.01, 0.1, 0.7])
     curves = 20 - 15 * np.exp(-rates[:, None] * np.arange(100))
     curves[:, 7] = np.nan
@@ -74,7 +70,7 @@ def test_an_exponential_is_found_again() -> None:
     assert found.rate == pytest.approx(rates, rel=1e-4)
 
 
-def test_noise_has_no_rate() -> None:
+def test_noise_has_no_rate():
     noise = np.random.default_rng(0).normal(size=(20, 100))
     assert np.isnan(fit_exponential(noise).rate).all()
     assert np.isnan(fit_exponential(np.zeros(100)).rate)
@@ -89,13 +85,13 @@ SCHEDULES = {
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize("learner", [LEARNER, TwoStates(0.9, 0.999, 0.05, 0.01)])
-def test_two_states_are_found_again(schedule: str, learner: TwoStates) -> None:
+def test_two_states_are_found_again(schedule, learner):
     adaptation, errors = simulate_learners(learner, *SCHEDULES[schedule])
     found = np.ravel(fit_two_states(adaptation, errors))
     assert found == pytest.approx(np.array(learner), abs=2e-3)
 
 
-def test_learners_overlearn_nothing_and_rebound_in_the_clamp() -> None:
+def test_learners_overlearn_nothing_and_rebound_in_the_clamp():
     adaptation, errors = simulate_learners(LEARNER, *SCHEDULES["counter"])
     assert adaptation.max() < 30.0
     clamped = adaptation[0, 200:]
@@ -103,7 +99,7 @@ def test_learners_overlearn_nothing_and_rebound_in_the_clamp() -> None:
     assert clamped[0] < clamped[:20].max() > clamped[-1] > 0.0
 
 
-def test_fits_to_noisy_learners_scatter_around_the_truth() -> None:
+def test_fits_to_noisy_learners_scatter_around_the_truth():
     groups = [
         simulate_learners(LEARNER, *SCHEDULES["counter"], subjects=20, noise=3.0, seed=seed)
         for seed in range(20)
@@ -115,20 +111,20 @@ def test_fits_to_noisy_learners_scatter_around_the_truth() -> None:
     assert found.mean(axis=1) == pytest.approx(np.array(LEARNER), rel=0.05)
 
 
-def test_who_does_not_learn_has_no_states() -> None:
+def test_who_does_not_learn_has_no_states():
     adaptation, errors = simulate_learners(TwoStates(0.6, 0.99, 0.0, 0.0), SCHEDULES["washout"][0])
     assert np.isnan(fit_two_states(adaptation, errors)).all()
 
 
 @pytest.mark.parametrize("width", [15.0, 38.0, 90.0])
-def test_the_width_of_a_gaussian(width: float) -> None:
+def test_the_width_of_a_gaussian(width):
     offsets = np.array([-135.0, -90, -45, -22.5, 0, 22.5, 45, 90, 135, 180])
     adaptation = 20 * np.exp(-((offsets - 5) ** 2) / (2 * width**2))
     assert generalization_width(adaptation, offsets) == pytest.approx(width, rel=1e-3)
     assert np.isnan(generalization_width(adaptation[:3], offsets[:3]))
 
 
-def learning_in(schedule: Any, learner: TwoStates, kinds: Any = "", rest: int = 0) -> Learning:
+def learning_in(schedule, learner, kinds="", rest=0):
     perturbations, clamps = schedule
     adaptation, errors = simulate_learners(learner, perturbations, clamps)
     changes = np.diff(np.nan_to_num(perturbations), prepend=0) != 0
@@ -143,7 +139,7 @@ def learning_in(schedule: Any, learner: TwoStates, kinds: Any = "", rest: int = 
     )
 
 
-def test_measures_of_an_experiment() -> None:
+def test_measures_of_an_experiment():
     schedule = np.r_[NONE, TURN, NONE, TURN, NONE]
     learning = learning_in((schedule, np.nan), LEARNER, rest=180)
     found = {name: float(one.of(learning)[0]) for name, one in LEARNING_MEASURES.items()}
@@ -157,7 +153,7 @@ def test_measures_of_an_experiment() -> None:
     assert np.isnan([found["width"], found["clamp_asymptote"]]).all()
 
 
-def test_measures_of_a_clamp() -> None:
+def test_measures_of_a_clamp():
     schedule = np.zeros(180), np.r_[NONE * np.nan, np.full(120, 15.0)]
     kinds = np.where(np.arange(180) < 60, "", "clamp")
     learning = learning_in(schedule, LEARNER, kinds)
@@ -167,7 +163,7 @@ def test_measures_of_a_clamp() -> None:
     assert np.isnan([found["rate"], found["savings"], found["after_effect"]]).all()
 
 
-def test_figures_of_people_have_a_source_and_belong_to_a_measure() -> None:
+def test_figures_of_people_have_a_source_and_belong_to_a_measure():
     known = {*MEASURES, *SET_MEASURES, *LEARNING_MEASURES, "correction_latency", "correction_gain"}
     for name, one in people().items():
         assert name in known

@@ -36,6 +36,7 @@ SHORT = {
         "--episodes 3 --bodies given --agents mmc-body pybullet",
         r"given .* 100\.0 .* 100\.0, -[1-4]\.\d\d .* 100\.0, -[3-9]\.",
     ),
+    "adaptation.recovery": ("--groups 2 --resamples 20", r"A_s .* 0\.99"),
     "body.physics": ("--agents mmc --episodes 5 --steps 40", r"(?s)mmc .* 100\.0.*analytic"),
 }
 
