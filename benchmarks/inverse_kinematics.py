@@ -181,14 +181,18 @@ def locked(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) 
     """Poses that the arm can reach with one joint locked; each joint in turn."""
     judge, joints = Judge(arm), len(arm.limits)
     rows: dict[str, list[Row]] = {name: [] for name in solvers}
+    given_up = set()
     for joint in range(joints):
         angle = float(arm.random(random)[joint])
         able: dict[str, Solver] = {}
         for name, solver in solvers.items():
+            if name in given_up:
+                continue
             try:
                 kind = type(solver)
                 able[name] = solver if solver.holds else Rebuilt(kind, arm, joint, angle)
             except Exception as error:
+                given_up.add(name)
                 print(f"{arm.name} with joint {joint} locked: no {name}: {error!r:.80}")
         problems = []
         for _ in range(count // joints + 1):

@@ -534,7 +534,7 @@ class Ssik(Solver):
         super().__init__(arm)
         folder = Path(arm.write()).parent
         build = f"-m ssik.cli build {arm.name}.urdf --base base --ee hand --no-validate".split()
-        settings = {"cwd": folder, "check": True, "timeout": 60, "capture_output": True}
+        settings = {"cwd": folder, "check": True, "timeout": 30, "capture_output": True}
         subprocess.run([sys.executable, *build], **settings)
         spec = importlib.util.spec_from_file_location(folder.name, folder / f"{arm.name}_ik.py")
         self.module = importlib.util.module_from_spec(spec)
