@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from mmc_gym.agents.base import InternalModelAgent, Started
@@ -159,6 +158,8 @@ def links_of(arm: HingeArm) -> Floats:
 
 def turned_links(arm: HingeArm, joint_angles: Floats) -> Floats:
     """Return the links of an arm in postures (m, n), the columns R_i a_i, (m, 3, n + 1)."""
+    from scipy.spatial.transform import Rotation  # `import mmc_gym` loads numpy alone
+
     turn, links = Rotation.identity(len(joint_angles)), links_of(arm)
     columns = [turn.apply(links[0])]
     for axis, angle, link in zip(arm.axes, joint_angles.T, links[1:]):
