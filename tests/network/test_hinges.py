@@ -1,0 +1,208 @@
+"""Arms of hinges in space, and the network that settles on their poses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmc_gym.network import HingeArm, HingeNetwork
+
+ROBOTS = ("panda", "ur5", "iiwa")
+SHIPPED = {
+    "panda": ("franka_panda/panda.urdf", "panda_link0", "panda_link8"),
+    "iiwa": ("kuka_iiwa/model.urdf", "lbr_iiwa_link_0", "lbr_iiwa_link_7"),
+}
+ODD = """<robot name="odd">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
+  <joint name="one" type="revolute"><parent link="a"/><child link="b"/>
+    <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.4 0.5"/><axis xyz="0 0.6 0.8"/>
+    <limit lower="-1" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="two" type="fixed"><parent link="b"/><child link="c"/>
+    <origin xyz="0.2 0.1 0" rpy="1 0 0"/></joint>
+  <joint name="three" type="continuous"><parent link="c"/><child link="d"/>
+    <origin xyz="0 0.4 0.1" rpy="0 0.7 0.1"/><axis xyz="1 0 0"/></joint>
+  <joint name="four" type="{kind}"><parent link="d"/><child link="e"/>
+    <origin xyz="0.3 0 0" rpy="0 0 1.2"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+@pytest.fixture(params=["numpy", "numba"])
+def engine(request):
+    if request.param == "numba":
+        pytest.importorskip("numba", reason='it takes the extra "fast"')
+    return request.param
+
+
+def postures(arm, count, seed=3):
+    return np.random.default_rng(seed).uniform(*arm.limits.T, (count, arm.joint_count))
+
+
+def test_a_file_gives_the_poses_that_its_parser_gives(tmp_path):
+    yourdfpy = pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
+    path = tmp_path / "odd.urdf"
+    path.write_text(ODD.format(kind="revolute"))
+    arm = HingeArm.from_urdf(path, base="a", tip="e")
+    robot = yourdfpy.URDF.load(str(path))
+    for angles in np.random.default_rng(0).uniform(-1, 2, (5, 3)):
+        robot.update_cfg(angles)
+        np.testing.assert_allclose(arm.forward(angles), robot.get_transform("e", "a"), atol=1e-12)
+    assert arm.limits.tolist() == [[-1, 2], [-np.inf, np.inf], [-2, 2]]
+
+
+def test_a_file_with_a_sliding_joint_is_refused(tmp_path):
+    pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
+    path = tmp_path / "odd.urdf"
+    path.write_text(ODD.format(kind="prismatic"))
+    with pytest.raises(ValueError, match="'four' must be revolute, continuous or fixed"):
+        HingeArm.from_urdf(path, base="a", tip="e")
+    assert HingeArm.from_urdf(path, base="a", tip="d").joint_count == 2
+    with pytest.raises(ValueError, match="tip 'f' is not accepted"):
+        HingeArm.from_urdf(path, base="a", tip="f")
+
+
+@pytest.mark.slow  # loads robots in pybullet
+@pytest.mark.parametrize("name", SHIPPED)
+def test_tables_agree_with_pybullet_in_both_directions(name):
+    """Its forward kinematics puts the hand where ours does, and where the network wanted it."""
+    bullet = pytest.importorskip("pybullet")
+    folder = pytest.importorskip("pybullet_data").getDataPath()
+    file, _, tip = SHIPPED[name]
+    client = bullet.connect(bullet.DIRECT)
+    body = bullet.loadURDF(f"{folder}/{file}", useFixedBase=True, physicsClientId=client)
+    infos = [bullet.getJointInfo(body, j, client) for j in range(bullet.getNumJoints(body, client))]
+    link = [info[12].decode() for info in infos].index(tip)
+    arm = HingeArm.named(name)
+
+    def bullet_pose(angles):
+        for joint, angle in enumerate(angles):
+            bullet.resetJointState(body, joint, angle, physicsClientId=client)
+        state = bullet.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=client)
+        pose = np.eye(4)
+        pose[:3, 3] = state[4]
+        pose[:3, :3] = np.reshape(bullet.getMatrixFromQuaternion(state[5]), (3, 3))
+        return pose
+
+    angles = postures(arm, 20)
+    poses = np.array([bullet_pose(each) for each in angles])
+    np.testing.assert_allclose(arm.forward(angles), poses, atol=1e-6)
+    found = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], polish=True).joint_angles
+    np.testing.assert_allclose([bullet_pose(each) for each in found], poses, atol=1e-5)
+    bullet.disconnect(client)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_rule_makes_a_robot_a_chain_of_three_rigid_segments(name):
+    arm = HingeArm.named(name)
+    segments = np.linalg.norm(np.diff(arm.nodes(postures(arm, 50)), axis=1), axis=-1)
+    assert segments.shape == (50, 3)
+    assert segments.min() > 0.05
+    np.testing.assert_allclose(segments, np.broadcast_to(segments[0], (50, 3)), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_it_finds_random_poses_within_the_limits(name, engine):
+    arm = HingeArm.named(name)
+    count = 200 if engine == "numba" else 4
+    poses = arm.forward(postures(arm, count))
+    network = HingeNetwork(arm, engine=engine)
+    solution = network.solve(poses[:, :3, 3], poses[:, :3, :3], polish=True)
+    assert solution.is_solved.all()
+    np.testing.assert_allclose(arm.forward(solution.joint_angles), poses, atol=2e-5)
+    low, high = arm.limits.T
+    assert ((solution.joint_angles >= low) & (solution.joint_angles <= high)).all()
+
+
+def test_engines_do_the_same_operations():
+    pytest.importorskip("numba", reason='it takes the extra "fast"')
+    arm = HingeArm.named("ur5")
+    pose, elbow = arm.forward([0.5] * 6), {1: [[0.2, 0.1, 0.3], [0.1, 0.3, 0.4]]}
+    ends = []
+    for engine in ("numpy", "numba"):
+        network = HingeNetwork(arm, engine=engine)
+        clamps = network.clamp(pose[:3, 3], pose[:3, :3], held={4: 0.2}, points=elbow)
+        ends.append(network.run(network.state(postures(arm, 2)), clamps, 40))
+    np.testing.assert_allclose(ends[0].joint_angles, ends[1].joint_angles, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(ends[0].joint_velocities, ends[1].joint_velocities, atol=1e-12)
+
+
+def test_tasks_may_be_mixed(engine):
+    """The hand at one point, the elbow at another, a joint locked: every clamp holds."""
+    arm = HingeArm.named("panda")
+    posture = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
+    nodes = arm.nodes(posture)
+    solution = HingeNetwork(arm, engine=engine).solve(
+        position=nodes[-1], points={1: nodes[1]}, held={5: 1.6}, polish=True
+    )
+    assert solution.is_solved
+    np.testing.assert_allclose(arm.nodes(solution.joint_angles)[[1, 3]], nodes[[1, 3]], atol=1e-5)
+    assert solution.joint_angles[5] == 1.6
+
+
+def test_held_joints_give_the_forward_task(engine):
+    arm = HingeArm.named("iiwa")
+    network = HingeNetwork(arm, engine=engine)
+    posture = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
+    clamps = network.clamp(position=[0.0, 0.0, 0.0], held=dict(enumerate(posture)))
+    state = network.run(network.state(np.zeros(7)), clamps, 3)
+    assert state.joint_angles.tolist() == posture
+
+
+def test_a_target_out_of_reach_gives_the_stretched_arm(engine):
+    arm = HingeArm.named("ur5")
+    solution = HingeNetwork(arm, engine=engine).solve([3.0, 0.0, 0.089159], starts=16)
+    assert not solution.is_solved
+    hand = arm.forward(solution.joint_angles)[:3, 3]
+    reach = 0.425 + 0.39225 + np.hypot(0.0823, 0.09465)
+    assert np.linalg.norm(hand - [0, 0, 0.089159]) > reach - 0.02
+    assert np.abs(hand[1:] - [0.0, 0.089159]).max() < 0.05
+
+
+def test_the_given_start_is_preferred(engine):
+    arm = HingeArm.named("panda")
+    start = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
+    pose = arm.forward(start + 0.05)
+    network = HingeNetwork(arm, engine=engine)
+    near = network.solve(pose[:3, 3], pose[:3, :3], start=start)
+    assert near.is_solved
+    assert np.abs(near.joint_angles - start).max() < 0.15
+
+
+def test_batches_are_solved_as_their_tasks_alone():
+    arm = HingeArm.named("panda")
+    network = HingeNetwork(arm)
+    poses = arm.forward(postures(arm, 6)).reshape(2, 3, 4, 4)
+    held = {0: np.array([[0.1], [-0.4]])}
+    together = network.solve(poses[..., :3, 3], held=held)
+    assert together.joint_angles.shape == (2, 3, 7)
+    alone = network.solve(poses[1, 2, :3, 3], held={0: -0.4})
+    assert alone.joint_angles.tolist() == together.joint_angles[1, 2].tolist()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"position": [1.0, 2.0]}, r"position must be of shape \(..., 3\)"),
+        ({"rotation": np.eye(4)}, r"rotation must be of shape \(..., 3, 3\)"),
+        ({"held": {7: 0.0}}, "joint 7 is not accepted"),
+        ({"points": {0: [0, 0, 0]}}, "node 0 is not accepted"),
+        ({"position": [np.nan, 0, 0]}, "position must be finite"),
+        ({"position": np.zeros((2, 3)), "start": np.zeros((3, 7))}, "start must have batch axes"),
+        ({"start": np.zeros(6)}, "joint_angles must be of shape"),
+    ],
+)
+def test_tasks_are_checked(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        HingeNetwork(HingeArm.named("panda")).solve(**arguments)
+
+
+def test_descriptions_are_checked():
+    arm = HingeArm.named("panda")
+    with pytest.raises(ValueError, match="damping must be finite, and more than"):
+        HingeNetwork(arm, damping=1.5)
+    with pytest.raises(ValueError, match="limits must be pairs"):
+        replace(arm, limits=arm.limits[:, ::-1])
+    with pytest.raises(ValueError, match="home must be a pose"):
+        replace(arm, home=np.diag([1, 1, -1, 1]))
+    with pytest.raises(ValueError, match="did you mean 'panda'"):
+        HingeArm.named("pandas")
