@@ -15,7 +15,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,14 +25,18 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from rich.console import Console
 
 from mmc_gym._errors import UserError, require_choice, require_whole
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
+from mmc_gym._plotting import save_figure
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
+from mmc_gym.benchmark.adaptation import learning_figure, learning_table, print_learning
 from mmc_gym.benchmark.experiment import Experiment, find_experiment
 from mmc_gym.benchmark.store import CellKey, Kept, kept_in, to_parquet
 from mmc_gym.benchmark.suite import make_player
@@ -75,6 +79,28 @@ class ExperimentResult:
     cursors: NDArray[np.float32]
     targets: NDArray[np.float32]
     control_step: float
+
+    @cached_property
+    def measures(self) -> pd.DataFrame:
+        """The measures of learning with their intervals, see `learning_table`."""
+        return learning_table(self)
+
+    def plot(self) -> Figure:
+        """Return a figure: the timeline above, learning curves below."""
+        return learning_figure(self)
+
+    def print(self, console: Console | None = None) -> None:
+        """Print the measures, people beside agents; to standard output by default."""
+        print_learning(self.measures, console)
+
+    def write(self, out: Path | str) -> list[Path]:
+        """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`."""
+        stem = Path(out) / self.experiment.name
+        written = []
+        for kind, table in (("trials", self.trials), ("measures", self.measures)):
+            text = table.to_csv(index=False, lineterminator="\n")
+            written.append(write_atomically(f"{stem}.{kind}.csv", text))
+        return written + save_figure(self.plot(), Path(f"{stem}.curves"))
 
     def __repr__(self) -> str:
         agents, subjects = self.trials["agent"].unique(), self.trials["subject"].nunique()
