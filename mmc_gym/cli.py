@@ -296,7 +296,6 @@ def adapt(
     seed: Seed = 0,
     out: Place = Path("runs/adapt"),
     jobs: Number = None,
-    cluster: Text = None,
     more: Played = PLAYED,
 ) -> None:
     """Let agents learn over the trials of an experiment; print a table, write data and figure.
@@ -304,15 +303,13 @@ def adapt(
     Args:
         experiment: One of `mmc-gym list experiments`, with any strength, or your own YAML file.
         agents: The agents, see compare.
-        keep: Labels of agents whose whole state lasts from trial to trial, such as ppo-memory.
+        keep: Agents that keep their whole memory from trial to trial, such as ppo-memory.
         rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
-            1 with --retention 0 keeps nothing from trial to trial.
-        retention: Share of what they learned that lasts to the next trial.
-        subjects: Subjects of each agent; each meets the targets in an order of its own.
+        retention: Share of what they learned that lasts to the next trial; 0, with rate 1: none.
+        subjects: Subjects of each agent; each meets the targets in another order.
         seed: Seed of the subjects.
         out: Folder of data and figure; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
-        cluster: ray, or ray://HOST:PORT, to play on a Ray cluster instead of here.
     """
     from mmc_gym.benchmark import trials
 
@@ -329,7 +326,6 @@ def adapt(
             retention=retention,
             keep=keep,
             jobs=jobs,
-            cluster=cluster,
             env_kwargs=more.arguments,
             allow_pickle=more.allow_pickle,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
