@@ -66,16 +66,11 @@ class PandaReach(ReachInterface):
         return np.clip(turn, -1.0, 1.0).astype(np.float32)
 
 
+def make(**arguments):
+    """Return the environment with encoders."""
+    return Encoders(gym.make("PandaReachJoints-v3", **arguments))
+
+
 if __name__ == "__main__":
-    env = Encoders(gym.make("PandaReachJoints-v3"))
-    for name in ("mmc-body", "ik-body"):
-        agent, returns, reached = mmc_gym.make_agent(name, env, interface=PandaReach()), [], []
-        for seed in range(20):
-            (observation, info), state, ended, rewards = env.reset(seed=seed), None, False, 0.0
-            while not ended:
-                action, state = agent.predict(observation, state)
-                observation, reward, terminated, truncated, info = env.step(action)
-                ended, rewards = terminated or truncated, rewards + reward
-            returns.append(rewards)
-            reached.append(info["is_success"])
-        print(f"{name}: {np.mean(reached):.0%} of 20 targets, return {np.mean(returns):.2f}")
+    agents = ["mmc-body", "ik-body"]
+    print(mmc_gym.compare(agents, make, episodes=20, interface=PandaReach()))
