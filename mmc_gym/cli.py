@@ -1,6 +1,6 @@
 """The command line: one function for each command.
 
-    mmc-gym compare | benchmark | report | train | curves | play | record | list | show
+    mmc-gym compare | benchmark | adapt | report | train | curves | play | record | list | show
 
 A mistake of the user ends with one line on stderr and status 2, a failed cell of a grid with one
 line and status 1, Ctrl-C with one line and status 130.  With `MMC_GYM_TRACEBACK=1` in the
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from mmc_gym._console import make_console, print_list, progress_bar
+from mmc_gym._console import make_console, print_list, print_written, progress_bar
 from mmc_gym._errors import MismatchWarning, UserError, require, shown, unknown
 from mmc_gym._files import import_modules, read_yaml
 from mmc_gym._grid import CellError
@@ -44,7 +44,13 @@ _COMPARED = (
     *("mmc-body", "ik-body", "mmc", "mmc-classical", "ik-dls"),
     *("ppo", "sac", "tqc-her", "random"),
 )
-_ARGUMENT = {"report": "--store", "train": "--name", "list": "--what", "show": "--scenario"}
+_ARGUMENT = {
+    "adapt": "--experiment",
+    "report": "--store",
+    "train": "--name",
+    "list": "--what",
+    "show": "--scenario",
+}
 
 
 def _command(function: Callable[..., None]) -> Callable[..., None]:
@@ -118,6 +124,7 @@ Names = Annotated[tuple[str, ...], _arg("NAME...")]
 Pairs = Annotated[tuple[str, ...], _arg("NAME=VALUE...")]
 Modules = Annotated[tuple[str, ...], _arg("MODULE...", name="import")]
 Text = Annotated[str | None, _arg("TEXT")]
+Shares = Annotated[tuple[float, ...], _arg("X...")]
 Number = Annotated[int | None, _arg("N")]
 Seed = Annotated[int, _arg("N")]
 Place = Annotated[Path, _arg("PATH")]
@@ -276,6 +283,55 @@ def benchmark(
         number = "a cell" if len(failed) == 1 else f"{len(failed)} cells"
         _told(f"{number} failed, and counts as no success: {failed[0]}")
         raise SystemExit(1)
+
+
+@_command
+def adapt(
+    experiment: Annotated[Positional[str], _arg("NAME")] = "rotation-30",
+    agents: Names = ("mmc-body", "mmc", "ppo", "ppo-memory"),
+    keep: Names = (),
+    rate: Shares = (0.2,),
+    retention: Shares = (0.98,),
+    subjects: Seed = 20,
+    seed: Seed = 0,
+    out: Place = Path("runs/adapt"),
+    jobs: Number = None,
+    more: Played = PLAYED,
+) -> None:
+    """Let agents learn over the trials of an experiment; print a table, write data and figure.
+
+    Args:
+        experiment: One of `mmc-gym list experiments`, with any strength, or your own YAML file.
+        agents: The agents, see compare.
+        keep: Agents that keep their whole memory from trial to trial, such as ppo-memory.
+        rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
+        retention: Share of what they learned that lasts to the next trial; 0, with rate 1: none.
+        subjects: Subjects of each agent; each meets the targets in another order.
+        seed: Seed of the subjects.
+        out: Folder of data and figure; an interrupted run is resumed.
+        jobs: Number of agents at once; one per core, if not given.
+    """
+    from mmc_gym.benchmark import trials
+
+    more.load()
+    with progress_bar() as bar:
+        task = bar.add_task("agents")
+        result = trials.run_experiment(
+            experiment,
+            agents,
+            subjects,
+            seed,
+            out,
+            rate=rate,
+            retention=retention,
+            keep=keep,
+            jobs=jobs,
+            env_kwargs=more.arguments,
+            allow_pickle=more.allow_pickle,
+            on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    result.print(make_console())
+    print_written(make_console(), result.write(out))
 
 
 @_command

@@ -144,7 +144,8 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
         )
     rows: list[tuple[str, str]] = []
     with suppress(UserError):
-        rows = [*find_experiment(name).rows(), ("run it", f"mmc-gym adapt {name}")]
+        experiment = str(find_experiment(name))
+        rows = [("experiment", experiment), ("run it", f"mmc-gym adapt {name}")]
     try:
         found = scenario(name)
     except UserError:

@@ -1,15 +1,14 @@
 """Learning in experiments over trials: measures with intervals over subjects, and the figure.
 
 Intervals resample subjects with the bootstrap of `mmc_gym.benchmark.statistics`: a curve is the
-mean over the drawn subjects, and a fit is a fit to that curve.
+mean over the drawn subjects, and a measure is one of that curve.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -22,31 +21,121 @@ from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure
-from mmc_gym.benchmark.statistics import (
-    TAILS,
-    Interval,
-    bootstrap_interval,
-    percentile_interval,
-    resampled_means,
-)
+from mmc_gym.benchmark.statistics import TAILS, percentile_interval, resampled_means
 from mmc_gym.measures.catalogue import Quantity
 from mmc_gym.measures.episode import Floats
-from mmc_gym.measures.experiment import ADAPTATION, LEARNING_MEASURES, Learning
 from mmc_gym.measures.learning import (
+    TWO_STATES,
     correction_gain,
     correction_latency,
+    fit_exponential,
+    fit_two_states,
+    generalization_width,
     initial_direction,
     lateral_deviation,
 )
-from mmc_gym.measures.people import people
 
 if TYPE_CHECKING:
     from mmc_gym.benchmark.trials import ExperimentResult
 
 RESAMPLES = 500
+AT_START, AT_END = 4, 10  # trials whose mean is the level at the start or end of a block
 CYCLE = 4  # trials to a point of the figure
-LEAST_JUMP = 1e-3  # segment lengths; less is rounding
-LEAST_DEVIATION = 0.01  # segment lengths; a field that moves the hand less teaches nothing
+LEAST = 0.01  # share of the perturbation, and deviation in segment lengths; less is nothing
+METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
+
+_UNIT = "of adaptation"
+QUANTITIES = (
+    Quantity(name="deviation", label="first deviation in the field", unit="lengths", decimals=3),
+    Quantity(name="rate", label="rate of learning", unit="1/trial", decimals=3),
+    Quantity(name="final_adaptation", label="adaptation at the end", unit=_UNIT),
+    Quantity(name="after_effect", label="after-effect", unit=_UNIT),
+    Quantity(name="retention", label="retained over the rest", unit="fraction"),
+    Quantity(name="savings", label="savings", unit="ratio of rates"),
+    Quantity(name="width", label="width of generalisation", unit="°", decimals=1),
+    Quantity(name="clamp_asymptote", label="asymptote under the clamp", unit=_UNIT),
+    Quantity(name="latency", label="latency of corrections", unit="s", decimals=3),
+    Quantity(name="gain", label="gain of corrections"),
+    *(Quantity(name=name, label=f"{name} of two states", decimals=3) for name in TWO_STATES),
+)
+"""What `measure_learning` measures; `_UNIT` stands for that of the adaptation."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Learning:
+    """What the trials of an experiment show of learning, by subject or averaged over subjects."""
+
+    adaptation: Floats  #: y, less the mean of the baseline, (..., trials)
+    errors: Floats  #: e, (..., trials)
+    perturbations: Floats  #: p, 0 for none, (trials,)
+    kinds: NDArray[np.str_]  #: "", "clamp", or the name of a probe, (trials,)
+    offsets: Floats  #: the target's direction less the trained one, degrees, (trials,)
+    blocks: NDArray[np.int64]  #: number of the block, (trials,)
+    rests: Floats  #: before the trial, seconds, (trials,)
+    unit: str = "°"  #: of adaptation, errors and perturbations
+    deviation: float = math.nan  #: first one in a force field, segment lengths
+    responses: Floats | None = None  #: to jumps in flight, see `correction_gain`, (..., time)
+    jump: tuple[float, float, float] = (math.nan,) * 3  #: size, time and control step in seconds
+
+    @property
+    def exposures(self) -> list[NDArray[np.int64]]:
+        """Trials with the perturbation that comes first, in its direction, by runs of blocks."""
+        first = self.perturbations[np.flatnonzero(self.perturbations)[:1]].sum()
+        trained = (self.perturbations * first > 0) & (self.kinds == "")
+        numbers = np.unique(self.blocks[trained])
+        groups = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if len(numbers) else []
+        return [np.flatnonzero(trained & np.isin(self.blocks, group)) for group in groups]
+
+
+def measure_learning(of: Learning) -> dict[str, Floats]:
+    """Return the `QUANTITIES` by name, a number for each curve; NaN where there is nothing to see.
+
+    - rate: of the exponential fit to the first exposure; savings: that of the second over it, see
+      Zarahn et al. (2008), J. Neurophysiol. 100, 2537.
+    - final_adaptation: mean of the last 10 trials of the first exposure.
+    - after_effect: of the first 4 without perturbation in the block that follows, see Shadmehr &
+      Mussa-Ivaldi (1994), J. Neurosci. 14, 3208.
+    - retention: of the 4 trials after the first rest that follows, over the 10 before it.
+    - clamp_asymptote: of the last 10 trials whose error is clamped and not 0, see Morehead et al.
+      (2017), J. Cogn. Neurosci. 29, 1061.
+    - others: see `mmc_gym.measures.learning`.
+    """
+    found = {one.name: np.full(of.adaptation.shape[:-1], math.nan) for one in QUANTITIES}
+    found["deviation"][...] = of.deviation
+    exposures, least = of.exposures, LEAST * np.abs(of.perturbations).max()
+
+    def level(trials: NDArray[Any]) -> Any:
+        return of.adaptation[..., trials].mean(axis=-1) if len(trials) else math.nan
+
+    if exposures:
+        begin, end = exposures[0][[0, -1]]
+        rates = [fit_exponential(of.adaptation[..., trials])[..., 1] for trials in exposures[:2]]
+        found["rate"], found["savings"] = rates[0], rates[-1] / rates[0]
+        found["final_adaptation"] = level(exposures[0][-AT_END:])
+        is_free = (of.perturbations == 0) & (of.kinds != "transfer")
+        is_free &= of.blocks == of.blocks[end] + 1
+        found["after_effect"][...] = level(np.flatnonzero(is_free)[:AT_START])
+        for rest in np.flatnonzero(of.rests[begin + 1 :])[:1] + begin + 1:
+            learned = level(np.arange(max(begin, rest - AT_END), rest))
+            left = level(np.arange(rest, rest + AT_START))
+            found["retention"] = left / np.where(learned > least, learned, math.nan)
+        probes = np.flatnonzero(of.kinds[begin:] == "transfer") + begin
+        if len(probes):
+            learned = of.adaptation[..., probes]
+            widths = generalization_width(learned, of.offsets[probes])
+            found["width"] = np.where(learned.max(axis=-1) > least, widths, math.nan)
+    if len(exposures) < 2:
+        found["savings"] = np.full_like(found["savings"], math.nan)
+    clamped = np.flatnonzero(of.kinds == "clamp")
+    if exposures or len(clamped):
+        found |= zip(TWO_STATES, np.moveaxis(fit_two_states(of.adaptation, of.errors), -1, 0))
+    curves = tuple(range(of.errors.ndim - 1))
+    is_shown = np.abs(of.errors[..., clamped]).max(axis=curves, initial=0) > 0.1
+    found["clamp_asymptote"][...] = level(clamped[is_shown][-AT_END:])
+    if of.responses is not None:
+        found["latency"] = np.apply_along_axis(correction_latency, -1, of.responses, *of.jump)
+        found["gain"] = correction_gain(of.responses, of.jump[0])
+    return found
 
 
 def learning_of(result: ExperimentResult, agent: str) -> Learning:
@@ -54,8 +143,8 @@ def learning_of(result: ExperimentResult, agent: str) -> Learning:
 
     The mean of each subject's baseline at each target is subtracted.  Probes in other directions
     are sorted by direction within their block, since each subject meets them in an own order.  In a
-    force field the unit is the mean deviation in its first trial; the field pushes less in some
-    directions, and that is taken out.
+    force field the unit is the mean deviation in its first trial, and what differs between targets
+    is taken out, because the field pushes less in some directions.
     """
     schedule = result.experiment.schedule
     blocks = np.array([one.block for one in schedule])
@@ -63,7 +152,15 @@ def learning_of(result: ExperimentResult, agent: str) -> Learning:
     clamped = np.array(["clamp" in "".join(one.perturbations) for one in schedule])
     kinds = np.array([one.probe for one in schedule])
     kinds = np.where(clamped & (kinds == ""), "clamp", kinds)
-    angles, own, seen, is_field = _errors(result, agent)
+    rows = result.trials[result.trials["agent"] == agent].sort_values(["subject", "trial"])
+    shape = (rows["subject"].nunique(), len(schedule))
+    angles = rows["target_angle"].to_numpy(np.float64).reshape(shape)
+    paths = (table[rows.index] for table in (result.hands, result.cursors, result.targets))
+    hands, cursors, targets = (one.reshape(*shape, *one.shape[1:]) for one in paths)
+    towards = np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles))], axis=-1)
+    is_field = bool(rows["perturbation"].str.contains("force-field").any())
+    measured = lateral_deviation if is_field else initial_direction
+    own, seen = (measured(one, hands[:, :, 0] + towards) for one in (hands, cursors))
     first = np.flatnonzero(strengths)[:1]  # empty without a perturbation
     baseline = _baseline(own, angles, np.arange(len(schedule)) < first.sum())
     own, seen = own - baseline, seen - np.where(clamped, 0.0, baseline)
@@ -74,43 +171,41 @@ def learning_of(result: ExperimentResult, agent: str) -> Learning:
         perturbations /= np.abs(strengths).max()
         own = _without_directions(own, angles, blocks + len(schedule) * (kinds != ""))
         deviation = float(np.nanmean(own[:, first]) / perturbations[first].sum())
-        is_known = abs(deviation) > LEAST_DEVIATION and perturbations[first].sum() > 0.5
+        is_known = abs(deviation) > LEAST and perturbations[first].sum() > 0.5
         errors = own / (deviation if is_known else math.nan)
         adaptation = perturbations - errors
     order = np.tile(np.arange(len(schedule)), (len(own), 1))
     for block in np.unique(blocks):
         here = np.flatnonzero((blocks == block) & (kinds == "transfer"))
         order[:, here] = here[np.argsort(angles[:, here], axis=1, kind="stable")]
-    adaptation, errors, angles = (
+    adaptation, errors, ordered = (
         np.take_along_axis(values, order, axis=1) for values in (adaptation, errors, angles)
     )
-    return Learning(
+    found = Learning(
         adaptation=adaptation,
         errors=errors,
         perturbations=perturbations,
         kinds=kinds,
-        offsets=(angles[0] - angles[0, first].sum() + 180) % 360 - 180,
+        offsets=(ordered[0] - angles[0, first].sum() + 180) % 360 - 180,
         blocks=blocks,
         rests=np.array([one.rest for one in schedule]),
         unit="fraction" if is_field else "°",
         deviation=abs(deviation),
     )
-
-
-def _errors(result: ExperimentResult, agent: str) -> tuple[Floats, Floats, Floats, bool]:
-    """Return the targets' directions, and how far hand and cursor miss them, (subjects, trials).
-
-    In degrees; if there is a force field, as the last value says, in segment lengths.
-    """
-    rows = result.trials[result.trials["agent"] == agent].sort_values(["subject", "trial"])
-    shape = (rows["subject"].nunique(), -1)
-    degrees = rows["target_angle"].to_numpy(np.float64)
-    hands, cursors = result.hands[rows.index], result.cursors[rows.index]
-    towards = np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
-    is_field = bool(rows["perturbation"].str.contains("force-field").any())
-    measured = lateral_deviation if is_field else initial_direction
-    own, seen = (measured(paths, hands[:, 0] + towards) for paths in (hands, cursors))
-    return degrees.reshape(shape), own.reshape(shape), seen.reshape(shape), is_field
+    jumps = np.flatnonzero(np.char.startswith(kinds, "jump"))
+    if not len(jumps):
+        return found
+    # A jump changes where the hand must go: the target's, or that of the cursor against the hand.
+    goals = (targets - (cursors - hands))[:, jumps].astype(np.float64)
+    moved = goals - goals[:, :, [int(result.trials["go_step"].max()) + 1]]
+    sizes = np.linalg.norm(moved[:, :, -1], axis=-1)
+    same = (angles[:, jumps, None] == angles[:, None]) & (kinds == "")
+    plain = np.einsum("sjk,sktd->sjtd", same / same.sum(axis=-1, keepdims=True), hands)
+    responses = hands[:, jumps] - plain
+    along = np.einsum("sjtd,sjd->sjt", responses, moved[:, :, -1] / sizes[..., None])
+    size, step = sizes.mean(), np.argmax(np.linalg.norm(moved[0, 0], axis=-1) > sizes[0, 0] / 2)
+    jump = float(size), float(step) * result.control_step, result.control_step
+    return replace(found, responses=along.mean(axis=1), jump=jump)
 
 
 def _baseline(values: Floats, angles: Floats, before: NDArray[np.bool_]) -> Floats:
@@ -131,109 +226,55 @@ def _without_directions(values: Floats, angles: Floats, groups: NDArray[np.int64
     return found
 
 
-DEVIATION = Quantity(name="deviation", label="first deviation", unit="lengths", decimals=3)
-LATENCY = Quantity(name="correction_latency", label="latency of corrections", unit="s", decimals=3)
-GAIN = Quantity(name="correction_gain", label="gain of corrections")
-
-
-def _corrections(result: ExperimentResult, agent: str) -> dict[Quantity, list[float]]:
-    """Return latency and gain of corrections after jumps in flight, of each subject.
-
-    A jump is a change of where the hand must go: of the target, or of the cursor against the hand.
-    The paths without one are those of the same subject to the same target.
-    """
-    of_agent = result.trials[result.trials["agent"] == agent]
-    found: dict[Quantity, list[float]] = {LATENCY: [], GAIN: []}
-    for _, trials in of_agent.groupby("subject"):
-        responses, starts, sizes = list[Any](), list[float](), list[float]()
-        for trial in trials[trials["probe"].str.startswith("jump")].itertuples():
-            same = (trials["target_angle"] == trial.target_angle) & (trials["probe"] == "")
-            row, go_step = int(str(trial.Index)), int(str(trial.go_step))
-            goal = result.targets[row] - (result.cursors[row] - result.hands[row])
-            goal = goal[go_step + 1 :]
-            wanted = (goal[-1] - goal[0]).astype(np.float64)
-            is_new = np.linalg.norm(goal - goal[0], axis=-1) > LEAST_JUMP
-            if same.any() and is_new[-1]:
-                plain = result.hands[trials.index[same]].mean(axis=0)
-                sizes.append(float(np.linalg.norm(wanted)))
-                responses.append((result.hands[row] - plain) @ wanted / sizes[-1])
-                starts.append(int(np.argmax(is_new)) + go_step + 1)
-        if responses:
-            along = np.stack([responses, np.zeros_like(responses)], axis=-1)
-            none, wanted = np.zeros_like(along), np.array([np.mean(sizes), 0.0])
-            jump = float(np.mean(starts)) * result.control_step
-            latency = correction_latency(along, none, wanted, jump, result.control_step)
-            found[LATENCY].append(latency)
-            found[GAIN].append(correction_gain(along, none, wanted))
-    return found
-
-
-def learning_table(result: ExperimentResult, resamples: int = RESAMPLES) -> pd.DataFrame:
-    """Return a row for each agent and each measure that has a value.
+def learning_table(
+    result: ExperimentResult,
+    resamples: int = RESAMPLES,
+    lengths_in: Literal["lengths", "m"] = "lengths",
+) -> pd.DataFrame:
+    """Return a row for each agent and each measure that some agent has a value of.
 
     Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects) and
-    missing.  Measures are of the mean curve; latency and gain are means over subjects.
+    missing.  Lengths are in segment lengths, or for an arm as long as a person's in metres.
     """
     rows = []
     for agent in result.trials["agent"].unique():
         learning = learning_of(result, agent)
-        curves = replace(
-            learning,
-            adaptation=resampled_means(learning.adaptation, resamples),
-            errors=resampled_means(learning.errors, resamples),
-        )
-        single = Interval(learning.deviation, math.nan, math.nan, len(learning.errors), 0)
-        rows.append({"agent": agent, **_facts(DEVIATION), **vars(single)})
-        for measure in LEARNING_MEASURES.values():
-            found = measure.of(curves)
-            ends = percentile_interval(found[1:])
-            values = Interval(float(found[0]), *ends, count=len(learning.errors), missing=0)
-            rows.append({"agent": agent, **_facts(measure, learning.unit), **vars(values)})
-        for quantity, of_subjects in _corrections(result, agent).items():
-            values = bootstrap_interval(of_subjects, "mean")
-            rows.append({"agent": agent, **_facts(quantity), **vars(values)})
+        names = ["adaptation", "errors"] + ["responses"] * (learning.responses is not None)
+        means: dict[str, Any]
+        means = {name: resampled_means(getattr(learning, name), resamples) for name in names}
+        found = measure_learning(replace(learning, **means))
+        for one in QUANTITIES:
+            unit = learning.unit if one.unit == _UNIT else one.unit
+            factor, unit = (METRES, "m") if (unit, lengths_in) == ("lengths", "m") else (1, unit)
+            values = factor * found[one.name]
+            low, high = percentile_interval(values[1:])
+            facts = {"label": one.label, "unit": unit, "decimals": one.decimals}
+            interval = {"estimate": float(values[0]), "low": low, "high": high}
+            count = {"count": len(learning.errors), "missing": 0}
+            rows.append({"agent": agent, "measure": one.name, **facts, **interval, **count})
     table = pd.DataFrame(rows)
     has_values = table.groupby("measure")["estimate"].transform(lambda one: one.notna().any())
     return table[has_values].reset_index(drop=True)
 
 
-def _facts(quantity: Quantity, unit: str = "") -> dict[str, Any]:
-    facts = {"measure": quantity.name, "label": quantity.label, "decimals": quantity.decimals}
-    return {**facts, "unit": unit if quantity.unit == ADAPTATION else quantity.unit}
-
-
 def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
-    """Print a `learning_table`: a row for each measure, a column for each agent, then people."""
-    console = console or make_console()
-    headings, columns = _as_text(table)
-    known = people()
-    published = [known.get(name) for name in table["measure"].unique()]
-    columns["people"] = [f"{one.figure}\n{one.authors}" if one else "–" for one in published]
-    note = (
-        "Means over subjects with 95 % bootstrap intervals over subjects; fits to the mean curve. "
-        "–: no value. People: published values, of other tasks; see `people.yml`."
-    )
-    print_columns(console, {"": headings}, columns, note)
-
-
-def _as_text(table: pd.DataFrame) -> tuple[list[str], dict[str, list[str]]]:
-    """Return the headings of the rows, and the cells of each agent."""
+    """Print a `learning_table`: a row for each measure, a column for each agent."""
     facts = table.drop_duplicates("measure")
-    headings = [
-        f"{label} [{unit}]" if unit else label for label, unit in zip(facts["label"], facts["unit"])
-    ]
+    units = (f"\n[{unit}]" if unit else "" for unit in facts["unit"])
     columns = {
         str(agent): [cell(row, row["decimals"]) for row in rows.to_dict("records")]
         for agent, rows in table.groupby("agent", sort=False)
     }
-    return headings, columns
+    headings = {"": [label + unit for label, unit in zip(facts["label"], units)]}
+    note = "Of the mean over subjects, with 95 % bootstrap intervals over subjects. –: no value."
+    print_columns(console or make_console(), headings, columns, note)
 
 
 def learning_figure(result: ExperimentResult, resamples: int = RESAMPLES) -> Figure:
     """Draw the timeline of an experiment and, below, the learning curve of each agent.
 
-    A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval
-    over subjects.  Probes in other directions and jumps are left out; catch trials are crosses.
+    A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
+    Crosses: catch trials.  Probes in other directions and jumps are left out.
     """
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
         figure = ShownFigure(figsize=(7.5, 4.8), layout="constrained")
@@ -242,47 +283,32 @@ def learning_figure(result: ExperimentResult, resamples: int = RESAMPLES) -> Fig
         result.experiment.plot_timeline(above)
         for number, agent in enumerate(result.trials["agent"].unique()):
             learning = learning_of(result, agent)
-            style: Any = {
-                "color": COLOURS[number % len(COLOURS)],
-                "linestyle": LINES[(number + number // len(COLOURS)) % len(LINES)],
-            }
-            _draw_curve(below, learning, str(agent), style, resamples)
-            _, begins = np.unique(learning.blocks, return_index=True)
-            for begin in begins[1:]:
-                below.axvline(begin + 0.5, color="0.8", linewidth=0.8, zorder=0)
+            style = LINES[(number + number // len(COLOURS)) % len(LINES)]
+            colour = COLOURS[number % len(COLOURS)]
+            below.plot([], [], color=colour, linestyle=style, label=agent)
+            _draw_curve(below, learning, colour, style, resamples)
+        for begin in np.flatnonzero(np.diff(learning.blocks)) + 1.5:
+            below.axvline(begin, color="0.8", linewidth=0.8, zorder=0)
         full = np.where(learning.kinds == "", learning.perturbations, np.nan)
-        below.step(
-            np.arange(1, len(full) + 1),
-            full,
-            "0.6",
-            where="mid",
-            linewidth=0.8,
-            label="full compensation",
-        )
+        line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
+        below.step(np.arange(1, len(full) + 1), full, "0.6", **line)
         unit = "share of the deviation" if learning.unit == "fraction" else learning.unit
         below.set(xlabel="trial", ylabel=f"adaptation [{unit}]")
         figure.legend(loc="outside lower center", ncols=4, frameon=False, handlelength=3.5)
     return figure
 
 
-def _draw_curve(
-    axes: Axes, learning: Learning, label: str, style: Mapping[str, Any], resamples: int
-) -> None:
+def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resamples: int) -> None:
     """Draw the mean adaptation of each cycle of trials over the middle of the cycle."""
     in_curve = np.isin(learning.kinds, ("", "clamp"))
     for block in np.unique(learning.blocks):
         trials = np.flatnonzero(in_curve & (learning.blocks == block))
-        cycles = np.array_split(trials, max(1, len(trials) // CYCLE)) if len(trials) else []
-        if not cycles:
-            continue
-        of_subjects = np.stack([learning.adaptation[:, one].mean(axis=1) for one in cycles], -1)
-        means = resampled_means(of_subjects, resamples)
+        cycles = np.array_split(trials, max(1, len(trials) // CYCLE))
+        of_subjects = [learning.adaptation[:, one].mean(axis=1) for one in cycles]
+        means = resampled_means(np.stack(of_subjects, axis=-1), resamples)
         places = [one.mean() + 1 for one in cycles]
-        axes.plot(places, means[0], linewidth=1.2, label=label, **style)
-        axes.fill_between(
-            places, *np.quantile(means[1:], TAILS, axis=0), color=style["color"], alpha=0.2, lw=0
-        )
-        label = ""
+        axes.plot(places, means[0], color=colour, linestyle=style, linewidth=1.2)
+        ends = np.quantile(means[1:], TAILS, axis=0)
+        axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
     catches = np.flatnonzero(learning.kinds == "catch")
-    means = learning.adaptation[:, catches].mean(axis=0)
-    axes.plot(catches + 1, means, "x", color=style["color"], markersize=4)
+    axes.plot(catches + 1, learning.adaptation[:, catches].mean(axis=0), "x", color=colour, ms=4)

@@ -12,13 +12,14 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, fields
+from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
+import yaml
 from annotated_types import Ge, Gt, Lt, MinLen
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, StringConstraints, ValidationError
@@ -142,29 +143,16 @@ class Block:
 
 
 class PlannedTrial(NamedTuple):
-    """A trial of an experiment.
+    """A trial of an experiment; attributes that are not explained are those of block and probe."""
 
-    Attributes:
-        trial: its number in the experiment, from 0.
-        block: index of its block.
-        phase: the block's name.
-        perturbations: names.
-        strength: of the last perturbation; 0 without one.
-        probe: the probe's name; empty for other trials.
-        targets: the directions of which one is met.
-        rest: before it, s.
-        go_cue: see `Block`.
-        target_jump: see `Probe`.
-    """
-
-    trial: int
-    block: int
-    phase: str
+    trial: int  #: its number in the experiment, from 0
+    block: int  #: index of its block
+    phase: str  #: the block's name
     perturbations: tuple[str, ...]
-    strength: float
-    probe: str
-    targets: tuple[float, ...]
-    rest: float
+    strength: float  #: of the last perturbation; 0 without one
+    probe: str  #: the probe's name; empty for other trials
+    targets: tuple[float, ...]  #: the directions of which one is met
+    rest: float  #: before it, s
     go_cue: float
     target_jump: float
 
@@ -174,7 +162,7 @@ class PlannedTrial(NamedTuple):
 class Experiment:
     """An experiment over trials.
 
-    `print` it for a table; `plot` draws its timeline.
+    `print` it as YAML; `plot` draws its timeline.
 
     Attributes:
         name: words with hyphens.
@@ -183,6 +171,7 @@ class Experiment:
         source: the study that it follows.
         distance: of the targets from the start, as a fraction of the arm's reach.
         trial_seconds: duration of a trial from the go cue on.
+        torque_limit: of the servos, mass · length² / s²; None: that of the arm.
         noise: perturbations of all trials, such as noise of the senses.
         vigour: of agents that have one (`body_model.agent.Parts`); 0 as people move.
     """
@@ -193,6 +182,7 @@ class Experiment:
     source: str = ""
     distance: Annotated[float, Gt(0), Lt(0.5)] = 0.2
     trial_seconds: Annotated[float, Gt(0), Lt(1000)] = 1.0
+    torque_limit: Annotated[float, Gt(0)] | None = None
     noise: Perturbations = ()
     vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
 
@@ -284,153 +274,30 @@ class Experiment:
             self.plot_timeline(figure.add_subplot())
         return figure
 
-    def rows(self) -> Iterator[tuple[str, str]]:
-        """Yield headings and texts that describe it, a row for each block."""
-        yield "experiment", f"{self.name}: {self.description}"
-        yield from [("after", self.source)] if self.source else []
-        others = _described(self, "name", "blocks", "description", "source")
-        yield "trials", ", ".join(filter(None, [str(len(self.schedule)), others]))
-        for block in self.blocks:
-            yield block.name, _described(block, "name")
-
     def __repr__(self) -> str:
         phases = ", ".join(f"{block.name} {block.trials}" for block in self.blocks)
         return f"<Experiment {self.name}: {phases}>"
 
     def __str__(self) -> str:
-        width = max(len(heading) for heading, _ in self.rows())
-        return "\n".join(f"{heading:<{width}}  {text}" for heading, text in self.rows())
+        style: Any = {"allow_unicode": True, "default_flow_style": None, "width": 100}
+        return yaml.safe_dump(_told(self), sort_keys=False, **style).rstrip()
 
 
-def _described(thing: Any, *left_out: str) -> str:
-    """Return what differs from the defaults of a block or experiment, in words."""
-    parts = []
-    for one in fields(thing):
-        value = getattr(thing, one.name)
-        if one.name not in left_out and value not in (one.default, 0.0, ()):
-            each = value if isinstance(value, tuple) else (value,)
-            parts.append(f"{one.name.replace('_', ' ')} {' '.join(map(_word, each))}")
-    return ", ".join(parts)
+def _told(thing: Any) -> Any:
+    """Return what differs from the defaults, as YAML has it."""
+    if isinstance(thing, tuple):
+        return [_told(one) for one in thing]
+    if not isinstance(thing, Experiment | Block | Probe):
+        return thing
+    named = sorted(fields(cast(Any, thing)), key=lambda one: one.name == "blocks")
+    pairs = ((one, getattr(thing, one.name)) for one in named)
+    return {one.name: _told(value) for one, value in pairs if value != one.default}
 
 
-def _word(value: Any) -> str:
-    if isinstance(value, Probe):
-        return f"{value.name} ({_described(value, 'name')})"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-class Kind(NamedTuple):
-    """Experiments of one kind, which differ in their strength; `make` returns the blocks."""
-
-    make: Callable[[float], tuple[Block, ...]]
-    strength: float
-    description: str
-    source: str
-
-
-def _phases(name: str, *after: Block, **others: Any) -> tuple[Block, ...]:
-    """Return baseline, learning and what follows, by default washout."""
-    learning = {"trials": 160, "perturbations": (name,), **others}
-    washout = (Block("washout", 80),)
-    return Block("baseline", 60), Block("learning", **learning), *(after or washout)
-
-
-def _savings(degrees: float) -> tuple[Block, ...]:
-    name = f"rotation-{degrees:g}"
-    return _phases(name, Block("washout", 80), Block("relearning", 80, (name,)), trials=80)
-
-
-def _gradual(degrees: float) -> tuple[Block, ...]:
-    name = f"rotation-{degrees:g}"
-    after = Block("hold", 40, (name,)), Block("washout", 80)
-    return _phases(name, *after, trials=120, gradual=True)
-
-
-def _retention(degrees: float) -> tuple[Block, ...]:
-    return _phases(f"rotation-{degrees:g}", Block("clamp", 80, ("clamp-0",), rest=60.0))
-
-
-def _generalisation(degrees: float) -> tuple[Block, ...]:
-    trained, names = (90.0,), (f"rotation-{degrees:g}",)
-    around = tuple(90.0 + turn for turn in (0, 22.5, 45, 90, 180, -90, -45, -22.5))
-    probes = (Probe("transfer", 2, ("clamp-0",), around),)
-    return (
-        Block("baseline", 80, (), trained, probes),
-        Block("learning", 80, names, trained),
-        Block("generalisation", 160, names, trained, probes),
-    )
-
-
-def _jumps(percent: float, what: str) -> tuple[Block, ...]:
-    probes = []
-    for side, jump in (("left", percent), ("right", -percent)):
-        if what == "cursor":
-            probes.append(Probe(f"jump {side}", 6, (f"cursor-jump-{jump:g}",)))
-        else:
-            probes.append(Probe(f"jump {side}", 6, target_jump=jump))
-    return Block("baseline", 60), Block("jumps", 240, probes=tuple(probes))
-
-
-_KRAKAUER = "Krakauer, Pine, Ghilardi & Ghez 2000, J. Neurosci. 20:8916"
-_SAUNDERS = "Saunders & Knill 2005, Exp. Brain Res. 162:458"
-
-EXPERIMENTS: dict[str, Kind] = {
-    "rotation": Kind(
-        lambda degrees: _phases(f"rotation-{degrees:g}"),
-        30.0,
-        "a cursor turned by {}° at once, and back",
-        _KRAKAUER,
-    ),
-    "curl-field": Kind(
-        lambda curl: _phases(f"force-field-{curl:g}", probes=(Probe("catch", 8),)),
-        60.0,
-        "a viscous curl field of {} mass/s, and none again",
-        "Shadmehr & Mussa-Ivaldi 1994, J. Neurosci. 14:3208",
-    ),
-    "savings": Kind(
-        _savings,
-        30.0,
-        "a turn of {}° learned, unlearned, and learned again",
-        "Zarahn, Weston, Liang, Mazzoni & Krakauer 2008, J. Neurophysiol. 100:2537",
-    ),
-    "gradual": Kind(
-        _gradual,
-        30.0,
-        "a turn that grows to {}°, to stand beside `rotation`",
-        "Kagerer, Contreras-Vidal & Stelmach 1997, Exp. Brain Res. 115:557",
-    ),
-    "retention": Kind(
-        _retention,
-        30.0,
-        "what is left of a turn of {}° after a rest, in error clamps",
-        "Smith, Ghazizadeh & Shadmehr 2006, PLoS Biol. 4:e179",
-    ),
-    "generalisation": Kind(
-        _generalisation,
-        30.0,
-        "a turn of {}° learned in one direction, probed in eight by error clamps",
-        _KRAKAUER,
-    ),
-    "clamp": Kind(
-        lambda degrees: _phases(f"clamp-{degrees:g}"),
-        15.0,
-        "a cursor that misses by {}° whatever the hand does",
-        "Morehead, Taylor, Parvin & Ivry 2017, J. Cogn. Neurosci. 29:1061",
-    ),
-    "cursor-jump": Kind(
-        functools.partial(_jumps, what="cursor"),
-        10.0,
-        "a cursor that jumps by {} % of the way in flight",
-        _SAUNDERS,
-    ),
-    "target-jump": Kind(
-        functools.partial(_jumps, what="target"),
-        10.0,
-        "a target that jumps by {} % of the way in flight",
-        _SAUNDERS,
-    ),
-}
-"""Experiments after classic ones, by name."""
+EXPERIMENTS: dict[str, dict[str, Any]] = read_yaml(
+    files("mmc_gym.benchmark").joinpath("experiments.yml").read_text(encoding="utf-8")
+)
+"""Experiments after classic ones, by name; `{}` stands for the strength."""
 
 
 def find_experiment(experiment: str | Path | Experiment) -> Experiment:
@@ -455,11 +322,16 @@ def find_experiment(experiment: str | Path | Experiment) -> Experiment:
     match = re.fullmatch(r"([a-z-]+?)(?:-(-?\d+(?:\.\d+)?))?", text)
     if match is None or match[1] not in EXPERIMENTS:
         raise unknown("experiment", text, EXPERIMENTS, "one with a strength", "a file (mine.yml)")
-    kind = EXPERIMENTS[match[1]]
-    strength = float(match[2] or kind.strength)
-    return Experiment(
-        name=f"{match[1]}-{strength:g}",
-        blocks=kind.make(strength),
-        description=kind.description.format(f"{strength:g}"),
-        source=kind.source,
-    )
+    entries = dict(EXPERIMENTS[match[1]])
+    strength = f"{float(match[2] or entries.pop('strength')):g}"
+    entries.pop("strength", None)
+    return Experiment(name=f"{match[1]}-{strength}", **_filled_in(entries, strength))
+
+
+def _filled_in(entry: Any, strength: str) -> Any:
+    """Return entries with the strength in place of `{}`."""
+    if isinstance(entry, dict):
+        return {name: _filled_in(one, strength) for name, one in entry.items()}
+    if isinstance(entry, list):
+        return [_filled_in(one, strength) for one in entry]
+    return entry.replace("{}", strength) if isinstance(entry, str) else entry

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import io
 import json
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +25,18 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from rich.console import Console
 
 from mmc_gym._errors import UserError, require_choice, require_whole
 from mmc_gym._files import check_folder, write_atomically
 from mmc_gym._grid import run_grid
+from mmc_gym._plotting import save_figure
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
+from mmc_gym.benchmark.adaptation import learning_figure, learning_table, print_learning
 from mmc_gym.benchmark.experiment import Experiment, find_experiment
 from mmc_gym.benchmark.store import CellKey, Kept, kept_in, to_parquet
 from mmc_gym.benchmark.suite import make_player
@@ -76,6 +80,28 @@ class ExperimentResult:
     targets: NDArray[np.float32]
     control_step: float
 
+    @cached_property
+    def measures(self) -> pd.DataFrame:
+        """The measures of learning with their intervals, see `learning_table`."""
+        return learning_table(self)
+
+    def plot(self) -> Figure:
+        """Return a figure: the timeline above, learning curves below."""
+        return learning_figure(self)
+
+    def print(self, console: Console | None = None) -> None:
+        """Print the measures, people beside agents; to standard output by default."""
+        print_learning(self.measures, console)
+
+    def write(self, out: Path | str) -> list[Path]:
+        """Write NAME.trials.csv, NAME.measures.csv and the figure into the folder `out`."""
+        stem = Path(out) / self.experiment.name
+        written = []
+        for kind, table in (("trials", self.trials), ("measures", self.measures)):
+            text = table.to_csv(index=False, lineterminator="\n")
+            written.append(write_atomically(f"{stem}.{kind}.csv", text))
+        return written + save_figure(self.plot(), Path(f"{stem}.curves"))
+
     def __repr__(self) -> str:
         agents, subjects = self.trials["agent"].unique(), self.trials["subject"].nunique()
         return f"<{self.experiment.name}: {', '.join(agents)}, {subjects} subjects each>"
@@ -83,19 +109,14 @@ class ExperimentResult:
 
 @dataclass(frozen=True)
 class TrialsCell:
-    """Some subjects of an agent in an experiment.
-
-    Attributes:
-        seed: that the seeds of all subjects are derived from.
-        keeps_all: whether the agent's whole state lasts from trial to trial.
-        env_kwargs: arguments of the environment; `control` is as in `compare`.
-    """
+    """Some subjects of an agent in an experiment; see `run_experiment`."""
 
     agent: ResolvedAgent
     experiment: Experiment
     subjects: range
     seed: int = 0
     keeps_all: bool = False
+    parts: Mapping[str, Any] = field(default_factory=dict)
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -107,49 +128,48 @@ class TrialsCell:
     @property
     def settings(self) -> dict[str, Any]:
         """Everything that its result is known to depend on, ready for JSON."""
+        names = ("subjects", "seed", "keeps_all", "parts", "env_kwargs")
         settings = {
             "recording": RECORDING,
             "source": self.agent.source_name,
             "fingerprint": self.agent.fingerprint,
             "experiment": self.experiment.entries,
-            "subjects": list(self.subjects),
-            "seed": self.seed,
-            "keeps_all": self.keeps_all,
-            "env_kwargs": self.env_kwargs,
+            **{name: getattr(self, name) for name in names},
         }
-        found: dict[str, Any] = json.loads(json.dumps(settings, default=repr))
+        found: dict[str, Any] = json.loads(json.dumps(settings, default=list))
         return found
 
-    def player(self) -> tuple[Predictor, Mapping[str, Any]]:
+    def player(self) -> tuple[Any, Mapping[str, Any]]:
         """Return the agent, and the arguments of its environments.
 
         Raises:
             UserError: if it cannot act in them.
         """
+        limit = self.experiment.torque_limit
+        given = {} if limit is None else {"torque_limit": limit}
+        given |= self.env_kwargs
         scenario = Scenario("centre-out", "", self.experiment.task())
-        made, player = make_player(self.agent, scenario, self.env_kwargs)
+        made, player = make_player(self.agent, scenario, given)
         with closing(made):
-            control = read_attribute(made, "control")
-        if isinstance(player, BodyAgent):
-            player.parts = replace(player.parts, vigour=self.experiment.vigour)
-        return player, {**self.env_kwargs, "control": control}
+            given["control"] = read_attribute(made, "control")
+        if isinstance(player, BodyAgent) and self.agent.name:  # yours stay as you made them
+            player.parts = replace(player.parts, **self.parts, vigour=self.experiment.vigour)
+        return player, given
 
 
 def run_cell(cell: TrialsCell) -> bytes:
     """Play a cell, and return its file."""
     experiment, schedule = cell.experiment, cell.experiment.schedule
     player, arguments = cell.player()
-    trials, subjects = range(len(schedule)), len(cell.subjects)
-    is_agent = isinstance(player, Agent)
-    keeps = cell.keeps_all or getattr(player, "learns", False)
+    is_agent, trials, count = isinstance(player, Agent), range(len(schedule)), len(cell.subjects)
     sequences = [np.random.SeedSequence((cell.seed, subject)) for subject in cell.subjects]
     seeds = [one.generate_state(len(schedule) + 1).tolist() for one in sequences]
     angles = [experiment.targets_of(of[-1]).tolist() for of in seeds]
     paths: dict[str, Any] = {}
 
     @lru_cache(maxsize=8)
-    def world(condition: tuple[Any, ...], count: int) -> Any:
-        """Return the environment of a condition for so many arms."""
+    def world(condition: tuple[Any, ...], arms: int) -> Any:
+        """Return the environment of a condition."""
         perturbations, go_cue, jump = condition
         given: dict[str, Any] = {**arguments, "task": experiment.task(go_cue, jump)}
         given["perturbations"] = [*experiment.noise, *perturbations]
@@ -157,7 +177,7 @@ def run_cell(cell: TrialsCell) -> bytes:
         steps = round(experiment.seconds / env.parameters.control_step)
         if not is_agent:  # it may take no batches
             return gym.wrappers.TimeLimit(env, steps)
-        return MMCReachVectorEnv(count, max_episode_steps=steps, autoreset_mode="Disabled", **given)
+        return MMCReachVectorEnv(arms, max_episode_steps=steps, autoreset_mode="Disabled", **given)
 
     def play(player: Predictor, pairs: Sequence[tuple[int, int]], state: Any = None) -> Any:
         """Play trials (subject, trial) of one condition; return the agent's state at the end."""
@@ -165,62 +185,44 @@ def run_cell(cell: TrialsCell) -> bytes:
         options = [{"trial": experiment.directions.index(angles[of][at])} for of, at in pairs]
         own = [seeds[subject][trial] for subject, trial in pairs]
         episodes, state = run_trial(player, env, own, options, state)
-        for (subject, trial), one in zip(pairs, episodes, strict=True):
-            each = (one.hands, one.seen_hands, one.targets)
-            for name, path in zip(_PATHS, each, strict=True):
+        for pair, one in zip(pairs, episodes, strict=True):
+            each = {"hands": one.hands, "cursors": one.seen_hands, "targets": one.targets}
+            for name, path in each.items():
                 if name not in paths:
-                    paths[name] = np.empty((subjects, len(trials), *path.shape), np.float32)
-                paths[name][subject, trial] = path
+                    paths[name] = np.empty((count, len(trials), *path.shape), np.float32)
+                paths[name][pair] = path
         return state
 
-    def play_in_turn(player: Any, of: Sequence[int]) -> None:
+    def play_in_turn(player: Any, subjects: Sequence[int]) -> None:
         """Play all trials of some subjects in their order, with what the agent keeps."""
         state = None
         for one in schedule:
             if one.trial and not cell.keeps_all:
                 state = player.between_trials(state, one.rest) if is_agent else None
-            state = play(player, [(subject, one.trial) for subject in of], state)
+            state = play(player, [(subject, one.trial) for subject in subjects], state)
 
     conditions = [(one.perturbations, one.go_cue, one.target_jump) for one in schedule]
     if not is_agent:
-        for subject in range(subjects):
+        for subject in range(count):
             play_in_turn(cell.player()[0], [subject])
-    elif keeps:
-        play_in_turn(player, range(subjects))
+    elif cell.keeps_all or player.learns:
+        play_in_turn(player, range(count))
     else:
-        alike = defaultdict[Any, list[tuple[int, int]]](list)
-        for trial in trials:
-            alike[conditions[trial]] += [(subject, trial) for subject in range(subjects)]
-        for pairs in alike.values():
+        for condition in dict.fromkeys(conditions):
+            alike = [trial for trial in trials if conditions[trial] == condition]
+            pairs = list(product(range(count), alike))
             for first in range(0, len(pairs), _TOGETHER):
                 play(player, pairs[first : first + _TOGETHER])
-    step = world(conditions[0], subjects).unwrapped.parameters.control_step
-    return _file(cell, np.array(angles), paths, step)
-
-
-def _file(
-    cell: TrialsCell, angles: NDArray[np.float64], paths: Mapping[str, Any], step: float
-) -> bytes:
-    """Return a cell's file: the columns of `ExperimentResult.trials`, and three of paths.
-
-    Paths are lists of 2 (steps + 1) numbers, x and y of one time after the other.
-    """
-    schedule, subjects = cell.experiment.schedule, len(cell.subjects)
-    rows: dict[str, list[Any]] = {
-        "trial": [one.trial for one in schedule],
-        "block": [one.block for one in schedule],
-        "phase": [one.phase for one in schedule],
-        "perturbation": ["+".join(one.perturbations) for one in schedule],
-        "strength": [one.strength for one in schedule],
-        "probe": [one.probe for one in schedule],
-        "go_step": [round(one.go_cue / step) for one in schedule],
-    }
+    step = world(conditions[0], count).unwrapped.parameters.control_step
+    table = pd.DataFrame(schedule)[["trial", "block", "phase", "strength", "probe"]]
+    table["perturbation"] = ["+".join(one.perturbations) for one in schedule]
+    table["go_step"] = [round(one.go_cue / step) for one in schedule]
     starts = paths["hands"][:, :, 0].reshape(-1, 2)
     columns = {
-        "agent": [cell.agent.label] * subjects * len(schedule),
-        "subject": np.repeat(np.array(cell.subjects), len(schedule)),
-        **{name: values * subjects for name, values in rows.items()},
-        "target_angle": angles.ravel(),
+        "agent": [cell.agent.label] * count * len(trials),
+        "subject": np.repeat(np.array(cell.subjects), len(trials)),
+        **pd.concat([table] * count),
+        "target_angle": np.ravel(angles),
         "start_x": starts[:, 0],
         "start_y": starts[:, 1],
         **{name: _lists(values) for name, values in paths.items()},
@@ -242,6 +244,8 @@ def run_experiment(
     seed: int = 0,
     out: Path | str | None = None,
     *,
+    rate: float | Sequence[float] = 0.2,
+    retention: float | Sequence[float] = 0.98,
     keep: Sequence[str] = (),
     jobs: int | None = None,
     cluster: str | None = None,
@@ -257,6 +261,9 @@ def run_experiment(
         subjects: number of subjects; each has an order of targets and noise of its own.
         seed: that the subjects' seeds are derived from.
         out: folder that keeps what was played; None keeps nothing.
+        rate: of `mmc-body` and `ik-body`: share of what a movement shows that is learned; several
+            for several states, as a fast and a slow one.  1 learns all within the movement.
+        retention: of these: share of what is learned that lasts to the next trial; 0 keeps nothing.
         keep: labels of agents whose whole state lasts from trial to trial, in place of what their
             `between_trials` keeps.
         jobs: how many cells are played at once, see `run_grid`.
@@ -278,14 +285,16 @@ def run_experiment(
     for label in keep:
         require_choice("keep", label, [agent.label for agent in found])
     folder = None if out is None else check_folder(out, "out") / TRIALS
+    parts = {"rate": tuple(np.ravel(rate)), "retention": tuple(np.ravel(retention))}
     cells = [
         TrialsCell(
-            agent,
-            experiment,
-            range(first, min(first + _SUBJECTS, subjects)),
-            seed,
-            agent.label in keep,
-            given,
+            agent=agent,
+            experiment=experiment,
+            subjects=range(first, min(first + _SUBJECTS, subjects)),
+            seed=seed,
+            keeps_all=agent.label in keep,
+            parts=parts,
+            env_kwargs=given,
         )
         for agent in found
         for first in range(0, subjects, _SUBJECTS)

@@ -226,9 +226,9 @@ class Cursor(Perturbation, ABC):
         """Return where the hand is for a cursor at (x, y), which is the target."""
         return x, y
 
-    @abstractmethod
     def farthest(self, reach: float) -> float:
-        """Return the largest distance of the cursor from the base."""
+        """Return a distance from the base that the cursor never exceeds."""
+        return 3 * reach
 
 
 @spelt
@@ -299,10 +299,6 @@ class ErrorClamp(Cursor):
         turned = cos * along - sin * across, sin * along + cos * across
         return centre[0] + away * turned[0], centre[1] + away * turned[1]
 
-    @override
-    def farthest(self, reach: float) -> float:
-        return reach + 2 * math.hypot(*(self.centre or (0.0, 0.0)))
-
 
 @spelt
 @dataclass(frozen=True)
@@ -322,8 +318,8 @@ class CursorJump(Cursor):
     centre: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        require_finite("percent", self.percent)
-        require_number("share", self.share, "a number from 0 to 1", lambda share: 0 <= share <= 1)
+        require_number("percent", self.percent, "at most 100", lambda jump: abs(jump) <= 100)
+        require_number("share", self.share, "from 0 to 1", lambda share: 0 <= share <= 1)
 
     @override
     def cursor(
@@ -334,11 +330,6 @@ class CursorJump(Cursor):
         made = (x - centre[0]) * along + (y - centre[1]) * across
         jump = (made >= self.share * way) * (self.percent / 100) * way
         return x - jump * across, y + jump * along
-
-    @override
-    def farthest(self, reach: float) -> float:
-        centre = math.hypot(*(self.centre or (0.0, 0.0)))
-        return reach + abs(self.percent) / 100 * (reach + centre)
 
 
 def _direction(

@@ -246,26 +246,17 @@ class CuedTarget(PointToPoint):
 
     @override
     def draw(self, request: Request) -> Trial:
-        trial, step = super().draw(request), request.workspace.body.control_step
-        (target,) = trial.targets
-        waits = [self._ends(request.workspace, 0)[0]] * round(self.go_cue / step)
-        if not self.jump:
-            return Trial(trial.joint_angles, [*waits, target])
-        before = [target] * round(self.jump_time / step)
-        return Trial(trial.joint_angles, [*waits, *before, self._jumped(request.workspace, target)])
-
-    @override
-    def check(self, workspace: Workspace) -> None:
-        super().check(workspace)
-        for trial in range(len(self.pairs)):
-            target = self._jumped(workspace, self._ends(workspace, trial)[1])
-            require(workspace.contains(target), "jump", self.jump, "small enough to stay in reach")
-
-    def _jumped(self, workspace: Workspace, target: Point) -> Point:
-        """Return where a target is after its jump."""
-        start, share = self._ends(workspace, 0)[0], self.jump / 100
-        x, y = target[0] - start[0], target[1] - start[1]
-        return target[0] - share * y, target[1] + share * x
+        workspace, (posture, (target,)) = request.workspace, super().draw(request)
+        steps = [
+            round(time / workspace.body.control_step) for time in (self.go_cue, self.jump_time)
+        ]
+        start = self._ends(workspace, 0)[0]
+        before = [start] * steps[0] + [target] * (steps[1] if self.jump else 0)
+        x, y, share = target[0] - start[0], target[1] - start[1], self.jump / 100
+        after = target[0] - share * y, target[1] + share * x
+        accepted = "small enough for the target to stay in reach"
+        require(workspace.contains(after), "jump", self.jump, accepted)
+        return Trial(posture, [*before, after])
 
 
 @spelt

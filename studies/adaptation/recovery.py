@@ -19,12 +19,12 @@ from rich.console import Console
 
 from mmc_gym.benchmark.statistics import percentile_interval, resampled_means
 from mmc_gym.measures.learning import (
-    TwoStates,
+    TWO_STATES,
     fit_exponential,
     fit_two_states,
     generalization_width,
-    simulate_learners,
 )
+from studies.adaptation.learners import TwoStates, simulate_learners
 from studies.tables import table_of
 
 LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
@@ -43,12 +43,12 @@ def recovery(
     groups: int,
     resamples: int,
 ) -> dict[str, dict[str, float]]:
-    """Return mean, bias, sd and coverage for each parameter that `fit` returns as an attribute."""
+    """Return mean, bias, sd and coverage for each parameter that `fit` returns, in its order."""
     estimates, covered = [], []
     wanted = np.array(list(true.values()))
     for group in range(groups):
         found = fit(*(resampled_means(curves, resamples) for curves in simulate(group)))
-        values = np.array([np.asarray(getattr(found, name)) for name in true])
+        values = np.reshape(found, (resamples + 1, len(true))).T
         low, high = np.transpose([percentile_interval(one[1:]) for one in values])
         estimates.append(values[:, 0])
         covered.append((low <= wanted) & (wanted <= high))
@@ -100,6 +100,7 @@ def main(groups: int = 200, subjects: int = 20, resamples: int = 200) -> None:
         resamples: of the subjects, for each interval.
     """
     console = Console()
+    true_states = dict(zip(TWO_STATES, LEARNER))
     trials = np.arange(160)
     course = ASYMPTOTE * (1 - np.exp(-RATE * trials))
     around = 20.0 * np.exp(-(OFFSETS**2) / (2 * WIDTH**2))
@@ -109,33 +110,32 @@ def main(groups: int = 200, subjects: int = 20, resamples: int = 200) -> None:
         return lambda group: (curve + np.random.default_rng(group).normal(0.0, NOISE, shape),)
 
     def width(curves: Any) -> Any:
-        return TwoStates(generalization_width(curves, OFFSETS), *[None] * 3)
+        return generalization_width(curves, OFFSETS)
 
     cases: dict[str, tuple[Any, Any, Mapping[str, float]]] = {
         "rotation and washout": (
             fit_two_states,
             two_state_groups(False, subjects),
-            LEARNER._asdict(),
+            true_states,
         ),
         "rotation, its opposite, clamp": (
             fit_two_states,
             two_state_groups(True, subjects),
-            LEARNER._asdict(),
+            true_states,
         ),
         "the same, 3° of noise unseen by the learner": (
             fit_two_states,
             two_state_groups(True, subjects, unseen=3.0),
-            LEARNER._asdict(),
+            true_states,
         ),
         "exponential": (fit_exponential, noisy(course), {"asymptote": ASYMPTOTE, "rate": RATE}),
-        "width of a Gaussian": (width, noisy(around), {"A_f": WIDTH}),
+        "width of a Gaussian": (width, noisy(around), {"σ [°]": WIDTH}),
     }
     rows = []
     for case, (fit, simulate, true) in cases.items():
         for name, found in recovery(fit, simulate, true, groups, resamples).items():
             values = {key: f"{value:.4f}" for key, value in found.items() if key != "coverage"}
-            label = "σ [°]" if fit is width else name
-            rows.append({"case": case, "parameter": label, **values})
+            rows.append({"case": case, "parameter": name, **values})
             rows[-1]["coverage"] = f"{found['coverage']:.1%}"
     console.print(table_of(rows, f"{groups} groups of {subjects} simulated learners"))
 

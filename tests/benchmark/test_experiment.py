@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.experiment import EXPERIMENTS, Block, Experiment, Probe, find_experiment
@@ -42,7 +43,7 @@ def test_every_experiment_can_be_planned_printed_and_drawn(name: str) -> None:
     schedule = experiment.schedule
     assert [one.trial for one in schedule] == list(range(len(schedule)))
     assert schedule[0].perturbations in ((), ("clamp-0",))
-    assert all(block.name in str(experiment) for block in experiment.blocks)
+    assert Experiment(**yaml.safe_load(str(experiment))) == experiment
     (axes,) = experiment.plot().axes
     assert {block.name for block in experiment.blocks} <= {
         text.get_text().split(", ")[-1] for text in axes.texts

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from mmc_gym.benchmark.adaptation import QUANTITIES, Learning, measure_learning
 from mmc_gym.measures import MEASURES, SET_MEASURES
-from mmc_gym.measures.experiment import LEARNING_MEASURES, Learning
 from mmc_gym.measures.learning import (
-    TwoStates,
+    TWO_STATES,
     correction_gain,
     correction_latency,
     fit_exponential,
@@ -14,10 +14,10 @@ from mmc_gym.measures.learning import (
     generalization_width,
     initial_direction,
     lateral_deviation,
-    simulate_learners,
 )
-from mmc_gym.measures.people import people
 from mmc_gym.network.time_base import minimum_jerk
+from studies.adaptation.learners import TwoStates, simulate_learners
+from studies.adaptation.people import people
 
 STEP = 0.02
 BELL = minimum_jerk(np.linspace(0, 1, 52))[:, None]
@@ -50,30 +50,26 @@ def test_a_hand_that_never_moves_has_no_direction():
 @pytest.mark.parametrize("latency", [0.06, 0.12, 0.2])
 @pytest.mark.parametrize("gain", [0.3, 1.0])
 def test_a_late_and_partial_correction_of_a_jump(latency, gain):
-    plain = np.zeros((4, 101, 2)) + np.linspace(0, 1, 101)[:, None] * [1.0, 0.0]
     times = np.arange(101) * STEP
-    course = minimum_jerk(np.clip((times - 0.2 - latency) / 0.4, 0, 1))
-    jumped = plain + gain * 0.1 * course[:, None] * [0.0, 1.0]
-    assert correction_gain(jumped, plain, (0.0, 0.1)) == pytest.approx(gain)
-    found = correction_latency(jumped, plain, (0.0, 0.1), 0.2, STEP)
-    assert found == pytest.approx(latency, abs=STEP)
-    assert np.isnan(correction_latency(plain, plain, (0.0, 0.1), 0.2, STEP))
+    response = gain * 0.1 * minimum_jerk(np.clip((times - 0.2 - latency) / 0.4, 0, 1))
+    assert correction_gain(response, 0.1) == pytest.approx(gain)
+    assert correction_latency(response, 0.1, 0.2, STEP) == pytest.approx(latency, abs=STEP)
+    assert np.isnan(correction_latency(0 * response, 0.1, 0.2, STEP))
 
 
 def test_an_exponential_is_found_again():
     rates = np.array([0.01, 0.1, 0.7])
     curves = 20 - 15 * np.exp(-rates[:, None] * np.arange(100))
     curves[:, 7] = np.nan
-    found = fit_exponential(curves)
-    assert found.start == pytest.approx([5.0] * 3, rel=1e-4)
-    assert found.asymptote == pytest.approx([20.0] * 3, rel=1e-4)
-    assert found.rate == pytest.approx(rates, rel=1e-4)
+    asymptotes, found = fit_exponential(curves).T
+    assert asymptotes == pytest.approx([20.0] * 3, rel=1e-4)
+    assert found == pytest.approx(rates, rel=1e-4)
 
 
 def test_noise_has_no_rate():
     noise = np.random.default_rng(0).normal(size=(20, 100))
-    assert np.isnan(fit_exponential(noise).rate).all()
-    assert np.isnan(fit_exponential(np.zeros(100)).rate)
+    assert np.isnan(fit_exponential(noise)).all()
+    assert np.isnan(fit_exponential(np.zeros(100))).all()
 
 
 SCHEDULES = {
@@ -105,10 +101,10 @@ def test_fits_to_noisy_learners_scatter_around_the_truth():
         for seed in range(20)
     ]
     adaptation, errors = (np.mean(curves, axis=1) for curves in zip(*groups, strict=True))
-    found = np.array(fit_two_states(adaptation, errors))
-    scatter = found.std(axis=1, ddof=1) / np.sqrt(20)
-    assert (np.abs(found.mean(axis=1) - np.array(LEARNER)) < 4 * scatter).all()
-    assert found.mean(axis=1) == pytest.approx(np.array(LEARNER), rel=0.05)
+    found = fit_two_states(adaptation, errors)
+    scatter = found.std(axis=0, ddof=1) / np.sqrt(20)
+    assert (np.abs(found.mean(axis=0) - np.array(LEARNER)) < 4 * scatter).all()
+    assert found.mean(axis=0) == pytest.approx(np.array(LEARNER), rel=0.05)
 
 
 def test_who_does_not_learn_has_no_states():
@@ -142,14 +138,14 @@ def learning_in(schedule, learner, kinds="", rest=0):
 def test_measures_of_an_experiment():
     schedule = np.r_[NONE, TURN, NONE, TURN, NONE]
     learning = learning_in((schedule, np.nan), LEARNER, rest=180)
-    found = {name: float(one.of(learning)[0]) for name, one in LEARNING_MEASURES.items()}
+    found = {name: float(value[0]) for name, value in measure_learning(learning).items()}
     curve = learning.adaptation[0]
     assert [len(one) for one in learning.exposures] == [120, 120]
     assert found["final_adaptation"] == pytest.approx(curve[170:180].mean())
     assert found["after_effect"] == pytest.approx(curve[180:184].mean())
     assert found["retention"] == pytest.approx(curve[180:184].mean() / curve[170:180].mean())
     assert found["savings"] > 1.0  # the slow state is still there
-    assert [found[name] for name in LEARNER._fields] == pytest.approx(list(LEARNER), abs=2e-3)
+    assert [found[name] for name in TWO_STATES] == pytest.approx(list(LEARNER), abs=2e-3)
     assert np.isnan([found["width"], found["clamp_asymptote"]]).all()
 
 
@@ -157,19 +153,19 @@ def test_measures_of_a_clamp():
     schedule = np.zeros(180), np.r_[NONE * np.nan, np.full(120, 15.0)]
     kinds = np.where(np.arange(180) < 60, "", "clamp")
     learning = learning_in(schedule, LEARNER, kinds)
-    found = {name: float(one.of(learning)[0]) for name, one in LEARNING_MEASURES.items()}
+    found = {name: float(value[0]) for name, value in measure_learning(learning).items()}
     assert found["clamp_asymptote"] == pytest.approx(learning.adaptation[0, -10:].mean())
     assert found["clamp_asymptote"] > 15.0  # nothing stops at the error that never goes
     assert np.isnan([found["rate"], found["savings"], found["after_effect"]]).all()
 
 
 def test_figures_of_people_have_a_source_and_belong_to_a_measure():
-    known = {*MEASURES, *SET_MEASURES, *LEARNING_MEASURES, "correction_latency", "correction_gain"}
+    known = {*MEASURES, *SET_MEASURES, *(one.name for one in QUANTITIES)}
     for name, one in people().items():
         assert name in known
         has_figure = one.low is not None or one.high is not None
         assert has_figure == bool(one.source and one.task and one.differs) == (not one.missing)
-    assert people()["correction_latency"].figure == "0.117 to 0.2"
+    assert people()["latency"].figure == "0.117 to 0.2"
     assert people()["savings"].figure == "above 1"
     assert people()["width"].authors == "McDougle et al. 2017"
     assert people()["fitts_slope"].figure == "–"

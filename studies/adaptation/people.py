@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 
 import yaml
 
@@ -41,5 +41,5 @@ class Published:
 @cache
 def people() -> dict[str, Published]:
     """Return the published figures by measure."""
-    text = files("mmc_gym.measures").joinpath("people.yml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[1] / "people.yml").read_text(encoding="utf-8")
     return {row["quantity"]: Published(**row) for row in yaml.safe_load(text)}
