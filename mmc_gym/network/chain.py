@@ -1,4 +1,4 @@
-"""The planar kinematic chain: its nodes, the vectors between them, and the triangles they form.
+"""The kinematic chain in plane or space: its nodes, the vectors between them, and their triangles.
 
 A chain of N segments has the nodes p_0 (base) … p_N (end effector), and one vector
 v_ij = p_j − p_i for every i < j: the segments L_i = v_{i−1,i}, the diagonals D, and the
@@ -64,10 +64,10 @@ def chain_vectors(segments: Floats) -> Floats:
     """Return all vectors v_ij of the chain with the given segment vectors.
 
     Args:
-        segments: segment vectors, shape (..., N, 2).
+        segments: segment vectors, shape (..., N, 2 or 3).
 
     Returns:
-        Array of shape (..., N(N+1)/2, 2), in the order of `vector_pairs`.
+        Array of shape (..., N(N+1)/2, 2 or 3), in the order of `vector_pairs`.
     """
     starts, ends = np.array(vector_pairs(segments.shape[-2])).T
     nodes = node_positions(segments)
@@ -120,6 +120,16 @@ BEND = 0.02
 """Angle by which each joint of a straight arm is bent if it could not leave the line, rad."""
 
 
+def bent(segments: Floats) -> Floats:
+    """Return segments in space (..., N, 3) in one line, with each joint bent by `BEND`."""
+    sizes = np.linalg.norm(segments, axis=-1, keepdims=True)
+    first = segments[..., :1, :] / sizes[..., :1, :]
+    side = np.cross(first, np.eye(3)[np.abs(first).argmin(axis=-1)])  # some direction across
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    angle = BEND * np.arange(1, segments.shape[-2] + 1)[:, None]
+    return (np.cos(angle) * segments + np.sin(angle) * sizes * side).astype(segments.dtype)
+
+
 def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
     """Return inner and outer radius of the disc or ring that the end effector can reach.
 
@@ -131,16 +141,23 @@ def reachable_radii(segment_lengths: Sequence[float]) -> tuple[float, float]:
 
 
 def nearest_reachable(target: Floats, segment_lengths: Sequence[float]) -> Floats:
-    """Return targets (..., 2); those out of reach are moved to the nearest point within.
+    """Return targets (..., 2 or 3); those out of reach are moved to the nearest point within.
 
     >>> nearest_reachable(np.array([4.0, 0.0]), (1.0, 1.0, 1.0))
     array([3., 0.])
     """
     inner, outer = reachable_radii(segment_lengths)
+    is_plane = target.shape[-1] == 2
     distance = np.hypot(target[..., 0], target[..., 1])
+    if not is_plane:
+        distance = np.hypot(distance, target[..., 2])
     outside = (distance < inner) | (distance > outer)
     if not outside.any():
         return target
+    if not is_plane:
+        ahead = np.where(distance[..., None] > 0, target, np.eye(3, dtype=target.dtype)[0])
+        scale = np.clip(distance, inner, outer) / np.where(distance > 0, distance, 1)
+        return np.where(outside[..., None], scale[..., None] * ahead, target)
     bearing = np.arctan2(target[..., 1], target[..., 0])  # defined at the base too
     radius = np.clip(distance, inner, outer)
     nearest = np.stack([radius * np.cos(bearing), radius * np.sin(bearing)], axis=-1)

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from mmc_gym._errors import UserError, require, require_not_negative
 from mmc_gym.network.chain import Floats, triangle_products
 from mmc_gym.network.iteration import compile_iteration, velocity_rule
-from mmc_gym.network.model import Clamps, MMCNetwork, MMCState
+from mmc_gym.network.model import Clamps, MMCNetwork, MMCState, require_plane
 from mmc_gym.network.normalizers import Normalizer
 
 SEGMENT_WEIGHT = 0.05  #: λ: weight of the segments of a rigid body, beside its span
@@ -89,6 +89,7 @@ def embodied_run(
     ([-1.0, 1.5], 0.6)
     """
     require(isinstance(body, Embodiment), "body", body, "an Embodiment")
+    require_plane(network)
     require(network.schedule == "synchronous", "schedule", network.schedule, "'synchronous'")
     state = network.run(state, clamps, iterations=0)  # broadcasts, and sets R
     values, count, rows = state.values, network.segment_count, len(state.values)

@@ -144,7 +144,7 @@ def held_rows(
             turned = pair[::-1] if isinstance(pair, tuple) else ()
             guess = f"{turned} with the opposite sign" if turned in pairs else ""
             raise unknown("clamp", pair, pairs, guess=guess)
-        held[pairs.index(pair)] = read(f"clamp {pair}", value, (2,))
+        held[pairs.index(pair)] = read(f"clamp {pair}", value, (network.dimensions,))
     if network.schedule == "delayed":  # the pending value of a clamped segment is held as well
         segments = [row for row in held if row < network.segment_count]
         held |= {len(pairs) + row: held[row] for row in segments}

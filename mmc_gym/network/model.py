@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -46,7 +46,7 @@ from mmc_gym._notebook import facts_table
 from mmc_gym.network import chain
 from mmc_gym.network.chain import Floats, Pair
 from mmc_gym.network.iteration import compile_iteration, held_rows
-from mmc_gym.network.normalizers import EuclideanNormalizer, Normalizer
+from mmc_gym.network.normalizers import EuclideanNormalizer, LearnedNormalizer, Normalizer
 
 if TYPE_CHECKING:  # numpy is all that the network needs
     from matplotlib.axes import Axes
@@ -67,9 +67,10 @@ class MMCState:
     The properties show them with the batch first, without a copy.
 
     Attributes:
-        values: one row per variable with the batch on the last axes, (rows, 2, ...): the chain's
-            vectors, then the segments that await their normalization (schedule "delayed" only),
-            then the segment velocities (dynamic networks only).
+        values: one row per variable with the batch on the last axes, (rows, 2, ...), or
+            (rows, 3, ...) in space: the chain's vectors, then the segments that await their
+            normalization (schedule "delayed" only), then the segment velocities (dynamic networks
+            only).
         segment_count: N.
     """
 
@@ -89,7 +90,8 @@ class MMCState:
 
     @property
     def joint_angles(self) -> Floats:
-        """Relative joint angles of the segments in ]−π, π], shape (..., N)."""
+        """Relative joint angles of the segments in ]−π, π], shape (..., N); in the plane only."""
+        require(self.values.shape[1] == 2, "state", "one in space", "in the plane")
         return chain.joint_angles_from_segments(self.segments)
 
     @property
@@ -145,6 +147,9 @@ class Trajectory(NamedTuple):
         """
         from mmc_gym._plotting import plot_postures
 
+        axes_count = self.segments.shape[-1]
+        require(axes_count == 2, "segments", f"{axes_count} dimensions", "in the plane to be drawn")
+
         segments = self.segments.reshape(len(self.segments), -1, *self.segments.shape[-2:])
         last = self.state.vectors[..., -1, :].reshape(-1, 2)
         return plot_postures(chain.node_positions(segments), last, axes)
@@ -153,7 +158,11 @@ class Trajectory(NamedTuple):
 @spelt
 @dataclass(frozen=True)
 class MMCNetwork:
-    """Description of an MMC network for a planar arm of N ≥ 2 segments; it holds no state.
+    """Description of an MMC network for an arm of N ≥ 2 segments; it holds no state.
+
+    Its joints are hinges in the plane, and ball joints in space.  What has the shape (..., 2) has
+    (..., 3) there, and postures are given by `state_from_segments`.  For arms of hinges in space
+    there is `HingeNetwork`.
 
     It converges for d > (N + 1)/2, and without oscillation for d ≥ N + 1.  At d = N + 1 the linear
     part needs a single iteration.  A smaller d is refused.
@@ -171,6 +180,7 @@ class MMCNetwork:
             (1e-12).  Only a stretched arm whose target needs it bent is in a balance: rounding
             decides to which side it bends, and differences grow (1e-9 after 60 iterations, then to
             another posture).  The first run with N segments compiles for some seconds.
+        dimensions: 2; or 3, with the Euclidean normalizer and the engine "numpy".
 
     Raises:
         UserError: for fewer than two segments, a value outside its range, or an unknown argument;
@@ -181,6 +191,12 @@ class MMCNetwork:
     >>> state = network.run(state, network.inverse([-1.0, 1.5]), iterations=100)
     >>> state.end_effector.round(2).tolist()
     [-1.0, 1.5]
+
+    >>> network = MMCNetwork(dimensions=3)
+    >>> state = network.state_from_segments([[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> state = network.run(state, network.inverse([-1.0, 1.5, 0.5]), iterations=100)
+    >>> state.end_effector.round(2).tolist()
+    [-1.0, 1.5, 0.5]
     """
 
     segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)
@@ -191,6 +207,7 @@ class MMCNetwork:
     velocity_decay: float = 0.92
     schedule: Schedule = "synchronous"
     engine: NetworkEngine = "numpy"
+    dimensions: int = 2
 
     def __post_init__(self) -> None:
         accepted = "two or more positive and finite lengths"
@@ -218,6 +235,11 @@ class MMCNetwork:
             fine = self.schedule == "synchronous"
             require(fine, "schedule", self.schedule, f"'synchronous' {engine}")
             import mmc_gym.network.compiled  # noqa: F401  (raises here if numba is missing)
+        require(self.dimensions in (2, 3), "dimensions", self.dimensions, "2 or 3")
+        if self.dimensions == 3:
+            fine = not isinstance(self.normalizer, LearnedNormalizer)
+            require(fine, "normalizer", self.normalizer, "Euclidean for 3 dimensions")
+            require(self.engine == "numpy", "engine", self.engine, "'numpy' for 3 dimensions")
 
     @property
     def segment_count(self) -> int:
@@ -230,6 +252,7 @@ class MMCNetwork:
 
     def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
         """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
+        require_plane(self)
         angles = _as_floats("joint_angles", joint_angles, (self.segment_count,))
         return self.state_from_segments(
             chain.segments_from_joint_angles(angles, self.segment_lengths)
@@ -244,7 +267,7 @@ class MMCNetwork:
         Raises:
             UserError: if the shape is another or a value is no finite number.
         """
-        segments = _as_floats("segments", segments, (self.segment_count, 2))
+        segments = _as_floats("segments", segments, (self.segment_count, self.dimensions))
         parts = [chain.chain_vectors(segments)]
         if self.schedule == "delayed":
             parts.append(segments)
@@ -256,14 +279,14 @@ class MMCNetwork:
     def inverse(self, target: ArrayLike) -> Clamps:
         """Hold the end effector at `target` (..., 2): the inverse task."""
         # As `clamp`, but three times as fast: agents call it in every control step.
-        target = _as_floats("target", target, (2,))
+        target = _as_floats("target", target, (self.dimensions,))
         batch = range(target.ndim - 1)
         values = target.transpose(target.ndim - 1, *batch).copy()[None]
         return Clamps((self._hand_row,), values, self.segment_count)
 
     def forward(self, segments: ArrayLike) -> Clamps:
         """Hold every segment at its vector in `segments` (..., N, 2): the forward task."""
-        segments = _as_floats("segments", segments, (self.segment_count, 2))
+        segments = _as_floats("segments", segments, (self.segment_count, self.dimensions))
         return self.clamp({(i, i + 1): segments[..., i, :] for i in range(self.segment_count)})
 
     def clamp(self, vectors: Mapping[Pair, ArrayLike]) -> Clamps:
@@ -315,9 +338,9 @@ class MMCNetwork:
             values, clamped = _broadcast(values, batch), _broadcast(clamped, batch)
         values = self._out_of_line(values, clamps.rows, clamped)
         result = np.empty(values.shape, dtype=values.dtype)
-        rows, size = len(result), result[0, 0].size
-        source, out = values.reshape(rows, 2, size), result.reshape(rows, 2, size)
-        held = clamped.reshape(len(clamped), 2, clamped[0, 0].size if clamps.rows else 1)
+        rows, axes, size = len(result), self.dimensions, result[0, 0].size
+        source, out = values.reshape(rows, axes, size), result.reshape(rows, axes, size)
+        held = clamped.reshape(len(clamped), axes, clamped[0, 0].size if clamps.rows else 1)
         if self.engine == "numba" and clamps.rows == (self._hand_row,):
             from mmc_gym.network.compiled import compiled_iterations
 
@@ -354,6 +377,10 @@ class MMCNetwork:
             if count not in (self.segment_count, NO_CLAMPS.segment_count):
                 accepted = f"of {self.segment_count} segments, as this network is"
                 raise UserError(f"{name} must be {accepted}, got {count} segments")
+        for name, given in (("state", state.values), ("clamps", clamps.values)):
+            if len(given) and given.shape[1] != self.dimensions:
+                accepted = f"of {self.dimensions} dimensions, as this network is"
+                raise UserError(f"{name} must be {accepted}, got {given.shape[1]}")
         if len(state.values) != self.row_count:
             raise UserError(
                 f"state must come from a network of dynamics {self.dynamics!r} and schedule "
@@ -372,7 +399,7 @@ class MMCNetwork:
         return count * (count + 1) // 2 + count * blocks
 
     def _out_of_line(self, values: Floats, rows: tuple[int, ...], clamped: Floats) -> Floats:
-        """Return states (rows, 2, ...), bent where they could never leave the line they lie in.
+        """Return states (rows, axes, ...), bent where they could never leave the line they lie in.
 
         Only states with a new target are examined.
         """
@@ -382,11 +409,14 @@ class MMCNetwork:
         target = clamped[rows.index(hand)]
         if target.tobytes() == values[hand].tobytes():
             return values
-        (x, y), lengths = values[0], self.segment_lengths
+        (x, y, *z), lengths = values[0], self.segment_lengths
         least = _STRAIGHT[values.dtype.char] * lengths[0] * sum(lengths)
 
         def are_in_line(vectors: Floats) -> NDArray[np.bool_]:
             across = np.abs(x * vectors[:, 1] - y * vectors[:, 0])
+            if z:
+                across = np.hypot(across, x * vectors[:, 2] - z[0] * vectors[:, 0])
+                across = np.hypot(across, y * vectors[:, 2] - z[0] * vectors[:, 1])
             in_line: NDArray[np.bool_] = (across <= least).all(axis=0)
             return in_line
 
@@ -396,17 +426,26 @@ class MMCNetwork:
         clamped = _broadcast(clamped, values.shape[2:])
         target = chain.nearest_reachable(np.moveaxis(target, 0, -1), lengths)
         way = target - np.moveaxis(values[:count].sum(axis=0), 0, -1)
-        is_away = np.hypot(way[..., 0], way[..., 1]) > 1e-3 * sum(lengths)
+        is_away = reduce(np.hypot, np.moveaxis(way, -1, 0)) > 1e-3 * sum(lengths)
         is_stuck = is_straight & are_in_line(clamped) & is_away
-        bent = MMCState(values, count).joint_angles + chain.BEND
-        return np.where(is_stuck, self.state_from_joint_angles(bent).values, values)
+        posture = MMCState(values, count)
+        if z:
+            bent = self.state_from_segments(chain.bent(posture.segments))
+        else:
+            bent = self.state_from_joint_angles(posture.joint_angles + chain.BEND)
+        return np.where(is_stuck, bent.values, values)
 
 
 def _broadcast(values: Floats, batch: tuple[int, ...]) -> Floats:
-    """Broadcast the batch axes of values (rows, 2, ...) to `batch`."""
-    rows, two, *own = values.shape
+    """Broadcast the batch axes of values (rows, axes, ...) to `batch`."""
+    rows, axes, *own = values.shape
     missing = (1,) * (len(batch) - len(own))
-    return np.broadcast_to(values.reshape(rows, two, *missing, *own), (rows, two, *batch))
+    return np.broadcast_to(values.reshape(rows, axes, *missing, *own), (rows, axes, *batch))
+
+
+def require_plane(network: MMCNetwork) -> None:
+    """Raise a `UserError` for a network in space."""
+    require(network.dimensions == 2, "dimensions", network.dimensions, "2 for this")
 
 
 def _are_lengths(numbers: tuple[float, ...]) -> bool:

@@ -40,7 +40,7 @@ class Normalizer(ABC):
         """Normalize in place.
 
         Args:
-            rows: vectors with the batch last, (n, 2, batch).
+            rows: vectors with the batch last, (n, 2, batch); (n, 3, batch) in space.
             lengths: the wanted lengths, of the same dtype, (n, 1) or (n, batch).
         """
 
@@ -57,7 +57,10 @@ class Normalizer(ABC):
 
 
 class EuclideanNormalizer(Normalizer):
-    """L = ℓ · L̃ / |L̃|, exact.  The zero vector becomes (ℓ, 0), as atan2(0, 0) = 0 says."""
+    """L = ℓ · L̃ / |L̃|, exact, in the plane and in space.
+
+    The zero vector becomes (ℓ, 0), as atan2(0, 0) = 0 says.
+    """
 
     @override
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
@@ -65,6 +68,8 @@ class EuclideanNormalizer(Normalizer):
         rows[:, 0] += _NUDGE[rows.dtype.char]
         squares = rows * rows
         scale = squares[:, 0] + squares[:, 1]
+        if rows.shape[1] == 3:
+            scale += squares[:, 2]
         np.sqrt(scale, out=scale)
         np.divide(lengths, scale, out=scale)
         np.multiply(rows, scale[:, None], out=rows)

@@ -46,7 +46,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym._errors import require, require_array, require_positive
 from mmc_gym.network.chain import Floats, triangle_products
-from mmc_gym.network.model import MMCNetwork, MMCState
+from mmc_gym.network.model import MMCNetwork, MMCState, require_plane
 
 CORRECTIONS = 4  #: steps that correct the gain of an iteration
 
@@ -194,5 +194,6 @@ def _coupling(segment_count: int) -> NDArray[np.float64]:
 
 
 def _check(network: MMCNetwork) -> None:
+    require_plane(network)
     fine = network.dynamics == "kinematic" and network.schedule == "synchronous"
     require(fine, "network", network, "kinematic and synchronous to follow a time base")
