@@ -281,6 +281,7 @@ def learning_figure(result: ExperimentResult, resamples: int = RESAMPLES) -> Fig
         FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
         result.experiment.plot_timeline(above)
+        above.set_xlabel("")
         for number, agent in enumerate(result.trials["agent"].unique()):
             learning = learning_of(result, agent)
             style = LINES[(number + number // len(COLOURS)) % len(LINES)]

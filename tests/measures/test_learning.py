@@ -17,7 +17,7 @@ from mmc_gym.measures.learning import (
 )
 from mmc_gym.network.time_base import minimum_jerk
 from studies.adaptation.learners import TwoStates, simulate_learners
-from studies.adaptation.people import people
+from studies.people import people
 
 STEP = 0.02
 BELL = minimum_jerk(np.linspace(0, 1, 52))[:, None]
