@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import track
 
-from mmc_gym.agents.body_model.agent import Parts
+from mmc_gym.agents.body_model.agent import Parts, ik_body
 from mmc_gym.benchmark.adaptation import learning_figure, learning_table
 from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.benchmark.suite import SCENARIOS
@@ -47,6 +47,10 @@ EXPERIMENTS = {  # measures, and the experiments that they are taken in
     "cursor-jump-10": ("latency", "gain"),
 }
 MARKERS = "osD^vP"
+BODY: dict[str, Any] = {  # at the speed of people
+    "mmc-body": body_model(Parts(vigour=0)),
+    "ik-body": body_model(Parts(vigour=0), ik_body),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +94,7 @@ def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
     rows = []
     for scenario, names in track(MOVEMENTS.items(), "movements", transient=True):
         for agent in agents:
-            made = body_model(Parts(vigour=0)) if agent == "mmc-body" else agent
+            made = BODY.get(agent, agent)
             played = play(made, SCENARIOS[scenario], episodes, seed=0)
             for name in names:
                 known: Any = {**MEASURES, **SET_MEASURES}[name]
@@ -201,7 +205,7 @@ def draw(rows: pd.DataFrame) -> Figure:
 
 
 def main(
-    agents: tuple[str, ...] = ("mmc-body", "mmc", "ppo-0", "ik-dls"),
+    agents: tuple[str, ...] = ("mmc-body", "ik-body", "mmc", "ppo-0"),
     subjects: int = 20,
     episodes: int = 100,
     out: Path = Path("runs/people"),

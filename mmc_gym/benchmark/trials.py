@@ -90,7 +90,7 @@ class ExperimentResult:
         return learning_figure(self)
 
     def print(self, console: Console | None = None) -> None:
-        """Print the measures, people beside agents; to standard output by default."""
+        """Print the measures; to standard output by default."""
         print_learning(self.measures, console)
 
     def write(self, out: Path | str) -> list[Path]:
