@@ -55,15 +55,16 @@ class Plan(NamedTuple):
     newton: int
 
 
-def make_blocks(count: int, joints: int, nodes: int) -> NDArray[Any]:
-    """Return blocks for `relax`; the shapes of their arrays are part of the type."""
+@lru_cache
+def block_type(joints: int, nodes: int) -> np.dtype[Any]:
+    """Return the type of blocks for `relax`; the shapes of their arrays are part of it."""
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_NUMBERS, ())
     shapes |= {name: (joints,) for name in _ANGLES}
     shapes |= {name: (nodes, 3) for name in ("node", "place", "gap", "pull")}
     shapes |= {"axis": (joints, 3), "wanted": (3, 3), "turn": (3, 3)}
     shapes |= {"shift": (3,), "spin": (3,), "twist": (3,)}
     kinds = [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()]
-    return np.zeros(count, [*kinds, ("iterations", np.int64)])
+    return np.dtype([*kinds, ("iterations", np.int64)])
 
 
 _NUMBERS = ("share", "sine", "cosine", "miss", "merit", "memory", "settled", "square", "rest")

@@ -61,9 +61,9 @@ from mmc_gym._errors import (
 from mmc_gym.network import hinge_iteration
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.hinge_arm import HingeArm
-from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, compiled_relax, make_blocks
+from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, block_type, compiled_relax
 
-POOL = 256  # postures, of which the nearest to a task are its starts
+POOL = 128  # postures, of which the nearest to a task are its starts
 NEWTON = 6  # steps of Newton's method
 POLISHED = 1e-6  # where they shall end, m and radians
 _CHUNK = 64  # tasks in memory at once
@@ -281,7 +281,7 @@ class HingeNetwork:
         task = self._task(clamps, batch)
         plan = self._plan(task, iterations, far, turn, NEWTON if polish else 0)
         parts = []
-        for begin in range(0, len(task.low), _CHUNK):
+        for begin in range(0, max(1, len(task.low)), _CHUNK):
             rows = slice(begin, begin + _CHUNK)
             near = None if first is None else first[rows]
             own = task.of(rows)
@@ -304,22 +304,27 @@ class HingeNetwork:
         angles, errors = np.empty_like(task.low), np.empty((count, 2))
         counts, least = np.zeros(count, np.int64), np.full(count, np.inf)
         waves = -(-starts // LANES)
-        pool = self._nearest(task, plan, waves * LANES, seed)
+        pool = self._pool(max(POOL, waves * LANES), seed)
+        order = np.broadcast_to(np.arange(LANES), (count, LANES))  # of the pool
         active = np.arange(count)
         for wave in range(waves):
+            follows = first is not None and wave == 0
+            if wave == (first is not None):  # sorted when it is first needed
+                order = self._order(task, plan, pool)
             blocks = self._blocks(len(active))
             self._fill(blocks, task, active)
-            blocks["angle"] = np.swapaxes(pool[active, wave * LANES : (wave + 1) * LANES], 1, 2)
-            if first is not None and wave == 0:
+            chosen = order[active, wave * LANES : (wave + 1) * LANES]
+            blocks["angle"] = np.swapaxes(pool[chosen], 1, 2)
+            if first is not None and follows:
                 blocks["angle"][:, :, 0] = first
             np.clip(blocks["angle"], blocks["low"], blocks["high"], out=blocks["angle"])
-            self._relax(blocks, plan._replace(first=first is not None and wave == 0))
+            self._relax(blocks, plan._replace(first=follows))
             is_good = blocks["settled"] > 0
             if plan.newton:
                 is_good &= blocks["miss"] < POLISHED**2
                 is_good &= (blocks["sine"] < POLISHED**2) | (task.weight == 0)
             rank = np.where(is_good, plan.newton * blocks["merit"], np.inf)
-            if first is not None and wave == 0:
+            if first is not None and follows:
                 rank += ((blocks["angle"] - first[:, :, None]) ** 2).sum(axis=1)
                 rank[:, 0] = np.where(is_good[:, 0], -1.0, np.inf)
             found = np.isfinite(rank).any(axis=1)
@@ -339,21 +344,28 @@ class HingeNetwork:
                 break
         return angles, errors, counts
 
-    def _nearest(self, task: _Task, plan: Plan, starts: int, seed: int) -> Floats:
-        """Return starts for each task, those first that lack least: (batch, starts, n)."""
-        size = max(POOL, starts)
-        random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
-        least, most = np.where(np.isinf(self.arm.limits), (-np.pi, np.pi), self.arm.limits).T
-        pool = random.uniform(least, most, (size, self.arm.joint_count))
-        parts = size // LANES
-        blocks = self._blocks(len(task.low) * parts)
-        self._fill(blocks, task, np.repeat(np.arange(len(task.low)), parts))
+    def _order(self, task: _Task, plan: Plan, pool: Floats) -> NDArray[np.intp]:
+        """Return the order of a pool for each task, those first that lack least, (batch, size)."""
+        count, parts = len(task.low), len(pool) // LANES
+        blocks = self._blocks(count * parts)
+        self._fill(blocks, task, np.repeat(np.arange(count), parts))
         each = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
-        blocks["angle"] = np.tile(each, (len(task.low), 1, 1))
+        blocks["angle"] = np.tile(each, (count, 1, 1))
         np.clip(blocks["angle"], blocks["low"], blocks["high"], out=blocks["angle"])
         self._relax(blocks, plan._replace(times=0, newton=0))
-        order = np.argsort(blocks["merit"].reshape(-1, size), axis=1)[:, :starts]
-        return np.asarray(pool[order])
+        return np.argsort(blocks["merit"].reshape(count, -1), axis=1)
+
+    def _pool(self, size: int, seed: int) -> Floats:
+        """Return postures within the limits, (size, n)."""
+        if (size, seed) not in self._pools:
+            random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
+            low, high = np.where(np.isinf(self.arm.limits), (-np.pi, np.pi), self.arm.limits).T
+            self._pools[size, seed] = random.uniform(low, high, (size, self.arm.joint_count))
+        return self._pools[size, seed]
+
+    @cached_property
+    def _pools(self) -> dict[tuple[int, int], Floats]:
+        return {}
 
     def _task(self, clamps: HingeClamps, batch: tuple[int, ...]) -> _Task:
         """Return the task of each arm of a batch."""
@@ -378,7 +390,7 @@ class HingeNetwork:
         return _Task(low, high, place, rotation, share, is_placed, weight)
 
     def _blocks(self, count: int) -> NDArray[Any]:
-        return make_blocks(count, self.arm.joint_count, self.arm.node_count)
+        return np.zeros(count, block_type(self.arm.joint_count, self.arm.node_count))
 
     def _fill(self, blocks: NDArray[Any], task: _Task, rows: NDArray[np.intp]) -> None:
         """Write tasks into blocks: rows of the batch, (blocks,) or (blocks, lanes)."""
