@@ -161,7 +161,7 @@ def test_workers_end_when_their_parent_is_killed():
     code = (
         "import os, time; from mmc_gym._grid import run_grid\n"
         "def work(cell):\n"
-        "    print(os.getpid(), flush=True)\n"
+        "    os.write(1, f'{os.getpid()}\\n'.encode())\n"  # a print may be cut in two
         "    time.sleep(60)\n"
         "run_grid(work, range(2), jobs=2)"
     )

@@ -147,9 +147,9 @@ class HingeNetwork:
             for the engine "numba" where it is not installed.
 
     >>> network = HingeNetwork(HingeArm.named("panda"), engine="numpy")
-    >>> solution = network.solve(position=[0.4, 0.2, 0.5], held={3: -1.5})
+    >>> solution = network.solve(position=[0.4, 0.2, 0.5], held={3: -1.8})
     >>> solution.is_solved.item(), solution.joint_angles[3].item()
-    (True, -1.5)
+    (True, -1.8)
     >>> network.arm.forward(solution.joint_angles)[:3, 3].round(2).tolist()
     [0.4, 0.2, 0.5]
     """
