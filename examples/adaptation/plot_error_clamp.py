@@ -1,0 +1,39 @@
+"""
+What is learned from an error that no movement changes?
+=======================================================
+
+In an error clamp the cursor misses the target by a fixed angle, whatever the hand does. Told to
+ignore it, people still turn their hand away, by much the same angle for all sizes of the error.
+Agents have nobody who tells them.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import mmc_gym
+from mmc_gym.benchmark.experiment import Block, Experiment
+
+# %%
+# One experiment for each size of the error, with the same subjects.
+
+hands = {}
+for degrees in (7.5, 15.0, 30.0):
+    phases = Block("baseline", 8), Block("clamp", 40, (f"clamp-{degrees:g}",)), Block("washout", 16)
+    result = mmc_gym.run_experiment(Experiment("short-clamp", phases), ["mmc-body"], 2, jobs=1)
+    ways = (result.hands[:, 10] - result.hands[:, 0]) @ (1, 1j)
+    towards = np.exp(1j * np.radians(result.trials["target_angle"].to_numpy()))
+    turns = -np.degrees(np.angle(ways / towards))
+    hands[degrees] = turns.reshape(2, -1).mean(axis=0)
+    print(f"clamp of {degrees:g}°: hands turned by {hands[degrees][40:48].mean():.0f}°")
+
+# %%
+# The hands turn away from the cursor, and come back in the washout.
+
+figure, axes = plt.subplots(figsize=(6, 3.4), layout="constrained")
+for degrees, turns in hands.items():
+    axes.plot(turns, label=f"{degrees:g}°")
+for begin in (7.5, 47.5):
+    axes.axvline(begin, color="0.7", linewidth=0.8)
+axes.set(xlabel="trial", ylabel="hand, away from the cursor [°]")
+axes.legend(title="error clamp")
+plt.show()
