@@ -59,6 +59,7 @@ GALLERY = {  # from easy to deep
     "network": "three_tasks one_iteration redundancy velocity_profiles longer_arms "
     "learned_normalizer population_code",
     "bodies": "settling_in_space locked_panda",
+    "adaptation": "rotation_and_washout generalisation error_clamp",
     "learning": "plain_sb3 residual learning_curves normalizer_in_the_loop backpropagation",
 }
 THUMBNAIL = (400, 280)  # pixels

@@ -12,6 +12,7 @@ import pytest
 FOLDER = Path(__file__).parents[1] / "examples" / "notebooks"
 NOTEBOOKS = sorted(path.name for path in FOLDER.glob("*.ipynb"))
 SHOWS = {
+    "an_adaptation_experiment.ipynb": "short-savings.trials.csv",
     "quickstart.ipynb": "success at the end: mmc 0.0 %, ppo",
     "reproduce_the_paper.ipynb": "kinematic/kinematic_distance.png",
     "the_network_explained.ipynb": "eigenvalues [0. 0. 0. 4. 4. 4.]",

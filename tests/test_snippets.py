@@ -28,6 +28,7 @@ for folder in (".", "concepts", "how-to", "results"):
 SHORTER = {r"\.learn\([\d_]+\)": ".learn(1)"}  # one rollout
 SMALL = {  # options for less work, unless the command has them
     "benchmark": {"--episodes": "1", "--jobs": "1", "--agents": "mmc", "--scenarios": "random"},
+    "adapt": {"--subjects": "1", "--jobs": "1"},
     "compare": {"--episodes": "2"},
     "train": {"--steps": "2000", "--out": "trained"},
 }

@@ -27,7 +27,7 @@ experiment = Experiment(
         Block("probing", 32, turned, targets=(90,), probes=probes),
     ),
 )
-print(experiment)
+print(repr(experiment))
 result = mmc_gym.run_experiment(experiment, ["mmc-body"], subjects=4, jobs=1)
 
 # %%
@@ -43,12 +43,12 @@ learned = probed["baseline"] - probed["probing"]
 print(learned.round(1).to_dict())
 
 # %%
-# People apply less of it the farther a target is from the trained one: in the studies that probed
-# this, the curve is a bell some tens of degrees wide. A body model turns the cursor as a whole.
+# People apply less of it the farther a target is from the trained one. A model of the body knows one
+# turn for all directions: it is applied everywhere.
 
 figure, axes = plt.subplots(figsize=(5, 3.2), layout="constrained")
 axes.plot(learned.index, learned, "o-", color="black")
 axes.axhline(30, color="0.6", linestyle=":", label="complete")
-axes.set(xlabel="target, from the trained one [°]", ylabel="turn that is applied [°]", ylim=(0, 33))
+axes.set(xlabel="target, from the trained one [°]", ylabel="turn that is applied [°]", ylim=(0, 36))
 axes.legend()
 plt.show()

@@ -8,7 +8,6 @@ after-effect shows that something was kept; a mere correction in flight leaves n
 """
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 import mmc_gym
 from mmc_gym.benchmark.experiment import Block, Experiment
@@ -43,10 +42,7 @@ axes[0].set_ylabel("y [segment lengths]")
 plt.show()
 
 # %%
-# Each target's mean deviation from the straight line in the first and last eight trials.
+# The measures of learning, with 95 % intervals over subjects.
 
-for name, first in moments.items():
-    rows = ((trials["agent"] == "mmc-body") & trials["trial"].between(first, first + 7)).to_numpy()
-    ways = (result.cursors[rows] - result.cursors[rows, :1]) @ (1, 1j)
-    turns = np.angle(ways * np.exp(-1j * np.radians(trials["target_angle"][rows].to_numpy()))[:, None])
-    print(f"{name}: {np.degrees(np.abs(turns[:, 5:15]).max(axis=1)).mean():.0f}°")
+measures = result.measures.pivot(index="label", columns="agent", values=["estimate", "low", "high"])
+print(measures["estimate"].round(2))

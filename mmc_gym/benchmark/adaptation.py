@@ -270,15 +270,18 @@ def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
     print_columns(console or make_console(), headings, columns, note)
 
 
-def learning_figure(result: ExperimentResult, resamples: int = RESAMPLES) -> Figure:
+def learning_figure(
+    result: ExperimentResult, resamples: int = RESAMPLES, figure: Figure | None = None
+) -> Figure:
     """Draw the timeline of an experiment and, below, the learning curve of each agent.
 
     A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
     Crosses: catch trials.  Probes in other directions and jumps are left out.
     """
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
-        figure = ShownFigure(figsize=(7.5, 4.8), layout="constrained")
-        FigureCanvasAgg(figure)
+        if figure is None:
+            figure = ShownFigure(figsize=(7.5, 4.8), layout="constrained")
+            FigureCanvasAgg(figure)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
         result.experiment.plot_timeline(above)
         above.set_xlabel("")

@@ -85,9 +85,9 @@ class ExperimentResult:
         """The measures of learning with their intervals, see `learning_table`."""
         return learning_table(self)
 
-    def plot(self) -> Figure:
-        """Return a figure: the timeline above, learning curves below."""
-        return learning_figure(self)
+    def plot(self, figure: Figure | None = None) -> Figure:
+        """Return a figure, a new one if None is given: timeline above, learning curves below."""
+        return learning_figure(self, figure=figure)
 
     def print(self, console: Console | None = None) -> None:
         """Print the measures; to standard output by default."""
