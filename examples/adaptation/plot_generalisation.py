@@ -43,8 +43,8 @@ learned = probed["baseline"] - probed["probing"]
 print(learned.round(1).to_dict())
 
 # %%
-# People apply less of it the farther a target is from the trained one. A model of the body knows one
-# turn for all directions: it is applied everywhere.
+# People apply less of it the farther a target is from the trained one. A model of the body knows
+# one turn for all directions: it is applied everywhere.
 
 figure, axes = plt.subplots(figsize=(5, 3.2), layout="constrained")
 axes.plot(learned.index, learned, "o-", color="black")
