@@ -17,7 +17,7 @@ from sphinx.config import ENUM
 
 matplotlib.use("Agg")
 DOCS = Path(__file__).resolve().parent
-sys.path.insert(0, str(DOCS))
+sys.path[:0] = [str(DOCS), str(DOCS.parent)]
 # Examples that start processes, or name a module of theirs, find it from the root of the project.
 os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS.parent), os.environ.get("PYTHONPATH", "")])
 

@@ -58,7 +58,7 @@ GALLERY = {  # from easy to deep
     "comparing": "mmc_ik_rl own_agent own_measure benchmark_with_pandas",
     "network": "three_tasks one_iteration redundancy velocity_profiles longer_arms "
     "learned_normalizer population_code",
-    "bodies": "settling_in_space locked_panda",
+    "bodies": "longer_reacher settling_in_space locked_panda",
     "adaptation": "rotation_and_washout generalisation error_clamp",
     "learning": "plain_sb3 residual learning_curves normalizer_in_the_loop backpropagation",
 }

@@ -406,11 +406,6 @@ class ReachInterface:
         names = (one.name for one in fields(cls) if hasattr(body, one.name))
         return cls(control=control, **{name: getattr(body, name) for name in names})
 
-    @property
-    def joint_count(self) -> int:
-        """Number of joints, N."""
-        return len(self.arm.axes) if self.arm is not None else len(self.segment_lengths)
-
     @cached_property
     def layout(self) -> ObservationLayout:
         """The layout of the environment's observations.

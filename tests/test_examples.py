@@ -15,6 +15,7 @@ EXAMPLES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("
 SHOWS = {
     "bring_your_own.py": r"success at the end: still 0\.0 %, turner 0\.0 %, mmc 100\.0 %",
     "panda_reach.py": r"(?m)^success at the end .* 1\.000 +1\.000",
+    "reacher.py": r"success at the end: mmc-body 100\.0 %, ik-body 100\.0 %",
     "plain_torch.py": r"9[5-9]\.\d% of the targets after",
     "adaptation/plot_error_clamp.py": r"3\.75°: .* [12]\d°.*7\.5°: .* [23]\d°.*15°: .* [67]\d°",
     "adaptation/plot_generalisation.py": r"-22\.5: 2\d\.\d, 0\.0: 2\d\.\d, 22\.5: 2",
@@ -24,6 +25,7 @@ SHOWS = {
     "arm/plot_locked_joint.py": r"mmc: [12]\d% .*\nmmc-body: [6-9]\d%",
     "arm/plot_million_arms.py": r"1,000,000 networks.*4\d\.\d% of 2,000 arms",
     "arm/plot_own_task.py": r"mmc: 0\.2\d segment lengths behind.*ppo: 0\.0\d",
+    "bodies/plot_longer_reacher.py": r"mmc-body: 0\.[0-4] mm .*closed-form: 2\d\.\d mm",
     "bodies/plot_locked_panda.py": r"mmc-body: .* is 0\.00\d m .*loops: .* is 0\.0[5-9]",
     "bodies/plot_settling_in_space.py": r"[67] of 8 hands within 1 mm.*by up to [4-6]\.",
     "comparing/plot_benchmark_with_pandas.py": r"rotation-10 +0\.0+ +0\.0+ +(1\.0|0\.[89])",

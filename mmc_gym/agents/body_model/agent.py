@@ -313,7 +313,9 @@ class BodyAgent(InternalModelAgent[BodyState]):
             noise = state.posture.deviation
             joint_targets, drive = drive.targets(now, turn, left, noise, interface)
         if some(locks.is_locked):
-            pushed = locks.place + PUSH * np.sign(locks.asked)
+            # A drive of the environment would move other joints, too, against a joint pushed.
+            push = 0.0 if interface.has_drive else PUSH
+            pushed = locks.place + push * np.sign(locks.asked)
             joint_targets = np.where(locks.is_locked, pushed, joint_targets)
         command = command_of(interface, now, joint_targets)
         delay = state.delay.sent(command, state.posture, interface)

@@ -186,6 +186,8 @@ class Imagination:
         turns = np.abs(self.interface.turn(problem.joint_angles, postures))
         missed = np.abs(hand(postures, problem.lengths) - problem.aim)
         cost: Floats = turns.max(axis=-1) + TOTAL * turns.sum(axis=-1)
+        if self.interface.has_drive:  # the effort counts, and not when the last joint arrives
+            cost = np.sqrt((turns * turns).sum(axis=-1))
         return cost + MISSED * np.maximum(missed - ALLOWED, 0.0)
 
 

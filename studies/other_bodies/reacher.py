@@ -1,0 +1,253 @@
+"""Play `Reacher-v5` with the given body and with changed ones: agents, plain IK, SAC.
+
+Everyone is given the arm of the package.  In most rows it is another one: a link is longer, or
+friction holds a joint where it starts.  The return is the environment's: minus the distance in
+metres and the squared torques, summed over 50 steps.  An episode succeeds if at its end the hand is
+within 1 cm of the target; or of the nearest point that the true arm can reach, because with a joint
+held an arm of two joints reaches a circle only.
+
+    python -m studies.other_bodies.reacher_sac --out runs/reacher-sac      # hours
+    python -m studies.other_bodies.reacher --sac runs/reacher-sac
+    python -m studies.other_bodies.reacher --sac runs/reacher-sac --seed 1
+    python -m studies.other_bodies.reacher --agents                        # only prints the results
+
+The agents: `mmc-body` and `ik-body` through the interface of `examples/reacher.py`; "ik": inverse
+kinematics in closed form of the given arm, with the same servo; "ik, pd": the same with a servo of
+two constants, tuned by hand; SAC after so many steps; "optimum": for each episode the
+torques that a search finds which knows the arm, the target and the cost (the arm as given only).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from scipy.optimize import minimize
+
+from examples.reacher import GEAR, INTERFACE, ReacherInterface
+from mmc_gym import make_agent
+from mmc_gym.measures import episode_seeds
+from studies.tables import table_of
+
+Floats = NDArray[np.float64]
+
+LENGTHS = (0.1, 0.11)  # metres
+ELBOW = 3.0  # the elbow's limit, radians
+NEAR = 0.01  # metres
+STEPS, STEP = 50, 0.02
+LONGER = {  # what stands in the model's file, and what takes its place
+    0: ((r'name="body1" pos="0.1 0 0"', 'name="body1" pos="{} 0 0"'), 0.12),
+    1: ((r'name="fingertip" pos="0.11 0 0"', 'name="fingertip" pos="{} 0 0"'), 0.132),
+}
+
+
+@dataclass(frozen=True)
+class TrueBody:
+    """What is changed: the link that is a fifth longer, and the joint that is held."""
+
+    longer: int | None = None
+    held: int | None = None
+
+    @property
+    def lengths(self) -> Floats:
+        """Lengths of the links, metres."""
+        return np.array([LONGER[j][1] if j == self.longer else LENGTHS[j] for j in (0, 1)])
+
+    def make(self, folder: Path) -> gym.Env[Any, Any]:
+        """Make the environment; the model's file is written into `folder`."""
+        env = gym.make("Reacher-v5", disable_env_checker=True)
+        if self == TrueBody():
+            return env
+        model = Path(env.unwrapped.fullpath).read_text()  # type: ignore[attr-defined]
+        if self.longer is not None:
+            (old, new), length = LONGER[self.longer]
+            assert old in model
+            model = model.replace(old, new.format(length))
+        if self.held is not None:
+            model, count = re.subn(rf'(name="joint{self.held}")', r'\1 frictionloss="1000"', model)
+            assert count == 1
+        file = folder.resolve() / f"reacher-{self.longer}-{self.held}.xml"
+        file.write_text(model)
+        return gym.make("Reacher-v5", xml_file=str(file), disable_env_checker=True)
+
+    def nearest(self, starts: Floats, targets: Floats) -> Floats:
+        """Return the least distance to targets (n, 2) that hands can reach from `starts`, (n,)."""
+        postures = np.meshgrid(np.linspace(-np.pi, np.pi, 2001), np.linspace(-ELBOW, ELBOW, 2001))
+        if self.held is None:  # only the distance from the base matters
+            reached = np.abs(self._hand(0.0, postures[1][:, 0]))
+            distance = np.linalg.norm(targets, axis=-1)
+            return np.abs(distance - np.clip(distance, reached.min(), reached.max()))
+        free = [postures[0][0], postures[1][:, 0]]
+        free[self.held] = starts[:, self.held, None]
+        return np.abs(self._hand(*free) - targets @ np.array([[1.0], [1j]])).min(axis=-1)
+
+    def _hand(self, first: Any, second: Any) -> Any:
+        upper, lower = self.lengths
+        return upper * np.exp(1j * first) + lower * np.exp(1j * (first + second))
+
+
+BODIES = {
+    "as given": TrueBody(),
+    "first link 20 % longer": TrueBody(longer=0),
+    "second link 20 % longer": TrueBody(longer=1),
+    "first joint held": TrueBody(held=0),
+    "second joint held": TrueBody(held=1),
+}
+AGENTS = ("mmc-body", "ik-body", "ik", "ik, pd", "sac 100k", "sac 200k", "sac 500k", "optimum")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Play what is not in the folder yet, then print all results of the seed.
+
+    Attributes:
+        agents: who plays; without any, the results in the folder are printed.
+        bodies: the bodies.
+        episodes: episodes of each agent with each body, those of `mmc-gym compare`.
+        seed: of the starts and targets.
+        sac: folder with the models of SAC.
+        out: folder for the results.
+    """
+
+    agents: tuple[str, ...] = tuple(name for name in AGENTS if name != "sac 200k")
+    bodies: tuple[str, ...] = tuple(BODIES)
+    episodes: int = 1000
+    seed: int = 0
+    sac: Path = Path("runs/reacher-sac")
+    out: Path = Path("runs/reacher")
+
+
+class TwoConstants(ReacherInterface):
+    """A servo of two constants, tuned by hand: torque = 0.3 x - 0.05 q'."""
+
+    def act(self, joint_targets: Floats, sensed: Any) -> NDArray[np.float32]:
+        """Return the torques."""
+        left = self.turn(sensed.joint_angles, joint_targets)
+        return np.clip(0.3 * left - 0.05 * sensed.joint_speeds, -1, 1).astype(np.float32)
+
+
+def make(name: str, env: Any, sac: Path) -> Any:
+    """Make an agent for an environment."""
+    if name == "optimum":
+        return None
+    if name.startswith("sac"):
+        from stable_baselines3 import SAC
+
+        return SAC.load(sac / f"sac_{name[4:].replace('k', '000')}.zip", device="cpu")
+    if name == "ik, pd":
+        given = {one.name: getattr(INTERFACE, one.name) for one in fields(INTERFACE)}
+        return make_agent("ik-closed-form", env, interface=TwoConstants(**given))
+    known = {"ik": "ik-closed-form"}
+    return make_agent(known.get(name, name), env, interface=INTERFACE)
+
+
+def play(agent: Any, envs: list[Any], seeds: list[int]) -> pd.DataFrame:
+    """Return return, start and end of an episode of each seed; all are played side by side."""
+    seen = np.stack([env.reset(seed=seed)[0] for env, seed in zip(envs, seeds, strict=True)])
+    start, target = np.arctan2(seen[:, 2:4], seen[:, :2]), seen[:, 4:6]
+    if agent is None:
+        plans = np.stack([optimal_torques(*one) for one in zip(start, seen[:, 6:8], target)])
+    returns, state = np.zeros(len(envs)), None
+    for number in range(STEPS):
+        if agent is None:
+            actions = plans[:, number]
+        else:
+            actions, state = agent.predict(seen, state, deterministic=True)
+        steps = [env.step(action) for env, action in zip(envs, actions, strict=True)]
+        seen = np.stack([one[0] for one in steps])
+        returns += [one[1] for one in steps]
+    hands = np.array([env.unwrapped.get_body_com("fingertip")[:2] for env in envs])
+    columns = {"return": returns, "distance": np.linalg.norm(hands - target, axis=-1)}
+    columns |= dict(zip(("start_1", "start_2"), start.T))
+    return pd.DataFrame({**columns, **dict(zip(("target_x", "target_y"), target.T))})
+
+
+def optimal_torques(start: Floats, speeds: Floats, target: Floats) -> Floats:
+    """Return the torques (50, 2) of the least cost that a search finds; the joints are linear."""
+    times = STEP * np.arange(1, STEPS + 1)
+    coasting = start + np.outer(1 - np.exp(-times), speeds)
+    later = np.subtract.outer(times, times - STEP)  # from the begin of a torque to each time
+    begin, end = np.exp(-np.abs(later)), np.exp(-np.abs(later - STEP))
+    effect = np.where(later > STEP / 2, GEAR * (STEP - end + begin), 0.0)
+
+    def cost(flat: Floats) -> tuple[float, Floats]:
+        torques = flat.reshape(STEPS, 2)
+        angles = coasting + effect @ torques
+        lower = LENGTHS[1] * np.exp(1j * angles.sum(axis=-1))
+        hand = LENGTHS[0] * np.exp(1j * angles[:, 0]) + lower
+        error = hand - complex(*target)
+        distance = np.sqrt(np.abs(error) ** 2 + 1e-8)
+        pull = np.stack([(1j * x * error.conj()).real for x in (hand, lower)], -1)
+        pull /= distance[:, None]
+        beyond = np.abs(angles[:, 1]) - (ELBOW - 0.02)
+        beyond = np.maximum(beyond, 0.0) * np.sign(angles[:, 1])
+        pull[:, 1] += 400 * beyond
+        total = distance.sum() + (torques**2).sum() + 200 * (beyond**2).sum()
+        return float(total), (effect.T @ pull + 2 * torques).ravel()
+
+    found = []
+    upper, lower = LENGTHS
+    cosine = (target @ target - upper**2 - lower**2) / (2 * upper * lower)
+    bend = np.arccos(np.clip(cosine, np.cos(ELBOW - 0.02), 1))
+    for elbow in (bend, -bend):
+        shoulder = np.angle(complex(*target)) - np.angle(upper + lower * np.exp(1j * elbow))
+        shoulder = (shoulder - start[0] + np.pi) % (2 * np.pi) - np.pi + start[0]
+        for turns in (-1, 0, 1):
+            goal = np.array([shoulder + 2 * np.pi * turns, elbow])
+            push = np.where(np.arange(20) < 10, 1.0, -1.0)  # off, then to rest
+            first = np.zeros((STEPS, 2))
+            first[:20] = np.outer(push, 4 * (goal - start) / (GEAR * 0.4**2))
+            if np.abs(goal[0] - start[0]) < 4:
+                options = {"maxiter": 800}
+                bounds = [(-1, 1)] * (2 * STEPS)
+                found.append(
+                    minimize(cost, first.ravel(), jac=True, bounds=bounds, options=options)
+                )
+    return min(found, key=lambda one: one.fun).x.reshape(STEPS, 2).astype(np.float32)
+
+
+def main(arguments: Arguments) -> None:
+    """Play what is missing, and print the table."""
+    seeds = episode_seeds(arguments.seed, arguments.episodes)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    cells: dict[str, dict[str, str]] = {body: {"body": body} for body in BODIES}
+    for body, true in BODIES.items():
+        envs: list[Any] = []
+        for name in AGENTS:
+            file = arguments.out / f"{name}-{body}-{arguments.seed}.csv".replace(" ", "-")
+            asked = name in arguments.agents and body in arguments.bodies
+            if asked and not file.exists() and (name != "optimum" or true == TrueBody()):
+                envs = envs or [true.make(arguments.out) for _ in seeds]
+                played = play(make(name, envs[0], arguments.sac), envs, seeds)
+                played.to_csv(file, index=False, lineterminator="\n")
+            if file.exists():
+                cells[body][name] = cell(pd.read_csv(file), true)
+        for env in envs:
+            env.close()
+    played_by = [name for name in AGENTS if any(name in row for row in cells.values())]
+    rows = [{"body": "", **dict.fromkeys(played_by, ""), **row} for row in cells.values()]
+    title = f"{arguments.episodes} episodes of seed {arguments.seed}: success in per cent, return"
+    Console(width=170).print(table_of(rows, title))
+
+
+def cell(played: pd.DataFrame, true: TrueBody) -> str:
+    """Return success in per cent, and mean return with its 95 % interval."""
+    starts, targets = (
+        played[list(names)].to_numpy()
+        for names in (("start_1", "start_2"), ("target_x", "target_y"))
+    )
+    missed = played["distance"].to_numpy() - true.nearest(starts, targets)
+    half = 1.96 * played["return"].std() / len(played) ** 0.5
+    return f"{100 * (missed <= NEAR).mean():.1f}, {played['return'].mean():.2f} ± {half:.2f}"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
