@@ -23,7 +23,18 @@ import numpy as np
 import pinocchio
 import tyro
 from scipy.optimize import minimize
-from solvers import BUDGET, LOOSE, SOLVERS, TIGHT, Arm, Array, DampedLeastSquares, Problem, Solver
+from solvers import (
+    BUDGET,
+    LOOSE,
+    ROBOTS,
+    SOLVERS,
+    TIGHT,
+    Arm,
+    Array,
+    DampedLeastSquares,
+    Problem,
+    Solver,
+)
 
 Row: TypeAlias = dict[str, Any]
 Solvers: TypeAlias = Mapping[str, Solver]
@@ -42,7 +53,7 @@ class Arguments:
         tables: their names.
         problems: of the table `reach`; the others have a share of it.
         seed: of all that is drawn.
-        solvers: by their class names; none for all.
+        solvers: their names in the tables; none for all.
         out: folder of the rows, and of the tables in Markdown.
     """
 
@@ -366,14 +377,40 @@ NEEDLESS = {
 }
 
 
+SUMMARY = {
+    "reach": ("success", "us", "us95"),
+    "batch": ("success", "us"),
+    "locked": ("success", "us", "us95"),
+    "longer": ("late", "looks", "us"),
+    "outside": ("mm", "mm95", "us"),
+    "path": ("smooth", "worst", "us"),
+    "elbow": ("success", "us", "us95"),
+}
+
+
 def markdown(table: str, rows: Sequence[Row]) -> str:
-    """Return a table of the columns that apply."""
+    """Return a table of all rows, with the columns that apply."""
     keys = [key for key in COLUMNS if any(key in row for row in rows)]
     keys = [key for key in keys if key not in NEEDLESS.get(table, ())]
     names = ["robot", *(["task"] if table == "reach" else []), "solver"]
     lines = [[*names, *(COLUMNS[key] for key in keys)], ["---"] * (len(names) + len(keys))]
     lines += [[*(row[n] for n in names), *(digits(row.get(k)) for k in keys)] for row in rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def summary(table: str, rows: Sequence[Row]) -> str:
+    """Return a table with a line for each solver and a column for each robot."""
+    robots = list(dict.fromkeys(row["robot"] for row in rows))
+    cells: dict[tuple[str, str], dict[str, str]] = {}
+    for row in rows:
+        line = cells.setdefault((row.get("task", ""), row["solver"]), {})
+        line[row["robot"]] = " / ".join(digits(row[key]) for key in SUMMARY[table])
+    names = ["task", "solver"] if table == "reach" else ["solver"]
+    lines = [[*names, *robots], ["---"] * (len(names) + len(robots))]
+    for key, line in cells.items():
+        lines.append([*key[-len(names) :], *(line.get(robot, "–") for robot in robots)])
+    heads = " / ".join(COLUMNS[key] for key in SUMMARY[table])
+    return f"{heads}:\n\n" + "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def digits(value: float | None) -> str:
@@ -387,24 +424,24 @@ def make_solvers(arm: Arm, names: Iterable[str]) -> dict[str, Solver]:
     """Make the solvers that are installed and that apply to the arm."""
     made: dict[str, Solver] = {}
     for kind in SOLVERS:
-        if names and kind.__name__ not in names:
+        name = kind.label or kind.package
+        if names and name not in names:
             continue
         try:
-            made[kind.__name__] = kind(arm)
+            made[name] = kind(arm)
         except (ImportError, NotImplementedError) as error:
-            print(f"{arm.name}: no {kind.__name__}: {error}")
+            print(f"{arm.name}: no {name}: {error}")
     return made
 
 
 def main(arguments: Arguments) -> None:
-    """Play all tables, and write them."""
+    """Play the tables, and write them with those of earlier runs in the same folder."""
     arguments.out.mkdir(parents=True, exist_ok=True)
     versions = []
     for package in sorted({kind.package for kind in SOLVERS} | {"daqp", "mujoco", "pin"}):
         with suppress(PackageNotFoundError):
             versions.append(f"{package} {version(package)}")
     text = [f"Python {platform.python_version()}, {', '.join(versions)}; seed {arguments.seed}"]
-    rows: dict[str, list[Row]] = {table: [] for table in arguments.tables}
     for robot in arguments.robots:
         arm = Arm.named(robot)
         solvers = make_solvers(arm, arguments.solvers)
@@ -412,16 +449,21 @@ def main(arguments: Arguments) -> None:
             begin, (make_rows, share) = time.perf_counter(), TABLES[table]
             random = np.random.default_rng([arguments.seed, list(TABLES).index(table)])
             count = max(1, round(arguments.problems * share))
-            found = make_rows(arm, solvers, count, random)
-            rows[table] += [{"robot": robot} | row for row in found]
-            path = arguments.out / f"{table}-{arguments.seed}.json"
-            path.write_text(json.dumps(rows[table], indent=1, default=float))
+            rows = [{"robot": robot} | row for row in make_rows(arm, solvers, count, random)]
+            path = arguments.out / f"{table}-{robot}-{arguments.seed}.json"
+            path.write_text(json.dumps(rows, indent=1, default=float))
             loads = ", ".join(f"{load:.1f}" for load in os.getloadavg())
             print(
                 f"{robot} {table}: {time.perf_counter() - begin:.0f} s, loads {loads}", flush=True
             )
-    text += [f"## {table}\n\n{markdown(table, found)}" for table, found in rows.items()]
-    (arguments.out / f"tables-{arguments.seed}.md").write_text("\n\n".join(text) + "\n")
+    for name, draw in (("summary", summary), ("rows", markdown)):
+        tables = [*text]
+        for table in TABLES:
+            paths = (arguments.out / f"{table}-{robot}-{arguments.seed}.json" for robot in ROBOTS)
+            rows = [row for path in paths if path.exists() for row in json.loads(path.read_text())]
+            tables += [f"## {table}\n\n{draw(table, rows)}"] if rows else []
+        path = arguments.out / f"{name}-{arguments.seed}.md"
+        path.write_text("\n\n".join(tables) + "\n")
 
 
 if __name__ == "__main__":

@@ -168,6 +168,7 @@ class Solver:
 
     Attributes:
         package: on PyPI, whose version is printed.
+        label: its name, if that is not the package's.
         at_most: problems of a table, because it is slow.
         is_bounded: whether it keeps to a time.
         positions: whether it can leave the rotation open.
@@ -176,6 +177,7 @@ class Solver:
     """
 
     package: ClassVar[str]
+    label: ClassVar[str] = ""
     at_most: ClassVar[int] = 10**9
     is_bounded: ClassVar[bool] = True
     positions: ClassVar[bool] = True
@@ -240,6 +242,7 @@ class DampedLeastSquares(Solver):
     """Plain damped least squares with clipping and random restarts, compiled by numba."""
 
     package = "numba"
+    label = "damped least squares"
     elbows = holds = True
 
     def solve(self, problem: Problem, tries: int = 40) -> Array | None:
@@ -327,7 +330,7 @@ class Stepper(Solver):
     The best posture is returned.
     """
 
-    at_most = 1000
+    at_most = 500
     elbows = True
     steps = 12  # before it begins anew; it and the damping are the best of a few on another seed
     damping = 3e-3
@@ -499,7 +502,7 @@ class IkPy(Solver):
     """ikpy: scipy's least squares, which cannot be stopped."""
 
     package = "ikpy"
-    at_most = 100
+    at_most = 50
     is_bounded = False
     holds = True
 
