@@ -178,7 +178,7 @@ class Solver:
 
     package: ClassVar[str]
     label: ClassVar[str] = ""
-    at_most: ClassVar[int] = 10**9
+    at_most: int = 10**9
     is_bounded: ClassVar[bool] = True
     positions: ClassVar[bool] = True
     elbows: bool = False
@@ -330,7 +330,7 @@ class Stepper(Solver):
     The best posture is returned.
     """
 
-    at_most = 500
+    at_most = 300
     elbows = True
     steps = 12  # before it begins anew; it and the damping are the best of a few on another seed
     damping = 3e-3
@@ -502,7 +502,7 @@ class IkPy(Solver):
     """ikpy: scipy's least squares, which cannot be stopped."""
 
     package = "ikpy"
-    at_most = 50
+    at_most = 30
     is_bounded = False
     holds = True
 
@@ -537,7 +537,7 @@ class Ssik(Solver):
         super().__init__(arm)
         folder = Path(arm.write()).parent
         build = f"-m ssik.cli build {arm.name}.urdf --base base --ee hand --no-validate".split()
-        settings = {"cwd": folder, "check": True, "timeout": 30, "capture_output": True}
+        settings = {"cwd": folder, "check": True, "timeout": 60, "capture_output": True}
         subprocess.run([sys.executable, *build], **settings)
         spec = importlib.util.spec_from_file_location(folder.name, folder / f"{arm.name}_ik.py")
         self.module = importlib.util.module_from_spec(spec)
