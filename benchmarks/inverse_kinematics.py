@@ -156,8 +156,8 @@ def reach(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) -
 
 
 def batch(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) -> list[Row]:
-    """As many poses in one call, five calls, where a solver takes them."""
-    judge, rows = Judge(arm), []
+    """1,024 poses in one call, at most, where a solver takes them; five calls."""
+    judge, rows, count = Judge(arm), [], min(count, 1024)
     for name, solver in solvers.items():
         answers: list[Answer] = []
         for _ in range(5 if hasattr(solver, "solve_all") else 0):
@@ -347,11 +347,11 @@ def elbow(arm: Arm, solvers: Solvers, count: int, random: np.random.Generator) -
 
 TABLES: dict[str, tuple[Callable[..., list[Row]], float]] = {  # with their shares of the problems
     "reach": (reach, 1.0),
-    "batch": (batch, 0.1024),
+    "batch": (batch, 1.0),
     "locked": (locked, 0.1),
     "longer": (longer, 0.03),
     "outside": (outside, 0.02),
-    "path": (path, 0.001),
+    "path": (path, 0.002),
     "elbow": (elbow, 0.1),
 }
 COLUMNS = {

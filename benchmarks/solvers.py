@@ -7,11 +7,13 @@ the same arm, and an arm that changed (a joint fixed, a link longer) is one more
 from __future__ import annotations
 
 import importlib.util
+import resource
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -537,7 +539,8 @@ class Ssik(Solver):
         super().__init__(arm)
         folder = Path(arm.write()).parent
         build = f"-m ssik.cli build {arm.name}.urdf --base base --ee hand --no-validate".split()
-        settings = {"cwd": folder, "check": True, "timeout": 60, "capture_output": True}
+        limit = partial(resource.setrlimit, resource.RLIMIT_CPU, (8, 8))  # seconds
+        settings = {"cwd": folder, "check": True, "capture_output": True, "preexec_fn": limit}
         subprocess.run([sys.executable, *build], **settings)
         spec = importlib.util.spec_from_file_location(folder.name, folder / f"{arm.name}_ik.py")
         self.module = importlib.util.module_from_spec(spec)
