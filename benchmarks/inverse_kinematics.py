@@ -349,9 +349,9 @@ TABLES: dict[str, tuple[Callable[..., list[Row]], float]] = {  # with their shar
     "reach": (reach, 1.0),
     "batch": (batch, 1.0),
     "locked": (locked, 0.1),
-    "longer": (longer, 0.03),
+    "longer": (longer, 0.05),
     "outside": (outside, 0.02),
-    "path": (path, 0.002),
+    "path": (path, 0.005),
     "elbow": (elbow, 0.1),
 }
 COLUMNS = {
