@@ -373,17 +373,13 @@ def _settings(scenario: Scenario) -> dict[str, Any]:
     """Return the settings of a scenario with those of its environment, see `Manifest`."""
     with closing(scenario.make()) as env:
         world: Any = env.unwrapped
+        tolerance = getattr(world, "success_distance", math.nan)
         played = {
             "control_step": getattr(world.parameters, "control_step", None),
             "segment_lengths": list(getattr(world.parameters, "segment_lengths", ())),
-            "tolerance": _number(getattr(world, "success_distance", None)),
+            "tolerance": None if math.isnan(tolerance) else tolerance,
         }
     return {**scenario.settings, **played}
-
-
-def _number(value: float | None) -> float | None:
-    """Return a number; None in place of NaN, which does not equal itself."""
-    return None if value is None or math.isnan(value) else value
 
 
 def _require_same(out: Path, name: str, kept: Any, asked: Any) -> None:
