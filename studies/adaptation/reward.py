@@ -5,8 +5,8 @@
 SAC and PPO learn to reach the eight targets of `centre-out`; then the cursor is turned, and they go
 on learning after each trial of a second.  Every so many trials all targets are met once without
 exploration: the direction of the hand at its highest speed (degrees from the target, −30 is fully
-adapted), and success.  SAC also goes on with an empty memory of transitions, because those from
-before the turn contradict those after it.
+adapted), and success.  `SAC-emptied` goes on with an empty memory of transitions, because those
+from before the turn contradict those after it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import tyro
-from mmc_gym.measures.learning import initial_direction
 from rich.console import Console
 from rich.table import Table
 from stable_baselines3 import PPO, SAC
@@ -30,6 +29,7 @@ from stable_baselines3.common.env_util import make_vec_env
 import mmc_gym
 from mmc_gym._files import write_atomically
 from mmc_gym.measures import run_episodes
+from mmc_gym.measures.learning import initial_direction
 
 STEPS = 50  # of a trial
 DIRECTIONS = 8
@@ -46,6 +46,7 @@ class Arguments:
         trials: after the turn.
         every: trials between two measurements.
         seed: of all trainings.
+        learners: names of those that learn; SAC, PPO, or SAC-emptied.
         out: file of the curves, JSON.
     """
 
@@ -55,6 +56,7 @@ class Arguments:
     trials: int = 300
     every: int = 20
     seed: int = 0
+    learners: tuple[str, ...] = ("SAC", "PPO")
     out: Path = Path("runs/reward-adaptation.json")
 
 
@@ -113,7 +115,7 @@ def trained_ppo(arguments: Arguments) -> PPO:
 
 LEARNERS: dict[str, Callable[[Arguments], BaseAlgorithm]] = {
     "SAC": trained_sac,
-    "SAC, memory emptied": sac_without_memory,
+    "SAC-emptied": sac_without_memory,
     "PPO": trained_ppo,
 }
 
@@ -121,8 +123,8 @@ LEARNERS: dict[str, Callable[[Arguments], BaseAlgorithm]] = {
 def main(arguments: Arguments) -> None:
     """Train, turn the cursor, and print the curves."""
     console, curves = Console(), {}
-    for name, make_model in LEARNERS.items():
-        curves[name] = curve(make_model(arguments), arguments)
+    for name in arguments.learners:
+        curves[name] = curve(LEARNERS[name](arguments), arguments)
         write_atomically(arguments.out, json.dumps(curves, indent=1))
         console.print(f"{name}: {arguments.trials} trials done")
     table = Table(
