@@ -42,6 +42,10 @@ SHORT = {
         r"given .* 100\.0 .* 100\.0, -[1-4]\.\d\d .* 100\.0, -[3-9]\.",
     ),
     "adaptation.recovery": ("--groups 2 --resamples 20", r"A_s .* 0\.99"),
+    "adaptation.reward": (
+        "--sac-steps 150 --ppo-steps 2048 --trials 2 --every 1 --out out/curves.json",
+        r"trials .* SAC .* PPO",
+    ),
     "people": ("--agents ik-dls --subjects 2 --episodes 8 --out out", r"after-effect .* rotation"),
     "body.physics": ("--agents mmc --episodes 5 --steps 40", r"(?s)mmc .* 100\.0.*analytic"),
 }
