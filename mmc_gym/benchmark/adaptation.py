@@ -291,14 +291,15 @@ def learning_figure(
             colour = COLOURS[number % len(COLOURS)]
             below.plot([], [], color=colour, linestyle=style, label=agent)
             _draw_curve(below, learning, colour, style, resamples)
-        for begin in np.flatnonzero(np.diff(learning.blocks)) + 1.5:
+        for begin in np.flatnonzero(np.diff(learning.blocks)) + 0.5:
             below.axvline(begin, color="0.8", linewidth=0.8, zorder=0)
         full = np.where(learning.kinds == "", learning.perturbations, np.nan)
         line: Any = {"where": "mid", "linewidth": 0.8, "label": "full compensation"}
-        below.step(np.arange(1, len(full) + 1), full, "0.6", **line)
+        below.step(np.arange(len(full)), full, "0.6", **line)
         unit = "share of the deviation" if learning.unit == "fraction" else learning.unit
         below.set(xlabel="trial", ylabel=f"adaptation [{unit}]")
-        figure.legend(loc="outside lower center", ncols=4, frameon=False, handlelength=3.5)
+        shown = below.get_legend_handles_labels()
+        figure.legend(*shown, loc="outside lower center", ncols=4, frameon=False, handlelength=3.5)
     return figure
 
 
@@ -310,9 +311,9 @@ def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resampl
         cycles = np.array_split(trials, max(1, len(trials) // CYCLE))
         of_subjects = [learning.adaptation[:, one].mean(axis=1) for one in cycles]
         means = resampled_means(np.stack(of_subjects, axis=-1), resamples)
-        places = [one.mean() + 1 for one in cycles]
+        places = [one.mean() for one in cycles]
         axes.plot(places, means[0], color=colour, linestyle=style, linewidth=1.2)
         ends = np.quantile(means[1:], TAILS, axis=0)
         axes.fill_between(places, *ends, color=colour, alpha=0.2, linewidth=0)
     catches = np.flatnonzero(learning.kinds == "catch")
-    axes.plot(catches + 1, learning.adaptation[:, catches].mean(axis=0), "x", color=colour, ms=4)
+    axes.plot(catches, learning.adaptation[:, catches].mean(axis=0), "x", color=colour, ms=4)
