@@ -248,7 +248,7 @@ class Experiment:
             of = [one for one in self.schedule if one.probe == name]
             style: Any = {"linestyle": "", "marker": ".", "markersize": 3, "label": name}
             if not name:
-                style = {"color": "0.2", "drawstyle": "steps-mid"}
+                style = {"color": "0.2", "drawstyle": "steps-mid", "label": "_"}
             axes.plot([one.trial for one in of], [one.strength for one in of], **style)
         first = np.cumsum([0, *(block.trials for block in self.blocks)]) - 0.5
         text: Any = {"ha": "center", "va": "bottom", "transform": axes.get_xaxis_transform()}
@@ -260,8 +260,6 @@ class Experiment:
         units = dict.fromkeys(scenario(name).unit for name in dict.fromkeys(names))
         unit = f"\n[{', '.join(units)}]" if units else ""
         axes.set(xlim=(-0.5, first[-1]), xlabel="trial", ylabel=f"perturbation{unit}")
-        if any(one.probe for one in self.schedule):
-            axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
     def plot(self) -> Figure:
         """Return a figure of the timeline."""
@@ -270,8 +268,10 @@ class Experiment:
         from mmc_gym._plotting import STYLE, ShownFigure
 
         with rc_context(STYLE):
-            figure = ShownFigure(figsize=(6.5, 1.6), layout="constrained")
+            figure = ShownFigure(figsize=(6.5, 1.8), layout="constrained")
             self.plot_timeline(figure.add_subplot())
+            if any(one.probe for one in self.schedule):
+                figure.legend(loc="outside right center", frameon=False)
         return figure
 
     def __repr__(self) -> str:
