@@ -4,7 +4,8 @@ What is learned from an error that no movement changes?
 
 In an error clamp the cursor misses the target by a fixed angle, whatever the hand does. People who
 are told to ignore it still turn their hand away, by much the same angle for all sizes of the error.
-A body model that learns a fixed share of every error does not: twice the error, twice the turn.
+A body model that learns a share of every error is different: the larger the error, the farther it
+turns, and of the smallest it learns little.
 """
 
 import matplotlib.pyplot as plt
