@@ -27,7 +27,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 
 import mmc_gym
-from mmc_gym._files import write_atomically
 from mmc_gym.measures import run_episodes
 from mmc_gym.measures.learning import initial_direction
 
@@ -123,9 +122,10 @@ LEARNERS: dict[str, Callable[[Arguments], BaseAlgorithm]] = {
 def main(arguments: Arguments) -> None:
     """Train, turn the cursor, and print the curves."""
     console, curves = Console(), {}
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     for name in arguments.learners:
         curves[name] = curve(LEARNERS[name](arguments), arguments)
-        write_atomically(arguments.out, json.dumps(curves, indent=1))
+        arguments.out.write_text(json.dumps(curves, indent=1), encoding="utf-8")
         console.print(f"{name}: {arguments.trials} trials done")
     table = Table(
         title=f"direction of the hand, ° (success, %): cursor turned {arguments.degrees}°"
