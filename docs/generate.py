@@ -160,8 +160,10 @@ def scrape(block: Any, variables: dict[str, Any], config: Any) -> str:
     if plt.get_fignums() and len(variables["image_path_iterator"]) == 0:
         figure = plt.figure(plt.get_fignums()[0])
         figure.canvas.draw()
-        axes = next(one for one in figure.axes if one.axison or one.images)
-        box = axes.get_tightbbox().transformed(figure.dpi_scale_trans.inverted())
+        axes = next((one for one in figure.axes if one.axison or one.images), None)
+        box = figure.get_tightbbox()
+        if axes is not None:
+            box = axes.get_tightbbox().transformed(figure.dpi_scale_trans.inverted())
         figure.savefig(panel, bbox_inches=box.padded(0.08), dpi=160)
     found: str = matplotlib_scraper(block, variables, config)
     return found
