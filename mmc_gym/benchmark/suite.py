@@ -68,10 +68,15 @@ def find_scenarios(
         UserError: for an unknown name, or an environment that cannot be made.
     """
     if isinstance(environments, Mapping):
-        found = [own_scenario(env, name) for name, env in environments.items()]
+        found = [own_scenario(env, name, interface) for name, env in environments.items()]
     else:
         names = [environments] if isinstance(environments, str) else environments
-        found = [scenario(name) for name in names]
+        found = [
+            own_scenario(name, interface=interface)
+            if interface is not None and (":" in name or name in gym.registry)
+            else scenario(name)
+            for name in names
+        ]
     chosen, given = {one.name: one for one in found} or dict(SCENARIOS), env_kwargs or {}
     for one in chosen.values():
         one.refuse(given, "task", "perturbations", "max_episode_steps")

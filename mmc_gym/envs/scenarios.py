@@ -379,14 +379,15 @@ def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
     )
 
 
-def own_scenario(env: EnvLike, name: str = "") -> Scenario:
+def own_scenario(env: EnvLike, name: str = "", interface: Any = None) -> Scenario:
     """Return the scenario of your own environment, under its own name unless one is given.
 
     Raises:
-        UserError: if there is no such environment.
+        UserError: if there is no such environment, or it needs an `interface` (`InterfacedEnv`).
     """
     with closing(make_environment(env)) as made:
-        require(hasattr(made.unwrapped, "parameters"), "scenario", env, "a reaching environment")
+        is_known = interface is not None or hasattr(made.unwrapped, "parameters")
+        require(is_known, "scenario", env, "a reaching environment, or one with an interface")
     name = name or name_of(env)
     return Scenario(name, f"environment {name}", env=env)
 

@@ -60,6 +60,8 @@ def test_a_study_runs_and_prints_its_table(study, tmp_path, monkeypatch, capsys)
         benchmark(["mmc-body", "ik-dls", "ppo-0"], "store", ["random"], 3, jobs=1)
     arguments, shown = SHORT[study]
     monkeypatch.setattr(sys, "argv", [study, *arguments.split()])
+    monkeypatch.setenv("COLUMNS", "160")  # tables are printed whole
+    monkeypatch.delitem(sys.modules, f"studies.{study}", raising=False)  # as other tests import it
     runpy.run_module(f"studies.{study}", run_name="__main__", alter_sys=True)
     assert re.search(shown, capsys.readouterr().out)
 
