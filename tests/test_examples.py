@@ -49,7 +49,8 @@ SHOWS = {
 
 @pytest.fixture
 def nothing_is_left(forget_what_is_registered):
-    """Remove what an example registers and draws."""
+    """Remove what an example registers and draws, and what other tests have drawn."""
+    plt.close("all")
     yield
     plt.close("all")
 
