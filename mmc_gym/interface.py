@@ -574,24 +574,24 @@ class InterfacedEnv(gym.Env[Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
         self._joint_angles = None
-        return observation, self._told(observation, info)
+        return observation, self._described(observation, info)
 
     @override
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)
-        return observation, reward, terminated, truncated, self._told(observation, info)
+        return observation, reward, terminated, truncated, self._described(observation, info)
 
-    def _told(self, observation: Any, info: Mapping[str, Any]) -> dict[str, Any]:
+    def _described(self, observation: Any, info: Mapping[str, Any]) -> dict[str, Any]:
         """Return the info with what the interface sees."""
         seen, before = self.parameters.see(observation), self._joint_angles
         turn = 0.0 if before is None else wrap_angle(seen.joint_angles - before)
         self._joint_angles = (seen.joint_angles if before is None else before) + turn
         distance = float(np.linalg.norm(seen.target - seen.hand))
-        told = {"joint_angles": self._joint_angles, "end_effector": seen.hand}
-        told |= {"target": seen.target, "distance": distance}
+        described = {"joint_angles": self._joint_angles, "end_effector": seen.hand}
+        described |= {"target": seen.target, "distance": distance}
         if self.parameters.success_distance is not None:
-            told["is_success"] = distance <= self.parameters.success_distance
-        return {**info, **told}
+            described["is_success"] = distance <= self.parameters.success_distance
+        return {**info, **described}
 
     @override
     def render(self) -> Any:
