@@ -159,6 +159,16 @@ def require_array(
     return array if array.dtype == np.float32 else array.astype(np.float64)
 
 
+def require_floats(name: str, value: Any, trailing: tuple[int, ...]) -> NDArray[np.floating]:
+    """Return a finite array of floats, as `require_array` does, whose last axes are `trailing`."""
+    array = require_array(name, value)
+    accepted = f"of shape (..., {', '.join(map(str, trailing))})"
+    fine = array.shape[max(0, array.ndim - len(trailing)) :] == trailing
+    require(fine, name, array.shape, accepted)
+    require(bool(np.isfinite(array).all()), name, value, "finite")
+    return array
+
+
 def _array(value: Any) -> NDArray[Any]:
     """Return a value as an array of numbers, or an array of None if it is not numeric."""
     try:

@@ -330,6 +330,11 @@ class Seen(Sensed):
     joint_speeds: Floats
     hand: Floats
 
+    def in_rows(self) -> Seen:
+        """Return the same with all batch axes as one, (n, ...); a single arm is a row."""
+        rows = math.prod(self.joint_angles.shape[:-1])
+        return Seen(**{key: one.reshape(rows, one.shape[-1]) for key, one in vars(self).items()})
+
 
 @dataclass(frozen=True)
 class ReachInterface:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mmc_gym._errors import UserError
 from mmc_gym._notebook import html_table
 from mmc_gym.agents import AGENTS, AgentEntry
-from mmc_gym.benchmark.experiment import EXPERIMENTS, find_experiment
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, environment_id, find_task, scenario
 from mmc_gym.envs.tasks import TASKS, Task
@@ -106,6 +105,8 @@ def list_scenarios() -> Listing:
 
 def list_experiments() -> Listing:
     """Return the names of experiments over trials, each of any strength."""
+    from mmc_gym.benchmark.experiment import EXPERIMENTS, find_experiment
+
     found = {name: find_experiment(name) for name in EXPERIMENTS}
     rows = (
         Listed(name, one.description, f"{len(one.schedule)} trials") for name, one in found.items()
@@ -142,6 +143,8 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
             f"scenario {name!r} is not accepted: it is an agent. `mmc-gym list agents` describes "
             "it, `mmc-gym list scenarios` has what can be shown"
         )
+    from mmc_gym.benchmark.experiment import find_experiment
+
     rows: list[tuple[str, str]] = []
     with suppress(UserError):
         experiment = str(find_experiment(name))

@@ -58,12 +58,12 @@ QUANTITIES = (
     Quantity(name="gain", label="gain of corrections"),
     *(Quantity(name=name, label=f"{name} of two states", decimals=3) for name in TWO_STATES),
 )
-"""What `measure_learning` measures; `_UNIT` stands for that of the adaptation."""
+"""The measures of `measure_learning`; `_UNIT` stands for that of the adaptation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Learning:
-    """What the trials of an experiment show of learning, by subject or averaged over subjects."""
+    """The course of learning over trials, by subject or averaged over subjects."""
 
     adaptation: Floats  #: y, less the mean of the baseline, (..., trials)
     errors: Floats  #: e, (..., trials)

@@ -211,7 +211,7 @@ class Experiment:
 
     @functools.cached_property
     def schedule(self) -> tuple[PlannedTrial, ...]:
-        """What happens in each trial, the same for all subjects."""
+        """The trials in their order, the same for all subjects."""
         planned: list[PlannedTrial] = []
         for index, block in enumerate(self.blocks):
             for trial, probe in enumerate(block.probes_by_trial(seed=index)):
@@ -280,18 +280,18 @@ class Experiment:
 
     def __str__(self) -> str:
         style: Any = {"allow_unicode": True, "default_flow_style": None, "width": 100}
-        return yaml.safe_dump(_told(self), sort_keys=False, **style).rstrip()
+        return yaml.safe_dump(_differences(self), sort_keys=False, **style).rstrip()
 
 
-def _told(thing: Any) -> Any:
+def _differences(thing: Any) -> Any:
     """Return what differs from the defaults, as YAML has it."""
     if isinstance(thing, tuple):
-        return [_told(one) for one in thing]
+        return [_differences(one) for one in thing]
     if not isinstance(thing, Experiment | Block | Probe):
         return thing
     named = sorted(fields(cast(Any, thing)), key=lambda one: one.name == "blocks")
     pairs = ((one, getattr(thing, one.name)) for one in named)
-    return {one.name: _told(value) for one, value in pairs if value != one.default}
+    return {one.name: _differences(value) for one, value in pairs if value != one.default}
 
 
 EXPERIMENTS: dict[str, dict[str, Any]] = read_yaml(

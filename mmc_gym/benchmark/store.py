@@ -203,9 +203,7 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
     Raise a `UserError` that names the file if it is damaged, not ours, or of another cell.
     """
     try:
-        file = pq.ParquetFile(path, page_checksum_verification=True)
-        kept = kept_in(file.schema_arrow)
-        table = file.read(columns, use_threads=False)  # one thread is faster for small files
+        table, kept = read_table(path, columns)
         if (
             len(table)
             and (stem := CellKey(*(table[one][0].as_py() for one in _KEY)).stem) != path.stem
@@ -218,7 +216,16 @@ def _read(path: Path, columns: Sequence[str] | None = None) -> tuple[pa.Table, K
         raise UserError(f"{path} is damaged, the benchmark makes it anew: {error}") from error
 
 
-def kept_in(schema: pa.Schema) -> Kept:
+def read_table(
+    source: Path | io.BytesIO, columns: Sequence[str] | None = None
+) -> tuple[pa.Table, Kept]:
+    """Return a file's table, its settings and facts; raise what Parquet or `_kept_in` raises."""
+    file = pq.ParquetFile(source, page_checksum_verification=True)
+    kept = _kept_in(file.schema_arrow)
+    return file.read(columns, use_threads=False), kept  # one thread is faster for small files
+
+
+def _kept_in(schema: pa.Schema) -> Kept:
     """Return settings and facts of a file; raise a `ValueError` if it is not as it was written."""
     metadata = schema.metadata or {}
     content = metadata.get(_CONTENT, b"").decode()
@@ -258,7 +265,7 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
     found = {}
     for path in _files(folder, EPISODES):
         with suppress(OSError, pa.ArrowException, ValueError):
-            found[path.stem] = kept_in(pq.read_schema(path))
+            found[path.stem] = _kept_in(pq.read_schema(path))
     return found
 
 

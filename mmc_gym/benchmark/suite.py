@@ -71,12 +71,7 @@ def find_scenarios(
         found = [own_scenario(env, name, interface) for name, env in environments.items()]
     else:
         names = [environments] if isinstance(environments, str) else environments
-        found = [
-            own_scenario(name, interface=interface)
-            if interface is not None and (":" in name or name in gym.registry)
-            else scenario(name)
-            for name in names
-        ]
+        found = [scenario(name, interface) for name in names]
     chosen, given = {one.name: one for one in found} or dict(SCENARIOS), env_kwargs or {}
     for one in chosen.values():
         one.refuse(given, "task", "perturbations", "max_episode_steps")

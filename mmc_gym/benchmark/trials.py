@@ -24,7 +24,6 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pyarrow as pa  # type: ignore[import-untyped]
-import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
@@ -38,7 +37,7 @@ from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
 from mmc_gym.benchmark.adaptation import learning_figure, learning_table, print_learning
 from mmc_gym.benchmark.experiment import Experiment, find_experiment
-from mmc_gym.benchmark.store import CellKey, Kept, kept_in, to_parquet
+from mmc_gym.benchmark.store import CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import make_player
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.scenarios import Scenario
@@ -59,7 +58,7 @@ _PATHS = ("hands", "cursors", "targets")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExperimentResult:
-    """What agents did in an experiment.
+    """The movements of agents in an experiment.
 
     Attributes:
         experiment: the experiment.
@@ -320,23 +319,22 @@ def _content(path: Path, cell: TrialsCell) -> bytes | None:
     """Return a cell's file; None if it is missing, damaged, or of other settings."""
     try:
         content = path.read_bytes()
-        found, _ = _read(content)
+        _, found = _read(content)
     except (FileNotFoundError, UserError):
         return None
     return content if found.settings == cell.settings else None
 
 
-def _read(content: bytes) -> tuple[Kept, pa.Table]:
+def _read(content: bytes) -> tuple[pa.Table, Kept]:
     try:
-        file = pq.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
-        return kept_in(file.schema_arrow), file.read(use_threads=False)
+        return read_table(io.BytesIO(content))
     except (OSError, pa.ArrowException, ValueError) as error:
         raise UserError(f"a file of trials is damaged, remove it: {error}") from error
 
 
 def _result(contents: Sequence[bytes]) -> ExperimentResult:
     """Return the result that the files of some cells of one experiment hold."""
-    kept, tables = zip(*map(_read, contents), strict=True)
+    tables, kept = zip(*map(_read, contents), strict=True)
     table = pa.concat_tables(one.replace_schema_metadata(None) for one in tables)
     flat = {name: table[name].combine_chunks().flatten().to_numpy() for name in _PATHS}
     return ExperimentResult(
@@ -357,7 +355,7 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
     settings: dict[str, Any] = {}
     for path in sorted((Path(folder) / TRIALS).glob("[!.]*.parquet")):
         content = path.read_bytes()
-        own = _read(content)[0].settings
+        own = _read(content)[1].settings
         own = {name: own[name] for name in ("experiment", "seed", "env_kwargs")}
         name = own["experiment"]["name"]
         if settings.setdefault(name, own) != own:

@@ -304,11 +304,12 @@ class Scenario:
         }
 
 
-def scenario(name: str) -> Scenario:
+def scenario(name: str, interface: Any = None) -> Scenario:
     """Return the scenario of a name: a task, perturbations of any strength, or both.
 
     The name may also be the id of a task, or that of your own environment, as `make_environment`
-    takes it: a registered id, "module:Id", or "module:function".
+    takes it: a registered id, "module:Id", or "module:function"; one that is not of this package
+    needs an `interface` (`InterfacedEnv`).
 
     Example:
         >>> scenario("longer-35-told").description
@@ -323,7 +324,7 @@ def scenario(name: str) -> Scenario:
         raise _unknown(name)
     name = {environment_id(task): task for task in TASK_SCENARIOS}.get(name, name)
     if ":" in name or name in gym.registry:
-        return own_scenario(name)
+        return own_scenario(name, interface=interface)
     first, *others = name.split("+")
     if first not in TASK_SCENARIOS:
         first, others = BASELINE, [first, *others]

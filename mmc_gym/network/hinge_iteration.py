@@ -32,7 +32,7 @@ class Arm(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What is held, and for how long to iterate.
+    """Which parts are held, and for how long to iterate.
 
     Attributes:
         is_placed: whether each node is held, (N + 1,).

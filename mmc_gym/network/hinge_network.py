@@ -50,8 +50,8 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import (
     UserError,
     require,
-    require_array,
     require_choice,
+    require_floats,
     require_number,
     require_positive,
     require_whole,
@@ -84,7 +84,7 @@ class HingeState:
 
 @dataclass(frozen=True, eq=False)
 class HingeClamps:
-    """What is held, made by `HingeNetwork.clamp`.
+    """Parts of an arm held at given places, made by `HingeNetwork.clamp`.
 
     Attributes:
         position: of the hand, (..., 3), or None.
@@ -421,7 +421,7 @@ class HingeNetwork:
 
 
 class _Task(NamedTuple):
-    """What is held in each arm of a batch, as arrays.
+    """The clamps of each arm of a batch, as arrays.
 
     Attributes:
         low: least angles, (batch, n); those of a held joint are equal.
@@ -457,9 +457,5 @@ def _together(name: str, shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def _floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
-    """Return a finite float64 array whose last axes are `trailing`."""
-    array = np.array(require_array(name, value), np.float64)
-    fine = array.shape[array.ndim - len(trailing) :] == trailing
-    require(fine, name, array.shape, f"of shape (..., {', '.join(map(str, trailing))})")
-    require(bool(np.isfinite(array).all()), name, value, "finite")
-    return array
+    """Return a copy in float64 of a finite array whose last axes are `trailing`."""
+    return np.array(require_floats(name, value, trailing), np.float64)

@@ -34,8 +34,8 @@ from numpy.typing import ArrayLike, NDArray
 from mmc_gym._errors import (
     UserError,
     require,
-    require_array,
     require_choice,
+    require_floats,
     require_number,
     require_numbers,
     require_whole,
@@ -253,7 +253,7 @@ class MMCNetwork:
     def state_from_joint_angles(self, joint_angles: ArrayLike) -> MMCState:
         """Return the state of arms at rest in a posture; joint angles (..., N) in radians."""
         require_plane(self)
-        angles = _as_floats("joint_angles", joint_angles, (self.segment_count,))
+        angles = require_floats("joint_angles", joint_angles, (self.segment_count,))
         return self.state_from_segments(
             chain.segments_from_joint_angles(angles, self.segment_lengths)
         )
@@ -267,7 +267,7 @@ class MMCNetwork:
         Raises:
             UserError: if the shape is another or a value is no finite number.
         """
-        segments = _as_floats("segments", segments, (self.segment_count, self.dimensions))
+        segments = require_floats("segments", segments, (self.segment_count, self.dimensions))
         parts = [chain.chain_vectors(segments)]
         if self.schedule == "delayed":
             parts.append(segments)
@@ -279,14 +279,14 @@ class MMCNetwork:
     def inverse(self, target: ArrayLike) -> Clamps:
         """Hold the end effector at `target` (..., 2): the inverse task."""
         # As `clamp`, but three times as fast: agents call it in every control step.
-        target = _as_floats("target", target, (self.dimensions,))
+        target = require_floats("target", target, (self.dimensions,))
         batch = range(target.ndim - 1)
         values = target.transpose(target.ndim - 1, *batch).copy()[None]
         return Clamps((self._hand_row,), values, self.segment_count)
 
     def forward(self, segments: ArrayLike) -> Clamps:
         """Hold every segment at its vector in `segments` (..., N, 2): the forward task."""
-        segments = _as_floats("segments", segments, (self.segment_count, self.dimensions))
+        segments = require_floats("segments", segments, (self.segment_count, self.dimensions))
         return self.clamp({(i, i + 1): segments[..., i, :] for i in range(self.segment_count)})
 
     def clamp(self, vectors: Mapping[Pair, ArrayLike]) -> Clamps:
@@ -298,7 +298,7 @@ class MMCNetwork:
             UserError: for a pair that is not a vector of the chain, or a value that is not a finite
                 array of shape (..., 2).
         """
-        held = held_rows(self, "vectors", vectors, _as_floats)
+        held = held_rows(self, "vectors", vectors, require_floats)
         if not held:
             return NO_CLAMPS
         rows = tuple(sorted(held))
@@ -450,12 +450,3 @@ def require_plane(network: MMCNetwork) -> None:
 
 def _are_lengths(numbers: tuple[float, ...]) -> bool:
     return len(numbers) >= 2 and all(0 < number < np.inf for number in numbers)
-
-
-def _as_floats(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Floats:
-    """Return the value as a finite float array whose last axes are `trailing`."""
-    array = require_array(name, value)
-    accepted = f"of shape (..., {', '.join(map(str, trailing))})"
-    require(array.shape[-len(trailing) :] == trailing, name, array.shape, accepted)
-    require(bool(np.isfinite(array).all()), name, value, "finite")
-    return array

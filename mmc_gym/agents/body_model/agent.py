@@ -18,9 +18,8 @@ Perturbations are not given.  Arrays lead with the batch, (n, …); a single arm
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,7 +101,7 @@ class Parts:
         require(len(self.retention) == count, "retention", self.retention, f"{count}, as of rate")
         require(total <= 1, "rate", self.rate, "at most 1 together")
 
-    @property
+    @cached_property
     def learns(self) -> bool:
         """Whether anything is learned from movement to movement."""
         return any(self.retention) or sum(self.rate) < 1
@@ -181,8 +180,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
     ) -> tuple[NDArray[np.float32], BodyState]:
         seen = self.interface.see(observation)
         batch = seen.joint_angles.shape[:-1]
-        arms = math.prod(batch)
-        seen = Seen(**{key: each.reshape(arms, each.shape[-1]) for key, each in vars(seen).items()})
+        seen = seen.in_rows()
         state = self.resumed(state, seen, episode_start)
         if self.learns:
             state = self._remembered(state, seen)

@@ -31,6 +31,12 @@ def hand(joint_angles: Floats, lengths: Floats) -> Points:
     return (lengths * unit_vectors(joint_angles)).sum(axis=-1)
 
 
+def to_hand(joint_angles: Floats, lengths: Floats) -> Points:
+    """Return the vectors from each joint to the hand, (..., N); the first is the hand itself."""
+    segments = lengths * unit_vectors(joint_angles)
+    return np.cumsum(segments[..., ::-1], axis=-1)[..., ::-1]
+
+
 def command_of(interface: ReachInterface, joint_angles: Floats, joint_targets: Floats) -> Floats:
     """Return the command that the servos get.
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmc_gym.agents.base import every, some
-from mmc_gym.agents.body_model.arm import Bools, Points, hand, unit_vectors
+from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
 from mmc_gym.interface import ReachInterface
 from mmc_gym.network import MMCNetwork
 from mmc_gym.network.chain import Floats, wrap_angle
@@ -108,11 +108,10 @@ def least_squares(problem: ReachProblem, iterations: int) -> Floats:
     """
     joint_angles, aim, lengths, held = problem
     for _ in range((iterations + 1) // 2):
-        segments = lengths * unit_vectors(joint_angles)
-        to_hand = np.cumsum(segments[..., ::-1], axis=-1)[..., ::-1]  # from each joint
-        error = aim - to_hand[..., 0]
+        levers = to_hand(joint_angles, lengths)
+        error = aim - levers[..., 0]
         error = error * np.minimum(1, LONGEST_ERROR / np.maximum(np.abs(error), 1e-9))
-        jacobian = 1j * to_hand if held is None else np.where(held, 0, 1j * to_hand)
+        jacobian = 1j * levers if held is None else np.where(held, 0, 1j * levers)
         joint_angles = joint_angles + pulled(jacobian, error, DAMPING)
     return wrap_angle(joint_angles)
 

@@ -29,7 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmc_gym.agents.body_model.arm import Bools, Points, hand, unit_vectors
+from mmc_gym.agents.base import where
+from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
 from mmc_gym.agents.body_model.body import Body
 from mmc_gym.agents.body_model.imagination import pulled
 from mmc_gym.network.chain import Floats
@@ -70,10 +71,7 @@ class Memory(NamedTuple):
         felt = hand(joint_angles, given + self.belief[:, :-2])
         shift, zero = seen - self.turn * felt, np.zeros_like(felt)
         new = Memory(self.states, shift, begin=felt, place=felt, intended=zero, drift=zero)
-        return Memory(
-            self.states,
-            *(np.where(begins, one, old) for one, old in zip(new[1:], self[1:], strict=True)),
-        )
+        return where(begins, new, self)
 
     def as_given(self, seen: Points, joint_angles: Floats) -> Points:
         """Return where a hand of the given body would be if this one is seen here: x̃."""
@@ -99,14 +97,13 @@ class Memory(NamedTuple):
         self, turn: Floats, joint_angles: Floats, aim: Points, lengths: Floats, held: Bools | None
     ) -> tuple[Floats, Memory]:
         """Return the turns of the joints that take the hand where `turn` would without drift."""
-        units = lengths * unit_vectors(joint_angles)
-        to_hand = 1j * np.cumsum(units[:, ::-1], axis=-1)[:, ::-1]
-        intended = (to_hand * turn).sum(axis=-1)
+        jacobian = 1j * to_hand(joint_angles, lengths)
+        intended = (jacobian * turn).sum(axis=-1)
         left = np.abs(aim - self.place) / np.maximum(np.abs(aim - self.begin), 1e-9)
         against = np.exp(-1j * self.belief[:, -1] * np.minimum(left, 1.0))
         if held is not None:
-            to_hand = np.where(held, 0, to_hand)
-        more = pulled(to_hand, intended * (against - 1), FIRM)
+            jacobian = np.where(held, 0, jacobian)
+        more = pulled(jacobian, intended * (against - 1), FIRM)
         return turn + more, self._replace(intended=intended)
 
     def kept(

@@ -13,7 +13,6 @@ still misses the target, also from postures around.  The nearest posture that re
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
@@ -25,7 +24,7 @@ from typing_extensions import override
 from mmc_gym.agents.base import InternalModelAgent, Started
 from mmc_gym.agents.body_model.arm import Bools
 from mmc_gym.agents.body_model.body import PENALTY
-from mmc_gym.interface import Observation, ReachInterface, Seen, Sensed
+from mmc_gym.interface import Observation, ReachInterface, Sensed
 from mmc_gym.network import HingeArm, HingeNetwork
 from mmc_gym.network.chain import Floats
 
@@ -100,12 +99,11 @@ class SpatialBodyAgent(InternalModelAgent[SpatialState]):
     ) -> tuple[NDArray[np.float32], SpatialState]:
         seen = self.interface.see(observation)
         batch = seen.joint_angles.shape[:-1]
-        arms = math.prod(batch)
-        seen = Seen(**{key: each.reshape(arms, each.shape[-1]) for key, each in vars(seen).items()})
+        seen = seen.in_rows()
         state = self._felt(self.resumed(state, seen, episode_start), seen.joint_angles)
         if self.parts.identifies_body:
             state = self._identified(state, seen.hand)
-        goals = [self._imagined(state, seen.target[arm], arm) for arm in range(arms)]
+        goals = [self._imagined(state, target, arm) for arm, target in enumerate(seen.target)]
         state = state._replace(goal=np.reshape(goals, seen.joint_angles.shape))
         action = self.interface.act(state.goal, seen)
         return action.reshape(*batch, action.shape[-1]), state
