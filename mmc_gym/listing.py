@@ -85,7 +85,7 @@ def list_perturbations() -> Listing:
         Listed(
             name,
             one.description.format(f"{one.default:g}"),
-            f"{one.unit}{', or -told' * (one.told is not None)}",
+            f"{one.unit}{', or -told' * one.told}",
         )
         for name, one in FAMILIES.items()
     )

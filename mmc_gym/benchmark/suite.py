@@ -19,7 +19,6 @@ from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.planners import HandPlan, begin, follow, minimum_jerk_step, step
 from mmc_gym.agents.resolver import ResolvedAgent
 from mmc_gym.agents.sb3 import ModelAgent
-from mmc_gym.envs.perturbations import FAMILIES, Family
 from mmc_gym.envs.scenarios import (
     TASK_SCENARIOS,
     EnvLike,
@@ -27,7 +26,6 @@ from mmc_gym.envs.scenarios import (
     make_environment,
     name_of,
     own_scenario,
-    perturbed,
     scenario,
 )
 from mmc_gym.envs.vector import MMCReachVectorEnv
@@ -35,15 +33,25 @@ from mmc_gym.interface import ControlError, read_attribute
 from mmc_gym.measures.episode import Episode, Floats
 from mmc_gym.measures.rollout import Options, run_episodes
 
-
-def _in_strengths(family: Family) -> list[Scenario]:
-    given = [perturbed(family, strength, told=True) for strength in family.told or ()]
-    return [*(perturbed(family, strength) for strength in family.strengths), *given]
-
-
+_PERTURBED = """
+force-field-30 force-field-60 force-field-90
+rotation-15 rotation-30 rotation-45 rotation-60
+hand-mass-1 hand-mass-3 hand-mass-10
+longer-10 longer-20 longer-50 longer-20-told longer-50-told
+shorter-10 shorter-20 shorter-50 shorter-20-told shorter-50-told
+locked-1 locked-2 locked-3 locked-1-told locked-2-told locked-3-told
+locks-1 locks-2 locks-3 locks-2-told
+joint-noise-0.01 joint-noise-0.02 joint-noise-0.05
+joint-noise-speed-0.01 joint-noise-speed-0.03
+vision-noise-0.01 vision-noise-0.03 vision-noise-0.1
+vision-noise-distance-0.05 vision-noise-distance-0.15
+delay-20 delay-40 delay-100 delay-200 delay-400
+obstacles-1 obstacles-2 obstacles-4
+gravity-10 gravity-60 gravity-120
+"""
 SCENARIOS: dict[str, Scenario] = {
     **TASK_SCENARIOS,
-    **{one.name: one for family in FAMILIES.values() for one in _in_strengths(family)},
+    **{name: scenario(name) for name in _PERTURBED.split()},
 }
 """The scenarios of the benchmark by name: every task, and perturbations in a few strengths."""
 

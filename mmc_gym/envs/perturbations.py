@@ -14,7 +14,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +34,14 @@ from mmc_gym._errors import (
     shown,
     spelt,
 )
-from mmc_gym.envs.workspace import distances
+from mmc_gym.envs.workspace import Point, distances
 from mmc_gym.interface import Seen
 
 if TYPE_CHECKING:  # names are registered without loading the physics
     from mmc_gym.body import ArmParameters
 
 Floats = NDArray[np.float64]
-Coordinate = TypeVar("Coordinate", float, Floats)
+Place = tuple[Any, Any]  # (x, y): numbers, or arrays of one shape
 _DISCS = ((1.5, 1.0, 0.25), (-1.5, 1.0, 0.25), (1.5, -1.0, 0.25), (-1.5, -1.0, 0.25))
 
 
@@ -214,15 +214,13 @@ class Cursor(Perturbation, ABC):
             the base if they begin anywhere.
     """
 
-    centre: tuple[float, float] | None
+    centre: Point | None
 
     @abstractmethod
-    def cursor(
-        self, x: Coordinate, y: Coordinate, target: tuple[Coordinate, Coordinate]
-    ) -> tuple[Coordinate, Coordinate]:
+    def cursor(self, x: Any, y: Any, target: Place) -> Place:
         """Return where the cursor is for a hand at (x, y): numbers, or arrays of one shape."""
 
-    def hand(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
+    def hand(self, x: Any, y: Any) -> Place:
         """Return where the hand is for a cursor at (x, y), which is the target."""
         return x, y
 
@@ -245,7 +243,7 @@ class VisuomotorRotation(Cursor):
     """
 
     degrees: float = 30.0
-    centre: tuple[float, float] | None = None
+    centre: Point | None = None
 
     def __post_init__(self) -> None:
         require_finite("degrees", self.degrees)
@@ -253,16 +251,14 @@ class VisuomotorRotation(Cursor):
             require_numbers("centre", self.centre, "two finite values (x, y)", is_point)
 
     @override
-    def cursor(
-        self, x: Coordinate, y: Coordinate, target: object = None
-    ) -> tuple[Coordinate, Coordinate]:
-        cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
+    def cursor(self, x: Any, y: Any, target: Place | None = None) -> Place:
+        cos, sin = _turn(self.degrees)
         centre = self.centre or (0.0, 0.0)
         x, y = x - centre[0], y - centre[1]
         return centre[0] + cos * x - sin * y, centre[1] + sin * x + cos * y
 
     @override
-    def hand(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
+    def hand(self, x: Any, y: Any) -> Place:
         return replace(self, degrees=-self.degrees).cursor(x, y)
 
     @override
@@ -279,23 +275,20 @@ class ErrorClamp(Cursor):
 
     Attributes:
         degrees: from the direction of the target to that of the cursor, counter-clockwise.
-        centre: as of every cursor.
     """
 
     degrees: float = 15.0
-    centre: tuple[float, float] | None = None
+    centre: Point | None = None
 
     def __post_init__(self) -> None:
         require_finite("degrees", self.degrees)
 
     @override
-    def cursor(
-        self, x: Coordinate, y: Coordinate, target: tuple[Coordinate, Coordinate]
-    ) -> tuple[Coordinate, Coordinate]:
-        cos, sin = math.cos(math.radians(self.degrees)), math.sin(math.radians(self.degrees))
+    def cursor(self, x: Any, y: Any, target: Place) -> Place:
+        cos, sin = _turn(self.degrees)
         centre = self.centre or (0.0, 0.0)
         along, across, _ = _direction(centre, target)
-        away = _length(x - centre[0], y - centre[1])
+        _, _, away = _direction(centre, (x, y))
         turned = cos * along - sin * across, sin * along + cos * across
         return centre[0] + away * turned[0], centre[1] + away * turned[1]
 
@@ -310,21 +303,18 @@ class CursorJump(Cursor):
     Attributes:
         percent: of the way from the centre to the target; positive to the left.
         share: of the way that the hand has made when the cursor jumps.
-        centre: as of every cursor.
     """
 
     percent: float = 10.0
     share: float = 0.25
-    centre: tuple[float, float] | None = None
+    centre: Point | None = None
 
     def __post_init__(self) -> None:
         require_number("percent", self.percent, "at most 100", lambda jump: abs(jump) <= 100)
         require_number("share", self.share, "from 0 to 1", lambda share: 0 <= share <= 1)
 
     @override
-    def cursor(
-        self, x: Coordinate, y: Coordinate, target: tuple[Coordinate, Coordinate]
-    ) -> tuple[Coordinate, Coordinate]:
+    def cursor(self, x: Any, y: Any, target: Place) -> Place:
         centre = self.centre or (0.0, 0.0)
         along, across, way = _direction(centre, target)
         made = (x - centre[0]) * along + (y - centre[1]) * across
@@ -332,20 +322,16 @@ class CursorJump(Cursor):
         return x - jump * across, y + jump * along
 
 
-def _direction(
-    centre: tuple[float, float], target: tuple[Coordinate, Coordinate]
-) -> tuple[Coordinate, Coordinate, Coordinate]:
+def _turn(degrees: float) -> tuple[float, float]:
+    return math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+
+
+def _direction(centre: Point, target: Place) -> tuple[Any, Any, Any]:
     """Return the unit vector from the centre to the target, 0 if they coincide, and its length."""
     x, y = target[0] - centre[0], target[1] - centre[1]
-    way = _length(x, y)
+    way = np.sqrt(x * x + y * y)  # rounds alike for numbers and arrays; `hypot` does not
     whole = way + (way == 0.0)
     return x / whole, y / whole, way
-
-
-def _length(x: Coordinate, y: Coordinate) -> Coordinate:
-    """Return |(x, y)|: the square root rounds alike for numbers and arrays, `hypot` does not."""
-    length: Coordinate = np.sqrt(x * x + y * y)
-    return length
 
 
 @spelt
@@ -442,9 +428,7 @@ class Family:
         description: of a scenario, in a line; `{}` stands for the strength.
         default: strength of a name without one.
         make: makes the perturbation of a strength.
-        strengths: those of the benchmark.
-        told: strengths at which the benchmark gives agents the change; None if they cannot be given
-            it.
+        told: whether agents can be given the change (`-told`).
         whole: whether strengths are whole numbers: the number of a joint, or a count.
     """
 
@@ -453,15 +437,17 @@ class Family:
     description: str
     default: float
     make: Callable[[float], Perturbation]
-    strengths: tuple[float, ...] = ()
-    told: tuple[float, ...] | None = None
+    told: bool = False
     whole: bool = False
 
 
-def _resized(percent: float, sign: int) -> SegmentLength:
-    accepted = "less than 100 %" if sign < 0 else "more than -100 %"
-    require(sign * percent > -100, "the change of the segment's length", percent, accepted)
-    return SegmentLength(1 + sign * percent / 100)
+def _longer(percent: float) -> SegmentLength:
+    return SegmentLength(1 + percent / 100)
+
+
+def _shorter(percent: float) -> SegmentLength:
+    require(percent < 100, "the change of the segment's length", percent, "less than 100 %")
+    return SegmentLength(1 - percent / 100)
 
 
 def _delay(ms: float) -> SensoryDelay:
@@ -469,10 +455,14 @@ def _delay(ms: float) -> SensoryDelay:
     return SensoryDelay(ms / 1000)
 
 
-def _joint(strength: float, time: float = 0.0) -> LockedJoint:
-    fine = strength >= 1 and float(strength).is_integer()
-    require(fine, "the joint that locks", strength, "a whole number from 1 (at the base) on")
-    return LockedJoint(int(strength) - 1, time)
+def _locked(number: float, time: float = 0.0) -> LockedJoint:
+    fine = number >= 1 and float(number).is_integer()
+    require(fine, "the joint that locks", number, "a whole number from 1 (at the base) on")
+    return LockedJoint(int(number) - 1, time)
+
+
+def _locks(number: float) -> LockedJoint:
+    return _locked(number, time=0.2)
 
 
 def _obstacles(strength: float) -> Obstacles:
@@ -482,140 +472,69 @@ def _obstacles(strength: float) -> Obstacles:
 
 
 FAMILIES: dict[str, Family] = {
-    family.name: family
-    for family in (
+    one.name: one
+    for one in (  # name, unit, description, default, make
+        Family("force-field", "mass/s", "viscous curl field of {} at the hand", 60.0, ForceField),
+        Family("rotation", "°", "cursor turned by {}°", 30.0, VisuomotorRotation),
+        Family("clamp", "°", "cursor clamped to a direction {}° from the target", 15.0, ErrorClamp),
         Family(
-            name="force-field",
-            unit="mass/s",
-            description="viscous curl field of {} at the hand",
-            default=60.0,
-            make=ForceField,
-            strengths=(30.0, 60.0, 90.0),
+            "cursor-jump",
+            "% of the way",
+            "cursor jumps across the way by {} % of it",
+            10.0,
+            CursorJump,
         ),
+        Family("hand-mass", "segment masses", "hand carries {} segment masses", 3.0, HandMass),
+        Family("longer", "%", "last segment {} % longer", 20.0, _longer, told=True),
+        Family("shorter", "%", "last segment {} % shorter", 20.0, _shorter, told=True),
         Family(
-            name="rotation",
-            unit="°",
-            description="cursor turned by {}°",
-            default=30.0,
-            make=VisuomotorRotation,
-            strengths=(15.0, 30.0, 45.0, 60.0),
-        ),
-        Family(
-            name="clamp",
-            unit="°",
-            description="cursor clamped to a direction {}° from the target",
-            default=15.0,
-            make=ErrorClamp,
-        ),
-        Family(
-            name="cursor-jump",
-            unit="% of the way",
-            description="cursor jumps across the way by {} % of it",
-            default=10.0,
-            make=CursorJump,
-        ),
-        Family(
-            name="hand-mass",
-            unit="segment masses",
-            description="hand carries {} segment masses",
-            default=3.0,
-            make=HandMass,
-            strengths=(1.0, 3.0, 10.0),
-        ),
-        Family(
-            name="longer",
-            unit="%",
-            description="last segment {} % longer",
-            default=20.0,
-            make=lambda percent: _resized(percent, sign=1),
-            strengths=(10.0, 20.0, 50.0),
-            told=(20.0, 50.0),
-        ),
-        Family(
-            name="shorter",
-            unit="%",
-            description="last segment {} % shorter",
-            default=20.0,
-            make=lambda percent: _resized(percent, sign=-1),
-            strengths=(10.0, 20.0, 50.0),
-            told=(20.0, 50.0),
-        ),
-        Family(
-            name="locked",
-            unit="joint",
-            description="joint {} (from the base) locked from the start",
-            default=2.0,
-            make=_joint,
+            "locked",
+            "joint",
+            "joint {} (from the base) locked from the start",
+            2.0,
+            _locked,
+            told=True,
             whole=True,
-            strengths=(1.0, 2.0, 3.0),
-            told=(1.0, 2.0, 3.0),
         ),
         Family(
-            name="locks",
-            unit="joint",
-            description="joint {} (from the base) locked after 0.2 s",
-            default=2.0,
-            make=lambda joint: _joint(joint, time=0.2),
+            "locks",
+            "joint",
+            "joint {} (from the base) locked after 0.2 s",
+            2.0,
+            _locks,
+            told=True,
             whole=True,
-            strengths=(1.0, 2.0, 3.0),
-            told=(2.0,),
+        ),
+        Family("joint-noise", "rad", "noise of joint angles, {} rad", 0.02, JointNoise),
+        Family(
+            "joint-noise-speed",
+            "s",
+            "noise of joint angles, {} s of joint speed",
+            0.01,
+            lambda std: JointNoise(0.0, std),
         ),
         Family(
-            name="joint-noise",
-            unit="rad",
-            description="noise of joint angles, {} rad",
-            default=0.02,
-            make=JointNoise,
-            strengths=(0.01, 0.02, 0.05),
+            "vision-noise",
+            "lengths",
+            "noise of the seen hand and target, {} segment lengths",
+            0.03,
+            VisionNoise,
         ),
         Family(
-            name="joint-noise-speed",
-            unit="s",
-            description="noise of joint angles, {} s of joint speed",
-            default=0.01,
-            make=lambda std: JointNoise(0.0, speed_std=std),
-            strengths=(0.01, 0.03),
+            "vision-noise-distance",
+            "of distance",
+            "noise of the seen hand and target, {} of their distance",
+            0.05,
+            lambda std: VisionNoise(0.0, std),
         ),
+        Family("delay", "ms", "all senses late by {} ms", 100.0, _delay),
+        Family("obstacles", "discs", "fixed discs stop the arm, {}", 2.0, _obstacles, whole=True),
         Family(
-            name="vision-noise",
-            unit="lengths",
-            description="noise of the seen hand and target, {} segment lengths",
-            default=0.03,
-            make=VisionNoise,
-            strengths=(0.01, 0.03, 0.1),
-        ),
-        Family(
-            name="vision-noise-distance",
-            unit="of distance",
-            description="noise of the seen hand and target, {} of their distance",
-            default=0.05,
-            make=lambda std: VisionNoise(0.0, distance_std=std),
-            strengths=(0.05, 0.15),
-        ),
-        Family(
-            name="delay",
-            unit="ms",
-            description="all senses late by {} ms",
-            default=100.0,
-            make=_delay,
-            strengths=(20.0, 40.0, 100.0, 200.0, 400.0),
-        ),
-        Family(
-            name="obstacles",
-            unit="discs",
-            description="fixed discs stop the arm, {}",
-            default=2.0,
-            make=_obstacles,
-            whole=True,
-            strengths=(1.0, 2.0, 4.0),
-        ),
-        Family(
-            name="gravity",
-            unit="lengths/s²",
-            description="arm hangs in a gravity of {} segment lengths/s²",
-            default=60.0,
-            make=Gravity,
-            strengths=(10.0, 60.0, 120.0),
+            "gravity",
+            "lengths/s²",
+            "arm hangs in a gravity of {} segment lengths/s²",
+            60.0,
+            Gravity,
         ),
     )
 }

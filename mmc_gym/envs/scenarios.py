@@ -353,8 +353,8 @@ def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
     Raises:
         UserError: if the strength is impossible, or agents cannot be given the change.
     """
-    if told and family.told is None:
-        accepted = ", ".join(one.name for one in FAMILIES.values() if one.told is not None)
+    if told and not family.told:
+        accepted = ", ".join(one.name for one in FAMILIES.values() if one.told)
         raise UserError(f"'-told' may follow {accepted} only, got it after {family.name!r}")
     # Digits without exponent, as the grammar reads them.
     digits = np.format_float_positional(strength, trim="-")
@@ -366,7 +366,7 @@ def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
     require(isinstance(perturbation, Perturbation), name, perturbation, accepted)
     perturbation.check_hooks()
     description = family.description.format(digits)
-    if family.told is not None:
+    if family.told:
         description += f", {'given' if told else 'not given'} to agents"
         perturbation = replace(perturbation, told=told)  # type: ignore[type-var]
     return Scenario(

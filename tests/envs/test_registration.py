@@ -39,7 +39,7 @@ from mmc_gym.interface import Control
 
 PLAIN = ["MMCReach-v0", "MMCReachGoal-v0"]
 IDS = [spec.id for spec in gym.registry.values() if str(spec.entry_point).startswith("mmc_gym.")]
-TOLD = [f"{name}-told" for name, family in FAMILIES.items() if family.told is not None]
+TOLD = [f"{name}-told" for name, family in FAMILIES.items() if family.told]
 CONTROLS = get_args(Control)
 OTHERS = [*sorted({*TASKS, *FAMILIES, *TOLD} - {"random"}), "centre-out+rotation-30+delay-40"]
 CASES = [*product(PLAIN, CONTROLS), *zip(OTHERS, cycle(CONTROLS), strict=False)]
