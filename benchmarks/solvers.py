@@ -231,7 +231,6 @@ class Mmc(Solver):
             held=problem.held,
             points=points,
             tolerance=problem.tolerance,
-            polish=problem.tolerance == TIGHT,
         ).joint_angles
 
     def solve_all(self, targets: Array, starts: Array) -> Array:
@@ -332,7 +331,7 @@ class Stepper(Solver):
     The best posture is returned.
     """
 
-    at_most = 300
+    at_most = 2000
     elbows = True
     steps = 12  # before it begins anew; it and the damping are the best of a few on another seed
     damping = 3e-3

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from mmc_gym.network.chain import Floats
 
 LANES = 16  # postures in a block
-_CONJUGATE = 8  # gradients of a step of Newton's method; there are six equations
 _EVERY = (slice(None),)  # lanes of numpy
 
 
@@ -37,49 +36,66 @@ class Plan(NamedTuple):
     Attributes:
         is_placed: whether each node is held, (N + 1,).
         weight: 2 s² where the hand's rotation is held, otherwise 0.
+        share: 1/d.
         decay: factor on the velocity.
         times: iterations at most.
         far: tolerance of held nodes, m; 0 where iterations shall not stop.
         turn: tolerance of the hand's rotation, radians.
-        first: whether a block stops when its first posture has settled, in place of any.
-        newton: steps of Newton's method that follow.
+        alone: iterations in which a block stops only when its first posture has settled.
+        near: where the first posture lacks less than this, m², it has all iterations alone.
+        newton: steps of Newton's method that follow then.
+        is_exact: whether they follow in all blocks.
+        ridge: their least damping, m².
     """
 
     is_placed: NDArray[np.bool_]
     weight: float
+    share: float
     decay: float
     times: int
-    far: float
-    turn: float
-    first: bool
-    newton: int
+    far: float = 0.0
+    turn: float = 0.0
+    alone: int = 0
+    near: float = 0.0
+    newton: int = 0
+    is_exact: bool = False
+    ridge: float = 0.0
+
+
+@lru_cache
+def task_type(joints: int, nodes: int) -> np.dtype[Any]:
+    """Return the type of a task: limits, places of held nodes, rotation as a turn of the arm."""
+    shapes = {"low": (joints,), "high": (joints,), "place": (nodes, 3), "wanted": (3, 3)}
+    return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()])
 
 
 @lru_cache
 def block_type(joints: int, nodes: int) -> np.dtype[Any]:
     """Return the type of blocks for `relax`; the shapes of their arrays are part of it."""
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_NUMBERS, ())
-    shapes |= {name: (joints,) for name in _ANGLES}
-    shapes |= {name: (nodes, 3) for name in ("node", "place", "gap", "pull")}
-    shapes |= {"axis": (joints, 3), "wanted": (3, 3), "turn": (3, 3)}
-    shapes |= {"shift": (3,), "spin": (3,), "twist": (3,)}
+    task = task_type(joints, nodes)
+    shapes: dict[str, tuple[int, ...]] = {name: task[name].shape for name in task.names or ()}
+    shapes |= dict.fromkeys(("sine", "cosine", "miss", "merit", "memory", "settled"), ())
+    shapes |= dict.fromkeys(("angle", "speed", "asked", "size"), (joints,))
+    shapes |= {"node": (nodes, 3), "gap": (nodes, 3), "axis": (joints, 3)}
+    shapes |= {"row": (joints, joints + 1), "free": (joints,)}
+    shapes |= {"turn": (3, 3), "shift": (3,), "spin": (3,)}
     kinds = [(name, np.float64, (*shape, LANES)) for name, shape in shapes.items()]
-    return np.dtype([*kinds, ("iterations", np.int64)])
-
-
-_NUMBERS = ("share", "sine", "cosine", "miss", "merit", "memory", "settled", "square", "rest")
-_ANGLES = ("angle", "speed", "low", "high", "asked", "size", "free", "step")
+    return np.dtype([*kinds, ("iterations", np.int64), ("alone", np.int64)])
 
 
 def relax(blocks: NDArray[Any], arm: Arm, plan: Plan) -> None:
     """Iterate each block, in place, until it settles: in numpy, all blocks at once."""
-    rows = np.arange(len(blocks))
-    active = blocks
+    begin(_all_at_once(blocks), arm, _EVERY)
+    rows, active = np.arange(len(blocks)), blocks
     for time in range(plan.times + 1):
         block = _all_at_once(active)
         look(block, arm, plan, _EVERY)
         active["iterations"] = time
-        settled = block.settled[:, 0] if plan.first else block.settled.any(axis=1)
+        if time == 0:
+            is_near = block.merit[:, 0] < plan.near
+            active["alone"] = np.where(is_near, plan.times, plan.alone)
+        is_alone = time < active["alone"]
+        settled = np.where(is_alone, block.settled[:, 0], block.settled.max(axis=1))
         is_done = (settled > 0) | (time == plan.times)
         if is_done.any():
             blocks[rows[is_done]] = active[is_done]
@@ -88,13 +104,19 @@ def relax(blocks: NDArray[Any], arm: Arm, plan: Plan) -> None:
                 break
             block = _all_at_once(active)
         move(block, arm, plan, _EVERY)
-    if plan.newton:
-        polish(_all_at_once(blocks), arm, plan, _EVERY)
+    rows = np.flatnonzero(plan.is_exact | (blocks["alone"] == plan.times))
+    active = blocks[rows]
+    block = _all_at_once(active)
+    for _ in range(plan.newton):
+        newton(block, arm, plan, _EVERY)
+        look(block, arm, plan, _EVERY)
+    blocks[rows] = active
 
 
 def _all_at_once(blocks: NDArray[Any]) -> SimpleNamespace:
     """Return the arrays of all blocks, with blocks and lanes on the last axes, as views."""
-    names = [name for name in blocks.dtype.names or () if name != "iterations"]
+    kinds = blocks.dtype
+    names = [name for name in kinds.names or () if kinds[name].shape]
     return SimpleNamespace(**{name: np.moveaxis(blocks[name], 0, -2) for name in names})
 
 
@@ -103,18 +125,23 @@ def relax_compiled(blocks: Any, arm: Any, plan: Any) -> None:
     lanes = range(LANES)
     for b in range(blocks.shape[0]):
         block = blocks[b]
+        begin(block, arm, lanes)
         for time in range(plan.times + 1):
             look(block, arm, plan, lanes)
             block.iterations = time
+            if time == 0:
+                block.alone = plan.times if block.merit[0] < plan.near else plan.alone
             settled = block.settled[0]
-            if not plan.first:
+            if time >= block.alone:
                 for k in lanes:
                     settled = max(settled, block.settled[k])
             if settled > 0.0 or time == plan.times:
                 break
             move(block, arm, plan, lanes)
-        if plan.newton > 0:
-            polish(block, arm, plan, lanes)
+        if plan.is_exact or block.alone == plan.times:
+            for _ in range(plan.newton):
+                newton(block, arm, plan, lanes)
+                look(block, arm, plan, lanes)
 
 
 @lru_cache
@@ -123,9 +150,18 @@ def compiled_relax() -> Callable[[NDArray[Any], Arm, Plan], None]:
     from mmc_gym._compiling import compiled, inner
 
     names = dict(globals())
-    for one in (sine_and_cosine, place_node, lever, look, stretch, ask, move, pull, polish):
+    for one in (begin, sine_and_cosine, place_node, lever, look, stretch, ask, move, newton):
         names[one.__name__] = inner(FunctionType(one.__code__, names, one.__name__))
     return compiled(FunctionType(relax_compiled.__code__, names, "relax_compiled"))
+
+
+def begin(block: Any, arm: Any, lanes: Any) -> None:
+    """Bring postures within the limits."""
+    for i in range(arm.axes.shape[0]):
+        for k in lanes:
+            block.free[i, k] = 1.0 * (block.low[i, k] < block.high[i, k])
+            angle = np.maximum(block.angle[i, k], block.low[i, k])
+            block.angle[i, k] = np.minimum(angle, block.high[i, k])
 
 
 def sine_and_cosine(angle: Any) -> tuple[Any, Any]:
@@ -272,7 +308,7 @@ def move(block: Any, arm: Any, plan: Any, lanes: Any) -> None:
         block.memory[k] = plan.decay * (block.memory[k] >= 0.0)
     for i in range(joints):
         for k in lanes:
-            step = block.share[k] * block.asked[i, k] / block.size[i, k]
+            step = plan.share * block.asked[i, k] / block.size[i, k]
             step = step + block.memory[k] * block.speed[i, k]
             asked = block.angle[i, k] + step
             angle = np.minimum(np.maximum(asked, block.low[i, k]), block.high[i, k])
@@ -280,82 +316,47 @@ def move(block: Any, arm: Any, plan: Any, lanes: Any) -> None:
             block.angle[i, k] = angle
 
 
-def pull(block: Any, arm: Any, plan: Any, lanes: Any) -> None:
-    """Find how held nodes and the hand would move with the hinges' speeds, and the square of it."""
-    for k in lanes:
-        block.square[k] = 1e-30
-    for a in range(3):
-        for k in lanes:
-            block.twist[a, k] = 0.0
-        for i in range(arm.axes.shape[0]):
+def newton(block: Any, arm: Any, plan: Any, lanes: Any) -> None:
+    """Do a damped step of Newton's method; joints that it brings to a limit rest in the next.
+
+    With e, what is lacking, and the levers J of the hinges it solves (JᵀJ + λ I) Δq = Jᵀe, where
+    λ = |e|² or more (Levenberg), by Gauss-Jordan elimination.
+    """
+    joints = arm.axes.shape[0]
+    ask(block, arm, plan, lanes)
+    for i in range(joints):
+        for j in range(joints):
+            first = max(arm.joint_nodes[i], arm.joint_nodes[j]) + 1
             for k in lanes:
-                twist = block.speed[i, k] * block.axis[i, a, k]
-                block.twist[a, k] = block.twist[a, k] + twist
-        for k in lanes:
-            square = plan.weight * block.twist[a, k] * block.twist[a, k]
-            block.square[k] = block.square[k] + square
-    for h in range(1, arm.nodes.shape[0]):
-        if plan.is_placed[h]:
-            for k in lanes:
-                px, py, pz = 0.0 * block.miss[k], 0.0 * block.miss[k], 0.0 * block.miss[k]
-                for i in range(arm.axes.shape[0]):
-                    if arm.joint_nodes[i] < h:
+                turned = block.axis[i, 0, k] * block.axis[j, 0, k]
+                turned = turned + block.axis[i, 1, k] * block.axis[j, 1, k]
+                turned = turned + block.axis[i, 2, k] * block.axis[j, 2, k]
+                block.row[i, j, k] = plan.weight * turned
+            for h in range(first, arm.nodes.shape[0]):
+                if plan.is_placed[h]:
+                    for k in lanes:
                         x, y, z = lever(block, i, arm.joint_nodes[i], h, k)
-                        px = px + block.speed[i, k] * x
-                        py = py + block.speed[i, k] * y
-                        pz = pz + block.speed[i, k] * z
-                block.pull[h, 0, k] = px
-                block.pull[h, 1, k] = py
-                block.pull[h, 2, k] = pz
-                block.square[k] = block.square[k] + (px * px + py * py + pz * pz)
-
-
-def polish(block: Any, arm: Any, plan: Any, lanes: Any) -> None:
-    """Do Newton's steps, each by conjugate gradients; joints that reach a limit stay there."""
-    joints, nodes = arm.axes.shape[0], arm.nodes.shape[0]
+                        u, v, w = lever(block, j, arm.joint_nodes[j], h, k)
+                        block.row[i, j, k] = block.row[i, j, k] + (x * u + y * v + z * w)
+            for k in lanes:
+                are_free = block.free[i, k] * block.free[j, k]
+                block.row[i, j, k] = block.row[i, j, k] * are_free
+        for k in lanes:
+            damping = block.merit[k] + plan.ridge + (1.0 - block.free[i, k])
+            block.row[i, i, k] = block.row[i, i, k] + damping
+            block.row[i, joints, k] = block.asked[i, k] * block.free[i, k]
+    for p in range(joints):
+        for i in range(joints):
+            if i != p:
+                for k in lanes:
+                    block.memory[k] = block.row[i, p, k] / block.row[p, p, k]
+                for j in range(p, joints + 1):
+                    for k in lanes:
+                        less = block.memory[k] * block.row[p, j, k]
+                        block.row[i, j, k] = block.row[i, j, k] - less
     for i in range(joints):
         for k in lanes:
-            block.free[i, k] = 1.0 * (block.low[i, k] < block.high[i, k])
-    for _ in range(plan.newton):
-        for i in range(joints):
-            for k in lanes:
-                block.step[i, k] = 0.0
-                block.speed[i, k] = 0.0
-        for k in lanes:
-            block.rest[k] = 1.0
-        for _ in range(_CONJUGATE):
-            ask(block, arm, plan, lanes)
-            for k in lanes:
-                block.memory[k] = 1e-30
-            for i in range(joints):
-                for k in lanes:
-                    block.asked[i, k] = block.asked[i, k] * block.free[i, k]
-                    square = block.asked[i, k] * block.asked[i, k]
-                    block.memory[k] = block.memory[k] + square
-            for i in range(joints):
-                for k in lanes:
-                    again = block.memory[k] / block.rest[k] * block.speed[i, k]
-                    block.speed[i, k] = block.asked[i, k] + again
-            pull(block, arm, plan, lanes)
-            for k in lanes:
-                block.rest[k] = block.memory[k]
-                block.square[k] = block.memory[k] / block.square[k]
-            for i in range(joints):
-                for k in lanes:
-                    step = block.square[k] * block.speed[i, k]
-                    block.step[i, k] = block.step[i, k] + step
-            for a in range(3):
-                for k in lanes:
-                    twist = block.square[k] * block.twist[a, k]
-                    block.spin[a, k] = block.spin[a, k] - twist
-                for h in range(1, nodes):
-                    for k in lanes:
-                        along = block.square[k] * block.pull[h, a, k]
-                        block.gap[h, a, k] = block.gap[h, a, k] - along
-        for i in range(joints):
-            for k in lanes:
-                asked = block.angle[i, k] + block.step[i, k]
-                angle = np.minimum(np.maximum(asked, block.low[i, k]), block.high[i, k])
-                block.free[i, k] = (block.low[i, k] < block.high[i, k]) * (angle == asked)
-                block.angle[i, k] = angle
-        look(block, arm, plan, lanes)
+            asked = block.angle[i, k] + block.row[i, joints, k] / block.row[i, i, k]
+            angle = np.minimum(np.maximum(asked, block.low[i, k]), block.high[i, k])
+            block.free[i, k] = (block.low[i, k] < block.high[i, k]) * (angle == asked)
+            block.angle[i, k] = angle

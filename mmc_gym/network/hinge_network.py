@@ -61,12 +61,24 @@ from mmc_gym._errors import (
 from mmc_gym.network import hinge_iteration
 from mmc_gym.network.chain import Floats
 from mmc_gym.network.hinge_arm import HingeArm
-from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, block_type, compiled_relax
+from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, block_type, compiled_relax, task_type
 
 POOL = 128  # postures, of which the nearest to a task are its starts
+ALONE = 30  # iterations in which only the given start may win
+NEAR = 0.1  # miss of a start that has all of them, shares of the arm's length
 NEWTON = 6  # steps of Newton's method
-POLISHED = 1e-6  # where they shall end, m and radians
 _CHUNK = 64  # tasks in memory at once
+_SETTLED = 1e9  # any posture that has settled comes before all that have not
+
+
+class Near(NamedTuple):
+    """How near is near enough: of held nodes, m, and of the hand's rotation, radians."""
+
+    far: float
+    turn: float
+
+
+LOOSE = Near(1e-3, 1e-2)  # below that, Newton's method follows
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,18 +230,16 @@ class HingeNetwork:
         """
         require_whole("iterations", iterations, least=0)
         batch = _together("state", [state.joint_angles.shape[:-1], clamps.batch_shape])
-        task = self._task(clamps, batch)
-        n, count = self.arm.joint_count, len(task.low)
-        blocks = self._blocks(-(-count // LANES))
-        lanes = np.minimum(np.arange(len(blocks) * LANES), count - 1).reshape(len(blocks), LANES)
-        self._fill(blocks, task, lanes)
+        tasks, n = self._tasks(clamps, batch), self.arm.joint_count
+        lanes = np.minimum(np.arange(-(-len(tasks) // LANES) * LANES), len(tasks) - 1)
+        lanes = lanes.reshape(-1, LANES)
+        blocks = self._blocks(tasks[lanes])
         for name, values in (("angle", state.joint_angles), ("speed", state.joint_velocities)):
             rows = np.broadcast_to(values, (*batch, n)).reshape(-1, n)
             blocks[name] = np.swapaxes(rows[lanes], 1, 2)
-        np.clip(blocks["angle"], blocks["low"], blocks["high"], out=blocks["angle"])
-        self._relax(blocks, self._plan(task, iterations))
+        self._relax(blocks, self._plan(clamps, iterations))
         angles, speeds = (
-            np.swapaxes(blocks[name], 1, 2).reshape(-1, n)[:count].reshape(*batch, n)
+            np.swapaxes(blocks[name], 1, 2).reshape(-1, n)[: len(tasks)].reshape(*batch, n)
             for name in ("angle", "speed")
         )
         return HingeState(angles, speeds)
@@ -243,26 +253,25 @@ class HingeNetwork:
         points: Mapping[int, ArrayLike] | None = None,
         starts: int = 128,
         tolerance: tuple[float, float] = (1e-3, 1e-2),
-        polish: bool = False,
         seed: int = 0,
         iterations: int = 150,
     ) -> HingeSolution:
         """Return where the network settles, from many starts.
 
         The starts are postures drawn within the limits, those nearest to the task first; 16 settle
-        together, and the first to settle wins.  Where none does, the best is returned.
+        together, and the first to settle wins.  Where none does, the best is returned.  For
+        tolerances below 1 mm or 0.01 rad, and from a near `start`, steps of Newton's method follow.
 
         Args:
             position: see `clamp`, as `rotation`, `held` and `points`.
             rotation: of the hand.
-            start: postures (..., n) to begin with: what settles from there is preferred, then what
-                is nearest to it.
+            start: postures (..., n) to begin with.  Other starts win only where nothing settles
+                from there in 30 iterations, or in all `iterations` where the start is near: it
+                misses by less than a tenth of the arm.  Of the others the nearest to it wins.
             held: angles of joints that do not move.
             points: positions of nodes.
-            starts: at most so many, in groups of 16.
+            starts: at most so many, `start` among them.
             tolerance: of position, m, and of rotation, radians.
-            polish: whether steps of Newton's method follow, within the limits; where they do not
-                end within 1e-6 m and radians, other starts follow.
             seed: of the starts.
             iterations: of each start at most.
 
@@ -272,91 +281,91 @@ class HingeNetwork:
         clamps = self.clamp(position, rotation, held, points)
         require_whole("starts", starts)
         require_whole("iterations", iterations)
-        far, turn = (require_positive("tolerance", each) for each in tolerance)
+        near = Near(*(require_positive("tolerance", each) for each in tolerance))
         batch, first = clamps.batch_shape, None
         if start is not None:
             first = self.state(start).joint_angles
             batch = _together("start", [batch, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
-        task = self._task(clamps, batch)
-        plan = self._plan(task, iterations, far, turn, NEWTON if polish else 0)
-        parts = []
-        for begin in range(0, max(1, len(task.low)), _CHUNK):
-            rows = slice(begin, begin + _CHUNK)
-            near = None if first is None else first[rows]
-            own = task.of(rows)
-            parts.append(self._settle(own, plan, near, starts, seed))
-        angles, errors, counts = map(np.concatenate, zip(*parts))
-        solved = (errors[:, 0] < far) & (errors[:, 1] < turn)
+        tasks, pool = self._tasks(clamps, batch), self._pool(max(starts, POOL), seed)
+        plan = self._plan(clamps, iterations)._replace(
+            far=max(near.far, LOOSE.far),
+            turn=max(near.turn, LOOSE.turn),
+            newton=NEWTON,
+            is_exact=near.far < LOOSE.far or near.turn < LOOSE.turn,
+            ridge=(10 * near.far) ** 2,
+        )
+        groups = [range(least, min(least + LANES, starts)) for least in range(0, starts, LANES)]
+        lanes = [np.resize(group, LANES) for group in groups]
+        ends = np.zeros(len(tasks), self._ends)
+        for least in range(0, len(tasks), _CHUNK):
+            rows = slice(least, least + _CHUNK)
+            own = None if first is None else first[rows]
+            self._settle(ends[rows], tasks[rows], plan, near, own, pool, lanes)
+        ends = ends.reshape(batch)
+        is_solved = ends["rank"] < 0
         return HingeSolution(
-            angles.reshape(*batch, self.arm.joint_count),
-            errors[:, 0].reshape(batch),
-            errors[:, 1].reshape(batch),
-            counts.reshape(batch),
-            solved.reshape(batch),
+            ends["angle"], ends["far"], ends["turn"], ends["iterations"], is_solved
         )
 
     def _settle(
-        self, task: _Task, plan: Plan, first: Floats | None, starts: int, seed: int
-    ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Return angles (batch, n), errors (batch, 2) and iterations (batch,)."""
-        count = len(task.low)
-        angles, errors = np.empty_like(task.low), np.empty((count, 2))
-        counts, least = np.zeros(count, np.int64), np.full(count, np.inf)
-        waves = -(-starts // LANES)
-        pool = self._pool(max(POOL, waves * LANES), seed)
-        order = np.broadcast_to(np.arange(LANES), (count, LANES))  # of the pool
-        active = np.arange(count)
-        for wave in range(waves):
-            follows = first is not None and wave == 0
-            if wave == (first is not None):  # sorted when it is first needed
-                order = self._order(task, plan, pool)
-            blocks = self._blocks(len(active))
-            self._fill(blocks, task, active)
-            chosen = order[active, wave * LANES : (wave + 1) * LANES]
-            blocks["angle"] = np.swapaxes(pool[chosen], 1, 2)
-            if first is not None and follows:
-                blocks["angle"][:, :, 0] = first
-            np.clip(blocks["angle"], blocks["low"], blocks["high"], out=blocks["angle"])
-            self._relax(blocks, plan._replace(first=follows))
-            is_good = blocks["settled"] > 0
-            if plan.newton:
-                is_good &= blocks["miss"] < POLISHED**2
-                is_good &= (blocks["sine"] < POLISHED**2) | (task.weight == 0)
-            rank = np.where(is_good, plan.newton * blocks["merit"], np.inf)
-            if first is not None and follows:
-                rank += ((blocks["angle"] - first[:, :, None]) ** 2).sum(axis=1)
-                rank[:, 0] = np.where(is_good[:, 0], -1.0, np.inf)
-            found = np.isfinite(rank).any(axis=1)
-            lane = np.where(found, rank.argmin(axis=1), blocks["merit"].argmin(axis=1))
-            at = np.arange(len(active)), lane
-            merit = np.where(found, -1.0, blocks["merit"][at])
-            take = merit < least[active]
-            rows, at = active[take], (at[0][take], lane[take])
-            angles[rows] = np.swapaxes(blocks["angle"], 1, 2)[at]
-            errors[rows, 0] = np.sqrt(blocks["miss"][at])
-            turn = np.arctan2(np.sqrt(blocks["sine"][at]), blocks["cosine"][at])
-            errors[rows, 1] = turn if task.weight else 0.0
-            least[rows] = merit[take]
-            counts[active] += blocks["iterations"]
-            active = active[~found]
-            if not active.size:
+        self,
+        ends: NDArray[Any],
+        tasks: NDArray[Any],
+        plan: Plan,
+        near: Near,
+        start: Floats | None,
+        pool: Floats,
+        groups: list[NDArray[np.int64]],
+    ) -> None:
+        """Write the best posture for each task into `ends`; groups of starts follow each other."""
+        ends["rank"] = np.inf
+        active, blocks, order = np.arange(len(tasks)), self._blocks(tasks), None
+        for number, group in enumerate(groups):
+            if start is not None and number == 0:
+                blocks["angle"] = pool[group].T
+                blocks["angle"][:, :, group == 0] = start[:, :, None]
+                self._relax(blocks, plan._replace(alone=ALONE, near=self._near))
+            else:
+                order = self._order(blocks, plan, pool) if order is None else order
+                postures = pool[order[:, group - LANES * (start is not None)]]
+                blocks["angle"], blocks["speed"] = np.swapaxes(postures, 1, 2), 0.0
+                self._relax(blocks, plan)
+            away = blocks["merit"]
+            if start is not None:
+                away = ((blocks["angle"] - start[active, :, None]) ** 2).sum(axis=1)
+                away[:, 0] *= number > 0  # what settles from there wins
+            far, turn = np.sqrt(blocks["miss"]), np.zeros_like(away)
+            if plan.weight:
+                turn = np.arctan2(np.sqrt(blocks["sine"]), blocks["cosine"])
+            is_settled = (far < near.far) & (turn < near.turn)
+            rank = np.where(is_settled, away - _SETTLED, blocks["merit"])
+            every = np.arange(len(active))
+            lane = rank.argmin(axis=1)
+            ends["iterations"][active] += blocks["iterations"]
+            is_better = rank[every, lane] < ends["rank"][active]
+            rows, every, lane = active[is_better], every[is_better], lane[is_better]
+            ends["angle"][rows] = blocks["angle"][every, :, lane]
+            for name, values in (("far", far), ("turn", turn), ("rank", rank)):
+                ends[name][rows] = values[every, lane]
+            left = ends["rank"][active] >= 0
+            if not left.any():
                 break
-        return angles, errors, counts
+            active, blocks = active[left], blocks[left]
+            order = None if order is None else order[left]
 
-    def _order(self, task: _Task, plan: Plan, pool: Floats) -> NDArray[np.intp]:
+    def _order(self, blocks: NDArray[Any], plan: Plan, pool: Floats) -> NDArray[np.intp]:
         """Return the order of a pool for each task, those first that lack least, (batch, size)."""
-        count, parts = len(task.low), len(pool) // LANES
-        blocks = self._blocks(count * parts)
-        self._fill(blocks, task, np.repeat(np.arange(count), parts))
+        parts = len(pool) // LANES
+        many = np.repeat(blocks, parts)
         each = np.swapaxes(pool.reshape(parts, LANES, -1), 1, 2)
-        blocks["angle"] = np.tile(each, (count, 1, 1))
-        np.clip(blocks["angle"], blocks["low"], blocks["high"], out=blocks["angle"])
-        self._relax(blocks, plan._replace(times=0, newton=0))
-        return np.argsort(blocks["merit"].reshape(count, -1), axis=1)
+        many["angle"] = np.tile(each, (len(blocks), 1, 1))
+        self._relax(many, plan._replace(times=0, newton=0))
+        return np.argsort(many["merit"].reshape(len(blocks), -1), axis=1)
 
-    def _pool(self, size: int, seed: int) -> Floats:
-        """Return postures within the limits, (size, n)."""
+    def _pool(self, least: int, seed: int) -> Floats:
+        """Return at least so many postures within the limits, whole blocks, (size, n)."""
+        size = -(-least // LANES) * LANES
         if (size, seed) not in self._pools:
             random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
             low, high = np.where(np.isinf(self.arm.limits), (-np.pi, np.pi), self.arm.limits).T
@@ -367,44 +376,48 @@ class HingeNetwork:
     def _pools(self) -> dict[tuple[int, int], Floats]:
         return {}
 
-    def _task(self, clamps: HingeClamps, batch: tuple[int, ...]) -> _Task:
-        """Return the task of each arm of a batch."""
-
-        def rows(value: Floats, trailing: tuple[int, ...]) -> Floats:
-            return np.broadcast_to(value, (*batch, *trailing)).reshape(-1, *trailing)
-
-        arm, places = self.arm, dict(clamps.points)
-        if clamps.position is not None:
-            places[arm.node_count - 1] = clamps.position
-        low, high = (rows(limit, (arm.joint_count,)).copy() for limit in arm.limits.T)
+    def _tasks(self, clamps: HingeClamps, batch: tuple[int, ...]) -> NDArray[Any]:
+        """Return the task of each arm of a batch, as an array of `hinge_iteration.task_type`."""
+        tasks = np.zeros(batch, task_type(self.arm.joint_count, self.arm.node_count))
+        tasks["low"], tasks["high"] = self.arm.limits.T
         for joint, angle in clamps.held.items():
-            low[:, joint] = high[:, joint] = rows(angle, ())
-        place = np.zeros((len(low), arm.node_count, 3))
-        for node, point in places.items():
-            place[:, node] = rows(point, (3,))
-        is_placed = np.array([node in places for node in range(arm.node_count)])
-        rotation = rows(np.eye(3) if clamps.rotation is None else clamps.rotation, (3, 3))
-        free = max(1, arm.joint_count - len(clamps.held))
-        share = np.full(len(low), 3 / free if self.damping is None else 1 / self.damping)
+            tasks["low"][..., joint] = tasks["high"][..., joint] = angle
+        for node, point in clamps.points.items():
+            tasks["place"][..., node, :] = point
+        if clamps.position is not None:
+            tasks["place"][..., -1, :] = clamps.position
+        if clamps.rotation is not None:  # as a turn of the whole arm
+            tasks["wanted"] = clamps.rotation @ self.arm.home[:3, :3].T
+        return tasks.reshape(-1)
+
+    def _blocks(self, tasks: NDArray[Any]) -> NDArray[Any]:
+        """Return blocks for tasks (blocks,), or for those of their lanes, (blocks, lanes)."""
+        blocks = np.zeros(len(tasks), block_type(self.arm.joint_count, self.arm.node_count))
+        for name in tasks.dtype.names or ():
+            each = tasks[name]
+            blocks[name] = np.moveaxis(each, 1, -1) if tasks.ndim == 2 else each[..., None]
+        return blocks
+
+    def _plan(self, clamps: HingeClamps, times: int) -> Plan:
+        is_placed = np.zeros(self.arm.node_count, np.bool_)
+        is_placed[list(clamps.points)] = True
+        is_placed[-1] |= clamps.position is not None
         weight = 0.0 if clamps.rotation is None else 2 * self.hand_size**2
-        return _Task(low, high, place, rotation, share, is_placed, weight)
+        free = max(1, self.arm.joint_count - len(clamps.held))
+        share = 3 / free if self.damping is None else 1 / self.damping
+        return Plan(is_placed, weight, share, float(self.velocity_decay), times)
 
-    def _blocks(self, count: int) -> NDArray[Any]:
-        return np.zeros(count, block_type(self.arm.joint_count, self.arm.node_count))
+    @cached_property
+    def _near(self) -> float:
+        """Return the square of the distance below which a start is near."""
+        nodes = np.diff(self._arm.nodes, axis=0)
+        return float((NEAR * np.linalg.norm(nodes, axis=1).sum()) ** 2)
 
-    def _fill(self, blocks: NDArray[Any], task: _Task, rows: NDArray[np.intp]) -> None:
-        """Write tasks into blocks: rows of the batch, (blocks,) or (blocks, lanes)."""
-        wanted = task.rotation @ self.arm.home[:3, :3].T  # as a turn of the whole arm
-        values = task.low, task.high, task.place, task.share, wanted
-        for name, every in zip(("low", "high", "place", "share", "wanted"), values):
-            each = every[rows]
-            blocks[name] = np.moveaxis(each, 1, -1) if rows.ndim == 2 else each[..., None]
-
-    def _plan(
-        self, task: _Task, times: int, far: float = 0.0, turn: float = 0.0, newton: int = 0
-    ) -> Plan:
-        decay = float(self.velocity_decay)
-        return Plan(task.is_placed, task.weight, decay, times, far, turn, False, newton)
+    @cached_property
+    def _ends(self) -> np.dtype[Any]:
+        numbers = [(name, np.float64) for name in ("far", "turn", "rank")]
+        n = self.arm.joint_count
+        return np.dtype([("angle", np.float64, (n,)), *numbers, ("iterations", np.int64)])
 
     @cached_property
     def _relax(self) -> Any:
@@ -418,35 +431,6 @@ class HingeNetwork:
         arm = self.arm
         nodes = arm.nodes(np.zeros(arm.joint_count))
         return Arm(arm.axes, arm.points, nodes, np.array(arm.joint_nodes))
-
-
-class _Task(NamedTuple):
-    """The clamps of each arm of a batch, as arrays.
-
-    Attributes:
-        low: least angles, (batch, n); those of a held joint are equal.
-        high: largest angles, (batch, n).
-        place: where nodes are held, (batch, N + 1, 3).
-        rotation: of the hand, (batch, 3, 3).
-        share: 1/d, (batch,).
-        is_placed: which nodes are held, (N + 1,).
-        weight: 2 s² where the hand's rotation is held, otherwise 0.
-    """
-
-    low: Floats
-    high: Floats
-    place: Floats
-    rotation: Floats
-    share: Floats
-    is_placed: NDArray[np.bool_]
-    weight: float
-
-    def of(self, rows: slice) -> _Task:
-        """Return some rows of the batch."""
-        low, high, place, rotation, share, is_placed, weight = self
-        return _Task(
-            low[rows], high[rows], place[rows], rotation[rows], share[rows], is_placed, weight
-        )
 
 
 def _together(name: str, shapes: list[tuple[int, ...]]) -> tuple[int, ...]:

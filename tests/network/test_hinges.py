@@ -12,6 +12,7 @@ SHIPPED = {
     "panda": ("franka_panda/panda.urdf", "panda_link0", "panda_link8"),
     "iiwa": ("kuka_iiwa/model.urdf", "lbr_iiwa_link_0", "lbr_iiwa_link_7"),
 }
+EXACT = 1e-6, 1e-6
 ODD = """<robot name="odd">
   <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/>
   <joint name="one" type="revolute"><parent link="a"/><child link="b"/>
@@ -86,7 +87,7 @@ def test_tables_agree_with_pybullet_in_both_directions(name):
     angles = postures(arm, 20)
     poses = np.array([bullet_pose(each) for each in angles])
     np.testing.assert_allclose(arm.forward(angles), poses, atol=1e-6)
-    found = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], polish=True).joint_angles
+    found = HingeNetwork(arm).solve(poses[:, :3, 3], poses[:, :3, :3], tolerance=EXACT).joint_angles
     np.testing.assert_allclose([bullet_pose(each) for each in found], poses, atol=1e-5)
     bullet.disconnect(client)
 
@@ -106,7 +107,7 @@ def test_it_finds_random_poses_within_the_limits(name, engine):
     count = 200 if engine == "numba" else 4
     poses = arm.forward(postures(arm, count))
     network = HingeNetwork(arm, engine=engine)
-    solution = network.solve(poses[:, :3, 3], poses[:, :3, :3], polish=True)
+    solution = network.solve(poses[:, :3, 3], poses[:, :3, :3], tolerance=EXACT)
     assert solution.is_solved.all()
     np.testing.assert_allclose(arm.forward(solution.joint_angles), poses, atol=2e-5)
     low, high = arm.limits.T
@@ -124,6 +125,16 @@ def test_engines_do_the_same_operations():
         ends.append(network.run(network.state(postures(arm, 2)), clamps, 40))
     np.testing.assert_allclose(ends[0].joint_angles, ends[1].joint_angles, rtol=0, atol=1e-12)
     np.testing.assert_allclose(ends[0].joint_velocities, ends[1].joint_velocities, atol=1e-12)
+    starts = np.full((3, 6), [[0.55], [1.4], [3.0]])  # one of them is near
+    for tolerance in ((1e-3, 1e-2), EXACT):
+        found = [
+            HingeNetwork(arm, engine=engine).solve(
+                pose[:3, 3], pose[:3, :3], start=starts, tolerance=tolerance
+            )
+            for engine in ("numpy", "numba")
+        ]
+        assert found[0].iterations.tolist() == found[1].iterations.tolist()
+        np.testing.assert_allclose(found[0].joint_angles, found[1].joint_angles, atol=1e-9)
 
 
 def test_tasks_may_be_mixed(engine):
@@ -132,7 +143,7 @@ def test_tasks_may_be_mixed(engine):
     posture = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
     nodes = arm.nodes(posture)
     solution = HingeNetwork(arm, engine=engine).solve(
-        position=nodes[-1], points={1: nodes[1]}, held={5: 1.6}, polish=True
+        position=nodes[-1], points={1: nodes[1]}, held={5: 1.6}, tolerance=EXACT
     )
     assert solution.is_solved
     np.testing.assert_allclose(arm.nodes(solution.joint_angles)[[1, 3]], nodes[[1, 3]], atol=1e-5)
@@ -166,6 +177,33 @@ def test_the_given_start_is_preferred(engine):
     near = network.solve(pose[:3, 3], pose[:3, :3], start=start)
     assert near.is_solved
     assert np.abs(near.joint_angles - start).max() < 0.15
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_path_is_followed_without_a_jump(name):
+    """A warm start stays in its posture, where the nearest of many others would win a race."""
+    arm = HingeArm.named(name)
+    network = HingeNetwork(arm)
+    times = np.linspace(0.0, np.pi, 100)[:, None]
+    middle = np.array([0.3, 0.4, -0.5, -1.2, 0.5, 1.2, 0.1])[: arm.joint_count]
+    path = middle + 0.4 * np.sin(times * np.arange(1, arm.joint_count + 1) / 2)
+    now = path[0]
+    for pose in arm.forward(path[1:]):
+        solution = network.solve(pose[:3, 3], pose[:3, :3], start=now)
+        assert solution.is_solved
+        assert np.abs(solution.joint_angles - now).max() < 0.15
+        now = solution.joint_angles
+
+
+def test_one_start_is_no_other():
+    arm = HingeArm.named("panda")
+    start = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
+    away = arm.forward(-start)[:3, 3]
+    network = HingeNetwork(arm)
+    alone = network.solve(away, start=start, starts=1).joint_angles
+    clamps = network.clamp(away)
+    path = [network.run(network.state(start), clamps, times).joint_angles for times in range(151)]
+    assert any(np.array_equal(alone, posture) for posture in path)
 
 
 def test_batches_are_solved_as_their_tasks_alone():
