@@ -39,11 +39,13 @@ class ArmFrames(NamedTuple):
     Attributes:
         nodes: (..., N + 1, 3).
         axes: unit vectors of the hinges, (..., n, 3).
+        points: the points on them that describe the arm, (..., n, 3).
         hand: pose of the hand, (..., 4, 4).
     """
 
     nodes: Floats
     axes: Floats
+    points: Floats
     hand: Floats
 
 
@@ -171,16 +173,16 @@ class HingeArm:
         return self.frames(joint_angles).nodes
 
     def frames(self, joint_angles: ArrayLike) -> ArmFrames:
-        """Return nodes, axes and the hand's pose in postures (..., n)."""
+        """Return nodes, axes, their points and the hand's pose in postures (..., n)."""
         angles = require_array("joint_angles", joint_angles)
         accepted = f"of shape (..., {self.joint_count})"
         require(angles.shape[-1:] == (self.joint_count,), "joint_angles", angles.shape, accepted)
         batch, (joint_nodes, home_nodes) = angles.shape[:-1], self._rule
         nodes = np.broadcast_to(home_nodes, (*batch, *home_nodes.shape)).copy()
-        axes = np.empty((*batch, self.joint_count, 3))
+        axes, points = np.empty((2, *batch, self.joint_count, 3))
         turn, shift = np.broadcast_to(np.eye(3), (*batch, 3, 3)), np.zeros((*batch, 3))
         for joint, (axis, point) in enumerate(zip(self.axes, self.points)):
-            axes[..., joint, :] = turn @ axis
+            axes[..., joint, :], points[..., joint, :] = turn @ axis, turn @ point + shift
             cross = np.cross(axis, np.eye(3)).T  # cross @ x = axis × x
             angle = angles[..., joint, None, None]
             own = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
@@ -192,7 +194,7 @@ class HingeArm:
         hand = np.broadcast_to(self.home, (*batch, 4, 4)).copy()
         hand[..., :3, :3] = turn @ self.home[:3, :3]
         hand[..., :3, 3] = nodes[..., -1, :]
-        return ArmFrames(nodes, axes, hand)
+        return ArmFrames(nodes, axes, points, hand)
 
     @cached_property
     def _rule(self) -> tuple[tuple[int, ...], Floats]:
@@ -235,42 +237,26 @@ _X, _Y, _Z = np.eye(3)
 def _panda() -> HingeArm:
     heights = (0.333, 0.333, 0.649, 0.649, 1.033, 1.033, 1.033)
     forward = (0.0, 0.0, 0.0, 0.0825, 0.0, 0.0, 0.088)
+    low = (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973)
+    high = (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973)
     return HingeArm(
         axes=np.array([_Z, _Y, _Z, -_Y, _Z, -_Y, -_Z]),
         points=np.outer(forward, _X) + np.outer(heights, _Z),
         home=_pose([_X, -_Y, -_Z], (0.088, 0.0, 1.033 - 0.107)),
-        limits=np.array(
-            [
-                (-2.8973, 2.8973),
-                (-1.7628, 1.7628),
-                (-2.8973, 2.8973),
-                (-3.0718, -0.0698),
-                (-2.8973, 2.8973),
-                (-0.0175, 3.7525),
-                (-2.8973, 2.8973),
-            ]
-        ),
+        limits=np.transpose([low, high]),
     )
 
 
 def _ur5() -> HingeArm:
     base, upper, fore, side, drop, tool = 0.089159, 0.425, 0.39225, 0.10915, 0.09465, 0.0823
-    wrist = (upper + fore, side, base - drop)
+    x = (0, 0, upper, upper + fore, upper + fore, upper + fore)
+    points = np.transpose([x, (0, 0, 0, 0, side, side), (*[base] * 5, base - drop)])
     limits = np.full((6, 2), (-2 * np.pi, 2 * np.pi))
     limits[2] = -np.pi, np.pi
     return HingeArm(
         axes=np.array([_Z, _Y, _Y, _Y, -_Z, _Y]),
-        points=np.array(
-            [
-                (0, 0, base),
-                (0, 0, base),
-                (upper, 0, base),
-                (upper + fore, 0, base),
-                (upper + fore, side, base),
-                wrist,
-            ]
-        ),
-        home=_pose([-_X, _Z, _Y], np.array(wrist) + tool * _Y),
+        points=points,
+        home=_pose([-_X, _Z, _Y], points[-1] + tool * _Y),
         limits=limits,
     )
 

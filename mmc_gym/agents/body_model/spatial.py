@@ -156,14 +156,10 @@ def links_of(arm: HingeArm) -> Floats:
 
 def turned_links(arm: HingeArm, joint_angles: Floats) -> Floats:
     """Return the links of an arm in postures (m, n), the columns R_i a_i, (m, 3, n + 1)."""
-    from scipy.spatial.transform import Rotation  # `import mmc_gym` loads numpy alone
-
-    turn, links = Rotation.identity(len(joint_angles)), links_of(arm)
-    columns = [turn.apply(links[0])]
-    for axis, angle, link in zip(arm.axes, joint_angles.T, links[1:]):
-        turn = turn * Rotation.from_rotvec(angle[:, None] * axis)
-        columns.append(turn.apply(link))
-    return np.stack(columns, axis=-1)
+    frames = arm.frames(joint_angles)
+    base, hand = np.zeros((len(joint_angles), 1, 3)), frames.hand[:, None, :3, 3]
+    ends = np.concatenate([base, frames.points, hand], axis=1)
+    return np.swapaxes(np.diff(ends, axis=1), 1, 2)
 
 
 def lengthened(arm: HingeArm, shares: Floats) -> HingeArm:
@@ -206,11 +202,11 @@ def least_squares(
     """Iterate Δq = Jᵀ(JJᵀ + λ²I)⁻¹e within the limits, at most 100 times: the other `Solver`."""
     damping = (DAMPING * np.linalg.norm(links_of(arm), axis=1).sum()) ** 2 * np.eye(3)
     for _ in range(100):
-        nodes, axes, hand = arm.frames(starts)
+        _, axes, points, hand = arm.frames(starts)
         error = target - hand[:, :3, 3]
         if (np.linalg.norm(error, axis=-1) < tolerance).all():
             break
-        lever = np.cross(axes, hand[:, None, :3, 3] - nodes[:, list(arm.joint_nodes)])
+        lever = np.cross(axes, hand[:, None, :3, 3] - points)
         lever *= ~held[:, None]
         pull = np.linalg.solve(np.swapaxes(lever, -1, -2) @ lever + damping, error[..., None])
         starts = np.clip(starts + (lever @ pull)[..., 0], *arm.limits.T)
