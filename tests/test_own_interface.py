@@ -102,10 +102,17 @@ def test_infos_tell_what_the_interface_sees():
     assert "is_success" not in info
 
 
-@pytest.mark.parametrize("name", ["ppo", "random"])
-def test_an_agent_that_reads_our_observations_refuses_others(name):
+def test_an_agent_that_reads_our_observations_refuses_others():
     with pytest.raises(CannotActError, match="DrawerInterface"):
-        make_agent(name, make_drawer(), interface=INTERFACE)
+        make_agent("ppo", make_drawer(), interface=INTERFACE)
+
+
+def test_random_actions_are_drawn_from_the_action_space():
+    agent = make_agent("random", make_drawer(), interface=INTERFACE)
+    seen = Drawer().reset(seed=0)[0]
+    drawn = np.array([agent.predict(seen)[0] for _ in range(200)])
+    assert drawn.shape == (200, 2)
+    assert 0.09 < np.abs(drawn).max() <= 0.1
 
 
 def test_an_agent_of_the_plane_refuses_an_arm_in_space():

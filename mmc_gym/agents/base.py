@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -22,6 +22,8 @@ from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
+    from gymnasium.spaces import Box
+
     from mmc_gym.body import ArmParameters
 
 State = TypeVar("State")
@@ -277,10 +279,12 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
 
 
 class RandomAgent(Agent[None]):
-    """Draws every action uniformly from −1 to 1."""
+    """Draws every action uniformly from an action space, by default −1 to 1 for each joint."""
 
-    def __init__(self, interface: ReachInterface) -> None:
-        self._layout = interface.layout
+    def __init__(self, interface: ReachInterface, space: Box | None = None) -> None:
+        self._interface, ones = interface, np.ones(len(interface.segment_lengths))
+        low, high = (-ones, ones) if space is None else (space.low, space.high)
+        self._low, self._high = np.atleast_2d(low)[0], np.atleast_2d(high)[0]
         self._random = np.random.default_rng(0)
 
     @override
@@ -292,8 +296,6 @@ class RandomAgent(Agent[None]):
         deterministic: bool = False,
     ) -> tuple[NDArray[np.float32], None]:
         check_no_state(state)
-        observation = self._layout.check(observation)
-        if isinstance(observation, Mapping):
-            observation = observation["observation"]
-        shape = (*observation.shape[:-1], self._layout.joint_count)
-        return self._random.uniform(-1.0, 1.0, shape).astype(np.float32), None
+        batch = self._interface.sense(observation).joint_angles.shape[:-1]
+        actions = self._random.uniform(self._low, self._high, (*batch, len(self._low)))
+        return actions.astype(np.float32), None

@@ -20,7 +20,7 @@ from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_
 from mmc_gym.agents.optimal_control import OptimalControlAgent
 from mmc_gym.agents.planners import MinimumJerkAgent
 from mmc_gym.agents.policy_network import VIEWS, View
-from mmc_gym.interface import Control, ReachInterface, require_plain
+from mmc_gym.interface import Control, InterfacedEnv, ReachInterface, require_plain
 from mmc_gym.network import LearnedNormalizer
 
 Kind = Literal[
@@ -98,7 +98,10 @@ class AgentEntry:
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:
         """Make it for an environment, whose wrappers may change no observation or action."""
         require_plain(env)
-        return self.build(ReachInterface.of(env))
+        interface = ReachInterface.of(env)
+        if self.build is RandomAgent and isinstance(env, InterfacedEnv):
+            return RandomAgent(interface, env.action_space)
+        return self.build(interface)
 
 
 def _mmc(
