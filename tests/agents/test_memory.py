@@ -5,6 +5,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.agents.body_model.agent import Parts, ik_body, mmc_body
+from mmc_gym.agents.body_model.obstacles import Contacts
 from mmc_gym.benchmark.experiment import Block, Experiment
 from mmc_gym.benchmark.trials import run_experiment
 from mmc_gym.interface import ReachInterface
@@ -59,6 +60,19 @@ def test_a_field_is_corrected_in_advance():
     assert np.ptp(pushed) < 0.1 < 10 < abs(first[0])  # without learning nothing changes
     assert abs(first[15]) < abs(first[0]) / 3 and first[16] * first[0] < 0  # an after-effect
     np.testing.assert_allclose(ends, 0.0, atol=1.0)
+
+
+def test_contacts_are_looked_for_along_the_arm_that_was_learned(monkeypatch):
+    felt, observed = [], Contacts.observed
+
+    def noting(self, before, posture, asked, lengths, counts):
+        felt.append(lengths[0])
+        return observed(self, before, posture, asked, lengths, counts)
+
+    monkeypatch.setattr(Contacts, "observed", noting)
+    parts = Parts(vigour=0.0, rate=(1.0,), retention=(1.0,))
+    played([Block("longer", 2, ("longer-35",))], parts)
+    np.testing.assert_allclose(felt[len(felt) // 2 :], [[1.0, 1.0, 1.35]] * 49, atol=0.02)
 
 
 def test_subjects_learn_as_they_do_alone():

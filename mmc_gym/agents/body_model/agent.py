@@ -256,7 +256,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         contacts = state.contacts
         if parts.avoids:
             counts = is_clear & ~locks.is_locked.any(axis=-1)
-            lengths = state.evidence.body.lengths
+            lengths = self._body(state).lengths
             contacts = contacts.observed(before, posture, asked, lengths, counts)
             # An obstacle slowed the joints, not a load.
             strength = np.where(contacts.is_new[:, None], STRONGEST, drive.acceleration)
