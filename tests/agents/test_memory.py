@@ -82,6 +82,27 @@ def test_subjects_learn_as_they_do_alone():
     assert (together.reshape(2, 3, 3)[:, 0] == alone.reshape(2, 3)).all()
 
 
+def test_what_is_learned_holds_for_neighbouring_directions_if_it_is_tuned():
+    directions = np.array([90.0] * 6 + [90.0, 70.0, 50.0, 270.0])
+    probes = [Block("probe", 1, targets=(of,)) for of in directions[6:]]
+    parts = Parts(vigour=0.0, rate=(0.5,), retention=(1.0,), width=20.0)
+    _, ends = played([turned(6), *probes], parts)
+    beliefs, expected = np.zeros(10), []  # of the directions of all trials
+    for trial, turn in enumerate([30.0] * 6 + [0.0] * 4):
+        learned = 0.5 * (turn - beliefs[trial])
+        expected.append(-(beliefs[trial] + learned))
+        beliefs += learned * np.exp(-(((directions - directions[trial]) / 20.0) ** 2) / 2)
+    np.testing.assert_allclose(ends, expected, atol=1.0)
+
+
+@pytest.mark.parametrize("most", [3.0, 6.0])
+def test_larger_errors_teach_no_more_than_the_largest_that_counts(most):
+    parts = Parts(vigour=0.0, rate=(0.1,), retention=(1.0,), largest_error=most)
+    blocks = [[Block("clamp", 5, (f"clamp-{error}",), (90.0,))] for error in (15, 45)]
+    ends = np.array([played(each, parts)[1] for each in blocks])
+    np.testing.assert_allclose(ends, [-0.1 * most * np.arange(1, 6)] * 2, atol=0.5)
+
+
 def test_by_default_nothing_is_kept():
     agent = mmc_body(ReachInterface((1.0, 1.0), "joint_delta", 6.0, 12.0, 0.02))
     _, state = agent.predict(np.zeros(12, np.float32))
@@ -101,3 +122,9 @@ def test_by_default_nothing_is_kept():
 def test_rates_are_checked(rate, retention, message):
     with pytest.raises(UserError, match=message):
         Parts(rate=rate, retention=retention)
+
+
+@pytest.mark.parametrize("name", ["width", "largest_error"])
+def test_limits_of_learning_are_checked(name):
+    with pytest.raises(UserError, match=f"{name} must be positive"):
+        Parts(**{name: 0.0})

@@ -18,6 +18,7 @@ Perturbations are not given.  Arrays lead with the batch, (n, …); a single arm
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -73,10 +74,13 @@ class Parts:
             numbers for several states, such as a fast one and a slow one.  At 1 all is learned
             within the movement.
         retention: share of it that is left for the next movement, of each state.  At 0 nothing is.
+        width: of the directions for which it is learned, about the one where the target is when the
+            movement begins: standard deviation of a Gaussian, degrees.
+        largest_error: angle beyond which an error counts no more, degrees.
 
     Raises:
-        UserError: for a number outside 0 to 1, rates of more than 1 together, or another number of
-            rates than of retentions.
+        UserError: for a number outside 0 to 1, rates of more than 1 together, another number of
+            rates than of retentions, or a width or largest error that is not positive.
     """
 
     filters: bool = True
@@ -89,10 +93,14 @@ class Parts:
     vigour: float = 1.0
     rate: tuple[float, ...] = (1.0,)
     retention: tuple[float, ...] = (0.0,)
+    width: float = math.inf
+    largest_error: float = math.inf
 
     def __post_init__(self) -> None:
         accepted = "a number between 0 and 1"
         require_number("vigour", self.vigour, accepted, lambda number: 0 <= number <= 1)
+        for name in ("width", "largest_error"):
+            require_number(name, getattr(self, name), "positive", lambda number: number > 0)
         accepted = "numbers between 0 and 1, of each state, such as (0.2,)"
         for name in ("rate", "retention"):
             numbers = require_numbers(name, getattr(self, name), accepted, _are_shares)
@@ -154,7 +162,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
             contacts=Contacts.start(arms, joints),
             plan=Plan.start(joint_angles, target),
             drive=Drive.start(arms, joints),
-            memory=Memory.start(arms, joints, len(self.parts.rate)),
+            memory=Memory.start(arms, joints, self.parts),
         )
 
     @property
@@ -166,8 +174,8 @@ class BodyAgent(InternalModelAgent[BodyState]):
     def between_trials(self, state: BodyState | None, rest: float = 0.0) -> BodyState | None:
         if state is None or not self.learns:
             return None
-        given, parts = state.evidence.given.lengths, self.parts
-        kept = state.memory.kept(state.evidence.body, given, parts.rate, parts.retention, rest)
+        evidence = state.evidence
+        kept = state.memory.kept(evidence.body, evidence.given.lengths, self.parts, rest)
         return state._replace(looks=np.full_like(state.looks, BETWEEN), memory=kept)
 
     @override
@@ -198,8 +206,9 @@ class BodyAgent(InternalModelAgent[BodyState]):
         between = state.looks == BETWEEN
         if some(between):
             state = where(between, self.start(seen)._replace(memory=state.memory), state)
-        hands, given = _points(seen.hand), state.evidence.given.lengths
-        memory = state.memory.begun(state.looks == 0, hands, seen.joint_angles, given)
+        begins, given = state.looks == 0, state.evidence.given.lengths
+        places = _points(seen.hand), _points(seen.target)
+        memory = state.memory.begun(begins, *places, seen.joint_angles, given)
         return state._replace(memory=memory)
 
     def _body(self, state: BodyState) -> Body:
@@ -207,7 +216,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
         best = state.evidence.best
         if not self.learns:
             return best
-        return state.memory.body(best, state.evidence.given.lengths, sum(self.parts.rate))
+        return state.memory.body(best, state.evidence.given.lengths, self.parts)
 
     def _sense(self, state: BodyState, seen: Seen) -> BodyState:
         """Update the memory of the parts; `start` has entered the first observation already."""

@@ -19,15 +19,25 @@ that of Σ v w̄ over the first half of a movement, where w is the displacement 
 command intends, and v the one that follows.  Commands correct it in advance and ask for w e^{−iδr},
 where r is the share of the way that is left, so that the hand ends where it should.
 
+By default a belief holds in all directions, and is learned from errors of any size.  As people
+have it, there is one for each direction θ of the target: what a movement towards θ' shows counts
+at θ by exp(−(θ − θ')²/2σ²), and if the error is an angle above a largest one, it counts as that
+(`Parts.width` is σ).
+
 Literature: M. A. Smith, A. Ghazizadeh, R. Shadmehr (2006), Interacting adaptive processes with
-different timescales underlie short-term motor learning, PLoS Biol. 4, e179.
+different timescales underlie short-term motor learning, PLoS Biol. 4, e179.  J. W. Krakauer et al.
+(2000), Learning of visuomotor transformations for vectorial planning of reaching trajectories, J.
+Neurosci. 20, 8916–8924.  H. E. Kim et al. (2018), Invariant errors reveal limitations in motor
+correction rather than constraints on error sensitivity, Commun. Biol. 1, 19.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmc_gym.agents.base import where
 from mmc_gym.agents.body_model.arm import Bools, Points, hand, to_hand, unit_vectors
@@ -35,13 +45,19 @@ from mmc_gym.agents.body_model.body import Body
 from mmc_gym.agents.body_model.imagination import pulled
 from mmc_gym.network.chain import Floats
 
+if TYPE_CHECKING:
+    from mmc_gym.agents.body_model.agent import Parts
+
 FIRM = 0.05  # damping of the correction, segment lengths
+DIRECTIONS = 144  # with a belief of their own, if it does not hold in all
 
 
 class Memory(NamedTuple):
     """Beliefs, and what has been seen of the present movement."""
 
-    states: Floats  # x_i: N differences of lengths, φ and δ in radians, (n, states, N + 2)
+    # x_i: N differences of lengths, φ and δ in radians, (n, states, directions, N + 2)
+    states: Floats
+    towards: NDArray[np.int64]  # number of the direction of the present movement, (n,)
     shift: Points  # c of the cursor that is believed, (n,)
     begin: Points  # where the hand was when the movement began
     place: Points  # where it was in the last control step
@@ -49,15 +65,16 @@ class Memory(NamedTuple):
     drift: Points  # Σ v w̄
 
     @classmethod
-    def start(cls, arms: int, joints: int, states: int) -> Memory:
+    def start(cls, arms: int, joints: int, parts: Parts) -> Memory:
         """Return the memory of arms that believe what they are given."""
-        still = np.zeros(arms, complex)
-        return cls(np.zeros((arms, states, joints + 2)), *([still] * 5))
+        directions = DIRECTIONS if math.isfinite(parts.width) else 1
+        states = np.zeros((arms, len(parts.rate), directions, joints + 2))
+        return cls(states, np.zeros(arms, np.int64), *([np.zeros(arms, complex)] * 5))
 
     @property
     def belief(self) -> Floats:
-        """x, (n, N + 2)."""
-        belief: Floats = self.states.sum(axis=1)
+        """X in the direction of the movement, (n, N + 2)."""
+        belief: Floats = self.states[np.arange(len(self.states)), :, self.towards].sum(axis=1)
         return belief
 
     @property
@@ -66,11 +83,16 @@ class Memory(NamedTuple):
         turn: Points = np.exp(1j * self.belief[:, -2])
         return turn
 
-    def begun(self, begins: Bools, seen: Points, joint_angles: Floats, given: Floats) -> Memory:
+    def begun(
+        self, begins: Bools, seen: Points, target: Points, joint_angles: Floats, given: Floats
+    ) -> Memory:
         """Return the memory where movements begin with the hand seen there, given ℓ (n, N)."""
-        felt = hand(joint_angles, given + self.belief[:, :-2])
-        shift, zero = seen - self.turn * felt, np.zeros_like(felt)
-        new = Memory(self.states, shift, begin=felt, place=felt, intended=zero, drift=zero)
+        directions = self.states.shape[2]
+        place = np.rint(np.angle(target - seen) / (2 * np.pi) * directions)
+        new = self._replace(towards=place.astype(np.int64) % directions)
+        felt = hand(joint_angles, given + new.belief[:, :-2])
+        shift, zero = seen - new.turn * felt, np.zeros_like(felt)
+        new = new._replace(shift=shift, begin=felt, place=felt, intended=zero, drift=zero)
         return where(begins, new, self)
 
     def as_given(self, seen: Points, joint_angles: Floats) -> Points:
@@ -78,9 +100,10 @@ class Memory(NamedTuple):
         added = (self.belief[:, :-2] * unit_vectors(joint_angles)).sum(axis=-1)
         return (seen - self.shift) * self.turn.conj() - added
 
-    def body(self, beyond: Body, given: Floats, rate: float) -> Body:
+    def body(self, beyond: Body, given: Floats, parts: Parts) -> Body:
         """Return the body to act on: the belief, and a share of what is identified beyond it."""
-        lengths = given + self.belief[:, :-2] + rate * (beyond.lengths - given)
+        rate = sum(parts.rate) * _share(beyond.turn, parts)
+        lengths = given + self.belief[:, :-2] + rate[:, None] * (beyond.lengths - given)
         part = np.exp(1j * rate * np.angle(beyond.turn))
         # What is identified turns about the place where the movement began, and may be shifted.
         begin = self.begin
@@ -106,17 +129,21 @@ class Memory(NamedTuple):
         more = pulled(jacobian, intended * (against - 1), FIRM)
         return turn + more, self._replace(intended=intended)
 
-    def kept(
-        self,
-        beyond: Body,
-        given: Floats,
-        rate: tuple[float, ...],
-        retention: tuple[float, ...],
-        rest: float,
-    ) -> Memory:
+    def kept(self, beyond: Body, given: Floats, parts: Parts, rest: float) -> Memory:
         """Return the memory for the next movement after a rest of so many seconds."""
-        angles = np.stack([np.angle(beyond.turn), np.angle(self.drift)], axis=-1)
-        error = np.concatenate([beyond.lengths - given, angles], axis=-1)
-        learned = self.states + np.array(rate)[:, None] * error[:, None]
-        forgotten = np.array(retention) ** (1 + rest)
-        return self._replace(states=forgotten[:, None] * learned)
+        turn, drift = (np.angle(one) * _share(one, parts) for one in (beyond.turn, self.drift))
+        lengths = (beyond.lengths - given) * _share(beyond.turn, parts)[:, None]
+        error = np.concatenate([lengths, turn[:, None], drift[:, None]], axis=-1)
+        count = self.states.shape[2]
+        away = (np.arange(count) - self.towards[:, None] + count // 2) % count - count // 2
+        near = np.exp(-((away * 360 / count / parts.width) ** 2) / 2)
+        error = near[:, None, :, None] * error[:, None, None]
+        learned = self.states + np.array(parts.rate)[:, None, None] * error
+        forgotten = np.array(parts.retention) ** (1 + rest)
+        return self._replace(states=forgotten[:, None, None] * learned)
+
+
+def _share(turn: Points, parts: Parts) -> Floats:
+    """Return the share of an error that counts, by its angle."""
+    most = math.radians(parts.largest_error)
+    return np.minimum(1.0, most / np.maximum(np.abs(np.angle(turn)), 1e-9))
