@@ -1,35 +1,40 @@
 """Which of people's movements and learning do agents show?  Agents as points, people as bands.
 
-`people.yml` has the published figures, of which task they are, and how ours differs.  There is no
-score: a quantity is near the one of people or not.
+`mmc_gym/measures/people.yml` has the published figures, of which task they are, and how ours
+differs.  There is no score: a quantity is near the one of people or not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 import tyro
-import yaml
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import track
 
 from mmc_gym.agents.body_model.agent import Parts, ik_body
-from mmc_gym.benchmark.adaptation import learning_figure, learning_table
+from mmc_gym.benchmark.adaptation import (
+    PEOPLE,
+    beside_people,
+    draw_beside_people,
+    learning_figure,
+    learning_table,
+)
 from mmc_gym.benchmark.statistics import bootstrap_interval
 from mmc_gym.benchmark.suite import SCENARIOS
-from mmc_gym.benchmark.trials import run_experiment
+from mmc_gym.benchmark.trials import ExperimentResult, run_experiment
 from mmc_gym.measures import MEASURES, SET_MEASURES
-from mmc_gym.measures.catalogue import Quantity
+from mmc_gym.measures.catalogue import Quantity, people, span
 from studies.body_model.playing import body_model, play
-from studies.drawing import COLOURS, STYLE, save_figure
+from studies.drawing import STYLE, save_figure
 from studies.tables import table_of
 
 MOVEMENTS = {  # measures, and the scenarios that they are taken in
@@ -46,54 +51,30 @@ EXPERIMENTS = {  # measures, and the experiments that they are taken in
     "clamp-15": ("clamp_asymptote",),
     "cursor-jump-10": ("latency", "gain"),
 }
-MARKERS = "osD^vP"
+COLUMNS = 3  # of panels
 BODY: dict[str, Any] = {  # at the speed of people
     "mmc-body": body_model(Parts(vigour=0)),
     "ik-body": body_model(Parts(vigour=0), ik_body),
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Published:
-    """A figure of people for a measure of this package, in its unit; None for what is not known."""
-
-    quantity: str  #: name of the measure
-    low: float | None = None
-    high: float | None = None  #: equal to `low` for a single figure
-    task: str = ""
-    source: str = ""
-    doi: str = ""
-    differs: str = ""  #: how the task differs from ours
-    missing: str = ""  #: what was looked for and not found
-
-    @property
-    def figure(self) -> str:
-        """The figure as a number, a range or a bound; "–" without one."""
-        low, high = ("" if end is None else f"{end:g}" for end in (self.low, self.high))
-        if low and high:
-            return low if low == high else f"{low} to {high}"
-        return f"above {low}" if low else f"below {high}" if high else "–"
-
-    @property
-    def authors(self) -> str:
-        """The source's authors in short, and its year: "Day et al. 2016"."""
-        names, _, rest = self.source.partition(" (")
-        first, *others = names.split(", ")
-        return f"{first} et al. {rest[:4]}" if others else f"{names} {rest[:4]}".strip()
-
-
-@cache
-def people() -> dict[str, Published]:
-    """Return the published figures by measure."""
-    text = Path(__file__).with_suffix(".yml").read_text(encoding="utf-8")
-    return {row["quantity"]: Published(**row) for row in yaml.safe_load(text)}
+TUNED = Parts(  # errors are those of Kim et al. (2018), Commun. Biol. 1, 19
+    vigour=0,
+    rate=(0.2,),
+    retention=(0.98,),
+    width=people("generalisation")["width"].low,
+    largest_error=6,
+)
+VARIANTS: dict[str, tuple[Any, dict[str, Any]]] = {  # agents, and how they go through experiments
+    "mmc-body (two states)": ("mmc-body", {"rate": (0.2, 0.02), "retention": (0.6, 0.99)}),
+    "mmc-body (tuned)": (body_model(TUNED), {}),
+    "ppo-memory (kept)": ("ppo-memory", {"keep": ("ppo-memory (kept)",)}),
+}
 
 
 def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
     """Return a row for each measure of single movements and agent, which moves as people do."""
     rows = []
     for scenario, names in track(MOVEMENTS.items(), "movements", transient=True):
-        for agent in agents:
+        for agent in (one for one in agents if one not in VARIANTS):
             made = BODY.get(agent, agent)
             played = play(made, SCENARIOS[scenario], episodes, seed=0)
             for name in names:
@@ -105,7 +86,7 @@ def movement_rows(agents: Sequence[str], episodes: int) -> list[dict[str, Any]]:
                     found = {"estimate": known.of(played[0]), "low": float("nan")}
                     found["high"] = found["low"]
                 rows.append({"agent": agent, "of": scenario, **_facts(known), **found})
-    return rows
+    return beside_people(pd.DataFrame(rows)).to_dict("records")
 
 
 def _facts(known: Quantity) -> dict[str, Any]:
@@ -120,7 +101,7 @@ def learning_rows(
     rows = []
     for experiment in track(experiments, "experiments", transient=True):
         names = EXPERIMENTS[experiment]
-        result = run_experiment(experiment, list(agents), subjects, out=store)
+        result = _played(experiment, agents, subjects, store)
         table = learning_table(result, lengths_in="m")
         chosen = table[table["measure"].isin(names)].assign(of=experiment)
         rows += chosen.to_dict("records")
@@ -128,8 +109,28 @@ def learning_rows(
     return rows
 
 
+def _played(experiment: str, agents: Sequence[str], subjects: int, store: Path) -> ExperimentResult:
+    """Return the movements of agents, some of which are `VARIANTS`."""
+    plain: list[tuple[Any, dict[str, Any]]]
+    plain = [([one for one in agents if one not in VARIANTS], {})]
+    varied = [({one: VARIANTS[one][0]}, VARIANTS[one][1]) for one in agents if one in VARIANTS]
+    found = [
+        run_experiment(experiment, made, subjects, out=store, **how)
+        for made, how in plain + varied
+        if made
+    ]
+    paths = ("hands", "cursors", "targets")
+    return replace(
+        found[0],
+        trials=pd.concat([one.trials for one in found], ignore_index=True),
+        **{name: np.concatenate([getattr(one, name) for one in found]) for name in paths},
+    )
+
+
 def shown(row: Mapping[str, Any]) -> str:
-    """Return an estimate with its interval."""
+    """Return an estimate with its interval, or a figure of people with its source."""
+    if row["agent"] == PEOPLE:
+        return f"{span(row['low'], row['high'])} ({row['source']})"
     if pd.isna(row["estimate"]):
         return "–"
     digits, text = int(row["decimals"]), f"{row['estimate']:.{int(row['decimals'])}f}"
@@ -141,66 +142,26 @@ def shown(row: Mapping[str, Any]) -> str:
 def table(rows: pd.DataFrame) -> list[dict[str, str]]:
     """Return a row for each quantity: its values of agents and people."""
     found = []
-    for (of, measure), group in rows.groupby(["of", "measure"], sort=False):
+    agents = [agent for agent in rows["agent"].unique() if agent != PEOPLE]
+    for (of, _), group in rows.groupby(["of", "measure"], sort=False):
         unit = group["unit"].iloc[0]
-        cited = people().get(str(measure))
         values = {str(row["agent"]): shown(row) for row in group.to_dict("records")}
-        found.append(
-            {
-                "quantity": group["label"].iloc[0] + (f" [{unit}]" if unit else ""),
-                "in": str(of),
-                **{agent: values.get(agent, "–") for agent in rows["agent"].unique()},
-                "people": f"{cited.figure} ({cited.authors})" if cited and cited.source else "–",
-            }
-        )
+        quantity = group["label"].iloc[0] + (f" [{unit}]" if unit else "")
+        each = {agent: values.get(agent, "–") for agent in (*agents, PEOPLE)}
+        found.append({"quantity": quantity, "in": str(of), **each})
     return found
 
 
 def draw(rows: pd.DataFrame) -> Figure:
-    """Draw a panel for each quantity that people have a figure of: a band, and agents as points."""
-    known = [
-        name for name in rows["measure"].unique() if name in people() and people()[name].source
-    ]
-    agents = list(rows["agent"].unique())
-    columns = 3
+    """Draw a panel for each quantity that people have a figure of."""
+    known = rows.loc[rows["agent"] == PEOPLE, "measure"]
+    height = -(-len(known) // COLUMNS)
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            -(-len(known) // columns),
-            columns,
-            figsize=(7.5, 1.8 * -(-len(known) // columns)),
-            layout="constrained",
-            squeeze=False,
-        )
-        for panel, name in zip(axes.flat, known, strict=False):
-            group, cited = rows[rows["measure"] == name], people()[name]
-            low, high = cited.low, cited.high
-            if low is not None and low == high:
-                panel.axvline(low, color="0.6", linewidth=4, zorder=0)
-            for row in group.to_dict("records"):
-                number = agents.index(row["agent"])
-                ends = [[row["estimate"] - row["low"]], [row["high"] - row["estimate"]]]
-                panel.errorbar(
-                    row["estimate"],
-                    -number,
-                    xerr=None if pd.isna(row["low"]) else ends,
-                    marker=MARKERS[number],
-                    color=COLOURS[number % len(COLOURS)],
-                    markersize=5,
-                )
-            left, right = min(0.0, panel.get_xlim()[0]), 1.1 * max(panel.get_xlim()[1], high or 0.0)
-            if low != high:
-                ends = left if low is None else low, right if high is None else high
-                panel.axvspan(*ends, color="0.85", zorder=0)
-            panel.set_xlim(left, right)
-            unit = group["unit"].iloc[0]
-            panel.set_title(group["label"].iloc[0] + (f" [{unit}]" if unit else ""))
-            panel.set_xlabel(f"people: {cited.figure}\n{cited.authors}", fontsize=6.5)
-            panel.set(
-                ylim=(-len(agents) + 0.5, 0.5),
-                yticks=[-k for k in range(len(agents))],
-                yticklabels=agents,
-            )
-        for panel in axes.flat[len(known) :]:
+        size = (9.0, 1.9 * height)
+        figure, axes = plt.subplots(height, COLUMNS, figsize=size, layout="constrained")
+        for panel, measure in zip(np.ravel(axes), known, strict=False):
+            draw_beside_people(panel, rows, measure)
+        for panel in np.ravel(axes)[len(known) :]:
             panel.axis("off")
     return figure
 

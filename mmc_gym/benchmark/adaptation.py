@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import pandas as pd
@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from mmc_gym._console import cell, make_console, print_columns
+from mmc_gym._errors import require_choice
 from mmc_gym._plotting import COLOURS, LINES, STYLE, ShownFigure
 from mmc_gym.benchmark.statistics import TAILS, percentile_interval, resampled_means
-from mmc_gym.measures.catalogue import Quantity
+from mmc_gym.measures.catalogue import Quantity, people, span
 from mmc_gym.measures.episode import Floats
 from mmc_gym.measures.learning import (
     TWO_STATES,
@@ -43,7 +44,10 @@ AT_START, AT_END = 4, 10  # trials whose mean is the level at the start or end o
 CYCLE = 4  # trials to a point of the figure
 LEAST = 0.01  # share of the perturbation, and deviation in segment lengths; less is nothing
 METRES = 0.25  # in a segment length, for an arm of 0.3 + 0.3 + 0.15 m
+PEOPLE = "people"  # their name in place of an agent's
+MARKERS = "osD^vP"
 
+LengthUnit: TypeAlias = Literal["lengths", "m"]
 _UNIT = "of adaptation"
 QUANTITIES = (
     Quantity(name="deviation", label="first deviation in the field", unit="lengths", decimals=3),
@@ -227,15 +231,20 @@ def _without_directions(values: Floats, angles: Floats, groups: NDArray[np.int64
 
 
 def learning_table(
-    result: ExperimentResult,
-    resamples: int = RESAMPLES,
-    lengths_in: Literal["lengths", "m"] = "lengths",
+    result: ExperimentResult, resamples: int = RESAMPLES, lengths_in: LengthUnit = "lengths"
 ) -> pd.DataFrame:
     """Return a row for each agent and each measure that some agent has a value of.
 
-    Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects) and
-    missing.  Lengths are in segment lengths, or for an arm as long as a person's in metres.
+    Columns: agent, measure, label, unit, decimals, estimate, low, high, count (of subjects),
+    missing and source.  A measure that people have a published figure of in such an experiment has
+    a row of the agent "people", too, with a source; see `beside_people`.
+
+    Args:
+        result: the experiment, as agents went through it.
+        resamples: of the subjects.
+        lengths_in: segment lengths, or metres for an arm as long as a person's.
     """
+    require_choice("lengths_in", lengths_in, get_args(LengthUnit))
     rows = []
     for agent in result.trials["agent"].unique():
         learning = learning_of(result, agent)
@@ -250,39 +259,74 @@ def learning_table(
             low, high = percentile_interval(values[1:])
             facts = {"label": one.label, "unit": unit, "decimals": one.decimals}
             interval = {"estimate": float(values[0]), "low": low, "high": high}
-            count = {"count": len(learning.errors), "missing": 0}
+            count = {"count": len(learning.errors), "missing": 0, "source": ""}
             rows.append({"agent": agent, "measure": one.name, **facts, **interval, **count})
     table = pd.DataFrame(rows)
     has_values = table.groupby("measure")["estimate"].transform(lambda one: one.notna().any())
-    return table[has_values].reset_index(drop=True)
+    return beside_people(table[has_values], result.experiment.family)
+
+
+def beside_people(table: pd.DataFrame, experiment: str = "") -> pd.DataFrame:
+    """Return a table of agents with rows of people below, for measures that they have a figure of.
+
+    `low` and `high` are the published range, equal for a single figure; one of them is NaN for a
+    bound.  `experiment` is the family of experiments; empty for single movements.
+    """
+    cited = people(experiment)
+    rows = [
+        facts
+        | {"agent": PEOPLE, "count": 0, "low": one.low, "high": one.high, "source": one.authors}
+        | {"estimate": one.low if one.low == one.high else math.nan}
+        for facts in table.drop_duplicates("measure").to_dict("records")
+        if (one := cited.get(facts["measure"]))
+    ]
+    return pd.concat([table, pd.DataFrame(rows)], ignore_index=True)
 
 
 def print_learning(table: pd.DataFrame, console: Console | None = None) -> None:
-    """Print a `learning_table`: a row for each measure, a column for each agent."""
-    facts = table.drop_duplicates("measure")
+    """Print a `learning_table`: a row for each measure, a column for each agent and people."""
+    facts = table.drop_duplicates("measure").set_index("measure")
     units = (f"\n[{unit}]" if unit else "" for unit in facts["unit"])
-    columns = {
-        str(agent): [cell(row, row["decimals"]) for row in rows.to_dict("records")]
-        for agent, rows in table.groupby("agent", sort=False)
-    }
+    columns = {}
+    for agent, rows in table.groupby("agent", sort=False):
+        cells = {row["measure"]: _printed(row) for row in rows.to_dict("records")}
+        columns[str(agent)] = [cells.get(name, "–") for name in facts.index]
     headings = {"": [label + unit for label, unit in zip(facts["label"], units)]}
     note = "Of the mean over subjects, with 95 % bootstrap intervals over subjects. –: no value."
     print_columns(console or make_console(), headings, columns, note)
 
 
+def _printed(row: Any) -> str:
+    if row["agent"] == PEOPLE:
+        return f"{span(row['low'], row['high'])}\n{row['source']}"
+    return cell(row, row["decimals"])
+
+
 def learning_figure(
-    result: ExperimentResult, resamples: int = RESAMPLES, figure: Figure | None = None
+    result: ExperimentResult,
+    table: pd.DataFrame | None = None,
+    figure: Figure | None = None,
+    resamples: int = RESAMPLES,
 ) -> Figure:
     """Draw the timeline of an experiment and, below, the learning curve of each agent.
 
     A point is the mean over subjects and `CYCLE` trials, its band the 95 % interval over subjects.
-    Crosses: catch trials.  Probes in other directions and jumps are left out.
+    Crosses: catch trials.  Probes in other directions and jumps are left out.  Measures in `table`
+    that people have a figure of follow below, see `draw_beside_people`.
     """
+    table = pd.DataFrame({"agent": [], "measure": []}) if table is None else table
+    compared = list(table.loc[table["agent"] == PEOPLE, "measure"])
+    rows = 3 if compared else 2
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
         if figure is None:
-            figure = ShownFigure(figsize=(7.5, 4.8), layout="constrained")
+            figure = ShownFigure(figsize=(7.5, 2.2 * rows), layout="constrained")
             FigureCanvasAgg(figure)
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
+        ratios = (1, 3, 1.2)[:rows]
+        grid = figure.add_gridspec(rows, max(1, len(compared)), height_ratios=ratios)
+        above = figure.add_subplot(grid[0, :])
+        below = figure.add_subplot(grid[1, :], sharex=above)
+        for column, measure in enumerate(compared):
+            draw_beside_people(figure.add_subplot(grid[2, column]), table, measure)
         result.experiment.plot_timeline(above)
         above.set_xlabel("")
         for number, agent in enumerate(result.trials["agent"].unique()):
@@ -301,6 +345,29 @@ def learning_figure(
         shown = below.get_legend_handles_labels()
         figure.legend(*shown, loc="outside lower center", ncols=4, frameon=False, handlelength=3.5)
     return figure
+
+
+def draw_beside_people(axes: Axes, table: pd.DataFrame, measure: str) -> None:
+    """Draw a measure of a `learning_table`: agents as points with intervals, people as a band."""
+    agents = [agent for agent in table["agent"].unique() if agent != PEOPLE]
+    found = {row["agent"]: row for row in table[table["measure"] == measure].to_dict("records")}
+    for place, agent in enumerate(agents):
+        if row := found.get(agent):
+            colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
+            axes.plot(row["estimate"], -place, marker, color=colour, markersize=5)
+            axes.plot([row["low"], row["high"]], [-place, -place], color=colour)
+    row = found[PEOPLE]
+    low, high = row["low"], row["high"]
+    left, right = min(0.0, axes.get_xlim()[0]), 1.1 * np.nanmax([axes.get_xlim()[1], low, high])
+    if low == high:
+        axes.axvline(low, color="0.6", linewidth=4, zorder=0)
+    else:
+        band = max(low, left), right if math.isnan(high) else high
+        axes.axvspan(*band, color="0.85", zorder=0)
+    axes.set_title(row["label"] + (f" [{row['unit']}]" if row["unit"] else ""))
+    axes.set_xlabel(f"people: {span(low, high)}\n{row['source']}", fontsize=6.5)
+    axes.set(xlim=(left, right), ylim=(0.5 - len(agents), 0.5))
+    axes.set_yticks([-place for place in range(len(agents))], agents)
 
 
 def _draw_curve(axes: Axes, learning: Learning, colour: str, style: Any, resamples: int) -> None:

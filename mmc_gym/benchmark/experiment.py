@@ -10,6 +10,7 @@ Others are written in Python or YAML.  Angles are in degrees, counter-clockwise.
 from __future__ import annotations
 
 import functools
+import json
 import math
 import re
 from dataclasses import asdict, fields
@@ -192,6 +193,11 @@ class Experiment:
         return asdict(cast(Any, self))
 
     @property
+    def family(self) -> str:
+        """The name without strength, as in `EXPERIMENTS`."""
+        return re.sub(r"-(-?[\d.]+)$", "", self.name)
+
+    @property
     def seconds(self) -> float:
         """The duration of every trial, with the longest time before a go cue, s."""
         return self.trial_seconds + max(block.go_cue for block in self.blocks)
@@ -325,13 +331,5 @@ def find_experiment(experiment: str | Path | Experiment) -> Experiment:
     entries = dict(EXPERIMENTS[match[1]])
     strength = f"{float(match[2] or entries.pop('strength')):g}"
     entries.pop("strength", None)
-    return Experiment(name=f"{match[1]}-{strength}", **_filled_in(entries, strength))
-
-
-def _filled_in(entry: Any, strength: str) -> Any:
-    """Return entries with the strength in place of `{}`."""
-    if isinstance(entry, dict):
-        return {name: _filled_in(one, strength) for name, one in entry.items()}
-    if isinstance(entry, list):
-        return [_filled_in(one, strength) for one in entry]
-    return entry.replace("{}", strength) if isinstance(entry, str) else entry
+    filled_in = json.loads(json.dumps(entries).replace("{}", strength))
+    return Experiment(name=f"{match[1]}-{strength}", **filled_in)

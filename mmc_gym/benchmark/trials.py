@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -35,7 +35,12 @@ from mmc_gym._plotting import save_figure
 from mmc_gym.agents.base import Agent, Predictor
 from mmc_gym.agents.body_model.agent import BodyAgent
 from mmc_gym.agents.resolver import Agents, ResolvedAgent, resolve_all
-from mmc_gym.benchmark.adaptation import learning_figure, learning_table, print_learning
+from mmc_gym.benchmark.adaptation import (
+    LengthUnit,
+    learning_figure,
+    learning_table,
+    print_learning,
+)
 from mmc_gym.benchmark.experiment import Experiment, find_experiment
 from mmc_gym.benchmark.store import CellKey, Kept, read_table, to_parquet
 from mmc_gym.benchmark.suite import make_player
@@ -54,6 +59,7 @@ TRIALS = "trials"
 _SUBJECTS = 20  # in a cell, at most
 _TOGETHER = 1_000  # trials that are played at once, at most: bounds the memory
 _PATHS = ("hands", "cursors", "targets")
+_Cell: TypeAlias = tuple[pa.Table, Kept]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,6 +76,7 @@ class ExperimentResult:
         cursors: likewise, of the cursor; of the hand where no cursor stands for it.
         targets: likewise, of the target.
         control_step: s.
+        lengths_in: unit of lengths among the measures, see `learning_table`.
     """
 
     experiment: Experiment
@@ -78,15 +85,16 @@ class ExperimentResult:
     cursors: NDArray[np.float32]
     targets: NDArray[np.float32]
     control_step: float
+    lengths_in: LengthUnit = "lengths"
 
     @cached_property
     def measures(self) -> pd.DataFrame:
         """The measures of learning with their intervals, see `learning_table`."""
-        return learning_table(self)
+        return learning_table(self, lengths_in=self.lengths_in)
 
     def plot(self, figure: Figure | None = None) -> Figure:
-        """Return a figure, a new one if None is given: timeline above, learning curves below."""
-        return learning_figure(self, figure=figure)
+        """Return a figure, a new one if None is given, see `learning_figure`."""
+        return learning_figure(self, self.measures, figure)
 
     def print(self, console: Console | None = None) -> None:
         """Print the measures; to standard output by default."""
@@ -312,7 +320,7 @@ def run_experiment(
 
     played = [cells[number] for number in missing]
     run_grid(run_cell, played, jobs=jobs, cluster=cluster, on_result=keep_file)
-    return _result([content for content in kept if content is not None])
+    return _result([_read(content) for content in kept if content is not None])
 
 
 def _content(path: Path, cell: TrialsCell) -> bytes | None:
@@ -325,16 +333,16 @@ def _content(path: Path, cell: TrialsCell) -> bytes | None:
     return content if found.settings == cell.settings else None
 
 
-def _read(content: bytes) -> tuple[pa.Table, Kept]:
+def _read(content: bytes) -> _Cell:
     try:
         return read_table(io.BytesIO(content))
     except (OSError, pa.ArrowException, ValueError) as error:
         raise UserError(f"a file of trials is damaged, remove it: {error}") from error
 
 
-def _result(contents: Sequence[bytes]) -> ExperimentResult:
-    """Return the result that the files of some cells of one experiment hold."""
-    tables, kept = zip(*map(_read, contents), strict=True)
+def _result(cells: Sequence[_Cell]) -> ExperimentResult:
+    """Return the result that some cells of one experiment hold."""
+    tables, kept = zip(*cells, strict=True)
     table = pa.concat_tables(one.replace_schema_metadata(None) for one in tables)
     flat = {name: table[name].combine_chunks().flatten().to_numpy() for name in _PATHS}
     return ExperimentResult(
@@ -348,17 +356,23 @@ def _result(contents: Sequence[bytes]) -> ExperimentResult:
 def read_experiments(folder: Path | str) -> list[ExperimentResult]:
     """Return the results of all experiments that a store holds, in the order of their names.
 
+    Where an agent went through an experiment with fewer subjects first, those with more count.
+
     Raises:
         UserError: if a file is damaged, or those of one experiment differ in their settings.
     """
-    alike: dict[str, list[bytes]] = {}
+    alike: dict[str, dict[Any, _Cell]] = {}
     settings: dict[str, Any] = {}
     for path in sorted((Path(folder) / TRIALS).glob("[!.]*.parquet")):
-        content = path.read_bytes()
-        own = _read(content)[1].settings
-        own = {name: own[name] for name in ("experiment", "seed", "env_kwargs")}
+        cell = table, kept = _read(path.read_bytes())
+        own = {name: kept.settings[name] for name in ("experiment", "seed", "env_kwargs")}
         name = own["experiment"]["name"]
         if settings.setdefault(name, own) != own:
-            raise UserError(f"{path} must be of the same settings as the others of {name}")
-        alike.setdefault(name, []).append(content)
-    return [_result(alike[name]) for name in sorted(alike)]
+            raise UserError(
+                f"{path} must be of the same settings as the others of {name}; remove one of them"
+            )
+        cells = alike.setdefault(name, {})
+        key = table["agent"][0].as_py(), kept.settings["subjects"][0]
+        if len(table) > len(cells.get(key, ((), None))[0]):
+            cells[key] = cell
+    return [_result([*alike[name].values()]) for name in sorted(alike)]

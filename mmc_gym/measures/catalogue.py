@@ -26,6 +26,8 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cache
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
@@ -114,6 +116,48 @@ class SetMeasure(Quantity):
 
     environment: str
     of: Callable[[Sequence[Episode]], float] = field(default=_not_here, compare=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published:
+    """A published figure of people; see `people.yml` for what an attribute means."""
+
+    quantity: str
+    experiment: str = ""
+    low: float = math.nan
+    high: float = math.nan
+    task: str = ""
+    source: str = ""
+    doi: str = ""
+    differs: str = ""
+
+    @property
+    def authors(self) -> str:
+        """The source's authors in short, and its year: "Day et al. 2016"."""
+        names, _, rest = self.source.partition(" (")
+        first, *others = names.split(", ")
+        return f"{first} et al. {rest[:4]}" if others else f"{names} {rest[:4]}"
+
+
+@cache
+def people(experiment: str = "") -> dict[str, Published]:
+    """Return the figures of people by measure: in a family of experiments, or single movements."""
+    from mmc_gym._files import read_yaml  # loads YAML
+
+    text = files("mmc_gym.measures").joinpath("people.yml").read_text(encoding="utf-8")
+    found = [Published(**row) for row in read_yaml(text) if "source" in row]
+    return {one.quantity: one for one in found if one.experiment == experiment}
+
+
+def span(low: float, high: float) -> str:
+    """Return a published range, a single figure, or a bound from below, as text.
+
+    >>> span(0.1, 0.25), span(18.0, 18.0), span(1.0, float("nan"))
+    ('0.1 to 0.25', '18', 'above 1')
+    """
+    if math.isnan(high):
+        return f"above {low:g}"
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 MEASURES: dict[str, Measure] = {}

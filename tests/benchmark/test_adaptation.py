@@ -7,7 +7,9 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from mmc_gym._errors import UserError
 from mmc_gym.benchmark.adaptation import (
+    PEOPLE,
     learning_figure,
     learning_of,
     learning_table,
@@ -22,16 +24,16 @@ LEARNER = TwoStates(A_f=0.6, A_s=0.99, B_f=0.2, B_s=0.02)
 BELL = minimum_jerk(np.linspace(0, 1, 21))[:, None]
 
 
-def played(turn, subjects=6):
+def played(turn, subjects=6, family="rotation", called="own"):
     """Return a result of straight movements of `LEARNER`s, with a cursor turned by `turn`."""
-    name = (f"rotation-{turn:g}",)
+    name = (f"{family}-{turn:g}",)
     blocks = (
         Block("baseline", 16),
         Block("learning", 48, name, probes=(Probe("catch", 8),)),
         Block("washout", 24),
         Block("learning again", 24, name, rest=30.0),
     )
-    experiment = Experiment("own", blocks)
+    experiment = Experiment(called, blocks)
     schedule = experiment.schedule
     strengths = np.array([one.strength for one in schedule])
     compensated, _ = simulate_learners(LEARNER, strengths, subjects=subjects, noise=1.0)
@@ -86,8 +88,29 @@ def test_the_table_is_printed():
     assert "after-effect" in text and "known" in text
 
 
+def test_lengths_are_in_metres_where_asked_for():
+    pushed = played(30.0, family="force-field")
+    tables = [learning_table(pushed, 20, one).set_index("measure") for one in ("lengths", "m")]
+    lengths, metres = (one.loc["deviation"] for one in tables)
+    assert (lengths["unit"], metres["unit"]) == ("lengths", "m")
+    assert metres["estimate"] == pytest.approx(lengths["estimate"] / 4)
+    with pytest.raises(UserError, match="lengths_in 'cm'"):
+        learning_table(pushed, 20, "cm")
+
+
+def test_people_stand_beside_agents_in_an_experiment_that_they_did():
+    known = played(15.0, family="clamp", called="clamp-15")
+    table = learning_table(known, 20)
+    row = table[table["agent"] == PEOPLE].set_index("measure").loc["clamp_asymptote"]
+    assert (row["low"], row["high"], row["source"]) == (18.0, 18.0, "Tsay et al. 2020")
+    figure = learning_figure(known, table, resamples=20)
+    assert figure.axes[2].get_xlabel() == "people: 18\nTsay et al. 2020"
+    own = played(15.0, family="clamp")
+    assert PEOPLE not in set(learning_table(own, 20)["agent"])
+
+
 def test_the_figure_has_the_timeline_and_a_curve_per_agent():
-    above, below = learning_figure(played(30.0), 20).axes
+    above, below = learning_figure(played(30.0), resamples=20).axes
     assert above.get_ylabel().startswith("perturbation")
     assert [line.get_label() for line in below.lines].count("known") == 1
     heights = np.concatenate(
