@@ -14,7 +14,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -128,6 +128,7 @@ Shares = Annotated[tuple[float, ...], _arg("X...")]
 Number = Annotated[int | None, _arg("N")]
 Seed = Annotated[int, _arg("N")]
 Place = Annotated[Path, _arg("PATH")]
+Unit = Annotated[Literal["lengths", "m"], _arg("lengths|m")]
 OtherPlace = Annotated[Path | None, _arg("PATH")]
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
@@ -294,6 +295,7 @@ def adapt(
     retention: Shares = (0.98,),
     subjects: Seed = 20,
     seed: Seed = 0,
+    lengths_in: Unit = "lengths",
     out: Place = Path("runs/adapt"),
     jobs: Number = None,
     more: Played = PLAYED,
@@ -308,6 +310,7 @@ def adapt(
         retention: Share of what they learned that lasts to the next trial; 0, with rate 1: none.
         subjects: Subjects of each agent; each meets the targets in another order.
         seed: Seed of the subjects.
+        lengths_in: m: metres, for an arm as long as a person's; else segment lengths.
         out: Folder of data and figure; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
     """
@@ -330,6 +333,7 @@ def adapt(
             allow_pickle=more.allow_pickle,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
+    result = replace(result, lengths_in=lengths_in)
     result.print(make_console())
     print_written(make_console(), result.write(out))
 
@@ -340,19 +344,22 @@ def report(
     out: OtherPlace = None,
     focus: Names = (),
     format: Annotated[Literal["html", "md"], _arg("html|md")] = "html",
+    lengths_in: Unit = "lengths",
 ) -> None:
-    """Write the report of a benchmark: one file that needs nothing beside it.
+    """Write the report of a benchmark or of experiments: one file that needs nothing beside it.
 
     Args:
-        store: Folder of the benchmark.
+        store: Folder of benchmark or adapt.
         out: The file to write; report.html or report.md in the store if not given.
         focus: The agents that the report is about; your own, or else the first, if not given.
         format: html, or md for the tables in Markdown, as in a pull request.
+        lengths_in: Of experiments, see adapt.
     """
     from mmc_gym import report
 
     file = out or store / f"report.{format}"
-    print(f"wrote {report.write_report(store, file, focus=focus, format=format)}")
+    report.write_report(store, file, focus=focus, format=format, lengths_in=lengths_in)
+    print(f"wrote {file}")
 
 
 @_command

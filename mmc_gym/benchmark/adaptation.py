@@ -113,8 +113,8 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
 
     if exposures:
         begin, end = exposures[0][[0, -1]]
-        rates = [fit_exponential(of.adaptation[..., trials])[..., 1] for trials in exposures[:2]]
-        found["rate"], found["savings"] = rates[0], rates[-1] / rates[0]
+        first, *second = (fit_exponential(of.adaptation[..., one])[..., 1] for one in exposures[:2])
+        found["rate"], found["savings"] = first, second[0] / first if second else found["savings"]
         found["final_adaptation"] = level(exposures[0][-AT_END:])
         is_free = (of.perturbations == 0) & (of.kinds != "transfer")
         is_free &= of.blocks == of.blocks[end] + 1
@@ -128,8 +128,6 @@ def measure_learning(of: Learning) -> dict[str, Floats]:
             learned = of.adaptation[..., probes]
             widths = generalization_width(learned, of.offsets[probes])
             found["width"] = np.where(learned.max(axis=-1) > least, widths, math.nan)
-    if len(exposures) < 2:
-        found["savings"] = np.full_like(found["savings"], math.nan)
     clamped = np.flatnonzero(of.kinds == "clamp")
     if exposures or len(clamped):
         found |= zip(TWO_STATES, np.moveaxis(fit_two_states(of.adaptation, of.errors), -1, 0))
@@ -348,16 +346,21 @@ def learning_figure(
 
 
 def draw_beside_people(axes: Axes, table: pd.DataFrame, measure: str) -> None:
-    """Draw a measure of a `learning_table`: agents as points with intervals, people as a band."""
+    """Draw a measure of a `learning_table`: agents as points with intervals, people as a band.
+
+    An agent with more than ten times people's value is a triangle at the right edge.
+    """
     agents = [agent for agent in table["agent"].unique() if agent != PEOPLE]
     found = {row["agent"]: row for row in table[table["measure"] == measure].to_dict("records")}
-    for place, agent in enumerate(agents):
-        if row := found.get(agent):
-            colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
-            axes.plot(row["estimate"], -place, marker, color=colour, markersize=5)
-            axes.plot([row["low"], row["high"]], [-place, -place], color=colour)
     row = found[PEOPLE]
     low, high = row["low"], row["high"]
+    most = 10 * np.nanmax([low, high]) or math.inf
+    for place, agent in enumerate(agents):
+        one = found.get(agent, {"estimate": math.nan, "low": math.nan, "high": math.nan})
+        colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
+        marker = ">" if one["estimate"] > most else marker
+        axes.plot(min(one["estimate"], most), -place, marker, color=colour, markersize=5)
+        axes.plot(np.minimum([one["low"], one["high"]], most), [-place, -place], color=colour)
     left, right = min(0.0, axes.get_xlim()[0]), 1.1 * np.nanmax([axes.get_xlim()[1], low, high])
     if low == high:
         axes.axvline(low, color="0.6", linewidth=4, zorder=0)

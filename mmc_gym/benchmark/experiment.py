@@ -13,7 +13,7 @@ import functools
 import json
 import math
 import re
-from dataclasses import asdict, fields
+from dataclasses import fields
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -171,7 +171,7 @@ class Experiment:
         description: what it asks, in a line.
         source: the study that it follows.
         distance: of the targets from the start, as a fraction of the arm's reach.
-        trial_seconds: duration of a trial from the go cue on.
+        trial_seconds: duration of a trial from the go cue on; all wait for the latest cue.
         torque_limit: of the servos, mass · length² / s²; None: that of the arm.
         noise: perturbations of all trials, such as noise of the senses.
         vigour: of agents that have one (`body_model.agent.Parts`); 0 as people move.
@@ -188,19 +188,9 @@ class Experiment:
     vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
 
     @property
-    def entries(self) -> dict[str, Any]:
-        """All of it for JSON or YAML; `Experiment(**entries)` is equal to it."""
-        return asdict(cast(Any, self))
-
-    @property
     def family(self) -> str:
         """The name without strength, as in `EXPERIMENTS`."""
         return re.sub(r"-(-?[\d.]+)$", "", self.name)
-
-    @property
-    def seconds(self) -> float:
-        """The duration of every trial, with the longest time before a go cue, s."""
-        return self.trial_seconds + max(block.go_cue for block in self.blocks)
 
     @functools.cached_property
     def directions(self) -> tuple[float, ...]:

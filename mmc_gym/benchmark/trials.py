@@ -14,11 +14,11 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import gymnasium as gym
 import numpy as np
@@ -140,7 +140,7 @@ class TrialsCell:
             "recording": RECORDING,
             "source": self.agent.source_name,
             "fingerprint": self.agent.fingerprint,
-            "experiment": self.experiment.entries,
+            "experiment": asdict(cast(Any, self.experiment)),
             **{name: getattr(self, name) for name in names},
         }
         found: dict[str, Any] = json.loads(json.dumps(settings, default=list))
@@ -181,7 +181,8 @@ def run_cell(cell: TrialsCell) -> bytes:
         given: dict[str, Any] = {**arguments, "task": experiment.task(go_cue, jump)}
         given["perturbations"] = [*experiment.noise, *perturbations]
         env = MMCReachEnv(**given)
-        steps = round(experiment.seconds / env.parameters.control_step)
+        seconds = experiment.trial_seconds + max(one.go_cue for one in experiment.blocks)
+        steps = round(seconds / env.parameters.control_step)
         if not is_agent:  # it may take no batches
             return gym.wrappers.TimeLimit(env, steps)
         return MMCReachVectorEnv(arms, max_episode_steps=steps, autoreset_mode="Disabled", **given)
@@ -255,7 +256,6 @@ def run_experiment(
     retention: float | Sequence[float] = 0.98,
     keep: Sequence[str] = (),
     jobs: int | None = None,
-    cluster: str | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
     allow_pickle: bool = False,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
@@ -274,7 +274,6 @@ def run_experiment(
         keep: labels of agents whose whole state lasts from trial to trial, in place of what their
             `between_trials` keeps.
         jobs: how many cells are played at once, see `run_grid`.
-        cluster: where, see `run_grid`.
         env_kwargs: arguments of the environment, as in `compare`.
         allow_pickle: as in `compare`.
         on_progress: called with the number of cells that are done, and of all.
@@ -319,7 +318,7 @@ def run_experiment(
         on_progress(len(cells) - kept.count(None), len(cells))
 
     played = [cells[number] for number in missing]
-    run_grid(run_cell, played, jobs=jobs, cluster=cluster, on_result=keep_file)
+    run_grid(run_cell, played, jobs=jobs, on_result=keep_file)
     return _result([_read(content) for content in kept if content is not None])
 
 

@@ -1,7 +1,9 @@
-"""The report of a benchmark, about the agents that were asked about: one HTML file, or Markdown.
+"""The report of a store: one HTML file, or Markdown, about the agents that were asked about.
+
+A store holds a benchmark, experiments over trials (`mmc-gym adapt`), or both.
 
 The file needs nothing beside it.  No result is written here: every number is computed from the
-benchmark's store.
+store.
 """
 
 from __future__ import annotations
@@ -9,7 +11,8 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
@@ -17,12 +20,15 @@ from typing import Any, Literal, get_args
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib import rc_context
+from matplotlib.figure import Figure
 
-from mmc_gym._errors import UserError, require, require_choice
+from mmc_gym._errors import UserError, require, require_choice, unknown
 from mmc_gym._files import write_atomically
 from mmc_gym._plotting import STYLE
+from mmc_gym.benchmark.adaptation import LengthUnit
 from mmc_gym.benchmark.statistics import RESAMPLES
-from mmc_gym.benchmark.store import reasons
+from mmc_gym.benchmark.store import MANIFEST, reasons
+from mmc_gym.benchmark.trials import ExperimentResult, read_experiments
 from mmc_gym.measures import MEASURES
 from mmc_gym.report import tables
 from mmc_gym.report.replay import replay
@@ -40,16 +46,18 @@ def write_report(
     *,
     focus: Sequence[str] = (),
     format: Format = "html",
+    lengths_in: LengthUnit = "lengths",
 ) -> Path:
-    """Write the report of a benchmark, and return its file.
+    """Write the report of a store, and return its file.
 
     Args:
-        store: folder of the benchmark.
+        store: folder of a benchmark, of experiments, or of both.
         out: the file.
         resamples: number for the ranking's intervals; the other tables use at most 500.
         focus: names of the agents that it is about; by default your own (files, models, modules
             and objects), or else the first that took part.
         format: "html", or "md" for its tables in Markdown.
+        lengths_in: of measures of experiments, see `learning_table`.
 
     Raises:
         UserError: if there is no store, it is damaged or has no episodes, an agent in `focus` did
@@ -61,10 +69,23 @@ def write_report(
     out = Path(out)
     if out.is_dir():
         raise UserError(f"out must be a file, got the folder {str(out)!r}")
-    return write_atomically(out, _render(read_results(Path(store), resamples, focus), format))
+    experiments = [replace(one, lengths_in=lengths_in) for one in read_experiments(store)]
+    if experiments and not (Path(store) / MANIFEST).exists():
+        known = list(dict.fromkeys(name for one in experiments for name in one.trials["agent"]))
+        for name in focus:
+            if name not in known:
+                raise unknown("focus", name, known)
+        names = listed([one.experiment.name for one in experiments])
+        shown: dict[str, Any] = {"title": listed(list(focus) or known)}
+        shown["headline"] = f"Learning over trials in {names}."
+    else:
+        results = read_results(Path(store), resamples, focus)
+        focus, shown = results.focus, _of_benchmark(results, format)
+    shown["experiments"] = [_of_experiment(one, focus) for one in experiments]
+    return write_atomically(out, _render(shown, format))
 
 
-def _render(results: Results, format: Format) -> str:
+def _render(shown: Mapping[str, Any], format: Format) -> str:
     """Return the report as HTML or Markdown."""
     pages = Environment(
         loader=PackageLoader("mmc_gym.report"),
@@ -75,11 +96,25 @@ def _render(results: Results, format: Format) -> str:
     )
     pages.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     pages.filters["plain"] = _plain
+    pages.globals |= {"count": count, "version": version("mmc-gym"), "results": None}
+    return pages.get_template(f"report.{format}.j2").render(shown)
+
+
+def _of_experiment(result: ExperimentResult, focus: Sequence[str]) -> dict[str, Any]:
+    """Return what the report shows of an experiment."""
+    return {
+        "experiment": result.experiment,
+        "table": tables.experiment_table(result, focus),
+        "source": _picture(result.plot()),
+    }
+
+
+def _of_benchmark(results: Results, format: Format) -> dict[str, Any]:
+    """Return what the report shows of a benchmark."""
     shown: dict[str, Any] = {
         "results": results,
         "title": listed(results.focus),
         "headline": _headline(results),
-        "count": count,
         "ranking": tables.ranking_table(results),
         "scenarios": [tables.scenario_table(results, agent) for agent in results.focus],
         "given": tables.given_table(results),
@@ -87,11 +122,10 @@ def _render(results: Results, format: Format) -> str:
         "laws": tables.law_table(results),
         "tables": {key: tables.score_table(results, key) for key in results.environments},
         "not_played": reasons(results.manifest.not_played),
-        "version": version("mmc-gym"),
     }
     if format == "html":
         shown |= {"replay": replay(results), "learning": _learning(results)}
-    return pages.get_template(f"report.{format}.j2").render(shown)
+    return shown
 
 
 def _plain(text: str) -> str:
@@ -126,12 +160,17 @@ def _learning(results: Results) -> dict[str, str] | None:
     against = mean_curves(curves, "steps"), mean_curves(curves, "cpu_seconds")
     if min(map(len, against)) == 0:
         return None
-    buffer = io.BytesIO()
     with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
         figure = draw_learning_curves(*against)
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    source = f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
     return {
-        "source": source,
+        "source": _picture(figure),
         "description": "Success during training against environment steps, and against time",
     }
+
+
+def _picture(figure: Figure) -> str:
+    """Return a figure as an address that holds its SVG."""
+    buffer = io.BytesIO()
+    with rc_context({**STYLE, "text.parse_math": False}):  # users choose the names of agents
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"

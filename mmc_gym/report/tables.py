@@ -9,10 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from mmc_gym._console import number
+from mmc_gym._console import interval, number
 from mmc_gym.agents.registry import REFERENCE
+from mmc_gym.benchmark.adaptation import PEOPLE
 from mmc_gym.benchmark.statistics import Bootstrap, Scores, arrange
+from mmc_gym.benchmark.trials import ExperimentResult
 from mmc_gym.measures import MEASURES, Measure, SetMeasure
+from mmc_gym.measures.catalogue import people, span
 from mmc_gym.measures.episode import Floats
 from mmc_gym.report.results import Results, count
 
@@ -41,6 +44,9 @@ class TableCell(NamedTuple):
     best: bool = False
     look: str = ""
     links: tuple[tuple[str, int], ...] = ()
+
+
+NONE = TableCell("–")
 
 
 class TableRow(NamedTuple):
@@ -301,14 +307,12 @@ class Law(NamedTuple):
 
     measure: str
     explained: str = ""  # name of the measure that says how well the law holds
-    people: str = ""  # what people do, and who found that
-    source: str = ""
 
 
 LAWS = (
-    Law("posture_variability", "", "above 0", "Soechting et al. 1995"),
-    Law("fitts_slope", "fitts_r_squared", "about 0.1", "Fitts 1954"),
-    Law("speed_curvature_exponent", "speed_curvature_r_squared", "0.333", "Lacquaniti et al. 1983"),
+    Law("posture_variability"),
+    Law("fitts_slope", "fitts_r_squared"),
+    Law("speed_curvature_exponent", "speed_curvature_r_squared"),
 )
 
 
@@ -324,7 +328,8 @@ def law_table(results: Results) -> Table | None:
     present = set(known.loc[known["measure"].isin([one.name for one in measures]), "agent"])
     agents = [agent for agent in results.agents if agent in present]
     environments = list(dict.fromkeys(one.environment for one in measures))
-    people = [TableCell(law.people or "–", _notes(law.source)) for law in laws]
+    cited = [people().get(law.measure) for law in laws]
+    figures = [TableCell(span(one.low, one.high), (one.authors,)) if one else NONE for one in cited]
     rows = []
     for agent in agents:
         mine = known[known["agent"] == agent]
@@ -334,7 +339,7 @@ def law_table(results: Results) -> Table | None:
         "Laws of human movement",
         "scores",
         (Heading("agent"), *(Heading(one.label, one.shown_unit) for one in measures)),
-        (TableRow("people", tuple(people), look="people"), *rows),
+        (TableRow("people", tuple(figures), look="people"), *rows),
         "Posture variability: how much the postures differ at the same target, reached from "
         "different starts; 0 is Donders' law. Fitts' slope: time for each bit of difficulty; no "
         "agent is given the width of a target. Speed-curvature exponent: how much slower the hand "
@@ -347,7 +352,7 @@ def law_table(results: Results) -> Table | None:
 def _kept(mine: pd.DataFrame, law: Law, measure: SetMeasure) -> TableCell:
     values = mine.loc[mine["measure"] == law.measure, "value"]
     if values.empty:
-        return TableCell("–")
+        return NONE
     notes = []
     if len(values) > 1:
         notes.append(f"{measure.number(values.min())} to {measure.number(values.max())}")
@@ -355,3 +360,35 @@ def _kept(mine: pd.DataFrame, law: Law, measure: SetMeasure) -> TableCell:
     if len(explained):
         notes.append(f"R² {number(explained.mean(), 2)}")
     return TableCell(measure.number(values.mean()), tuple(notes))
+
+
+def experiment_table(result: ExperimentResult, focus: Sequence[str]) -> Table:
+    """Return the measures of learning of agents in an experiment, below those of people."""
+    name, measures = result.experiment.name, result.measures
+    facts = measures.drop_duplicates("measure").to_dict("records")
+    rows = []
+    for agent, own in measures.groupby("agent", sort=False):
+        found = {row["measure"]: row for row in own.to_dict("records")}
+        cells = tuple(_learned(found.get(one["measure"])) for one in facts)
+        look = "people" if agent == PEOPLE else "focus" if agent in focus else ""
+        rows.append(TableRow(str(agent), cells, look=look))
+    cited = [one for one in people(result.experiment.family).values()]
+    tasks = "".join(f" {one.source}: {one.task}; what differs: {one.differs}." for one in cited)
+    return Table(
+        f"Learning in {name}",
+        "scores",
+        (Heading("agent"), *(Heading(one["label"], one["unit"]) for one in facts)),
+        tuple(sorted(rows, key=lambda row: row.name != PEOPLE)),
+        f"Of the mean over {count(result.trials['subject'].nunique(), 'subject')}; below, 95 % "
+        f"bootstrap intervals over subjects; –: no value.{tasks and ' People:' + tasks}",
+    )
+
+
+def _learned(row: Mapping[Hashable, Any] | None) -> TableCell:
+    if row is None:
+        return NONE
+    if row["agent"] == PEOPLE:
+        return TableCell(span(row["low"], row["high"]), (row["source"],))
+    decimals = row["decimals"]
+    text = number(row["estimate"], decimals)
+    return TableCell(text, _notes(interval(row["low"], row["high"], decimals)))

@@ -1,5 +1,6 @@
 """Facts about experiments as data: checked, planned, printed and drawn."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
     catch = Probe("catch", 4)
     learning = Block("learning", 8, ("rotation-30",), (0, 90), (catch,), gradual=True, rest=60)
     mine = Experiment("mine", (Block("baseline", 4), learning))
-    assert find_experiment(file) == mine == Experiment(**mine.entries)
+    assert find_experiment(file) == mine == Experiment(**asdict(mine))
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)

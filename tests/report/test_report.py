@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from mmc_gym._errors import UserError
+from mmc_gym.benchmark.experiment import Block, Experiment
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.benchmark.store import read_episodes
+from mmc_gym.benchmark.trials import run_experiment
 from mmc_gym.cli import main
 from mmc_gym.report import write_report
 from mmc_gym.report.replay import replay
@@ -193,3 +195,40 @@ def test_the_command_writes_the_report_and_refuses_a_folder_without_a_store(
     assert "store" in capsys.readouterr().err
     with pytest.raises(UserError, match="focus 'mcm' is not accepted; did you mean 'mmc'"):
         write_report(tmp_path / "store", elsewhere, focus=["mcm"])
+
+
+@pytest.fixture(scope="module")
+def experiments(tmp_path_factory):
+    store = tmp_path_factory.mktemp("experiments")
+    clamped = Experiment(
+        "clamp-20", (Block("baseline", 8), Block("learning", 8, ("clamp-20",))), trial_seconds=0.4
+    )
+    for agents, subjects in ((["ik-dls"], 1), ({"ik-dls": "ik-dls", HOSTILE: "mmc"}, 2)):
+        run_experiment(clamped, agents, subjects, out=store, jobs=1)
+    return store
+
+
+def test_a_store_of_experiments_has_a_report_of_them(experiments, tmp_path):
+    file = tmp_path / "report.html"
+    main(["report", str(experiments), "--out", str(file), "--focus", "ik-dls"])
+    text = file.read_text(encoding="utf-8")
+    assert re.findall("<h2>(.*?)</h2>", text) == ["Learning over trials", "Method"]
+    people, mine, _ = re.findall(r"<tr.*?</tr>", text.partition("<tbody>")[2], re.DOTALL)
+    assert ">people<" in people and ">18<" in people and "Tsay et al. 2020" in people
+    assert ">ik-dls<" in mine and 'class="focus"' in mine
+    assert "Of the mean over 2 subjects" in text
+    assert HOSTILE not in text and "<script" not in text
+    assert text.count("data:image/svg+xml") == 1
+    markdown = write_report(experiments, tmp_path / "report.md", format="md").read_text("utf-8")
+    assert "## Learning in clamp-20" in markdown and "| people | 18 Tsay et al. 2020 |" in markdown
+    with pytest.raises(UserError, match="focus 'ik-dsl' is not accepted; did you mean 'ik-dls'"):
+        write_report(experiments, file, focus=["ik-dsl"])
+
+
+def test_experiments_stand_beside_the_benchmark_of_their_store(experiments, make_store, tmp_path):
+    make_store(tmp_path, ["mmc"], ("random",), instances=5)
+    report = write_report(tmp_path, tmp_path / "report.html")
+    assert "Learning over trials" not in report.read_text(encoding="utf-8")
+    (tmp_path / "trials").symlink_to(experiments / "trials")
+    text = write_report(tmp_path, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<h1>mmc</h1>" in text and 'id="good"' in text and 'id="experiments"' in text

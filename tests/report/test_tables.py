@@ -103,7 +103,7 @@ def test_agents_keep_the_laws_beside_people(results):
     table = law_table(replace(results, sets=pd.DataFrame(rows, columns=columns)))
     assert table.headings[1:] == (("speed-curvature exponent", "", ""),)
     assert {row.name: row.cells[0][:2] for row in table.rows} == {
-        "people": ("0.333", ("Lacquaniti et al. 1983",)),
+        "people": ("0.333", ("Viviani & Schneider 1991",)),
         "mmc": ("0.250", ("R² 0.90",)),
         "ppo": ("0.300", ("0.200 to 0.400",)),
     }
