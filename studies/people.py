@@ -105,7 +105,7 @@ def learning_rows(
         table = learning_table(result, lengths_in="m")
         chosen = table[table["measure"].isin(names)].assign(of=experiment)
         rows += chosen.to_dict("records")
-        save_figure(learning_figure(result), pictures / experiment)
+        save_figure(learning_figure(result, table), pictures / experiment)
     return rows
 
 
@@ -159,8 +159,9 @@ def draw(rows: pd.DataFrame) -> Figure:
     with plt.rc_context(STYLE):
         size = (9.0, 1.9 * height)
         figure, axes = plt.subplots(height, COLUMNS, figsize=size, layout="constrained")
-        for panel, measure in zip(np.ravel(axes), known, strict=False):
+        for place, (panel, measure) in enumerate(zip(np.ravel(axes), known, strict=False)):
             draw_beside_people(panel, rows, measure)
+            panel.tick_params(labelleft=place % COLUMNS == 0)
         for panel in np.ravel(axes)[len(known) :]:
             panel.axis("off")
     return figure

@@ -324,7 +324,9 @@ def learning_figure(
         above = figure.add_subplot(grid[0, :])
         below = figure.add_subplot(grid[1, :], sharex=above)
         for column, measure in enumerate(compared):
-            draw_beside_people(figure.add_subplot(grid[2, column]), table, measure)
+            panel = figure.add_subplot(grid[2, column])
+            draw_beside_people(panel, table, measure)
+            panel.tick_params(labelleft=column == 0)
         result.experiment.plot_timeline(above)
         above.set_xlabel("")
         for number, agent in enumerate(result.trials["agent"].unique()):

@@ -99,7 +99,7 @@ def main(groups: int = 200, subjects: int = 20, resamples: int = 200) -> None:
         subjects: learners in a group.
         resamples: of the subjects, for each interval.
     """
-    console = Console()
+    console = Console(width=120)
     true_states = dict(zip(TWO_STATES, LEARNER))
     trials = np.arange(160)
     course = ASYMPTOTE * (1 - np.exp(-RATE * trials))
