@@ -1,14 +1,9 @@
-"""Nanoseconds per arm and iteration of the MMC network, beside a plain copy of its state.
+"""The network of hinges by the number of joints, and the network in torch.
 
-Run it with `python benchmarks/network_speed.py`.  A copy of the state, `ndarray.copy()`, reads
-and writes each byte once, as any iteration must that keeps its input.  `run` iterates blocks of
-arms that stay in the cache; `step` is a single iteration, whose result is a new state.
-They take turns, and ratios are medians over the rounds of each round's own ratio.
-
-The network of hinges settles on random poses of chains of 7, 14 and 28 joints.
-
-Below them, microseconds per action of the `mmc` agent beside the shipped PPO policy's; and the
-network in torch beside numpy and numba, as it is, and with gradients back to where it began.
+Run it with `python benchmarks/network_speed.py`.  The network of hinges settles on random poses of
+chains of 7, 14 and 28 joints.  torch stands beside numpy and numba, as it is, and with gradients
+back to where it began; they take turns, and ratios are medians over the rounds of each round's own.
+`speed` times the compiled network beside a plain copy of its state, and the agents.
 """
 
 from __future__ import annotations
@@ -20,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
-import gymnasium as gym
 import numpy as np
 import torch
 import tyro
@@ -28,23 +22,16 @@ from rich.console import Console
 from rich.table import Table
 from timing import interleaved
 
-from mmc_gym import make_agent
 from mmc_gym.network import HingeArm, HingeNetwork, LearnedNormalizer, MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
 
-BATCHES = (1, 420, 10_000, 1_000_000)
-TORCH_BATCHES = (1_000, 10_000, 100_000)
+BATCHES = (1_000, 10_000, 100_000)
 ITERATIONS = 20  # of `run`, per call
-NETWORKS = {
-    "kinematic": MMCNetwork(),
-    "dynamic": MMCNetwork(dynamics="paper"),
-}
-NETWORKS |= {f"{name}, numba": replace(one, engine="numba") for name, one in NETWORKS.items()}
 
 
 @dataclass
 class Arguments:
-    """Time the network and the agents.
+    """Time the networks.
 
     Attributes:
         rounds: rounds, in each of which each has one turn.
@@ -55,52 +42,8 @@ class Arguments:
 
     rounds: int = 9
     seconds: float = 0.02
-    tables: tuple[Literal["network", "hinges", "agents", "torch"], ...] = (
-        "network",
-        "hinges",
-        "agents",
-        "torch",
-    )
+    tables: tuple[Literal["hinges", "torch"], ...] = ("hinges", "torch")
     device: str = "cpu"
-
-
-def network_table(arguments: Arguments) -> Table:
-    """Time per arm and iteration for every batch size, precision and network."""
-    table = Table(title=f"MMC network, 3 segments: ns per arm and iteration, run of {ITERATIONS}")
-    for heading in ("network", "precision"):
-        table.add_column(heading)
-    for heading in ("batch", "copy", "run", "run / copy", "step", "step / copy"):
-        table.add_column(heading, justify="right")
-    random = np.random.default_rng(0)
-    for name, network in NETWORKS.items():
-        for dtype in (np.float64, np.float32):
-            for batch in BATCHES:
-                posture = random.uniform(-np.pi, np.pi, (batch, 3)).astype(dtype)
-                target = random.uniform(-1.5, 1.5, (batch, 2)).astype(dtype)
-                state, clamps = network.state_from_joint_angles(posture), network.inverse(target)
-                times = interleaved(
-                    {
-                        "copy": state.values.copy,
-                        "run": lambda n=network, s=state, c=clamps: n.run(s, c, ITERATIONS),
-                        "step": lambda n=network, s=state, c=clamps: n.step(s, c),
-                    },
-                    arguments.rounds,
-                    arguments.seconds,
-                )
-                times["run"] /= ITERATIONS
-                cells = {key: np.median(value) / batch * 1e9 for key, value in times.items()}
-                ratio = {key: np.median(value / times["copy"]) for key, value in times.items()}
-                table.add_row(
-                    name,
-                    np.dtype(dtype).name,
-                    f"{batch:,}",
-                    f"{cells['copy']:,.1f}",
-                    f"{cells['run']:,.1f}",
-                    f"{ratio['run']:.1f}",
-                    f"{cells['step']:,.1f}",
-                    f"{ratio['step']:.1f}",
-                )
-    return table
 
 
 def repeated(arm: HingeArm, times: int) -> HingeArm:
@@ -153,26 +96,6 @@ def hinge_table(arguments: Arguments) -> Table:
     return table
 
 
-def agent_table(arguments: Arguments) -> Table:
-    """Time of one `predict` for a single observation, torch on one thread."""
-    env = gym.make("MMCReach-v0")
-    observation, _ = env.reset(seed=0)
-    calls = {}
-    for name in ("ppo", "mmc", "mmc-classical", "mmc-neural", "ik-dls"):
-        agent = make_agent(name, env)
-        _, state = agent.predict(observation)
-        calls[name] = lambda a=agent, s=state: a.predict(observation, s, deterministic=True)
-    times = interleaved(calls, arguments.rounds, arguments.seconds)
-    table = Table(title="predict for one observation")
-    table.add_column("agent")
-    for heading in ("µs per action", "ratio to ppo"):
-        table.add_column(heading, justify="right")
-    for name, seconds in times.items():
-        ratio = np.median(seconds / times["ppo"])
-        table.add_row(name, f"{np.median(seconds) * 1e6:.1f}", f"{ratio:.2f}")
-    return table
-
-
 def torch_table(arguments: Arguments) -> Table:
     """Time per arm and iteration of numpy, numba and torch, one thread each."""
     table = Table(
@@ -182,11 +105,14 @@ def torch_table(arguments: Arguments) -> Table:
         table.add_column(heading)
     for heading in ("batch", "numpy", "numba", "torch", "torch / numpy", "with gradients"):
         table.add_column(heading, justify="right")
-    learned = MMCNetwork(normalizer=LearnedNormalizer.shipped())
-    networks = {"kinematic": NETWORKS["kinematic"], "dynamic": NETWORKS["dynamic"]}
-    for name, network in (networks | {"learned": learned}).items():
+    networks = {
+        "kinematic": MMCNetwork(),
+        "dynamic": MMCNetwork(dynamics="paper"),
+        "learned": MMCNetwork(normalizer=LearnedNormalizer.shipped()),
+    }
+    for name, network in networks.items():
         for dtype in (np.float64, np.float32):
-            for batch in TORCH_BATCHES:
+            for batch in BATCHES:
                 calls = torch_calls(network, np.dtype(dtype), batch, arguments.device)
                 times = interleaved(calls, arguments.rounds, arguments.seconds)
                 scale = 1e9 / batch / ITERATIONS
@@ -235,12 +161,7 @@ def main(arguments: Arguments) -> None:
     """Print the tables."""
     torch.set_num_threads(1)
     console = Console(width=100)
-    tables = {
-        "network": network_table,
-        "hinges": hinge_table,
-        "agents": agent_table,
-        "torch": torch_table,
-    }
+    tables = {"hinges": hinge_table, "torch": torch_table}
     for name in arguments.tables:
         console.print(tables[name](arguments))
 

@@ -22,8 +22,6 @@ from mmc_gym.network import MMCState
 from mmc_gym.network.chain import Floats
 
 if TYPE_CHECKING:  # `import mmc_gym` loads no physics
-    from gymnasium.spaces import Box
-
     from mmc_gym.body import ArmParameters
 
 State = TypeVar("State")
@@ -281,7 +279,7 @@ def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> 
 class RandomAgent(Agent[None]):
     """Draws every action uniformly from an action space, by default −1 to 1 for each joint."""
 
-    def __init__(self, interface: ReachInterface, space: Box | None = None) -> None:
+    def __init__(self, interface: ReachInterface, space: Any = None) -> None:
         self._interface, ones = interface, np.ones(len(interface.segment_lengths))
         low, high = (-ones, ones) if space is None else (space.low, space.high)
         self._low, self._high = np.atleast_2d(low)[0], np.atleast_2d(high)[0]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from mmc_gym.network.chain import Floats
 
 LANES = 16  # postures in a block
+_HELD = 1e12  # damping of a joint that rests
 _EVERY = (slice(None),)  # lanes of numpy
 
 
@@ -326,23 +327,20 @@ def newton(block: Any, arm: Any, plan: Any, lanes: Any) -> None:
     ask(block, arm, plan, lanes)
     for i in range(joints):
         for j in range(joints):
-            first = max(arm.joint_nodes[i], arm.joint_nodes[j]) + 1
             for k in lanes:
-                turned = block.axis[i, 0, k] * block.axis[j, 0, k]
-                turned = turned + block.axis[i, 1, k] * block.axis[j, 1, k]
-                turned = turned + block.axis[i, 2, k] * block.axis[j, 2, k]
-                block.row[i, j, k] = plan.weight * turned
-            for h in range(first, arm.nodes.shape[0]):
+                block.row[i, j, k] = 0.0
+            for a in range(3):
+                for k in lanes:
+                    along = block.axis[i, a, k] * block.axis[j, a, k]
+                    block.row[i, j, k] = block.row[i, j, k] + plan.weight * along
+            for h in range(max(arm.joint_nodes[i], arm.joint_nodes[j]) + 1, arm.nodes.shape[0]):
                 if plan.is_placed[h]:
                     for k in lanes:
                         x, y, z = lever(block, i, arm.joint_nodes[i], h, k)
                         u, v, w = lever(block, j, arm.joint_nodes[j], h, k)
                         block.row[i, j, k] = block.row[i, j, k] + (x * u + y * v + z * w)
-            for k in lanes:
-                are_free = block.free[i, k] * block.free[j, k]
-                block.row[i, j, k] = block.row[i, j, k] * are_free
         for k in lanes:
-            damping = block.merit[k] + plan.ridge + (1.0 - block.free[i, k])
+            damping = block.merit[k] + plan.ridge + _HELD * (1.0 - block.free[i, k])
             block.row[i, i, k] = block.row[i, i, k] + damping
             block.row[i, joints, k] = block.asked[i, k] * block.free[i, k]
     for p in range(joints):

@@ -42,7 +42,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,19 +66,10 @@ from mmc_gym.network.hinge_iteration import LANES, Arm, Plan, block_type, compil
 POOL = 128  # postures, of which the nearest to a task are its starts
 ALONE = 30  # iterations in which only the given start may win
 NEAR = 0.1  # miss of a start that has all of them, shares of the arm's length
-NEWTON = 6  # steps of Newton's method
+LOOSE = 1e-3, 1e-2  # tolerance, m and radians, below which Newton's method follows
+NEWTON = 6  # steps of it
 _CHUNK = 64  # tasks in memory at once
 _SETTLED = 1e9  # any posture that has settled comes before all that have not
-
-
-class Near(NamedTuple):
-    """How near is near enough: of held nodes, m, and of the hand's rotation, radians."""
-
-    far: float
-    turn: float
-
-
-LOOSE = Near(1e-3, 1e-2)  # below that, Newton's method follows
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +90,11 @@ class HingeClamps:
     """Parts of an arm held at given places, made by `HingeNetwork.clamp`.
 
     Attributes:
-        position: of the hand, (..., 3), or None.
         rotation: of the hand, (..., 3, 3), or None.
         held: angles of held joints by joint, (...).
-        points: positions of other nodes by node, (..., 3).
+        points: positions of nodes by node, the hand's too, (..., 3).
     """
 
-    position: Floats | None = None
     rotation: Floats | None = None
     held: Mapping[int, Floats] = field(default_factory=dict)
     points: Mapping[int, Floats] = field(default_factory=dict)
@@ -114,9 +103,7 @@ class HingeClamps:
     def batch_shape(self) -> tuple[int, ...]:
         """The batch axes of all values together."""
         shapes = [one.shape for one in self.held.values()]
-        shapes += [
-            one.shape[:-1] for one in (self.position, *self.points.values()) if one is not None
-        ]
+        shapes += [one.shape[:-1] for one in self.points.values()]
         shapes += [] if self.rotation is None else [self.rotation.shape[:-2]]
         return _together("clamps", shapes)
 
@@ -216,11 +203,13 @@ class HingeNetwork:
         for node in points:
             if node not in range(1, self.arm.node_count):
                 raise unknown("node", node, range(1, self.arm.node_count))
+        places = {node: _floats("points", point, (3,)) for node, point in points.items()}
+        if position is not None:
+            places[self.arm.node_count - 1] = _floats("position", position, (3,))
         return HingeClamps(
-            None if position is None else _floats("position", position, (3,)),
             None if rotation is None else _floats("rotation", rotation, (3, 3)),
             {joint: _floats("held", angle, ()) for joint, angle in held.items()},
-            {node: _floats("points", point, (3,)) for node, point in points.items()},
+            places,
         )
 
     def run(self, state: HingeState, clamps: HingeClamps, iterations: int = 1) -> HingeState:
@@ -281,7 +270,7 @@ class HingeNetwork:
         clamps = self.clamp(position, rotation, held, points)
         require_whole("starts", starts)
         require_whole("iterations", iterations)
-        near = Near(*(require_positive("tolerance", each) for each in tolerance))
+        far, turn = near = tuple(require_positive("tolerance", each) for each in tolerance)
         batch, first = clamps.batch_shape, None
         if start is not None:
             first = self.state(start).joint_angles
@@ -289,11 +278,11 @@ class HingeNetwork:
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
         tasks, pool = self._tasks(clamps, batch), self._pool(max(starts, POOL), seed)
         plan = self._plan(clamps, iterations)._replace(
-            far=max(near.far, LOOSE.far),
-            turn=max(near.turn, LOOSE.turn),
+            far=max(far, LOOSE[0]),
+            turn=max(turn, LOOSE[1]),
             newton=NEWTON,
-            is_exact=near.far < LOOSE.far or near.turn < LOOSE.turn,
-            ridge=(10 * near.far) ** 2,
+            is_exact=far < LOOSE[0] or turn < LOOSE[1],
+            ridge=(10 * far) ** 2,
         )
         groups = [range(least, min(least + LANES, starts)) for least in range(0, starts, LANES)]
         lanes = [np.resize(group, LANES) for group in groups]
@@ -303,17 +292,15 @@ class HingeNetwork:
             own = None if first is None else first[rows]
             self._settle(ends[rows], tasks[rows], plan, near, own, pool, lanes)
         ends = ends.reshape(batch)
-        is_solved = ends["rank"] < 0
-        return HingeSolution(
-            ends["angle"], ends["far"], ends["turn"], ends["iterations"], is_solved
-        )
+        errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
+        return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
 
     def _settle(
         self,
         ends: NDArray[Any],
         tasks: NDArray[Any],
         plan: Plan,
-        near: Near,
+        near: tuple[float, ...],
         start: Floats | None,
         pool: Floats,
         groups: list[NDArray[np.int64]],
@@ -338,7 +325,7 @@ class HingeNetwork:
             far, turn = np.sqrt(blocks["miss"]), np.zeros_like(away)
             if plan.weight:
                 turn = np.arctan2(np.sqrt(blocks["sine"]), blocks["cosine"])
-            is_settled = (far < near.far) & (turn < near.turn)
+            is_settled = (far < near[0]) & (turn < near[1])
             rank = np.where(is_settled, away - _SETTLED, blocks["merit"])
             every = np.arange(len(active))
             lane = rank.argmin(axis=1)
@@ -384,8 +371,6 @@ class HingeNetwork:
             tasks["low"][..., joint] = tasks["high"][..., joint] = angle
         for node, point in clamps.points.items():
             tasks["place"][..., node, :] = point
-        if clamps.position is not None:
-            tasks["place"][..., -1, :] = clamps.position
         if clamps.rotation is not None:  # as a turn of the whole arm
             tasks["wanted"] = clamps.rotation @ self.arm.home[:3, :3].T
         return tasks.reshape(-1)
@@ -401,7 +386,6 @@ class HingeNetwork:
     def _plan(self, clamps: HingeClamps, times: int) -> Plan:
         is_placed = np.zeros(self.arm.node_count, np.bool_)
         is_placed[list(clamps.points)] = True
-        is_placed[-1] |= clamps.position is not None
         weight = 0.0 if clamps.rotation is None else 2 * self.hand_size**2
         free = max(1, self.arm.joint_count - len(clamps.held))
         share = 3 / free if self.damping is None else 1 / self.damping

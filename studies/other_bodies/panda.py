@@ -6,7 +6,7 @@ steps; every step without costs 1 (the return).  A hand that rests for 10 steps 
 "Within reach" is the share of the targets to which some posture of the true body brings the hand,
 by the network from 100 postures.
 
-    python -m studies.other_bodies.panda_tqc --out runs/panda-tqc          # 20 minutes
+    python -m studies.other_bodies.trainings tqc --out runs/panda-tqc      # 20 minutes
     python -m studies.other_bodies.panda --tqc runs/panda-tqc/tqc_50000.zip
     python -m studies.other_bodies.panda --tqc runs/panda-tqc/tqc_50000.zip --seed 1
     python -m studies.other_bodies.panda --agents                          # only prints the results

@@ -6,7 +6,7 @@ metres and the squared torques, summed over 50 steps.  An episode succeeds if at
 within 1 cm of the target; or of the nearest point that the true arm can reach, because with a joint
 held an arm of two joints reaches a circle only.
 
-    python -m studies.other_bodies.reacher_sac --out runs/reacher-sac      # hours
+    python -m studies.other_bodies.trainings sac --out runs/reacher-sac    # hours
     python -m studies.other_bodies.reacher --sac runs/reacher-sac
     python -m studies.other_bodies.reacher --sac runs/reacher-sac --seed 1
     python -m studies.other_bodies.reacher --agents                        # only prints the results

@@ -31,12 +31,11 @@ SHORT = {
     "learners.train_all": ("--names ppo --seeds 1 --steps 4096 --jobs 1", r"ppo-0 +success"),
     "network.abilities": ("--segments 2 3 --arms 50 --iterations 100", r"inverse .*100%"),
     "network.normalization_training": ("--epochs 1 --widest 4", r"\[4, 4\]"),
-    "other_bodies.reacher_sac": ("--at 101 --out .", r"101 steps"),
+    "other_bodies.trainings": ("sac --at 101 --out .", r"101 steps"),
     "other_bodies.reacher": (
         "--episodes 3 --agents mmc-body optimum --out .",
         r"as given .* 100\.0, -[2-4]\.\d\d .* 100\.0, -[2-4]\.",
     ),
-    "other_bodies.panda_tqc": ("--at 1100 --out .", r"1,100 steps"),
     "other_bodies.panda": (
         "--episodes 3 --bodies given --agents mmc-body pybullet",
         r"given .* 100\.0 .* 100\.0, -[1-4]\.\d\d .* 100\.0, -[3-9]\.",
