@@ -2,9 +2,8 @@
 
 Run it with `make speed`, or `python benchmarks/speed.py`; peers that are not installed (they are in
 the `benchmark` extra) are named and left out.  Timed calls take turns; a ratio is the median over
-the rounds of each round's ratio.  `runs/speed` keeps the numbers of each run, and figures of steps
-per second and of the time per arm by the number of arms; `--check` fails on a loss of speed since
-the earlier runs, see `history`.
+the rounds of each round's ratio.  `runs/speed` keeps the numbers of each run; `--check` fails on a
+loss of speed since the earlier runs, see `history`.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ import torch
 import tyro
 from gymnasium.error import DependencyNotInstalled
 from history import Run, SpeedRow, draw_history, losses, now, read_runs, write_run
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from peers import (
     ENGINES,
@@ -49,7 +47,7 @@ from mmc_gym.network import MMCNetwork
 
 Times: TypeAlias = Mapping[Entry, NDArray[np.float64]]
 PACKAGES = ("numpy", "gymnasium", "pymunk", "numba", "mujoco", "dm_control", "envpool", "gymnax")
-NETWORKS = (1, 100, 10_000, 1_000_000)  # how many run together
+NETWORKS = (10_000, 1_000_000)  # how many run together; a copy of few is a matter of the call
 ITERATIONS = 20  # of a network, per call
 COPY = "copy of the state"  # reads and writes each byte once, as any iteration must
 AGENTS = ("mmc", "mmc-body", "ppo")
@@ -261,59 +259,6 @@ def threads_of(entry: Entry) -> str:
     return f"{entry.threads} thread{'s' * (entry.threads > 1)}"
 
 
-def draw_growth(growth: Times, times: Times, folder: Path) -> None:
-    """Draw steps per second by number of arms, beside the peers' own."""
-    figure, axes = new_axes("arms", "steps per second, of all arms")
-    for style, entries in lines_of(growth):
-        label = f"{entries[0].variant}, {threads_of(entries[0])}"
-        arms = [entry.arms for entry in entries]
-        axes.plot(arms, [1 / np.median(growth[entry]) for entry in entries], label=label, **style)
-    peers = [entry for entry in times if entry.variant != "sync" and is_peer(entry)]
-    for entry, marker in zip(peers, "sDv^PX*<>", strict=False):
-        speed_of = 1 / np.median(times[entry])
-        axes.plot(entry.arms, speed_of, marker, color="0.3", label=name_of(entry))
-    axes.legend(fontsize=7)
-    figure.savefig(folder / "steps-per-second.png", dpi=150)
-
-
-def draw_costs(
-    growth: Times, networks: Mapping[str, Mapping[int, NDArray[np.float64]]], folder: Path
-) -> None:
-    """Draw the time that one arm takes, by number of arms: a step, and a network's iteration."""
-    figure, axes = new_axes("arms", "time per arm [µs]")
-    for style, entries in lines_of(growth):
-        label = f"step, {entries[0].variant}, {threads_of(entries[0])}"
-        arms = [entry.arms for entry in entries]
-        costs = [1e6 * np.median(growth[entry]) for entry in entries]
-        axes.plot(arms, costs, label=label, **style)
-    for marker, (name, by_count) in zip("+x*", networks.items(), strict=True):
-        label = COPY if name == COPY else f"iteration of the network, {name}"
-        costs = [1e6 * np.median(seconds) for seconds in by_count.values()]
-        axes.plot(list(by_count), costs, f"{marker}:", color="0.4", label=label)
-    axes.legend(fontsize=7)
-    figure.savefig(folder / "cost-per-arm.png", dpi=150)
-
-
-def lines_of(growth: Times) -> list[tuple[dict[str, Any], list[Entry]]]:
-    """Return the entries of each line by number of arms, and how it is drawn."""
-    lines = []
-    for engine, colour in zip(ENGINES, ("#0072b2", "#d55e00"), strict=True):
-        for threads, style in ((1, "o-"), (2, "s--")):
-            entries = [e for e in growth if (e.variant, e.threads) == (engine, threads)]
-            look = {"color": colour, "marker": style[0], "linestyle": style[1:], "markersize": 4}
-            lines += [(look, entries)] if entries else []
-    return lines
-
-
-def new_axes(x: str, y: str) -> tuple[Figure, Any]:
-    """Return a figure with logarithmic axes."""
-    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
-    axes = figure.subplots()
-    axes.set(xscale="log", yscale="log", xlabel=x, ylabel=y)
-    axes.grid(color="0.9", linewidth=0.6)
-    return figure, axes
-
-
 def empty_table(title: str, words: Iterable[str], numbers: Iterable[str]) -> Table:
     """Make a table with columns of words, then of numbers."""
     table = Table(title=title)
@@ -347,7 +292,7 @@ def main(arguments: Arguments) -> None:
     rows = rows_of(times, {entry: name_of(entry) for entry in times}, REFERENCE)
     networks, agents = network_times(arguments), agent_times(arguments)
     kept = []
-    for count in NETWORKS[2:]:  # a copy of few is a matter of the call
+    for count in NETWORKS:
         found = {name: seconds[count] for name, seconds in networks.items()}
         kept += rows_of(found, {name: f"network, {name}, {count:,} arms" for name in found}, COPY)
     title = "an iteration of the network, dynamic; ratio to a copy of its state"
@@ -357,14 +302,11 @@ def main(arguments: Arguments) -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     if arguments.growth_rounds:
         made = make_all(GROWTH, console)
-        growth = seconds_per_step(made, arguments.growth_rounds, 0.02)
-        console.print(growth_table(growth))
-        draw_growth(growth, times, arguments.out)
-        draw_costs(growth, networks, arguments.out)
+        console.print(growth_table(seconds_per_step(made, arguments.growth_rounds, 0.02)))
     file = write_run(Run(now(), machine(), (*rows, *kept, *acting)), arguments.out)
     runs = read_runs(arguments.out)
     draw_history(runs, arguments.out / "history.png")
-    console.print(f"wrote {file}, and figures beside it; {len(runs)} runs are there")
+    console.print(f"wrote {file}, and history.png beside it; {len(runs)} runs are there")
     if lost := losses(runs):
         console.print("\n".join(["slower than before:", *lost]))
         if arguments.check:
