@@ -29,7 +29,7 @@ import mmc_gym
 from mmc_gym._files import write_atomically
 from mmc_gym.agents import AGENTS as AGENTS_THAT_SHIP
 from mmc_gym.agents import resolve
-from mmc_gym.benchmark.suite import SCENARIOS, make_player
+from mmc_gym.benchmark.suite import SCENARIOS, make_player, play_episodes
 from mmc_gym.envs.perturbations import FAMILIES
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv
 from mmc_gym.envs.scenarios import TASK_SCENARIOS, Scenario, scenario
@@ -361,13 +361,13 @@ def film(one: Scenario, folder: Path) -> None:
 
 def play(one: Scenario, agent: str) -> tuple[int, list[Image.Image]]:
     """Return how many of the episodes end at the target, and pictures of the first."""
-    seeds = episode_seeds(0, EPISODES)
-    world, player = make_player(resolve(agent), one, {"render_mode": "rgb_array"})
+    found, seeds = resolve(agent), episode_seeds(0, EPISODES)
+    world, player = make_player(found, one, {"render_mode": "rgb_array"})
     filmed = Filmed(world)
-    first = run_episodes(player, filmed, seeds[:1], records_effort=False)
-    others = run_episodes(player, world, seeds[1:], records_effort=False)
+    run_episodes(player, filmed, seeds[:1], records_effort=False)
+    episodes = play_episodes(found, one, world, player, seeds, timed=0)
     world.close()
-    return sum(map(int, map(success, first + others))), filmed.pictures
+    return sum(map(int, map(success, episodes))), filmed.pictures
 
 
 def named(picture: Image.Image, agent: str) -> Image.Image:

@@ -285,8 +285,8 @@ def benchmark(
             keeps_paths=one.training_seed == first[one.label],
             measures=own_measures(),
         )
+        for scenario in scenarios.values()  # all agents play the same arms, see `play_episodes`
         for one in found
-        for scenario in scenarios.values()
         if not (one.is_reference and scenario.family)  # no perturbation touches it
     ]
     missing: list[BenchmarkCell] = []

@@ -31,10 +31,10 @@ instances are resampled too, and agents are paired by them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -50,20 +50,13 @@ RESAMPLES = 2_000  # by default
 
 COLUMNS = ["agent", "training_seed", "environment", "instance"]
 _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
-_BATCH = 250  # resamples at once: bounds the memory
+_BATCH, _COLUMNS = 250, 1_000  # resamples, or columns, at once: bound the memory
 
 PooledStatistic: TypeAlias = Statistic | Literal["iqm"]
 """Mean, median or interquartile mean of all episodes of an agent."""
 
 
-# Each takes sorted values (k,) and their weights in R resamples, (R, k), and returns (R,).
-def weighted_mean(values: Floats, weights: Floats) -> Floats:
-    """Return Σ w x / Σ w."""
-    with np.errstate(invalid="ignore"):
-        mean: Floats = weights @ values / weights.sum(axis=-1)
-    return mean
-
-
+# Both take sorted values (k,) and their weights in R resamples, (R, k), and return (R,).
 def weighted_iqm(values: Floats, weights: Floats) -> Floats:
     """Return the interquartile mean, the mean of the middle half of the weight.
 
@@ -98,13 +91,6 @@ def weighted_median(values: Floats, weights: Floats) -> Floats:
     high = np.minimum((total <= half + slack).sum(axis=-1), last)
     middle: Floats = (values[low] + values[high]) / 2
     return np.where(half[:, 0] > 0, middle, np.nan)
-
-
-_WEIGHTED: dict[PooledStatistic, Callable[[Floats, Floats], Floats]] = {
-    "mean": weighted_mean,
-    "median": weighted_median,
-    "iqm": weighted_iqm,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +164,21 @@ def _counts(seed: tuple[int, ...], count: int, resamples: int) -> Floats:
     return counts
 
 
+@lru_cache(maxsize=32)
+def _episode_counts(
+    seed: int, agent: int, shape: tuple[int, int], resamples: int
+) -> NDArray[np.signedinteger]:
+    """Return how often each episode of an agent is drawn, (R + 1, policies · instances).
+
+    The `shape` is (policies, instances) of one environment.
+    """
+    small = math.prod(shape) < np.iinfo(np.int16).max  # half the memory
+    policies = _counts((seed, _POLICIES, agent), shape[0], resamples)
+    instances = _counts((seed, _INSTANCES, shape[1]), shape[1], resamples)
+    counts = policies[:, :, None] * instances[:, None]
+    return counts.reshape(resamples + 1, -1).astype(np.int16 if small else np.int32)
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A statistic over training seeds and instances, with its 95 % interval.
@@ -211,7 +212,7 @@ class Bootstrap:
     """
 
     def __init__(self, scores: Scores, resamples: int = RESAMPLES, seed: int = 0) -> None:
-        self.scores = scores
+        self.scores, self._seed = scores, seed
         self.policies = {
             agent: _counts((seed, _POLICIES, number), len(values[0]), resamples)
             for number, (agent, values) in enumerate(scores.values.items())
@@ -251,26 +252,46 @@ class Bootstrap:
         at the same instance.  Pairs in which a score is NaN are left out.  ½ for an agent and its
         copy.
         """
-        pairs = zip(self.scores.values[agent], self.scores.values[other], self.instances)
-        chances = []
-        for one, two, instances in pairs:
-            mine, theirs = one[:, None], two[None]  # (policies, policies, instances) together
-            compared = ~np.isnan(mine) & ~np.isnan(theirs)
-            wins = np.where(mine == theirs, 0.5, mine > theirs) * compared
-            weights = self.policies[agent][:, :, None] * self.policies[other][:, None]
-            sums = [
-                (np.tensordot(instances, table.astype(np.float64), (1, 2)) * weights).sum((1, 2))
-                for table in (wins, compared)
-            ]
-            with np.errstate(invalid="ignore"):
-                chances.append(sums[0] / sums[1])
-        return self.summarize(np.mean(chances, axis=0), agent, other)
+        weights = self.policies[agent][:, :, None] * self.policies[other][:, None]
+        pairs = weights.reshape(len(weights), -1)
+        at_once = max(1, _COLUMNS // pairs.shape[1])
+        total = np.zeros(len(pairs))
+        for draws, ours, others in self._sharing(agent, other):
+            for begin in range(0, len(ours), at_once):
+                some = slice(begin, begin + at_once)
+                mine, theirs = ours[some, :, None], others[some, None]  # all pairs of policies
+                compared = ~np.isnan(mine) & ~np.isnan(theirs)
+                wins = np.where(mine == theirs, 0.5, mine > theirs) * compared
+                sums = [_weighted_sums(draws, pairs, table) for table in (wins, compared)]
+                with np.errstate(invalid="ignore"):
+                    total += (sums[0] / sums[1]).sum(axis=1)
+        return self.summarize(total / len(self.instances), agent, other)
+
+    def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
+        """Yield each draw of instances, and of each agent the tables whose environments share it.
+
+        Shapes are (R + 1, instances), and (environments, policies, instances) for each agent.
+        """
+        for count, draws in {draws.shape[1]: draws for draws in self.instances}.items():
+            tables = [self.scores.values[agent] for agent in agents]
+            yield draws, *(np.stack([one for one in of if one.shape[1] == count]) for of in tables)
 
     def distribution(self, agent: str, statistic: PooledStatistic) -> Floats:
         """Return an agent's statistic in the data, then in each resample, (R + 1,)."""
         tables, policies = self.scores.values[agent], self.policies[agent]
+        if statistic == "mean":
+            total, weight = np.zeros((2, len(policies)))
+            for draws, scores in self._sharing(agent):
+                known, shares = ~np.isnan(scores), draws / draws.shape[1]
+                values = np.where(known, scores, 0.0).sum(axis=0)
+                total += _weighted_sums(shares, policies, values)[:, 0]
+                weight += _weighted_sums(shares, policies, known.sum(axis=0))[:, 0]
+            with np.errstate(invalid="ignore"):
+                return np.asarray(total / weight)
         if statistic == "median" and len(tables) == 1:
-            return _median_of_counts(tables[0], policies, self.instances[0])
+            number, shape = list(self.scores.values).index(agent), tables[0].shape
+            counts = _episode_counts(self._seed, number, shape, len(policies) - 1)
+            return _median_of_counts(tables[0], counts)
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
@@ -282,13 +303,14 @@ class Bootstrap:
         times = coo_array(
             (np.ones(len(place)), (place, drawn)), shape=(len(distinct), sizes.sum())
         ).tocsr()
+        weighted = weighted_median if statistic == "median" else weighted_iqm
         found = []
         for begin in range(0, len(policies), _BATCH):
             rows = slice(begin, begin + _BATCH)
             of_policies = policies[rows].T[:, None]
             each = [of_policies * shares[rows].T for shares in shared.values()]
             weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
-            found.append(_WEIGHTED[statistic](distinct, np.ascontiguousarray(weights.T)))
+            found.append(weighted(distinct, np.ascontiguousarray(weights.T)))
         return np.concatenate(found)
 
     def estimates(self, statistic: PooledStatistic) -> dict[str, Estimate]:
@@ -322,24 +344,37 @@ class Bootstrap:
         )
 
 
-def _median_of_counts(table: Floats, policies: Floats, instances: Floats) -> Floats:
+def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) -> Floats:
+    """Return Σ_s w_s Σ_i u_i x_si in each resample and environment, (R, environments).
+
+    Args:
+        instances: u, (R, instances).
+        policies: w, (R, policies).
+        tables: x, (environments, policies, instances), or of a single one without the first axis.
+    """
+    columns = tables.reshape(-1, tables.shape[-1]).T.astype(np.float64)
+    by_policy = (instances @ columns).reshape(len(instances), -1, policies.shape[1])
+    sums: Floats = np.einsum("rep,rp->re", by_policy, policies)
+    return sums
+
+
+def _median_of_counts(table: Floats, counts: NDArray[np.signedinteger]) -> Floats:
     """Return what `weighted_median` does, for one environment, where weights are whole numbers.
 
     Args:
         table: values (policies, instances), NaN for none.
-        policies: how often each is drawn, (R, policies).
-        instances: how often each is drawn, (R, instances).
+        counts: how often each is drawn, (R, policies · instances).
     """
     values = table.ravel()
-    order = np.argsort(values, kind="stable")[: np.count_nonzero(~np.isnan(values))]  # NaN last
+    order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]  # NaN last
     if not len(order):
-        return np.full(len(policies), np.nan)
+        return np.full(len(counts), np.nan)
     values = values[order]
-    seeds, trials = policies.astype(np.int32), instances.astype(np.int32)
-    weights = np.multiply(seeds[:, :, None], trials[:, None]).reshape(len(seeds), -1)
-    twice = 2 * np.cumsum(weights.take(order, axis=1), axis=1, dtype=np.int32)
-    whole = twice[:, -1:] // 2  # whole numbers: no rounding
-    low, high = np.argmin(twice < whole, axis=1), np.argmin(twice <= whole, axis=1)  # the first
+    total = np.cumsum(counts.take(order, axis=1), axis=1, dtype=counts.dtype)
+    whole = total[:, -1:]
+    # The first at half of the weight, and the first beyond.
+    low = np.argmin(total < (whole + 1) // 2, axis=1)
+    high = np.argmin(total <= whole // 2, axis=1)
     return np.where(whole[:, 0] > 0, (values[low] + values[high]) / 2, np.nan)
 
 

@@ -187,7 +187,14 @@ def to_parquet(columns: Mapping[str, Any], kept: Kept | None = None) -> bytes:
     metadata = {_CONTENT: content, _CHECK: _checksum(table.schema, content)}
     table = table.replace_schema_metadata(metadata)
     buffer = io.BytesIO()
-    pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
+    pq.write_table(
+        table,
+        buffer,
+        compression="lz4",
+        use_dictionary=["agent", "environment"],  # numbers hardly repeat
+        write_statistics=False,
+        write_page_checksum=True,
+    )
     return buffer.getvalue()
 
 

@@ -6,7 +6,6 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
@@ -80,6 +79,7 @@ def find_scenarios(
     else:
         names = [environments] if isinstance(environments, str) else environments
         found = [scenario(name, interface) for name in names]
+    _forget_vectors()
     chosen, given = {one.name: one for one in found} or dict(SCENARIOS), env_kwargs or {}
     for one in chosen.values():
         one.refuse(given, "task", "perturbations", "max_episode_steps")
@@ -98,6 +98,7 @@ def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any], interface: Any 
     Raises:
         UserError: for an unknown name.
     """
+    _forget_vectors()
     found = Scenario(name_of(env), "", env=env)
     if isinstance(env, str) and not re.search(r":|-v\d+$", env) and env not in gym.registry:
         found = scenario(env)
@@ -176,28 +177,45 @@ def play_episodes(
         on_episode: called with each episode at its end, to show progress.
     """
     options = options or [{}] * len(seeds)
-    if not (isinstance(player, Agent) and _is_native(scenario, env)):
+    chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
+    vectors = []
+    if isinstance(player, Agent) and not (env.spec and env.spec.additional_wrappers):
+        control = read_attribute(env, "control")
+        vectors = [_vector_environment(scenario, len(seeds[one]), control) for one in chunks]
+    if not all(vectors):
         return run_episodes(player, env, seeds, on_episode, options)
     alone = run_episodes(player, env, seeds[:timed], options=options[:timed])
     anew = agent.factory(env)  # one that draws random numbers begins with the same
     together: list[Episode] = []
-    for first in range(0, len(seeds), TOGETHER):
-        some = slice(first, first + TOGETHER)
-        vector: Any = scenario.make_vec(len(seeds[some]), read_attribute(env, "control"))
-        with closing(vector):
-            together += run_episodes(anew, vector, seeds[some], on_episode, options[some])
+    for some, vector in zip(chunks, vectors):
+        together += run_episodes(anew, vector, seeds[some], on_episode, options[some])
     times = [replace(one, action_times=by.action_times) for one, by in zip(together, alone)]
     return (*times, *together[timed:])
 
 
-def _is_native(scenario: Scenario, env: gym.Env[Any, Any]) -> bool:
-    """Return whether a scenario has a vector environment of this package that equals `env`."""
-    if env.spec is not None and env.spec.additional_wrappers:
-        return False
-    vector = scenario.make_vec(1)
-    if vector is not None:
-        vector.close()
-    return isinstance(vector, MMCReachVectorEnv)
+_VECTORS: dict[str, MMCReachVectorEnv] = {}
+"""Vector environments of the scenario that was played last: the next agent resets them."""
+
+
+def _vector_environment(
+    scenario: Scenario, count: int, control: str | None
+) -> MMCReachVectorEnv | None:
+    """Return the vector environment of this package that equals the single one, if there is one."""
+    settings = str(scenario.settings)
+    key = f"{settings} {count} {control}"
+    if key not in _VECTORS:
+        if not all(known.startswith(settings) for known in _VECTORS):
+            _forget_vectors()
+        vector = scenario.make_vec(count, control)
+        if not isinstance(vector, MMCReachVectorEnv):
+            return None
+        _VECTORS[key] = vector
+    return _VECTORS[key]
+
+
+def _forget_vectors() -> None:
+    while _VECTORS:
+        _VECTORS.popitem()[1].close()
 
 
 # The ideal hand: a reference for all movements that follows minimum jerk, without an arm.

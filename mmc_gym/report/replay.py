@@ -8,12 +8,11 @@ both, and the distance is the cursor's, as it is in success and in all measures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from mmc_gym.envs import shapes
@@ -60,38 +59,46 @@ def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
         for instance in results.replayed_failures(agent, environment):
             failed.setdefault(instance, []).append(agent)
     instances = sorted(here["instance"].unique(), key=lambda one: (one not in failed, one))
+    instances = instances[: max(REPLAYED_INSTANCES, len(failed))]
+    here = here[here["instance"].isin(instances)].sort_values("step", kind="stable")
+    numbers = here.drop(columns=["agent", "environment"])
+    columns = {name: numbers[name].to_numpy(np.float64) for name in numbers}
+    lengths = results.environments[environment].segment_lengths
+    movements: dict[int, dict[str, Any]] = {}
+    targets: dict[int, NDArray[np.float64]] = {}
+    groups = here.groupby(["instance", "agent"], observed=True).indices
+    for (instance, agent), rows in groups.items():
+        seed = np.nan_to_num(columns["training_seed"][rows])
+        mine = rows[seed == seed.min()]
+        steps = {name: values[mine] for name, values in columns.items()}
+        movements.setdefault(instance, {})[agent] = _movement(steps, lengths)
+        own = _points(steps, "target")
+        if instance not in targets or len(own) > len(targets[instance]):
+            targets[instance] = own
     scenes = []
-    for instance in instances[: max(REPLAYED_INSTANCES, len(failed))]:
-        rows = here[here["instance"] == instance]
-        movements = {}
-        target: NDArray[np.float64] = np.zeros((0, 2))
-        for agent, mine in rows.groupby("agent", sort=False, observed=True):
-            seed = mine["training_seed"].fillna(0)
-            steps = mine[seed == seed.min()].sort_values("step")
-            lengths = results.environments[environment].segment_lengths
-            movements[str(agent)] = _movement(steps, lengths)
-            own = steps[["target_x", "target_y"]].to_numpy(np.float64)
-            target = own if len(own) > len(target) else target
-        moving = bool(np.ptp(target, axis=0).max() > 0)
-        shown = target if moving else target[:1]
+    for instance in instances:
+        target = targets[instance]
+        shown = target if np.ptp(target, axis=0).max() > 0 else target[:1]
+        there = movements[instance]
         scenes.append(
             {
                 "instance": int(instance) + 1,
                 "failed": failed.get(instance, []),
                 "target": [_compact(column) for column in shown.T],
-                "agents": {one: movements[one] for one in results.replayed if one in movements},
+                "agents": {agent: there[agent] for agent in results.replayed if agent in there},
             }
         )
     return scenes
 
 
-def _movement(steps: pd.DataFrame, given: Sequence[float]) -> dict[str, Any]:
-    hand, cursor, target = (
-        steps[[f"{name}_x", f"{name}_y"]].to_numpy(np.float64)
-        for name in ("hand", "cursor", "target")
-    )
-    names = [name for name in steps.columns if name.startswith("joint_angle_")]
-    angles = steps[names].to_numpy(np.float64)
+def _points(steps: Mapping[str, NDArray[np.float64]], name: str) -> NDArray[np.float64]:
+    return np.stack([steps[f"{name}_x"], steps[f"{name}_y"]], axis=-1)
+
+
+def _movement(steps: Mapping[str, NDArray[np.float64]], given: Sequence[float]) -> dict[str, Any]:
+    hand, cursor, target = (_points(steps, name) for name in ("hand", "cursor", "target"))
+    joints = [values for name, values in steps.items() if name.startswith("joint_angle_")]
+    angles = np.array(joints).reshape(-1, len(hand)).T
     angles = angles[:, ~np.isnan(angles).all(axis=0)]  # others may have arms of more segments
     distance = np.linalg.norm(cursor - target, axis=-1)
     movement: dict[str, Any] = {

@@ -19,7 +19,7 @@ from mmc_gym.agents import AGENTS, Knowledge, resolve
 from mmc_gym.agents.policy import PolicyCard
 from mmc_gym.agents.registry import REFERENCE, UNKNOWN, Kind
 from mmc_gym.benchmark.ranking import attempted_scores, rank_agents, ranked_scores
-from mmc_gym.benchmark.statistics import RESAMPLES, Bootstrap
+from mmc_gym.benchmark.statistics import COLUMNS, RESAMPLES, Bootstrap
 from mmc_gym.benchmark.store import (
     CellKey,
     Manifest,
@@ -173,7 +173,7 @@ class Results:
     @cached_property
     def replayed(self) -> tuple[str, ...]:
         """Agents that the replay shows: those in focus, then the best of the others."""
-        played = set(self.episodes["agent"])
+        played = set(self.episodes["agent"].unique())
         shown = [one for one in self.agents if one in played and one != REFERENCE]
         return tuple(shown[:REPLAYED_AGENTS])
 
@@ -201,20 +201,22 @@ class Results:
             for environment in self.replayed_scenarios
         ]
         paths = read_paths(self.store, keys)
-        if paths.empty:
-            return paths  # the report can do without
-        # Categories are quick to compare.
-        return _plain_seeds(paths).astype({"agent": "category", "environment": "category"})
+        return paths if paths.empty else _compact(paths)  # the report can do without
+
+    @cached_property
+    def _replayed_failures(self) -> dict[tuple[str, str], list[int]]:
+        """The instances of failures whose paths are kept, by agent and scenario."""
+        if self.paths.empty:
+            return {}
+        names = {"agent": str, "environment": str}
+        failed = self.episodes.loc[self.episodes["success"] == 0, COLUMNS].astype(names)
+        both = failed.merge(self.paths[COLUMNS].drop_duplicates().astype(names))
+        groups = both.groupby(["agent", "environment"])["instance"]
+        return {key: sorted(instances.tolist()) for key, instances in groups}
 
     def replayed_failures(self, agent: str, environment: str) -> list[int]:
-        """Return the instances of failures of an agent in focus that the replay shows."""
-        if self.paths.empty:
-            return []
-        here, kept = self.by_scenario[environment], self.paths
-        is_mine = (kept["agent"] == agent) & (kept["environment"] == environment)
-        mine = kept.loc[is_mine, ["agent", "training_seed", "instance"]].drop_duplicates()
-        failed = here[here["success"] == 0].merge(mine.astype({"agent": str}))
-        return sorted(failed["instance"].tolist())[:REPLAYED_INSTANCES]
+        """Return the instances of failures of an agent that the replay shows."""
+        return self._replayed_failures.get((agent, environment), [])[:REPLAYED_INSTANCES]
 
     @cached_property
     def successes(self) -> dict[str, tuple[Bootstrap, dict[str, Floats]]]:
@@ -333,11 +335,11 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
     measures = measures_of(manifest.measures)
     shown = [one.name for one in measures.values() if one.shown]
     played = read_episodes(store, [*shown, *_USED])
-    episodes = leave_out_failures(_plain_seeds(played), measures.values())
+    episodes = leave_out_failures(_compact(played), measures.values())
     names = dict.fromkeys([*manifest.agents, *map(str, episodes["agent"].unique())])
     identities = {agent: identify(manifest.agents.get(agent, ())) for agent in names}
     chosen = _focus(identities, [focus] if isinstance(focus, str) else focus)
-    ranking, present = pd.DataFrame(), set(episodes["environment"])
+    ranking, present = pd.DataFrame(), set(episodes["environment"].unique())
     with suppress(UserError):  # no scenario was attempted by all
         lost = [one.key for one in manifest.not_played]
         ranking = rank_agents(episodes, lost, baseline=chosen[0], resamples=resamples)
@@ -357,7 +359,7 @@ def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] =
             if one.shown and name in episodes and episodes[name].notna().any()
         ),
         set_measures=set_measures_of(manifest.set_measures),
-        sets=_plain_seeds(read_sets(store)),
+        sets=read_sets(store),
         ranking=ranking,
         resamples=min(resamples, SCORE_RESAMPLES),
         ranking_resamples=resamples,
@@ -379,6 +381,7 @@ def _environment(settings: Mapping[str, Any]) -> Environment:
     return Environment(**{name: settings[name] for name in names if settings[name] is not None})
 
 
-def _plain_seeds(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return training seeds as plain numbers, NaN where nothing was trained."""
-    return frame.assign(training_seed=frame["training_seed"].astype(np.float64))
+def _compact(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return names as categories, quick to compare, and training seeds as numbers (NaN if none)."""
+    plain = {"agent": "category", "environment": "category", "training_seed": np.float64}
+    return frame.astype(plain)

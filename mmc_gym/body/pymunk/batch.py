@@ -83,10 +83,11 @@ class ArmGroup:
                 self._yields[:] = [linkage.yields(substep) for linkage in self.linkages]
             if effort:
                 after = self._joint_velocities()
-                given = [*map(chipmunk.cpConstraintGetImpulse, self._servos)]
+                given = map(chipmunk.cpConstraintGetImpulse, self._servos)
+                now = np.fromiter(given, np.float64, len(self._servos)).reshape(self._shape)
                 impulses, work = effort
-                impulses += np.reshape(given, self._shape)
-                work += np.reshape(given, self._shape) * np.abs(before + after) / 2
+                impulses += now
+                work += now * np.abs(before + after) / 2
                 before = after
 
     def _joint_velocities(self) -> Floats:
