@@ -53,15 +53,14 @@ _INSTANCES, _POLICIES, _EPISODES = 0, 1, 2  # streams of random numbers
 _BATCH, _COLUMNS = 250, 1_000  # resamples, or columns, at once: bound the memory
 
 PooledStatistic: TypeAlias = Statistic | Literal["iqm"]
-"""Mean, median or interquartile mean of all episodes of an agent."""
+"""Mean or interquartile mean of all episodes of an agent; or their median in one environment."""
 
 
-# Both take sorted values (k,) and their weights in R resamples, (R, k), and return (R,).
 def weighted_iqm(values: Floats, weights: Floats) -> Floats:
     """Return the interquartile mean, the mean of the middle half of the weight.
 
     Values at the quartiles count in part.  It is nearly as robust as the median and nearly as
-    precise as the mean.
+    precise as the mean.  From sorted values (k,) and their weights in R resamples, (R, k): (R,).
 
     Example:
         >>> weighted_iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]), np.ones((1, 8)))
@@ -77,20 +76,6 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
         mean = parts @ values / (0.5 * whole[:, 0])
     clipped: Floats = np.clip(mean, values[0], values[-1])  # rounding may leave the range
     return clipped
-
-
-def weighted_median(values: Floats, weights: Floats) -> Floats:
-    """Return the median; the mean of two values where the weights split evenly between them."""
-    if values.size == 0:
-        return np.full(len(weights), np.nan)
-    total = np.cumsum(weights, axis=-1)
-    half = total[:, -1:] / 2
-    slack = 1e-9 * half  # weights are multiples of 1 / number of instances
-    last = values.size - 1
-    low = np.minimum((total < half - slack).sum(axis=-1), last)
-    high = np.minimum((total <= half + slack).sum(axis=-1), last)
-    middle: Floats = (values[low] + values[high]) / 2
-    return np.where(half[:, 0] > 0, middle, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,10 +273,11 @@ class Bootstrap:
                 weight += _weighted_sums(shares, policies, known.sum(axis=0))[:, 0]
             with np.errstate(invalid="ignore"):
                 return np.asarray(total / weight)
-        if statistic == "median" and len(tables) == 1:
-            number, shape = list(self.scores.values).index(agent), tables[0].shape
-            counts = _episode_counts(self._seed, number, shape, len(policies) - 1)
-            return _median_of_counts(tables[0], counts)
+        if statistic == "median":
+            (table,) = tables
+            number = list(self.scores.values).index(agent)
+            counts = _episode_counts(self._seed, number, table.shape, len(policies) - 1)
+            return _median_of_counts(table, counts)
         values = np.concatenate([table.ravel() for table in tables])
         is_known = ~np.isnan(values)
         distinct, place = np.unique(values[is_known], return_inverse=True)
@@ -303,14 +289,13 @@ class Bootstrap:
         times = coo_array(
             (np.ones(len(place)), (place, drawn)), shape=(len(distinct), sizes.sum())
         ).tocsr()
-        weighted = weighted_median if statistic == "median" else weighted_iqm
         found = []
         for begin in range(0, len(policies), _BATCH):
             rows = slice(begin, begin + _BATCH)
             of_policies = policies[rows].T[:, None]
             each = [of_policies * shares[rows].T for shares in shared.values()]
             weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
-            found.append(weighted(distinct, np.ascontiguousarray(weights.T)))
+            found.append(weighted_iqm(distinct, np.ascontiguousarray(weights.T)))
         return np.concatenate(found)
 
     def estimates(self, statistic: PooledStatistic) -> dict[str, Estimate]:
@@ -359,10 +344,10 @@ def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) ->
 
 
 def _median_of_counts(table: Floats, counts: NDArray[np.signedinteger]) -> Floats:
-    """Return what `weighted_median` does, for one environment, where weights are whole numbers.
+    """Return the median in each resample, (R,): the mean of two values where these share it.
 
     Args:
-        table: values (policies, instances), NaN for none.
+        table: values of one environment, (policies, instances), NaN for none.
         counts: how often each is drawn, (R, policies · instances).
     """
     values = table.ravel()

@@ -182,7 +182,7 @@ def play_episodes(
     if isinstance(player, Agent) and not (env.spec and env.spec.additional_wrappers):
         control = read_attribute(env, "control")
         vectors = [_vector_environment(scenario, len(seeds[one]), control) for one in chunks]
-    if not all(vectors):
+    if not vectors or None in vectors:
         return run_episodes(player, env, seeds, on_episode, options)
     alone = run_episodes(player, env, seeds[:timed], options=options[:timed])
     anew = agent.factory(env)  # one that draws random numbers begins with the same
@@ -207,10 +207,11 @@ def _vector_environment(
         if not all(known.startswith(settings) for known in _VECTORS):
             _forget_vectors()
         vector = scenario.make_vec(count, control)
-        if not isinstance(vector, MMCReachVectorEnv):
-            return None
-        _VECTORS[key] = vector
-    return _VECTORS[key]
+        if isinstance(vector, MMCReachVectorEnv):
+            _VECTORS[key] = vector
+        elif vector is not None:
+            vector.close()
+    return _VECTORS.get(key)
 
 
 def _forget_vectors() -> None:

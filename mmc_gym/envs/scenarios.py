@@ -412,6 +412,7 @@ def find_task(value: object) -> Task:
         UserError: for an unknown name, or anything else.
     """
     if isinstance(value, Task):
+        value.check_hooks()
         return value
     if not isinstance(value, str) or value not in TASKS:
         raise unknown("task", value, TASKS, "a Task")

@@ -22,6 +22,7 @@ from mmc_gym._errors import (
     UserError,
     is_point,
     is_whole,
+    nearest,
     require,
     require_finite,
     require_not_negative,
@@ -94,6 +95,14 @@ class Task(ABC):
 
     def check(self, workspace: Workspace) -> None:  # noqa: B027  (most tasks suit all arms)
         """Raise a `UserError` if the arm cannot do the task."""
+
+    def check_hooks(self) -> None:
+        """Raise a `UserError` if the class seems to misspell `draw`, and changes nothing."""
+        own = vars(type(self))
+        found = nearest("draw", [name for name, one in own.items() if callable(one)])
+        hooks = {"start", "trial_count", "check", "draw"}
+        name = f"a method of {type(self).__name__}"
+        require(not found or bool(hooks & own.keys()), name, found, "draw(self, request)")
 
     @abstractmethod
     def draw(self, request: Request) -> Trial:
@@ -298,6 +307,9 @@ class Pursuit(Task):
             for multiples in (self.multiples_x, self.multiples_y)
         )
         path = np.stack([x, 0.5 + y], axis=-1) * workspace.outer
+        radii = np.hypot(*path.T)
+        if workspace.inner < radii.min() and radii.max() < workspace.outer:
+            return Trial(start, [(x, y) for x, y in path.tolist()])
         return Trial(start, [workspace.nearest(point) for point in path.tolist()])
 
     def _coordinate(

@@ -244,7 +244,8 @@ def _reset_together(env: Any, seeds: Sequence[int], options: Sequence[Options]) 
         mask = np.zeros(len(seeds), dtype=bool)
         mask[group] = True
         asked = {**options[group[0]], "reset_mask": mask}
-        observation, info = env.reset(seed=list(seeds), options=asked)
+        own = [seed if chosen else None for seed, chosen in zip(seeds, mask)]
+        observation, info = env.reset(seed=own, options=asked)
         for key in _SEEN.values():
             if key in info:
                 values = seen.setdefault(key, np.zeros(info[key].shape))

@@ -85,7 +85,7 @@ def count_peaks(speeds: ArrayLike) -> float:
         Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
         8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
     """
-    profile = np.pad(np.asarray(speeds, dtype=np.float64), 1)
+    profile = np.concatenate(([0.0], np.asarray(speeds, dtype=np.float64), [0.0]))
     peaks, _ = find_peaks(profile, prominence=PEAK_PROMINENCE * profile.max())
     return float(len(peaks))
 

@@ -27,6 +27,11 @@ from studies.paper.protocol import PAIRS, TARGETS
 STILL = np.zeros(3, np.float32)
 
 
+class Misspelt(RandomTarget):
+    def drawn(self, request):
+        return super().draw(request)
+
+
 def targets_of(env, steps, **reset):
     """Where the target is at reset and after each step, (steps + 1, 2)."""
     infos = [env.reset(**reset)[1], *(env.step(STILL)[4] for _ in range(steps))]
@@ -59,6 +64,7 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
         ("paper", {"joint_limits": ((-1.0, 1.0),) * 3}, "beyond the joint limits"),
         ("paper", {"perturbations": "obstacles"}, "one that the perturbed arm can do"),
         ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
+        (Misspelt(), {}, r"a method of Misspelt must be draw\(self, request\), got 'drawn'"),
         ("centre-in", {}, "task 'centre-in' is not accepted; did you mean 'centre-out'"),
     ],
 )

@@ -14,10 +14,11 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from itertools import repeat
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pymunk
+from numpy.typing import ArrayLike
 from pymunk._chipmunk_cffi import lib as chipmunk
 from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from typing_extensions import override
@@ -54,10 +55,11 @@ class ArmGroup:
         self._spaces = [make_space(parameters) for _ in self._pushes]
         by_arm = [space for space in self._spaces for _ in range(self._arms_per_space)]
         self.linkages = [Linkage(space, parameters, servo) for space in by_arm]
-        self._find_servos()
+        self._find_handles()
 
-    def _find_servos(self) -> None:
+    def _find_handles(self) -> None:
         self._servos = [servo for linkage in self.linkages for servo in linkage.servo_handles]
+        self._bodies = [body for linkage in self.linkages for body, _, _ in linkage.rods]
 
     def drive(self, settings: Floats, torques: Floats) -> None:
         """Set the servos: their phases or rates, and their largest torques, (count, N)."""
@@ -80,18 +82,31 @@ class ArmGroup:
             for space in self._spaces:
                 chipmunk.cpSpaceStep(space._space, substep)
             if self._field is not None:
-                self._yields[:] = [linkage.yields(substep) for linkage in self.linkages]
+                self._yields[:] = self._find_yields(substep)
             if effort:
                 after = self._joint_velocities()
-                given = map(chipmunk.cpConstraintGetImpulse, self._servos)
-                now = np.fromiter(given, np.float64, len(self._servos)).reshape(self._shape)
+                now = self._each(chipmunk.cpConstraintGetImpulse, self._servos)
                 impulses, work = effort
                 impulses += now
                 work += now * np.abs(before + after) / 2
                 before = after
 
+    def _find_yields(self, substep: float) -> ArrayLike:
+        """Return `Linkage.yields` of all arms, (count, N); without stops and locks all at once."""
+        if self._parameters.joint_limits is not None or self._parameters.lockable_joints:
+            return [linkage.yields(substep) for linkage in self.linkages]
+        give = self._each(chipmunk.cpConstraintGetImpulse, self._servos)
+        most = self._each(chipmunk.cpConstraintGetMaxForce, self._servos)
+        return give >= (1 - 1e-9) * most * substep
+
     def _joint_velocities(self) -> Floats:
+        if len(self._spaces) > 1:  # a call for each body is quicker than one for each Space
+            return _relative(self._each(chipmunk.cpBodyGetAngularVelocity, self._bodies))
         return _relative(self._get(BodyFields.ANGULAR_VELOCITY)[:, :, 0])
+
+    def _each(self, ask: Callable[[Any], float], handles: Sequence[Any]) -> Floats:
+        """Return what Chipmunk answers for the handle of each joint or segment, (count, N)."""
+        return np.fromiter(map(ask, handles), np.float64, len(handles)).reshape(self._shape)
 
     def _get(self, fields: BodyFields) -> Floats:
         """Return these fields of all segments, (count, N, values), valid until the next call."""
@@ -104,6 +119,10 @@ class ArmGroup:
 
     def read(self, angles: Floats, velocities: Floats) -> None:
         """Write the segments' angles and angular velocities to two arrays (count, N)."""
+        if len(self._spaces) > 1:
+            angles[:] = self._each(chipmunk.cpBodyGetAngle, self._bodies)
+            velocities[:] = self._each(chipmunk.cpBodyGetAngularVelocity, self._bodies)
+            return
         state = self._get(BodyFields.ANGLE | BodyFields.ANGULAR_VELOCITY)
         angles[:], velocities[:] = state[:, :, 0], state[:, :, 1]
 
@@ -130,7 +149,7 @@ class ArmGroup:
             for member in members:
                 self._spaces[member] = space = make_space(self._parameters)
                 self.linkages[member] = Linkage(space, self._parameters, self._servo)
-            self._find_servos()
+            self._find_handles()
             linkages = [self.linkages[member] for member in members]
         elif len(linkages) == len(self.linkages):
             forget_impulses(self._spaces[0], linkages, substep)
