@@ -271,7 +271,7 @@ class Comparison:
             seeds={label: len(table) for label, table in tables.items()},
         )
         if not both.any():
-            return Estimate(math.nan, math.nan, math.nan, (), 0, 1)
+            return Estimate(math.nan, math.nan, math.nan)
         return Bootstrap(scores, seed=self.seed).difference(agent, other, measure.statistic)
 
     @property

@@ -74,20 +74,20 @@ def rank_agents(
     rows = []
     for agent in success.scores.values:
         found = success.estimate(agent, "mean")
-        improvement = Estimate(math.nan, math.nan, math.nan, (), 0, 0)
+        improvement = Estimate(math.nan, math.nan, math.nan)
         if baseline in success.scores.values:
             two = [name for name in settled.scores.values if name in (agent, baseline)]
             pair = replace(settled.scores, values={one: settled.scores.values[one] for one in two})
             improvement = Bootstrap(pair, resamples, seed).improvement(agent, baseline)
         row = {
             "agent": agent,
-            **_columns("success", replace(found, estimate=float(exact[agent]))),
+            **_columns("success", found._replace(estimate=float(exact[agent]))),
             **_columns("settled", settled.estimate(agent)),
             **_columns("improvement", improvement),
             "time_to_target": float(times[agent]),
-            "training_seeds": found.seeds[0],
-            "environments": found.environments,
-            "instances": found.instances,
+            "training_seeds": success.scores.seeds[agent],
+            "environments": len(success.scores.instances),
+            "instances": sum(success.scores.instances),
             "not_played": lost[agent],
         }
         rows.append(row)

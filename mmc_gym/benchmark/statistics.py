@@ -34,7 +34,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -164,24 +164,17 @@ def _episode_counts(
     return counts.reshape(resamples + 1, -1).astype(np.int16 if small else np.int32)
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A statistic over training seeds and instances, with its 95 % interval.
-
-    Attributes:
-        seeds: number of training seeds of the agent, or of each of two; 0 without training.
-        instances: number of instances in all environments, the same for all agents.
-        environments: number of environments.
-        missing: number of episodes without a score (NaN), of one agent or of both.
-    """
+class Estimate(NamedTuple):
+    """A statistic over training seeds and instances, with its 95 % interval."""
 
     estimate: float
     low: float
     high: float
-    seeds: tuple[int, ...]
-    instances: int
-    environments: int
-    missing: int = 0
+
+    @classmethod
+    def of(cls, distribution: Floats) -> Estimate:
+        """Return the estimate of a statistic in the data, then in each resample, (R + 1,)."""
+        return cls(float(distribution[0]), *percentile_interval(distribution[1:]))
 
 
 class Bootstrap:
@@ -215,20 +208,19 @@ class Bootstrap:
         Example:
             >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
             >>> frame = pd.DataFrame({**of, "instance": range(4), "value": [0.0, 1.0, 2.0, 3.0]})
-            >>> found = Bootstrap.of(frame).estimate("network")
-            >>> found.estimate, found.seeds, found.instances
-            (1.5, (0,), 4)
+            >>> Bootstrap.of(frame).estimate("network").estimate
+            1.5
         """
         return cls(arrange(frame, [value])[value], resamples, seed)
 
     def estimate(self, agent: str, statistic: PooledStatistic = "iqm") -> Estimate:
         """Estimate a statistic of an agent over its training seeds and all instances."""
-        return self.summarize(self.distribution(agent, statistic), agent)
+        return Estimate.of(self.distribution(agent, statistic))
 
     def difference(self, agent: str, other: str, statistic: PooledStatistic = "mean") -> Estimate:
         """Estimate the statistic of one agent less that of another, on the same instances."""
         one, less = (self.distribution(name, statistic) for name in (agent, other))
-        return self.summarize(one - less, agent, other)
+        return Estimate.of(one - less)
 
     def improvement(self, agent: str, other: str) -> Estimate:
         """Estimate the probability that a policy of `agent` scores higher than one of `other`.
@@ -250,7 +242,7 @@ class Bootstrap:
                 sums = [_weighted_sums(draws, pairs, table) for table in (wins, compared)]
                 with np.errstate(invalid="ignore"):
                     total += (sums[0] / sums[1]).sum(axis=1)
-        return self.summarize(total / len(self.instances), agent, other)
+        return Estimate.of(total / len(self.instances))
 
     def _sharing(self, *agents: str) -> Iterator[Sequence[Floats]]:
         """Yield each draw of instances, and of each agent the tables whose environments share it.
@@ -297,36 +289,6 @@ class Bootstrap:
             weights = times @ np.concatenate([one.reshape(-1, one.shape[-1]) for one in each])
             found.append(weighted_iqm(distinct, np.ascontiguousarray(weights.T)))
         return np.concatenate(found)
-
-    def estimates(self, statistic: PooledStatistic) -> dict[str, Estimate]:
-        """Estimate a statistic of all agents, as `estimate` does of one."""
-        found = {agent: self.distribution(agent, statistic) for agent in self.scores.values}
-        table = np.array(list(found.values()))
-        ends = np.quantile(table[:, 1:], TAILS, axis=1).T.tolist()  # NaN if there is one
-        return {
-            agent: self.summarize(one, agent, ends=None if math.isnan(low) else (low, high))
-            for (agent, one), (low, high) in zip(found.items(), ends, strict=True)
-        }
-
-    def summarize(
-        self, distribution: Floats, *agents: str, ends: tuple[float, float] | None = None
-    ) -> Estimate:
-        """Return the `Estimate` of a distribution, of one agent or of the difference of two.
-
-        The `ends` of the interval may be known.
-        """
-        return Estimate(
-            float(distribution[0]),
-            *(ends or percentile_interval(distribution[1:])),
-            seeds=tuple(self.scores.seeds[agent] for agent in agents),
-            instances=sum(self.scores.instances),
-            environments=len(self.scores.instances),
-            missing=sum(
-                int(np.isnan(table).sum())
-                for agent in dict.fromkeys(agents)
-                for table in self.scores.values[agent]
-            ),
-        )
 
 
 def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) -> Floats:
@@ -496,6 +458,8 @@ def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0
 
 def percentile_interval(resampled: Floats) -> tuple[float, float]:
     """Return the ends of the 95 % percentile interval; resamples with NaN are left out."""
-    present, _ = _present(resampled)
-    low, high = np.quantile(present, TAILS).tolist() if present.size else (math.nan, math.nan)
+    present = np.sort(resampled[~np.isnan(resampled)])
+    if not present.size:
+        return math.nan, math.nan
+    low, high = np.interp(TAILS, np.linspace(0, 1, present.size), present).tolist()
     return low, high

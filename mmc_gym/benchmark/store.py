@@ -351,7 +351,7 @@ def read_sets(folder: Path | str) -> pd.DataFrame:
 
 
 def _files(folder: Path, kind: str) -> list[Path]:
-    return sorted((folder / kind).glob("[!.]*.parquet"))
+    return sorted((folder / kind).glob("[!.]*.parquet"), key=lambda path: path.name)
 
 
 def _joined(found: Iterable[pa.Table]) -> pd.DataFrame:

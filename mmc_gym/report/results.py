@@ -219,7 +219,7 @@ class Results:
         return self._replayed_failures.get((agent, environment), [])[:REPLAYED_INSTANCES]
 
     @cached_property
-    def successes(self) -> dict[str, tuple[Bootstrap, dict[str, Floats]]]:
+    def successes(self) -> dict[str, dict[str, Floats]]:
         """For `ALL` and each scenario, the resampled success of each agent that attempted it."""
         scores = attempted_scores(self.episodes, [one.key for one in self.manifest.not_played])
         frames = {str(name): rows for name, rows in scores.groupby("environment", sort=False)}
@@ -231,11 +231,10 @@ class Results:
                 # As many as the ranking has, so that both say the same.
                 resamples = self.ranking_resamples if name == ALL else self.resamples
                 bootstrap = Bootstrap.of(frames[name], "success", resamples)
-                agents = bootstrap.scores.values
-                found[name] = (
-                    bootstrap,
-                    {agent: bootstrap.distribution(agent, "mean").round(12) for agent in agents},
-                )
+                found[name] = {
+                    agent: bootstrap.distribution(agent, "mean").round(12)
+                    for agent in bootstrap.scores.values
+                }
         return found
 
     @property

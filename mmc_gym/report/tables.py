@@ -12,7 +12,7 @@ import pandas as pd
 from mmc_gym._console import interval, number
 from mmc_gym.agents.registry import REFERENCE
 from mmc_gym.benchmark.adaptation import PEOPLE
-from mmc_gym.benchmark.statistics import Bootstrap, Scores, arrange
+from mmc_gym.benchmark.statistics import Bootstrap, Estimate, Scores, arrange
 from mmc_gym.benchmark.trials import ExperimentResult
 from mmc_gym.measures import MEASURES, Measure, SetMeasure
 from mmc_gym.measures.catalogue import people, span
@@ -129,15 +129,15 @@ def scenario_table(results: Results, agent: str) -> Table:
     """Return the success of an agent in each scenario, and of the others with the difference."""
     others = [one for one in results.agents if one not in (agent, REFERENCE)]
     rows, family = [], ""
-    for name, (bootstrap, found) in results.successes.items():
+    for name, found in results.successes.items():
         if agent in found:
             environment = results.environments.get(name)
             begins = environment is not None and environment.family != family
             family = environment.family if environment else family
-            mine = bootstrap.summarize(found[agent], agent)
+            mine = Estimate.of(found[agent])
             text = _SUCCESS.number(mine.estimate)
             own = TableCell(text, _notes(_SUCCESS.interval(mine.low, mine.high)), look="mine")
-            cells = [own, *(_compared(bootstrap, found, agent, other) for other in others)]
+            cells = [own, *(_compared(found, agent, other) for other in others)]
             look = "all" if environment is None else "begins" if begins else ""
             rows.append(TableRow(name, tuple(cells), look=look))
     against = (
@@ -156,12 +156,10 @@ def scenario_table(results: Results, agent: str) -> Table:
     )
 
 
-def _compared(
-    bootstrap: Bootstrap, found: Mapping[str, Floats], agent: str, other: str
-) -> TableCell:
+def _compared(found: Mapping[str, Floats], agent: str, other: str) -> TableCell:
     if other not in found:
         return TableCell("·")
-    less = bootstrap.summarize(found[agent] - found[other], agent, other)
+    less = Estimate.of(found[agent] - found[other])
     ends = [100 * end for end in (less.estimate, less.low, less.high)]
     middle, low, high = map(_signed, ends)
     look = "better" if less.low > 0 else "worse" if less.high < 0 else ""
@@ -261,7 +259,8 @@ def _column(results: Results, bootstrap: Bootstrap, measure: Measure) -> dict[st
     An agent can be the best only if enough of its episodes have a value.  Otherwise one that hardly
     ever arrives could win with a few short movements.
     """
-    found = bootstrap.estimates(measure.statistic)
+    agents = bootstrap.scores.values
+    found = {agent: bootstrap.estimate(agent, measure.statistic) for agent in agents}
     present = _present(bootstrap.scores)
     values = {agent: measure.number(one.estimate) for agent, one in found.items()}
     racing = [

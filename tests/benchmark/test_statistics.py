@@ -44,8 +44,6 @@ def test_the_median_of_one_environment_is_that_of_its_resamples(shape, lacking):
     samples = [np.repeat(table[~np.isnan(table)], row) for row in times]
     expected = [np.median(sample) if sample.size else np.nan for sample in samples]
     np.testing.assert_array_equal(bootstrap.distribution("a", "median"), expected)
-    together = bootstrap.estimates("median")["a"]
-    assert repr(together) == repr(bootstrap.estimate("a", "median"))  # NaN equals NaN, too
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 13])
@@ -134,14 +132,13 @@ def test_environments_share_the_draw_of_as_many_instances_and_count_equally():
     assert other.shape == (21, 8)
     small, large = rows("a", np.zeros((2, 10)), "small"), rows("a", np.ones((2, 1000)), "large")
     found = estimate(small, large, resamples=50)  # and environments count equally
-    assert (found.estimate, found.environments, found.instances) == (pytest.approx(0.5), 2, 1010)
+    assert found.estimate == pytest.approx(0.5)
 
 
 def test_an_agent_without_training_is_resampled_over_instances_alone():
     values = np.random.default_rng(3).normal(size=(1, 400))
     untrained = rows("a", values, seeds=[None])
     found = estimate(untrained)
-    assert found.seeds == (0,) and found.instances == 400
     iqm = estimate(untrained, statistic="iqm").estimate
     assert iqm == pytest.approx(trim_mean(values.ravel(), 0.25))
     assert width(found) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
@@ -157,7 +154,6 @@ def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
     alone = {agent: bootstrap.estimate(agent, "mean") for agent in "ab"}
     assert difference.estimate == pytest.approx(alone["a"].estimate - alone["b"].estimate, abs=1e-9)
     assert difference.low > 0.45 and width(difference) < 0.05 * width(alone["a"])
-    assert difference.seeds == (5, 5)
     other_way = bootstrap.difference("b", "a")
     assert other_way.estimate == pytest.approx(-difference.estimate)
     assert bootstrap.difference("a", "a", "iqm").estimate == 0
@@ -184,9 +180,7 @@ def test_the_probability_of_improvement_of_shifted_normal_scores_is_that_of_the_
 def test_missing_scores_are_left_out_of_comparisons():
     bootstrap = both([2.0, math.nan, 2.0], [1.0, 1.0, math.nan])
     assert bootstrap.improvement("a", "b").estimate == 1.0
-    found = bootstrap.estimate("a")
-    assert (found.estimate, found.missing) == (pytest.approx(2.0), 1)
-    assert bootstrap.difference("a", "b").missing == 2
+    assert bootstrap.estimate("a").estimate == pytest.approx(2.0)
     equal = both([1.0, 1.0, 2.0, 3.0], [1.0] * 4)
     assert equal.improvement("a", "b").estimate == 0.75  # equal scores count half
 
