@@ -19,13 +19,13 @@ from mmc_gym.benchmark.experiment import Block, Experiment
 
 hands = {}
 for degrees in (3.75, 7.5, 15.0):
-    phases = Block("baseline", 8), Block("clamp", 40, (f"clamp-{degrees:g}",)), Block("washout", 16)
+    phases = Block("baseline", 8), Block("clamp", 24, (f"clamp-{degrees:g}",)), Block("washout", 8)
     result = mmc_gym.run_experiment(Experiment("short-clamp", phases), ["mmc-body"], 2, jobs=1)
     ways = (result.hands[:, 10] - result.hands[:, 0]) @ (1, 1j)
     towards = np.exp(1j * np.radians(result.trials["target_angle"].to_numpy()))
     turns = -np.degrees(np.angle(ways / towards))
     hands[degrees] = turns.reshape(2, -1).mean(axis=0)
-    print(f"clamp of {degrees:g}°: hands turned by {hands[degrees][40:48].mean():.0f}°")
+    print(f"clamp of {degrees:g}°: hands turned by {hands[degrees][24:32].mean():.0f}°")
 
 # %%
 # The hands turn away from the cursor, and come back in the washout.
@@ -33,7 +33,7 @@ for degrees in (3.75, 7.5, 15.0):
 figure, axes = plt.subplots(figsize=(6, 3.4), layout="constrained")
 for degrees, turns in hands.items():
     axes.plot(turns, label=f"{degrees:g}°")
-for begin in (7.5, 47.5):
+for begin in (7.5, 31.5):
     axes.axvline(begin, color="0.7", linewidth=0.8)
 axes.set(xlabel="trial", ylabel="hand, away from the cursor [°]")
 axes.legend(title="error clamp")

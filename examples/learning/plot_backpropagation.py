@@ -16,7 +16,7 @@ from mmc_gym.network import MMCNetwork
 from mmc_gym.network.differentiable import TorchNetwork
 
 torch.set_num_threads(1)
-layout, STEPS = ObservationLayout(joint_count=3, reach=3.0), 400
+layout, STEPS = ObservationLayout(joint_count=3, reach=3.0), 300
 SEEN = [1, 2, 4, 5, *range(9, 15)]  # of an observation: no speeds, nor the first joint's angle
 plt.figure(figsize=(8, 4), layout="constrained")
 for spread, lines in ((0, ("--", ":")), (0.2, ("-", "-."))):

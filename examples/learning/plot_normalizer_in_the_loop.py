@@ -31,8 +31,8 @@ learned = {name: train_normalizers((8,), one)[0].normalizer for name, one in rec
 
 network = TorchNetwork(MMCNetwork(damping=4, normalizer=learned["60 epochs"]))
 optimizer = torch.optim.Adam(network.parameters(), lr=0.03)
-schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
-for _ in range(300):
+schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 200)
+for _ in range(200):
     starts, others = np.pi * (2 * torch.rand(2, 256, 3) - 1)
     target = network.state_from_joint_angles(others).end_effector
     with torch.no_grad():

@@ -178,7 +178,7 @@ def play_episodes(
     """
     options = options or [{}] * len(seeds)
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
-    vectors = []
+    vectors: list[Any] = []
     if isinstance(player, Agent) and not (env.spec and env.spec.additional_wrappers):
         control = read_attribute(env, "control")
         vectors = [_vector_environment(scenario, len(seeds[one]), control) for one in chunks]

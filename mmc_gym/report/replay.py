@@ -62,11 +62,11 @@ def _scenes(results: Results, environment: str) -> list[dict[str, Any]]:
     instances = instances[: max(REPLAYED_INSTANCES, len(failed))]
     here = here[here["instance"].isin(instances)].sort_values("step", kind="stable")
     numbers = here.drop(columns=["agent", "environment"])
-    columns = {name: numbers[name].to_numpy(np.float64) for name in numbers}
+    columns = {str(name): numbers[name].to_numpy(np.float64) for name in numbers}
     lengths = results.environments[environment].segment_lengths
     movements: dict[int, dict[str, Any]] = {}
     targets: dict[int, NDArray[np.float64]] = {}
-    groups = here.groupby(["instance", "agent"], observed=True).indices
+    groups: Any = here.groupby(["instance", "agent"], observed=True).indices
     for (instance, agent), rows in groups.items():
         seed = np.nan_to_num(columns["training_seed"][rows])
         mine = rows[seed == seed.min()]

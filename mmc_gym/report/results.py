@@ -211,7 +211,7 @@ class Results:
         names = {"agent": str, "environment": str}
         failed = self.episodes.loc[self.episodes["success"] == 0, COLUMNS].astype(names)
         both = failed.merge(self.paths[COLUMNS].drop_duplicates().astype(names))
-        groups = both.groupby(["agent", "environment"])["instance"]
+        groups: Any = both.groupby(["agent", "environment"])["instance"]
         return {key: sorted(instances.tolist()) for key, instances in groups}
 
     def replayed_failures(self, agent: str, environment: str) -> list[int]:
@@ -382,5 +382,5 @@ def _environment(settings: Mapping[str, Any]) -> Environment:
 
 def _compact(frame: pd.DataFrame) -> pd.DataFrame:
     """Return names as categories, quick to compare, and training seeds as numbers (NaN if none)."""
-    plain = {"agent": "category", "environment": "category", "training_seed": np.float64}
-    return frame.astype(plain)
+    names = frame.astype({"agent": "category", "environment": "category"})
+    return names.assign(training_seed=frame["training_seed"].astype(np.float64))
