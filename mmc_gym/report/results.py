@@ -104,18 +104,14 @@ class Environment:
 
     Attributes:
         family: of the perturbation; empty without one.
-        strength: of the perturbation, in `unit`; NaN without one.
         kwargs: arguments that made it.
         control_step: seconds.
         segment_lengths: of the arm that agents are given.
         tolerance: distance from the target that counts as success, segment lengths.
     """
 
-    id: str = ""
     description: str = ""
     family: str = ""
-    strength: float = math.nan
-    unit: str = ""
     kwargs: Mapping[str, Any] = field(default_factory=dict)
     control_step: float = math.nan
     segment_lengths: tuple[float, ...] = ()

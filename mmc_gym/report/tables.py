@@ -105,13 +105,12 @@ def ranking_table(results: Results) -> Table | None:
 
 
 def _ranked(results: Results, row: Mapping[Hashable, Any], shares: Sequence[str]) -> TableRow:
-    share = MEASURES["success"]
     cells = (
         TableCell(str(row["rank"])),
         *(
             TableCell(
-                share.number(row[name]),
-                _notes(share.interval(row[f"{name}_low"], row[f"{name}_high"])),
+                _SUCCESS.number(row[name]),
+                _notes(_SUCCESS.interval(row[f"{name}_low"], row[f"{name}_high"])),
             )
             for name in shares
         ),
