@@ -28,11 +28,11 @@ def complete(folder):
     return [(trial.params, trial.value) for trial in found]
 
 
+@pytest.mark.slow
 def test_tuning_in_parts_and_interrupted_gives_the_same_as_at_once(tmp_path, monkeypatch):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     tune("mmc", 12, STEPS, whole)  # the 11th and later trials are not random
-    seen: list[int] = []
-    calls = itertools.count()
+    seen, calls = [], itertools.count()
 
     def interrupt(*arguments):
         if next(calls) in (0, 11):
@@ -78,20 +78,6 @@ def test_the_first_trial_has_the_constants_in_use_which_are_those_of_the_agent(t
     assert evaluate(partial(tuning.make_network_agent, constants), *where) == expected
 
 
-@pytest.fixture
-def tried(monkeypatch):
-    """Constants of the trials of trainings, each judged better than the one before, untrained."""
-    tried: list[dict[str, object]] = []
-
-    def judge(recipe, constants, steps):
-        _ = recipe.with_changes(**constants, n_timesteps=steps).settings  # can be trained with
-        tried.append(constants)
-        return len(tried) / 100
-
-    monkeypatch.setattr(tuning, "judge_training", judge)
-    return tried
-
-
 @pytest.mark.parametrize(
     ("name", "keys", "in_use"),
     [
@@ -104,7 +90,16 @@ def tried(monkeypatch):
         ("tqc", "ent_coef: 0.2, tau: 0.5", {"ent_coef": 0.2, "tau": 0.5, "batch_size": 256}),
     ],
 )
-def test_your_own_file_is_tuned_around_what_it_has(name, keys, in_use, tmp_path, tried):
+def test_your_own_file_is_tuned_around_what_it_has(name, keys, in_use, tmp_path, monkeypatch):
+    """Each trial is judged better than the one before, untrained."""
+    tried = []
+
+    def judge(recipe, constants, steps):
+        _ = recipe.with_changes(**constants, n_timesteps=steps).settings  # can be trained with
+        tried.append(constants)
+        return len(tried)
+
+    monkeypatch.setattr(tuning, "judge_training", judge)
     path = tmp_path / f"{name}-x.yml"
     path.write_text(f"MMCReach-v0: {{n_timesteps: 9, policy: MlpPolicy, {keys}}}\n")
     result = tune(str(path), 2, 1_000, tmp_path / "out")
@@ -121,30 +116,16 @@ def test_a_training_is_tuned(tmp_path):
     assert set(result["best"]) >= {"learning_rate", "gamma", "batch_size", "ent_coef"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("mmc", 1, 0), "trials and steps must be at least 1, got 1 and 0"),
-        (("ik-dls", 1, 100), "name 'ik-dls' is not accepted"),
-    ],
-)
-def test_bad_input_is_an_error(arguments, message, tmp_path):
-    with pytest.raises(UserError, match=message):
-        tune(*arguments, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(("old", "new"), [(b"op_code", b"op_cove"), (b":", b"\xff"), (b"{", b"")])
-def test_a_damaged_journal_is_an_error_that_names_it(tmp_path, old, new):
-    tune("mmc", 1, STEPS, tmp_path)
-    journal = tmp_path / "mmc.journal"
-    journal.write_bytes(journal.read_bytes().replace(old, new, 1))
-    with pytest.raises(UserError, match=r"mmc\.journal is no journal of Optuna, or is damaged"):
-        tune("mmc", 2, STEPS, tmp_path)
-
-
-def test_the_command_prints_trials_and_the_result(tmp_path, capsys):
+def test_the_command_prints_trials_and_bad_input_or_a_damaged_journal_is_an_error(tmp_path, capsys):
+    with pytest.raises(UserError, match="trials and steps must be at least 1, got 1 and 0"):
+        tune("mmc", 1, 0, tmp_path)
     tuning.main("mmc", 1, STEPS, tmp_path)
     first, last = capsys.readouterr().out.splitlines()
     assert first.startswith("trial   0  time at target ")
     assert "'iterations_per_step': 3" in last and last.endswith("with the constants in use")
+    journal = tmp_path / "mmc.journal"
+    written = journal.read_bytes()
+    for old, new in ((b"op_code", b"op_cove"), (b":", b"\xff"), (b"{", b"")):
+        journal.write_bytes(written.replace(old, new, 1))
+        with pytest.raises(UserError, match=r"mmc\.journal is no journal of Optuna, or is damaged"):
+            tune("mmc", 2, STEPS, tmp_path)

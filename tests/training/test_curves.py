@@ -11,6 +11,7 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.policy import load_policy, save_policy, shipped_file
 from mmc_gym.cli import main
 from mmc_gym.training.curves import curve_rows, draw_learning_curves, mean_curves, read_cards
+from studies.learners import trainings as study
 
 RISE = (0.2, 0.5, 0.96, 0.94, 0.99)  # of success, at 1,000, 2,000, … steps
 NETWORK, CARD = load_policy(shipped_file("ppo", 0))
@@ -43,17 +44,12 @@ def test_the_policies_that_ship_or_those_of_a_folder_or_of_folders_in_it_are_rea
     assert list(read_cards(str(tmp_path / "ppo-2"))) == ["ppo"]
 
 
-@pytest.mark.parametrize(
-    ("change", "different"),
-    [
-        ({"hyperparameters": {**CARD.hyperparameters, "gamma": 0.8}}, "gamma"),
-        ({"env_id": "MMCReachGoal-v0"}, "environment"),
-    ],
-)
-def test_different_trainings_under_one_name_are_an_error(tmp_path, change, different):
-    write(tmp_path, training(seed=0), training(seed=1), training(seed=4, **change))
-    with pytest.raises(UserError, match=f"ppo-1 and ppo-4 in .* differ in {different}$"):
-        read_cards(tmp_path)
+def test_different_trainings_under_one_name_are_an_error(tmp_path):
+    other = {"hyperparameters": {**CARD.hyperparameters, "gamma": 0.8}}
+    for change, different in ((other, "gamma"), ({"env_id": "other"}, "environment")):
+        write(tmp_path, training(seed=0), training(seed=1), training(seed=4, **change))
+        with pytest.raises(UserError, match=f"ppo-1 and ppo-4 in .* differ in {different}$"):
+            read_cards(tmp_path)
 
 
 def test_there_is_a_row_for_each_evaluation_of_each_training():
@@ -112,3 +108,36 @@ def test_the_command_draws_the_figure_writes_the_data_and_prints_where_curves_en
     assert ppo.split() == ["ppo", "3", "5,000", "0.990", *ppo.split()[-2:]]
     assert sac.split() == ["sac", "1", "2,000", "0.200"]
     assert "wrote out/curves.csv" in written
+
+
+def table_of(*cards):
+    """Return the rows of the study's table by measure."""
+    summary = study.summarize(study.trainings({"ppo": cards}))
+    return {row["measure"]: row for row in summary.to_dict("records")}
+
+
+def test_steps_and_minutes_to_a_level_are_the_median_over_seeds_and_may_be_later():
+    rises = [(1.0, 0.9, 1.0), (0.5, 1.0, 1.0), (0.5, 0.5, 1.0)]  # also where it is lost again
+    found = table_of(*(training(seed=seed, success=rise) for seed, rise in enumerate(rises)))
+    for measure in ("steps_to_95", "minutes_to_98"):
+        row = found[measure]
+        assert (row["estimate"], row["low"], row["high"]) == (2.0, 1.0, 3.0)
+    never = [training(seed=seed, success=(0.5, 0.5, 0.5)) for seed in range(3, 6)]
+    both = [training(seed=seed, success=rises[1]) for seed in range(2)]
+    for few, estimate in ((never[:1], 2.0), (never, np.nan)):
+        row = table_of(*both, *few)["steps_to_95"]
+        assert row["estimate"] == pytest.approx(estimate, nan_ok=True)
+        assert (row["count"], row["missing"]) == (2, len(few))
+        assert np.isnan([row["low"], row["high"]]).all()
+
+
+def test_the_study_prints_and_writes_its_table(tmp_path, capsys, monkeypatch):
+    few = [training(seed=seed, success=(0.5, 1.0) if seed else (0.5, 0.5)) for seed in range(3)]
+    cards = {"ppo": few, "sac": [training(success=(0.5, 0.96), scores={"success": 0.96})]}
+    monkeypatch.setattr(study, "read_cards", lambda folder: cards)
+    study.main(out=tmp_path)
+    assert len(pd.read_csv(tmp_path / "trainings.csv")) == 4
+    table = pd.read_csv(tmp_path / "table.csv").set_index(["agent", "measure"])
+    assert table.loc[("sac", "steps_to_95"), "estimate"] == 2.0
+    printed = capsys.readouterr().out
+    assert "2 of 3" in printed and "0 of 1" in printed and "0.960" in printed
