@@ -1,6 +1,7 @@
 """Facts about an arm, whatever engine simulates it."""
 
 import copy
+import dataclasses
 import math
 import pickle
 
@@ -10,7 +11,63 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmc_gym._errors import UserError
-from mmc_gym.body import ArmParameters, make_arm, make_arms
+from mmc_gym.body import Arm, ArmParameters, make_arm, make_arms
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"segment_lengths": ()}, r"segment_lengths must be .* one or more, got \(\)"),
+        ({"segment_lengths": (1.0, -0.5)}, r"segment_lengths must be positive .*, got \(1.0, -0.5"),
+        ({"segment_masses": (1.0, 1.0)}, r"segment_masses must be 3 .* masses.* got \(1.0, 1.0\)"),
+        ({"speed_limit": 0.0}, "speed_limit must be positive and finite, got 0.0"),
+        ({"substeps": 0}, "substeps must be a whole number of at least 1, got 0"),
+        ({"gravity": 9.81}, r"gravity must be two finite values \(x, y\), got 9.81"),
+        ({"joint_limits": ((1.0, -1.0),) * 3}, "joint_limits must be 3 pairs low < high"),
+        ({"joint_limits": ((-4.0, 1.0),) * 3}, "joint_limits must be .* within -pi and pi"),
+        ({"drive_inertia": math.inf}, "drive_inertia must be finite and not negative, got inf"),
+        ({"force_field": ((1.0, 0.0),)}, "force_field must be two rows of two finite values"),
+        ({"obstacles": ((0.0, 1.0, 0.0),)}, "obstacles must be discs .*of positive radius"),
+        ({"lockable_joints": (3,)}, "lockable_joints must be .*different indices from 0 to 2"),
+        ({"substep": 5e-324}, "substep must be from 1e-09 to"),
+        ({"substep": 10**400}, "substep must be positive and finite"),
+        ({"substeps": 10**18}, "substeps must be at most 10000, got 1000000000"),
+        ({"hand_mass": 1e20}, r"hand_mass must be from 0 to 1e\+09, got 1e\+20"),
+        ({"segment_masses": (1.0, 1.0, 1e-300)}, "segment_masses must be .* masses from 1e-09 to"),
+        ({"gravity": (0.0, 1e300)}, "gravity must be at most"),
+        ({"segment_length": (1.0,)}, "'segment_length'; did you mean 'segment_lengths'"),
+    ],
+)
+def test_impossible_arms_are_refused(arguments, message):
+    with pytest.raises(UserError, match=message):
+        ArmParameters(**arguments)
+
+
+def test_parameters_are_floats_whatever_they_were_given_as():
+    parameters = ArmParameters(segment_lengths=np.array([2, 1]), segment_masses=[1, 2])
+    assert parameters.segment_lengths == (2.0, 1.0)
+    assert parameters.masses == (1.0, 2.0)
+    assert ArmParameters().masses == (1.0, 1.0, 1.0)
+    assert ArmParameters(torque_limit=400).torque_limit.hex() == (400.0).hex()
+    assert ArmParameters(substep=0.01, substeps=np.int64(3)).control_step == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("arm", "torque_limit"),
+    [
+        ({}, 500.0),
+        ({"drive_inertia": 0.0, "hand_mass": 3.0}, 500.0),
+        ({"segment_lengths": (1.0,) * 6}, 500.0 * 2**3),
+        ({"segment_lengths": (0.1,) * 3}, 500.0),
+        ({"segment_masses": (4.0,) * 3}, 500.0),
+        ({"segment_lengths": (1.0,) * 6, "torque_limit": 500}, 500.0),
+    ],
+)
+def test_servos_of_default_masses_are_as_much_stronger_as_the_arm_is_heavier(arm, torque_limit):
+    made = ArmParameters(**arm)
+    assert made.torque_limit == pytest.approx(torque_limit, rel=1e-12)
+    longer = dataclasses.replace(made, segment_lengths=(2.0, 1.0), segment_masses=None)
+    assert longer.torque_limit == made.torque_limit
 
 
 def arm_of(engine, servo="position", **parameters):
@@ -177,22 +234,42 @@ def test_a_locked_joint_is_rigid_until_the_next_reset(engine, slip, servo, play,
     assert abs(arm.joint_angles[1] - 0.7) > 0.1
 
 
-@pytest.mark.parametrize(
-    ("engine", "servo", "message"),
-    [
-        ("pymunk", "hydraulic", "servo 'hydraulic' is not accepted. It may be position, "),
-        ("bullet", "position", "engine 'bullet' is not accepted. It may be pymunk or analytic"),
-    ],
-)
-def test_unknown_engines_and_servos_are_refused(engine, servo, message):
-    with pytest.raises(UserError, match=message):
-        make_arm(engine, ArmParameters(), servo)
-    with pytest.raises(UserError, match=message):
-        make_arms(engine, ArmParameters(), 2, servo)
+def test_recording_the_effort_changes_no_movement_and_is_copied(play):
+    parameters = ArmParameters(force_field=((0.0, 3.0), (-3.0, 0.0)))
+    alone, recorded = Arm(parameters), Arm(parameters)
+    recorded.records_effort = True
+    assert play(recorded, "position", 0) == play(alone, "position", 0)
+    assert np.isnan([*alone.servo_impulses, *alone.servo_work]).all()  # it was not asked for
+    copied = copy.deepcopy(recorded)
+    assert copied.servo_work == recorded.servo_work
+    played = [play(arm, "position", 1) for arm in (copied, copy.deepcopy(alone), recorded)]
+    assert played[0] == played[1] == played[2]
+    assert copied.servo_work == recorded.servo_work and np.isfinite(copied.servo_work).all()
 
 
-def test_values_of_the_wrong_length_are_refused_and_leave_no_trace(engine, servo, play):
-    tried, untried = arm_of(engine, servo), arm_of(engine, servo)
+@pytest.mark.parametrize(("speed", "torque"), [(0.0, 2.0), (3.0, 5.0), (3.0, -5.0)])
+def test_a_torque_has_its_impulse_and_its_work_is_kinetic_energy_gained_or_lost(speed, torque):
+    arm = arm_of("pymunk", "torque", segment_lengths=(1.0,), drive_inertia=0.0)
+    arm.records_effort = True
+    arm.reset([0.0], [speed])
+    drive(arm, [torque], 1)
+    (reached,), inertia = arm.joint_velocities, 1 / 3
+    assert reached == pytest.approx(speed + torque / inertia * 0.02, rel=1e-3)
+    assert arm.servo_impulses[0] == pytest.approx(abs(torque) * 0.02)
+    energy = 0.5 * inertia * abs(reached**2 - speed**2)
+    assert arm.servo_work[0] == pytest.approx(energy, rel=0.01)
+
+
+def test_unknown_engines_and_servos_are_refused():
+    for make in (make_arm, make_arms):
+        with pytest.raises(UserError, match="servo 'hydraulic' is not accepted"):
+            make("pymunk", ArmParameters(), servo="hydraulic")
+        with pytest.raises(UserError, match="engine 'bullet' is not accepted"):
+            make("bullet", ArmParameters())
+
+
+def test_values_of_the_wrong_length_are_refused_and_leave_no_trace(engine, play):
+    tried, untried = arm_of(engine), arm_of(engine)
     for values in ([0.5, 0.5], [0.5] * 4):
         with pytest.raises(ValueError, match=r"command must be 3 values, got \[0\.5"):
             tried.command(values)
@@ -200,4 +277,4 @@ def test_values_of_the_wrong_length_are_refused_and_leave_no_trace(engine, servo
             tried.reset(values)
         with pytest.raises(ValueError, match=r"joint_velocities must be 3 values, got \[0\.5"):
             tried.reset([0.0] * 3, values)
-    assert play(tried, servo, seed=0) == play(untried, servo, seed=0)
+    assert play(tried, "position", seed=0) == play(untried, "position", seed=0)

@@ -9,6 +9,7 @@ import pytest
 
 from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters, PymunkArmBatch, make_arm, make_arms
+from mmc_gym.body.analytic.arms import AnalyticArmBatch
 from mmc_gym.body.pymunk import batch as batch_module
 
 ROUGH = {
@@ -27,8 +28,10 @@ def assert_equal(arms, singles):
     for index, single in singles.items():
         for name in ("segment_angles", "joint_angles", "joint_velocities"):
             assert getattr(arms, name)[index].tolist() == getattr(single, name)
-        for name in ("servo_impulses", "servo_work"):  # nan on the analytic engine
-            np.testing.assert_array_equal(getattr(arms, name)[index], getattr(single, name))
+        for name in ("servo_impulses", "servo_work"):
+            found = getattr(arms, name)[index]
+            np.testing.assert_array_equal(found, getattr(single, name))
+            assert np.isnan(found).all() == isinstance(arms, AnalyticArmBatch)  # it tells none
         assert arms.end_effectors[index].tolist() == list(single.end_effector)
 
 
@@ -128,13 +131,34 @@ def test_pymunk_arms_cannot_be_copied(copies):
         copies(PymunkArmBatch(count=2))
 
 
-@pytest.mark.parametrize("name", ["count", "threads"])
-@pytest.mark.parametrize("value", [0, -1, 1.5])
-def test_impossible_batches_are_refused(engine, name, value):
-    numbers = {"count": 2, "threads": 1, name: value}
-    message = f"{name} must be a whole number of at least 1, got {value}"
-    with pytest.raises(UserError, match=message):
-        make_arms(engine, ArmParameters(), numbers["count"], "position", numbers["threads"])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda arms: pickle.loads(pickle.dumps(arms))])
+def test_a_copy_of_analytic_arms_has_the_same_future(copied):
+    arms = AnalyticArmBatch(None, 520, threads=2)
+    arms.command(np.random.default_rng(0).uniform(-3, 3, (520, 3)))
+    arms.step()
+    other = copied(arms)
+    for each in (arms, other):
+        each.step()
+        each.close()
+    assert not np.shares_memory(arms.joint_angles, other.joint_angles)
+    np.testing.assert_array_equal(arms.segment_angles, other.segment_angles)
+    np.testing.assert_array_equal(arms.end_effectors, other.end_effectors)
+
+
+def test_angles_are_as_the_mathematical_library_has_them():
+    angles = np.concatenate([np.linspace(-7, 7, 1001), np.linspace(-1e5, 1e5, 1001)])
+    arms = AnalyticArmBatch(ArmParameters(segment_lengths=(1.0,)), len(angles))
+    arms.reset(angles[:, None])
+    expected = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    np.testing.assert_allclose(arms.end_effectors, expected, atol=3e-16)
+
+
+def test_impossible_batches_are_refused(engine):
+    for name, value in (("count", 0), ("count", 1.5), ("threads", 0)):
+        with pytest.raises(UserError, match=f"{name} must be a whole number of at least 1, got"):
+            make_arms(engine, ArmParameters(), **{"count": 2, "servo": "position", name: value})
+    with pytest.raises(UserError, match=r'obstacles must be empty .*engine="pymunk".* got \(\(1'):
+        AnalyticArmBatch(ArmParameters(obstacles=((1.0, 1.0, 0.1),)))
 
 
 def test_arrays_of_another_shape_and_unknown_arms_are_refused(engine):

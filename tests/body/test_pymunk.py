@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pickle
+import re
 import resource
 from pathlib import Path
 
@@ -109,7 +110,6 @@ def test_segments_pass_each_other_and_feel_no_obstacle_out_of_reach(servo, play)
 @pytest.mark.parametrize(
     ("lengths", "masses"),
     [
-        ((1.0,), None),
         ((1.0,) * 5, None),  # longer ones lack torque
         ((2.0, 1.0, 0.3), None),
         ((1.0, 1.0, 1.0), (0.1, 0.1, 3.0)),
@@ -185,11 +185,9 @@ def test_in_a_strong_field_arms_stay_closed_and_a_stronger_one_is_refused(case, 
     for make in (make_arm, make_arms):
         with pytest.raises(UserError, match=r"field must be at most .* in substeps of 0\.00"):
             make(engine, stronger)
-
-
-def test_a_field_that_pushes_arms_apart_is_refused(engine):
+    apart = ArmParameters(force_field=((15, 0), (0, 15)))
     with pytest.raises(UserError, match=r"force_field must be one that pushes .* by at most 1\.47"):
-        make_arm(engine, ArmParameters(force_field=((15, 0), (0, 15))))
+        make_arm(engine, apart)
 
 
 @pytest.mark.slow
@@ -219,13 +217,13 @@ def test_a_long_life_leaves_the_pivots_tight_and_the_memory_as_it_was(servo, res
 
 
 def test_resets_among_obstacles_leave_the_memory_as_it_was():
-    arm, before = Arm(ArmParameters(obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)))), 0.0
-    for episode in range(1000):
-        if episode == 300:
-            before = memory_in_use()
-        arm.reset([0.1, 0.2, 0.3])
-        arm.step()
-    assert memory_in_use() - before < 5
+    arm, used = Arm(ArmParameters(obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)))), []
+    for episodes in (300, 700):
+        for _ in range(episodes):
+            arm.reset([0.1, 0.2, 0.3])
+            arm.step()
+        used.append(memory_in_use())
+    assert used[1] - used[0] < 5
 
 
 SIX_DECADES = st.floats(-3, 3).map(lambda exponent: 10**exponent)
@@ -253,19 +251,15 @@ def any_arm(draw):
 @example(parameters=ArmParameters(segment_masses=(10.0, 1.0, 0.1)), seed=0)
 @example(parameters=ArmParameters(segment_masses=(0.1, 0.1, 3.0)), seed=0)
 @example(parameters=ArmParameters(hand_mass=20.0), seed=0)
+@example(parameters=ArmParameters(segment_masses=(1.0, 1.0, 1.0), hand_mass=1e4), seed=0)
 def test_an_arm_holds_together_or_is_refused(parameters, seed, servo, play, postures):
     try:
         arm = Arm(parameters, servo)
     except UserError as refusal:
-        assert "an arm that pymunk can hold together" in str(refusal)
+        assert re.search("an arm that pymunk can hold together: .* got .* times", str(refusal))
         return
+    assert parameters.hand_mass < 1e4
     arm.reset(postures(parameters, np.random.default_rng(seed), 1)[0].tolist())
     for _ in range(3):
         assert np.isfinite(play(arm, servo, seed, steps=3)).all()
         assert pivot_gap(arm) < 0.05 * sum(parameters.segment_lengths)
-
-
-def test_an_arm_with_too_heavy_a_hand_for_the_solver_is_refused():
-    message = "segment_masses and hand_mass must .* hold together: .* got .* times"
-    with pytest.raises(UserError, match=message):
-        Arm(ArmParameters(segment_masses=(1.0, 1.0, 1.0), hand_mass=1e4))

@@ -11,6 +11,8 @@ from mmc_gym._errors import UserError
 from mmc_gym.agents import make_agent
 from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import (
+    CursorJump,
+    ErrorClamp,
     ForceField,
     HandMass,
     JointNoise,
@@ -24,10 +26,9 @@ from mmc_gym.envs.perturbations import (
     VisuomotorRotation,
 )
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.scenarios import find_perturbation
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS, ReachInterface, Seen
-from mmc_gym.network.chain import node_positions, segments_from_joint_angles
+from mmc_gym.network.chain import node_positions, segments_from_joint_angles, wrap_angle
 
 DISC = Obstacles().discs[0]
 STILL = np.zeros(3, np.float32)
@@ -47,17 +48,6 @@ def movement(env, steps=100, **reset):
 
 def joint_angles(env):
     return np.array(env.arm.joint_angles)
-
-
-def centre_out(perturbations):
-    """The eight movements of centre-out."""
-    env = MMCReachEnv(task="centre-out", perturbations=perturbations)
-    return [movement(env, seed=0, options={"trial": trial}) for trial in range(8)]
-
-
-def turned(first, second):
-    """How far joint angles are apart, the short way round."""
-    return np.abs(np.remainder(first - second + math.pi, math.tau) - math.pi)
 
 
 def rough_actions(steps, seed):
@@ -125,8 +115,8 @@ def test_a_joint_locks_at_its_time_and_for_the_episode(name, step, engine):
     for seed in range(5):
         infos = movement(env, seed=seed, steps=40)
         angles = np.array([info["angles"] for info in infos])[:, 1]
-        assert turned(angles[step:], angles[step]).max() < 0.02
-        moved.append(turned(angles[: step + 1], angles[0]).max())
+        assert np.abs(wrap_angle(angles[step:] - angles[step])).max() < 0.02
+        moved.append(np.abs(wrap_angle(angles[: step + 1] - angles[0])).max())
     assert (max(moved) > 0.2) == (step > 0)
 
 
@@ -207,13 +197,18 @@ def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(name, st
 
 
 @pytest.mark.parametrize(
-    "rotation", [VisuomotorRotation(40.0), VisuomotorRotation(30.0, (0.0, 1.5))]
+    ("rotation", "task", "centre"),
+    [
+        (VisuomotorRotation(40.0), "random", 0j),
+        (VisuomotorRotation(30.0, (0.0, 1.5)), "random", 1.5j),
+        (VisuomotorRotation(30.0), "centre-out", 1.5j),  # where all movements start
+    ],
 )
-def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(rotation):
-    env = MMCReachEnv(perturbations=rotation, control_weight=0.0, precision_weight=0.0)
+def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(rotation, task, centre):
+    weights = {"control_weight": 0.0, "precision_weight": 0.0}
+    env = MMCReachEnv(task=task, perturbations=rotation, **weights)
     env.reset(seed=0)
     turn = np.exp(1j * math.radians(rotation.degrees))
-    centre = complex(*(rotation.centre or (0.0, 0.0)))
     for action in rough_actions(40, seed=0):
         observation, reward, _, _, info = env.step(action)
         cursor = turn * (complex(*info["end_effector"]) - centre) + centre
@@ -224,14 +219,40 @@ def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(rotation):
         limits = env.setup.layout.limits[11:13]
         expected = np.clip([offset.real, offset.imag], -limits, limits)
         np.testing.assert_allclose(observation[11:13], expected, atol=1e-6)
-        assert rotation.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
+        placed = VisuomotorRotation(rotation.degrees, (centre.real, centre.imag))
+        assert placed.hand(*info["cursor"]) == pytest.approx(tuple(info["end_effector"]))
 
 
-def test_who_knows_nothing_of_a_rotation_misses_by_it():
-    miss = 2 * 0.6 * math.sin(math.radians(15))
-    for infos in centre_out(["rotation-30"]):  # about the start
-        np.testing.assert_allclose(infos[0]["cursor"], infos[0]["end_effector"], atol=1e-9)
-        assert infos[-1]["distance"] == pytest.approx(miss, abs=0.01)
+def offsets(perturbation, trial):
+    """Offsets of hand and cursor from the start, and of the target, in a centre-out trial."""
+    env = MMCReachEnv(task="centre-out", perturbations=[perturbation])
+    infos = movement(env, 40, seed=0, options={"trial": trial})
+    hands, cursors = (np.array([one[name] for one in infos]) for name in ("end_effector", "cursor"))
+    return hands - hands[0], cursors - hands[0], infos[0]["target"] - hands[0]
+
+
+@pytest.mark.parametrize("trial", [0, 3])
+def test_a_clamped_cursor_keeps_its_direction_and_follows_the_hand_in_distance(trial):
+    hands, cursors, target = offsets("clamp-20", trial)
+    assert np.hypot(*cursors.T) == pytest.approx(np.hypot(*hands.T))
+    turns = (cursors @ (target[0] - 1j * target[1], target[1] + 1j * target[0]))[5:]
+    assert np.degrees(np.angle(turns)) == pytest.approx(20.0)
+
+
+def test_a_cursor_jumps_to_the_left_once_the_hand_has_made_a_share_of_the_way():
+    hands, cursors, target = offsets("cursor-jump-10", 3)
+    has_jumped = hands @ target >= 0.25 * target @ target
+    assert 0 < has_jumped.sum() < len(hands)
+    left = 0.1 * np.array([-target[1], target[0]])
+    np.testing.assert_allclose(cursors - hands, np.outer(has_jumped, left), atol=1e-9)
+
+
+def test_a_cursor_at_a_target_that_waits_at_the_start_stays_there():
+    assert ErrorClamp(15.0, (0.0, 1.0)).cursor(1.0, 1.0, (0.0, 1.0)) == (0.0, 1.0)
+    assert CursorJump(10.0, 0.2, (0.0, 1.0)).cursor(1.0, 1.0, (0.0, 1.0)) == (1.0, 1.0)
+
+
+OTHER_CONTROLS = [pytest.param(one, marks=pytest.mark.slow) for one in CONTROLS[2:]]
 
 
 def clearance(env):
@@ -247,23 +268,17 @@ def clearance(env):
     )
 
 
-@pytest.mark.parametrize(
-    "control",
-    [
-        pytest.param(control, marks=() if control == "joint_delta" else pytest.mark.slow)
-        for control in CONTROLS
-    ],
-)
-@pytest.mark.parametrize("discs", [find_perturbation("obstacles-4"), Obstacles(((0, 2.2, 1.0),))])
+@pytest.mark.parametrize("control", ["joint_delta", *OTHER_CONTROLS])
+@pytest.mark.parametrize("discs", ["obstacles-4", Obstacles(((0, 2.2, 1.0),))])
 def test_segments_sink_no_deeper_into_obstacles_than_stated(control, discs):
     env = MMCReachVectorEnv(32, control=control, perturbations=discs)
     random, deepest = np.random.default_rng(0), 0.0
     env.reset(seed=0)
-    for step in range(240):
-        if step % 8 == 0:
-            actions = np.sign(random.uniform(-1, 1, (32, 3))).astype(np.float32)
-        env.step(actions)
-        deepest = max(deepest, -clearance(env))
+    for _ in range(30):
+        actions = np.sign(random.uniform(-1, 1, (32, 3))).astype(np.float32)
+        for _ in range(8):
+            env.step(actions)
+            deepest = max(deepest, -clearance(env))
     assert 0.01 < deepest < 0.07
 
 
@@ -307,7 +322,7 @@ class Forgetful(Noise):
         (Obstacles(((0.0, 0.0, 1.0),)), r"obstacles must leave room for the arm, got \(\(0.0, 0"),
         (VisuomotorRotation(180.0, (20.0, 0.0)), "must leave targets in reach, .*degrees=180.0"),
         ("longer-500", r"must leave targets in reach, .*6\.0\), given as \(1\.0, 1\.0, 1\.0\)"),
-        (["rotation-30", "rotation-45"], "at most one rotation"),
+        (["clamp-15", "rotation-45"], "at most one rotation"),
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),
         ([LockedJoint(0), LockedJoint(1, time=0.2)], "must lock at one time"),
@@ -378,7 +393,6 @@ def test_goals_of_an_arm_of_another_length_are_in_their_space(factor, told, task
         (lambda: LockedJoint(time=-0.1), "time"),
         (lambda: SensoryDelay(math.inf), "seconds"),
         (lambda: JointNoise(speed_std=math.nan), "speed_std"),
-        (lambda: VisuomotorRotation(math.nan), "degrees"),
         (lambda: VisuomotorRotation(30.0, (0.0, math.inf)), "centre"),
     ],
 )
