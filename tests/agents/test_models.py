@@ -100,7 +100,10 @@ def test_a_file_of_pickles_is_loaded_only_if_the_user_says_so(folder, monkeypatc
             compare([source], episodes=1)
 
 
-def test_a_model_is_compared_in_the_control_mode_of_its_training(model, run):
+def test_a_model_acts_in_the_control_mode_of_its_training_alone(model, run):
+    other = gym.make("MMCReach-v0", control="joint_torque")
+    with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
+        mmc_gym.make_agent(model, other)
     found = compare({"object": model, "mmc": "mmc", "run": run}, episodes=1, allow_pickle=True)
     assert found.controls == {"object": CONTROL, "mmc": "joint_position", "run": CONTROL}
 
@@ -123,12 +126,6 @@ def test_a_model_of_unknown_control_mode_acts_by_the_default_with_a_warning(fold
     assert cell.facts["control"] == "joint_delta"
 
 
-def test_a_model_in_another_control_mode_refuses(model):
-    other = gym.make("MMCReach-v0", control="joint_torque")
-    with pytest.raises(ControlError, match=f"control must be '{CONTROL}' .* got 'joint_torq"):
-        mmc_gym.make_agent(model, other)
-
-
 def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
     found = resolve(str(run), allow_pickle=True)
     assert (found.label, found.training_seed, found.control) == (run.name, 7, CONTROL)
@@ -142,24 +139,18 @@ def test_a_folder_of_rl_zoo3_tells_seed_control_and_statistics(model, run, env):
         resolve(str(run)).check()
 
 
-def test_objects_in_files_of_rl_zoo3_are_never_made(run):
+def test_nothing_that_files_of_rl_zoo3_name_is_made_or_imported(run, monkeypatch):
+    (run / "evilmod.py").write_text(f"import os; os.mkdir('{run}/made')")
+    monkeypatch.syspath_prepend(run)
     path = run / "MMCReach-v0" / "args.yml"
-    path.write_text(f"!!python/object/apply:os.mkdir [{run}/made]")
-    assert resolve(str(run)).control is None
+    for content, control in (
+        (f"!!python/object/apply:os.mkdir [{run}/made]", None),
+        ("{env: 'evilmod:Env-v0', env_kwargs: {control: joint_torque}}", "joint_torque"),
+    ):
+        path.write_text(content)
+        assert resolve(str(run)).control == control
+    assert resolve(str(run), allow_pickle=True).training_seed == 5
     assert not (run / "made").exists()
-
-
-def test_no_module_that_files_of_rl_zoo3_name_is_imported(run, tmp_path, monkeypatch):
-    (tmp_path / "evilmod.py").write_text("import pathlib; pathlib.Path('made').touch()")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    (run / "MMCReach-v0" / "args.yml").write_text(
-        "{env: 'evilmod:Env-v0', env_kwargs: {control: joint_torque}}"
-    )
-    found = resolve(str(run))
-    assert (found.control, found.training_seed) == ("joint_torque", 5)
-    assert resolve(str(run), allow_pickle=True).control == "joint_torque"
-    assert not (tmp_path / "made").exists()
 
 
 @pytest.mark.parametrize(
@@ -184,13 +175,13 @@ def test_missing_wrappers_are_told(env):
         def observation(self, observation):
             return observation
 
-    behind = trained(wrap=lambda env: env)
-    behind.get_env().envs[0] = Noisy(behind.get_env().envs[0])
+    behind = trained()
+    plain = behind.get_env().envs[0]
+    behind.get_env().envs[0] = Noisy(plain)
     with pytest.warns(MismatchWarning, match="trained behind Noisy, which env lacks"):
         mmc_gym.make_agent(behind, env)
     assert mmc_gym.make_agent(behind, Noisy(env))
-    behind = trained(wrap=lambda env: env)
-    behind.get_env().envs[0] = RescaleAction(behind.get_env().envs[0], *TWICE)
+    behind.get_env().envs[0] = RescaleAction(plain, *TWICE)
     with pytest.raises(CannotActError, match="env must be wrapped in RescaleAction, as in the tr"):
         mmc_gym.make_agent(behind, env)
     assert mmc_gym.make_agent(behind, RescaleAction(env, *TWICE))
@@ -272,11 +263,11 @@ def test_several_trainings_are_one_agent_with_intervals_over_both(tmp_path):
 
 
 def test_a_control_mode_that_is_asked_for_is_that_of_agents_that_act_by_several():
-    asked = {"control": "joint_torque"}
-    for name, control in (("mmc", "joint_velocity"), ("ppo", "joint_delta")):
-        env, _ = make_player(resolve(name), "MMCReach-v0", {"control": control})
+    for name, asked, control in (
+        ("mmc", "joint_velocity", "joint_velocity"),
+        ("ppo", "joint_torque", "joint_delta"),  # it acts by one only
+    ):
+        env, _ = make_player(resolve(name), "MMCReach-v0", {"control": asked})
         assert env.unwrapped.control == control
-    env, _ = make_player(resolve("ppo"), "MMCReach-v0", asked)
-    assert env.unwrapped.control == "joint_delta"  # it acts by one only
     with pytest.raises(CannotActError, match="control must be 'joint_position'"):
-        make_player(resolve("mmc"), "MMCReach-v0", asked)
+        make_player(resolve("mmc"), "MMCReach-v0", {"control": "joint_torque"})

@@ -149,20 +149,14 @@ def test_the_steps_of_a_training_are_known_or_none(folder, frozen):
     found = resolve_all(["ppo-3", "mmc", REFERENCE, frozen, "runs/mine-9.json", "my_agents:Still"])
     steps = [one.training_steps for one in found]
     assert steps == [load_policy(found[0].policy)[1].training_steps, 0, 0, None, steps[0], None]
-
-
-def test_the_ideal_hand_takes_part_and_acts_in_no_environment():
-    ideal = resolve(REFERENCE)
-    assert (ideal.is_reference, ideal.knowledge.kind, ideal.fingerprint) == (True, "ideal", "")
     with pytest.raises(CannotActError, match="a hand without an arm"):
-        ideal.factory(gym.make("MMCReach-v0"))
+        found[2].factory(gym.make("MMCReach-v0"))
 
 
 @pytest.mark.parametrize(
     ("agent", "message"),
     [
         ("xyzzy", "agent 'xyzzy' is not accepted. It may be mmc-body.*ppo-3"),
-        ("mcm", "agent 'mcm' is not accepted; did you mean 'mmc'"),
         *((name, "10 are shipped, ppo-0 to ppo-9") for name in ("ppo-10", "ppo-01")),
         ("mmc-3", "agent 'mmc-3' is not accepted: mmc is not trained"),
         ("mmc,ppo", r"agents must be separate names, mmc ppo \(in Python a list, .*got 'mmc,ppo'"),

