@@ -136,21 +136,19 @@ def test_set_measures_are_taken_where_the_environment_suits_them(tmp_path):
     assert len(seen) == 2 and path.exists()
 
 
-def test_the_lowest_training_seed_that_takes_part_keeps_paths(tmp_path):
-    play(["x=ppo-3", "y=sac-2", "y=sac-1"], tmp_path, ["random"])
-    keepers = read_paths(tmp_path).groupby("agent")["training_seed"].first()
-    assert keepers.to_dict() == {"x": 3, "y": 1}
-    assert len(read_episodes(tmp_path).groupby(["agent", "training_seed"])) == 3
-
-
-def test_paths_of_the_first_failures_are_kept_beside_the_first_instances(tmp_path, monkeypatch):
+def test_the_lowest_training_seed_keeps_paths_of_the_first_instances_and_failures(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(runner, "PATHS_KEPT", 1)
     monkeypatch.setattr(runner, "FAILURES_KEPT", 2)
     played = [False, True, False, True, True]  # is it a failure?
     monkeypatch.setattr(runner, "success", lambda one: not played[seeds.index(one.seed)])
     seeds = episode_seeds(0, len(played))
-    play(["mmc"], tmp_path, ["random"], len(played))
-    assert read_paths(tmp_path)["instance"].unique().tolist() == [0, 1, 3]
+    play(["x=ppo-3", "y=sac-2", "y=sac-1"], tmp_path, ["random"], len(played))
+    kept = read_paths(tmp_path)
+    assert kept.groupby("agent")["training_seed"].unique().to_dict() == {"x": [3], "y": [1]}
+    assert kept["instance"].unique().tolist() == [0, 1, 3]
+    assert len(read_episodes(tmp_path).groupby(["agent", "training_seed"])) == 3
 
 
 def test_settings_are_those_of_the_environments_that_were_played(tmp_path):
@@ -188,16 +186,24 @@ def test_a_damaged_cell_is_played_again(store, played):
     assert_same_stores(store, played[0])
 
 
-def test_other_settings_are_refused(store, monkeypatch):
+def test_other_settings_and_wrong_arguments_are_refused(store, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
     for message, arguments in {
         "episodes is 4, asked for is 5": {"episodes": 5},
         "seed is 0, asked for is 1": {"seed": 1},
         "agent mmc is 'mmc', asked for is 'ik-dls'": {"agents": ["mmc=ik-dls"]},
+        "scenario .nowhere. is not accepted": {"environments": ["nowhere"]},
+        "jobs must be a whole number": {"jobs": 0},
+        "cluster must be": {"cluster": "dask"},
+        "out must be a folder": {"out": tmp_path / "file"},
     }.items():
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises(UserError, match=message):
             play(**{"agents": ["mmc"], "out": store, **arguments})
+    with pytest.raises(UserError, match="episodes must be a whole number"):
+        play(["mmc"], tmp_path / "new", episodes=0)
+    assert not (tmp_path / "new").exists()
     monkeypatch.setitem(TASK_SCENARIOS, "random", Scenario("random", "other", "paper"))
-    with pytest.raises(ValueError, match="environment random is"):
+    with pytest.raises(UserError, match="environment random is"):
         play(["mmc"], store, ["random"])
 
 
@@ -252,7 +258,7 @@ def change_module(folder, old, new):
     importlib.invalidate_caches()
 
 
-def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
+def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside, monkeypatch):
     source, seen = f"{outside}:constant", []
     play([source, "mmc"], tmp_path / "out")
     (tmp_path / "outside_agents.py").write_text(AGENTS_FROM_OUTSIDE + "# changed\n")
@@ -260,13 +266,9 @@ def test_an_agent_whose_module_has_changed_plays_again(tmp_path, outside):
     assert [progress.key.agent for progress in seen[1:]] == [source]
     assert manifest.reused == 1
     assert manifest.changed == [source]  # what it did in the other environment is of before
-    assert not play([source, "mmc"], tmp_path / "out").changed
-
-
-def test_agents_of_the_package_play_again_when_its_code_has_changed(store, monkeypatch):
-    assert play(["mmc"], store, ["random"]).reused == 1
     monkeypatch.setattr("mmc_gym.agents.resolver.code_digest", lambda: "another mmc.py")
-    assert play(["mmc"], store, ["random"]).reused == 0
+    manifest = play([source, "mmc"], tmp_path / "out")
+    assert (manifest.changed, manifest.reused) == ([], 1)  # one cell of the module
 
 
 def test_a_store_tells_all_versions_that_it_was_played_with(tmp_path, monkeypatch, capsys):
@@ -324,18 +326,3 @@ def test_a_policy_for_other_actions_has_its_own(tmp_path, frozen):
     cell = runner.BenchmarkCell(agent, SCENARIOS["random"], 2, 0)
     write_cell(tmp_path, cell.key, runner.run_cell(cell).files)
     assert kept_cells(tmp_path)["limp--random"].facts["control"] == "joint_torque"
-
-
-def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path):
-    (tmp_path / "file").touch()
-    for message, arguments in {
-        "agent .nobody. is not accepted": {"agents": ["nobody"]},
-        "scenario .nowhere. is not accepted": {"environments": ["nowhere"]},
-        "episodes must be a whole number": {"episodes": 0},
-        "jobs must be a whole number": {"jobs": 0},
-        "cluster must be": {"cluster": "dask"},
-        "out must be a folder": {"out": tmp_path / "file"},
-    }.items():
-        with pytest.raises(UserError, match=message):
-            play(**{"agents": ["mmc"], "out": tmp_path / "out", **arguments})
-    assert not (tmp_path / "out").exists()

@@ -9,7 +9,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-import safetensors.numpy
 import torch
 
 import mmc_gym
@@ -71,15 +70,6 @@ def trained(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TINY)
-def test_the_policy_depends_on_the_seed_alone(name, tmp_path):
-    for folder, seed in (("one", 3), ("again", 3), ("other", 4)):
-        training(name, tmp_path / folder, seed).run()
-    assert weights(tmp_path / "one", name) == weights(tmp_path / "again", name)
-    assert weights(tmp_path / "one", name) != weights(tmp_path / "other", name, 4)
-
-
 @pytest.mark.parametrize(
     "name",
     ["ppo", "tqc-her", *(pytest.param(n, marks=pytest.mark.slow) for n in ("ppo-residual", "sac"))],
@@ -102,6 +92,8 @@ def test_an_interrupted_training_resumes_to_the_policy_of_an_undisturbed_one(nam
     resumed.run(resume=True)
     assert 400 < steps[0] <= steps[-1] == 800
     assert weights(tmp_path / "cut", name) == weights(tmp_path / "whole", name)
+    training(name, tmp_path / "other", seed=4, n_timesteps=400).run()
+    assert weights(tmp_path / "cut", name) != weights(tmp_path / "other", name, seed=4)
 
 
 def test_a_training_killed_while_it_writes_has_its_last_checkpoint(trained, tmp_path, monkeypatch):
@@ -188,14 +180,6 @@ def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
     (tmp_path / CHECKPOINT).write_bytes(content[: len(content) // 2])
     with pytest.raises(UserError, match="does not hold a training"):
         training("ppo", tmp_path).run(resume=True)
-    with safetensors.safe_open(trained / CHECKPOINT, framework="np") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}
-        metadata = file.metadata()
-    name = "module/policy/action_net.bias"
-    tensors[name] = -tensors[name]
-    safetensors.numpy.save_file(tensors, tmp_path / CHECKPOINT, metadata)
-    with pytest.raises(UserError, match="does not hold a training: it is not as it was written"):
-        training("ppo", tmp_path).run(resume=True)
     for bit in range(0, 8 * len(content), 20011):
         changed = bytearray(content)
         changed[bit // 8] ^= 1 << bit % 8
@@ -220,9 +204,9 @@ def test_impossible_trainings_are_refused(tmp_path, arguments, message, monkeypa
 
 
 def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):
-    assert training("ppo", tmp_path, n_timesteps=1601).total_steps == 2400
+    one = Training(tiny("ppo", n_timesteps=1601), 3, tmp_path, evaluations=LEGS, device="auto")
     best = "cuda" if torch.cuda.is_available() else "cpu"
-    assert Training(tiny("ppo"), 3, tmp_path, device="auto").device == best
+    assert (one.total_steps, one.device) == (2400, best)
 
 
 @pytest.mark.parametrize(
@@ -259,11 +243,10 @@ def test_from_python_it_returns_the_agent_and_writes_only_what_is_asked_for(tmp_
     action, _ = agent.predict(observation, deterministic=True)
     saved = agent.save("mine")
     assert saved == Path("mine/ppo-3.json")
-    again = mmc_gym.make_agent(str(saved), env)
-    np.testing.assert_array_equal(action, again.predict(observation, deterministic=True)[0])
     kept = module.train("ppo", seed=3, steps=1, out="kept")
-    np.testing.assert_array_equal(action, kept.predict(observation, deterministic=True)[0])
     assert {path.name for path in Path("kept").iterdir()} >= {"ppo-3.json", CHECKPOINT}
+    for same in (mmc_gym.make_agent(str(saved), env), kept):
+        np.testing.assert_array_equal(action, same.predict(observation, deterministic=True)[0])
 
 
 def test_wrong_types_of_arguments_are_named():
