@@ -26,6 +26,7 @@ from mmc_gym.benchmark.store import (
 )
 from mmc_gym.benchmark.suite import SCENARIOS, minimum_jerk_episodes
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
+from mmc_gym.network.time_base import minimum_jerk
 from mmc_gym.report import write_report
 from mmc_gym.report.results import read_results
 
@@ -60,10 +61,9 @@ AGENTS = {
 def episode(instance, duration, trembling, error, seed=0):
     random = np.random.default_rng([instance, 7])
     start, end = random.uniform(-1.2, 1.2, (2, 3))
-    part = np.clip(np.arange(STEPS + 1) / duration, 0, 1)
-    bell = part**3 * (10 - 15 * part + 6 * part**2)
-    shake = trembling * np.sin(2.1 * np.arange(STEPS + 1)) * (part < 1)
-    joints = start + bell[:, None] * (end + error - start) + shake[:, None]
+    part = np.clip(np.arange(STEPS + 1) / duration, 0, 1)[:, None]
+    shake = trembling * np.sin(2.1 * np.arange(STEPS + 1))[:, None] * (part < 1)
+    joints = start + minimum_jerk(part) * (end + error - start) + shake
     joints[0] = start
     joints += np.random.default_rng([instance, seed]).normal(0, 2e-4, (STEPS + 1, 3))
     hands, target = hand_position(joints, LENGTHS), hand_position(end, LENGTHS)
