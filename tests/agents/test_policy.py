@@ -1,8 +1,8 @@
 """Trained policies on disk: complete, checked, free of code, and as good as their cards say."""
 
+import contextlib
 import json
 import shutil
-import warnings
 from functools import partial
 
 import gymnasium as gym
@@ -28,7 +28,6 @@ SHIPPED = [(name, seed) for name, entry in AGENTS.items() for seed in range(entr
 BY_DAY = [pytest.param(*cell, marks=[pytest.mark.slow] if cell[1] else []) for cell in SHIPPED]
 """The first training of each agent; the others are slow."""
 SUFFIXES = ("json", "safetensors")
-KINDS = [name for name, entry in AGENTS.items() if entry.training_seeds]
 
 
 @pytest.fixture
@@ -36,13 +35,6 @@ def copy(tmp_path):
     for suffix in SUFFIXES:
         shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path)
     return tmp_path / "ppo-0.json"
-
-
-def rewrite(card, **changes):
-    """Change entries of a card as its writer would: with the digest that belongs to them."""
-    entries = json.loads(card.read_text()) | changes
-    del entries[policy._DIGEST]
-    card.write_text(json.dumps({**entries, policy._DIGEST: policy._digest(entries)}))
 
 
 @pytest.mark.parametrize(("name", "seed"), [cell for cell in SHIPPED if cell[0] in names()])
@@ -58,7 +50,7 @@ def test_what_ships_is_complete_and_of_the_shipped_hyperparameters(name, seed):
     assert {"python", "torch", "stable-baselines3", "mmc-gym"} <= set(card.versions)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", [name for name, seed in SHIPPED if seed == 0])
 def test_what_ships_does_as_well_as_its_card_says(name):
     network, card = load_policy(PRETRAINED / f"{name}-0.json")
     scores = evaluate_policy(network, card, EVALUATION_EPISODES)
@@ -113,45 +105,31 @@ def test_damaged_weights_are_an_error(copy, tmp_path):
     ],
 )
 def test_a_card_that_does_not_fit_is_an_error(copy, changes, message):
-    rewrite(copy, **changes)
+    entries = json.loads(copy.read_text()) | changes
+    del entries[policy._DIGEST]  # and its writer wrote the digest that belongs to it
+    copy.write_text(json.dumps({**entries, policy._DIGEST: policy._digest(entries)}))
     with pytest.raises(ValueError, match=message):
         make_agent(copy, gym.make("MMCReach-v0"))
 
 
-@pytest.mark.parametrize("change", ["digit", "order", "digest", "bits"])
-def test_a_card_is_loaded_as_it_was_written_or_not_at_all(copy, change):
+def test_a_card_is_loaded_as_it_was_written_or_not_at_all(copy):
     _, card = load_policy(copy)
     text = copy.read_bytes()
     entries = json.loads(text)
-    damaged = {
-        "digit": [text.replace(b'"training_steps": 516096', b'"training_steps": 516097')],
-        "order": [json.dumps(dict(reversed(entries.items()))).encode()],
-        "digest": [json.dumps({k: v for k, v in entries.items() if k != policy._DIGEST}).encode()],
-        "bits": [flipped(text, bit) for bit in range(0, 8 * len(text), 211)],
-    }[change]
-    loaded = 0
-    for content in damaged:
-        assert content != text
+    copy.write_text(json.dumps(dict(reversed(entries.items()))))
+    assert load_policy(copy)[1] == card
+    del entries[policy._DIGEST]
+    changed = text.replace(b'"training_steps": 516096', b'"training_steps": 516097')
+    for content in (changed, json.dumps(entries).encode(), b"{", b"[]", b"\xff\xfe", b"[" * 10**5):
         copy.write_bytes(content)
-        try:
+        with pytest.raises(UserError, match=str(copy.with_suffix(""))):
+            load_policy(copy)
+    for bit in range(0, 8 * len(text), 211):
+        flipped = bytearray(text)
+        flipped[bit // 8] ^= 1 << bit % 8
+        copy.write_bytes(flipped)
+        with contextlib.suppress(UserError):  # of bits that nobody reads
             assert load_policy(copy)[1] == card
-            loaded += 1
-        except UserError as error:
-            assert str(copy.with_suffix("")) in str(error)
-    assert loaded == (change == "order") or change == "bits"
-
-
-def flipped(content, bit):
-    changed = bytearray(content)
-    changed[bit // 8] ^= 1 << bit % 8
-    return bytes(changed)
-
-
-@pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe", b"[" * 100_000])
-def test_a_card_that_is_none_is_an_error(copy, content):
-    copy.write_bytes(content)
-    with pytest.raises(ValueError, match="does not hold a policy"):
-        load_policy(copy)
 
 
 def test_a_policy_of_joint_deltas_moves_the_arm_alike_under_position_control():
@@ -184,12 +162,9 @@ def test_a_policy_warns_of_another_arm_than_in_training(arguments, message):
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"engine": "analytic"},
-        {"substep": 0.0025, "substeps": 8},
+        {"engine": "analytic", "substep": 0.0025, "substeps": 8},
         {"perturbations": ["longer-20-told", "hand-mass"]},
     ],
 )
 def test_another_way_to_simulate_the_arm_and_a_perturbation_are_no_mismatch(arguments):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        make_agent("ppo-0", gym.make("MMCReach-v0", **arguments))
+    make_agent("ppo-0", gym.make("MMCReach-v0", **arguments))  # a warning is an error

@@ -43,9 +43,7 @@ def make_policy(name, env_id, **options):
 def observations(env_id, count=20):
     envs = gym.make_vec(env_id, count)
     envs.reset(seed=0)
-    random = np.random.default_rng(0)
-    for _ in range(5):
-        actions = random.uniform(-1, 1, (count, 3)).astype(np.float32)
+    for actions in np.random.default_rng(0).uniform(-1, 1, (5, count, 3)).astype(np.float32):
         observed = envs.step(actions)[0]
     return observed
 
@@ -94,13 +92,9 @@ def test_actions_turned_and_turned_back_are_what_they_were():
     np.testing.assert_allclose(back, actions, atol=1e-6)
     tensors = torch.from_numpy(actions), torch.from_numpy(observed)
     np.testing.assert_allclose(turned_actions(torch, *tensors, LAYOUT), turned, atol=1e-6)
-
-
-def test_a_target_at_the_base_has_any_direction():
-    observed = gym.make("MMCReach-v0").reset(seed=0)[0]
-    observed[9:11] = 0.0
+    observed[0, 9:11] = 0.0  # a target at the base has any direction
     assert np.isfinite(seen(observed, "target")).all()
-    assert np.isfinite(turned_actions(np, np.zeros(3, np.float32), observed, LAYOUT)).all()
+    assert np.isfinite(turned_actions(np, actions, observed, LAYOUT)).all()
 
 
 def test_probabilities_are_those_of_the_actions_before_they_were_turned():
@@ -125,7 +119,6 @@ def test_a_policy_that_sees_something_else_is_refused():
     ("change", "message"),
     [
         ({"mean.bias": None}, "tensors must have 'mean.bias'"),
-        ({"hidden.1.weight": np.zeros((8, 9), np.float32)}, r"got .*'hidden.1.weight': \(8, 9\)"),
         ({"log_std": np.zeros(2, np.float32)}, r"shapes {'log_std': \(3,\).*got .*\(2,\)"),
         ({"mean.bias": np.zeros(3)}, "tensors must be float32"),
         ({"surplus": np.zeros(3, np.float32)}, "tensors must be float32"),
