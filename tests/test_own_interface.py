@@ -12,7 +12,7 @@ from mmc_gym._errors import UserError
 from mmc_gym.benchmark.compare import compare
 from mmc_gym.benchmark.runner import benchmark
 from mmc_gym.cli import main
-from mmc_gym.interface import CannotActError, InterfacedEnv, ReachInterface, Seen
+from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
 from mmc_gym.network.chain import segments_from_joint_angles
 from mmc_gym.report import write_report
 
@@ -73,14 +73,11 @@ def last_info(agent, env, seed):
 
 @pytest.mark.parametrize("name", ["mmc-body", "ik-body", "mmc", "ik-dls", "minimum-jerk"])
 def test_agents_reach_in_an_environment_that_an_interface_describes(name):
+    """In many at once as in one."""
     env = make_drawer()
     agent = make_agent(name, env, interface=INTERFACE)
     assert all(last_info(agent, env, seed)["is_success"] for seed in range(5))
-
-
-def test_an_agent_acts_in_many_of_them_as_in_one():
-    agent = make_agent("mmc-body", make_drawer(), interface=INTERFACE)
-    seen = np.stack([Drawer().reset(seed=seed)[0] for seed in range(3)])
+    seen = np.stack([env.reset(seed=seed)[0] for seed in range(3)])
     together, _ = agent.predict(seen)
     np.testing.assert_allclose(together, [agent.predict(one)[0] for one in seen])
 
@@ -94,17 +91,11 @@ def test_infos_tell_what_the_interface_sees():
     env = InterfacedEnv(make_drawer(), INTERFACE)
     observation, info = env.reset(seed=0)
     np.testing.assert_allclose(info["target"] * METRES, observation[:2])
-    np.testing.assert_allclose(
-        info["distance"], np.linalg.norm(info["target"] - info["end_effector"])
-    )
+    apart = np.linalg.norm(info["target"] - info["end_effector"])
+    assert info["distance"] == pytest.approx(apart)
     assert info["is_success"] == (info["distance"] <= INTERFACE.success_distance)
     _, info = InterfacedEnv(make_drawer(), STATES_NO_DISTANCE).reset(seed=0)
     assert "is_success" not in info
-
-
-def test_an_agent_that_reads_our_observations_refuses_others():
-    with pytest.raises(CannotActError, match="DrawerInterface"):
-        make_agent("ppo", make_drawer(), interface=INTERFACE)
 
 
 def test_random_actions_are_drawn_from_the_action_space():
@@ -115,15 +106,17 @@ def test_random_actions_are_drawn_from_the_action_space():
     assert 0.09 < np.abs(drawn).max() <= 0.1
 
 
-def test_an_agent_of_the_plane_refuses_an_arm_in_space():
-    with pytest.raises(CannotActError, match="in the plane"):
-        make_agent("ik-dls", make_drawer(), interface=replace(INTERFACE, arm=object()))
-
-
-@pytest.mark.parametrize("given", [3, "nowhere:interface", lambda env: None])
-def test_anything_else_is_refused(given):
-    with pytest.raises(UserError, match="interface"):
-        make_agent("mmc", make_drawer(), interface=given)
+@pytest.mark.parametrize(
+    ("name", "interface", "message"),
+    [
+        ("ppo", INTERFACE, "DrawerInterface"),  # it reads our observations
+        ("ik-dls", replace(INTERFACE, arm=object()), "in the plane"),
+        *(("mmc", wrong, "interface") for wrong in (3, "nowhere:interface", lambda env: None)),
+    ],
+)
+def test_an_interface_of_another_kind_and_what_is_none_are_refused(name, interface, message):
+    with pytest.raises(UserError, match=message):
+        make_agent(name, make_drawer(), interface=interface)
 
 
 class DrawerInSpace(DrawerInterface):
@@ -175,12 +168,11 @@ def test_episodes_of_other_environments_are_kept_and_reported(tmp_path, comparis
     assert "as it says" in report
 
 
-def test_the_command_line_takes_an_interface(tmp_path, capsys):
+def test_the_command_line_takes_an_interface_and_without_one_the_environment_is_refused(
+    tmp_path, capsys
+):
     where = ("--scenarios", f"{__name__}:make_drawer", "--interface", f"{__name__}:INTERFACE")
     main(["compare", "--agents", "ik-dls", "--episodes", "2", "--out", str(tmp_path), *where])
     assert "ik-dls 100.0 %" in capsys.readouterr().out
-
-
-def test_an_environment_without_an_interface_is_refused():
     with pytest.raises(UserError, match="interface="):
         compare("mmc", make_drawer, 2)

@@ -180,8 +180,8 @@ def test_agents_that_do_not_fit_and_names_that_the_encoding_lacks_are_no_loss(tm
     agents = {f"agent {number}": frozen for number in range(4)}
     compare(agents, episodes=2, out=out, console=narrow)
     assert {path.name for path in out.iterdir()} == FILES
-    *lines, written = printed(narrow).splitlines()
-    assert written.endswith("f?r ?")
+    assert "f?r ?" in printed(narrow)
+    lines = [line for line in printed(narrow).splitlines() if not line.startswith("wrote")]
     assert sum("success at the end " in line for line in lines) > 1
     for agent in agents:
         assert sum(line.startswith(" ") and agent in line for line in lines) == 1

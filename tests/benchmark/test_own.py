@@ -110,16 +110,11 @@ def test_an_own_environment_is_a_function_and_its_reward_is_measured(tmp_path):
     found = compare({"mmc": "mmc", "still": lambda observation: np.zeros(3)}, Flat, 2)
     assert found.to_frame()["episode_return"].to_list()[:2] == [100.0, 100.0]
     assert (found.env, found.controls["mmc"]) == ("Flat", "joint_position")
+    kept = compare(["mmc"], lambda: Flat(control="joint_velocity"), 1)  # it takes no control
+    assert kept.controls["mmc"] == "joint_velocity"
     benchmark(["mmc", "random"], tmp_path, {"flat": Flat}, 2, jobs=1)
     assert read_episodes(tmp_path)["episode_return"].eq(100).all()
     write_report(tmp_path, tmp_path / "report.html")
-
-
-def test_an_environment_that_takes_no_control_keeps_its_own():
-    def mine():
-        return gym.make("MMCReach-v0", control="joint_velocity")
-
-    assert compare(["mmc"], mine, 1).controls["mmc"] == "joint_velocity"
 
 
 def test_arguments_of_the_environment_are_heeded(tmp_path, monkeypatch):
@@ -134,70 +129,44 @@ def test_arguments_of_the_environment_are_heeded(tmp_path, monkeypatch):
     main(["benchmark", *arguments, "--scenarios", "random", "--jobs", "1"])
     (kept,) = read_manifest(tmp_path / "runs/benchmark").environments.values()
     assert kept["kwargs"] == {"gravity": [0, -9]}
-
-
-@pytest.mark.parametrize("text", ["control", "=3", "a b=3", "control=", "control=[", "x:3"])
-def test_arguments_of_another_form_are_refused(text, capsys):
-    with pytest.raises(SystemExit):
-        main(["compare", "--agents", "mmc", "--env-kwargs", text])
-    assert "env-kwargs must be NAME=VALUE with a value in YAML" in capsys.readouterr().err
+    with pytest.raises(UserError, match="max_episode_steps must be a whole number of at least 1"):
+        compare(["mmc"], episodes=1, env_kwargs={"max_episode_steps": 2.5})
 
 
 def test_functions_and_objects_take_part_in_a_benchmark(tmp_path, frozen):
     agents = {"function": lambda observation: np.zeros(3), "object": [frozen, frozen]}
     for reused in (0, 3):
         assert benchmark(agents, tmp_path, ["random"], 2, jobs=1).reused == reused
-    frame = read_episodes(tmp_path)
-    assert frame.groupby("agent")["training_seed"].nunique().to_dict() == {
-        "function": 0,
-        "object": 2,
-    }
-    assert frame.groupby("agent")["final_distance"].mean().nunique() == 1
+    of_agents = read_episodes(tmp_path).groupby("agent")
+    assert of_agents["training_seed"].nunique().to_dict() == {"function": 0, "object": 2}
+    assert of_agents["final_distance"].mean().nunique() == 1
 
 
-def test_predict_may_take_an_observation_alone():
-    class Plain:
-        control = "joint_torque"
+class Plain:
+    control = "joint_torque"
 
-        def predict(self, observation):
-            return np.zeros(3)
-
-    found = compare({"plain": Plain(), "class": lambda env: Plain()}, episodes=1)
-    assert found.controls == {"plain": "joint_torque", "class": "joint_delta"}
-
-
-def test_a_function_that_fails_in_both_ways_fails_as_it_does_with_the_environment():
-    def broken(env):
-        return 1 / 0
-
-    with pytest.raises(ZeroDivisionError):
-        compare([broken], episodes=1)
-    with pytest.raises(UserError, match="'x' must return an object with predict"):
-        compare({"x": lambda env: 3}, episodes=1)
-
-
-class Alone:
     def predict(self, observation):
         return np.zeros(3)
 
 
+def test_predict_may_take_an_observation_alone():
+    found = compare({"plain": Plain(), "class": lambda env: Plain()}, episodes=1)
+    assert found.controls == {"plain": "joint_torque", "class": "joint_delta"}
+
+
 @pytest.mark.parametrize(
-    ("agent", "message"),
+    ("agent", "error", "message"),
     [
-        (Alone, r"agent 'x' must be Alone\(env\), called with the environment alone"),
-        (lambda: Alone(), "called with the environment alone.* too many positional arguments"),
-        (dict, "agent 'x' must be a class with predict, got <class 'dict'>"),
+        (Plain, UserError, r"agent 'x' must be Plain\(env\), called with the environment alone"),
+        (lambda: Plain(), UserError, "environment alone.* too many positional arguments"),
+        (dict, UserError, "agent 'x' must be a class with predict, got <class 'dict'>"),
+        (lambda env: 3, UserError, "'x' must return an object with predict"),
+        (lambda env: 1 / 0, ZeroDivisionError, "division by zero"),
     ],
 )
-def test_what_cannot_be_called_with_an_environment_is_refused(agent, message):
-    with pytest.raises(UserError, match=message):
+def test_what_makes_no_agent_of_an_environment_is_refused(agent, error, message):
+    with pytest.raises(error, match=message):
         compare({"x": agent}, episodes=1)
-
-
-@pytest.mark.parametrize("steps", [0, 2.5])
-def test_episodes_have_a_whole_number_of_steps(steps):
-    with pytest.raises(UserError, match="max_episode_steps must be a whole number of at least 1"):
-        compare(["mmc"], episodes=1, env_kwargs={"max_episode_steps": steps})
 
 
 @pytest.mark.slow
