@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from unittest.mock import Mock
 
 import pytest
 
@@ -57,22 +58,17 @@ def test_two_writers_of_one_file_leave_each_other_alone(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path):
-    (tmp_path / "result").mkdir()
+def test_a_file_that_cannot_be_written_leaves_nothing_and_a_full_disk_names_it(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "folder").mkdir()
     with pytest.raises(OSError):
+        write_atomically(tmp_path / "folder", b"new")
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=full))
+    with pytest.raises(OSError, match=r"No space left on device: '.*result'$"):
         write_atomically(tmp_path / "result", b"new")
-    assert list(tmp_path.iterdir()) == [tmp_path / "result"]
-
-
-def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
-    def fail(number):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(OSError, match=r"No space left on device: '.*result'$") as error:
-        write_atomically(tmp_path / "result", b"new")
-    assert error.value.errno == errno.ENOSPC
-    assert not list(tmp_path.iterdir())
+    assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
 
 
 def test_yaml_may_override_what_it_merges_and_has_an_end():

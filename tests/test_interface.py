@@ -15,7 +15,6 @@ from mmc_gym._errors import UserError
 from mmc_gym.body import ArmParameters
 from mmc_gym.interface import (
     NEAR,
-    CannotActError,
     ControlError,
     ObservationLayout,
     ReachInterface,
@@ -109,31 +108,25 @@ def test_speeds_are_fractions_of_their_limit(kind):
     np.testing.assert_array_equal(found, [-1.0, -0.5, 0.25, 1.0])
 
 
-def wrong_observations():
-    angles, speeds, hands, targets = (each[0] for each in arms(3))
-    flat, goals = (
-        one.encode(angles, speeds, hand=hands, target=targets) for one in (LAYOUT, GOALS)
-    )
-    nan = np.where(np.arange(15) == 4, np.nan, flat)
-    return {
-        "too long": (np.append(flat, 0), r"observation must have shape \(..., 15\), got \(16,\)"),
-        "text": ("far", "observation must be an array of numbers, got 'far'"),
-        "NaN": (nan, r"observation must be finite numbers, got \[.*nan"),
-        "no goals": ({"observation": goals["observation"]}, "mapping with observation, achieved_"),
-        "one goal for two": (
-            goals | {"desired_goal": np.zeros((2, 2))},
-            "observation must be of arrays with the same batch axes, got {'observation': ",
-        ),
-        "long goal": (goals | {"achieved_goal": [0, 0, 0]}, r"\['achieved_goal'\] must have shape"),
-    }
+FLAT = np.zeros(15)
+GOAL = {"observation": np.zeros(9), "achieved_goal": np.zeros(2), "desired_goal": np.zeros(2)}
 
 
-@pytest.mark.parametrize("case", wrong_observations())
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (np.append(FLAT, 0), r"observation must have shape \(..., 15\), got \(16,\)"),
+        ("far", "observation must be an array of numbers, got 'far'"),
+        (np.append(FLAT[1:], np.nan), r"observation must be finite numbers, got \[.*nan"),
+        ({"observation": np.zeros(9)}, "mapping with observation, achieved_goal"),
+        (GOAL | {"desired_goal": np.zeros((2, 2))}, "arrays with the same batch axes, got {'obse"),
+        (GOAL | {"achieved_goal": [0, 0, 0]}, r"\['achieved_goal'\] must have shape"),
+    ],
+)
 @pytest.mark.parametrize("name", ["mmc", "mmc-body", "optimal-control", "ppo", "random"])
-def test_every_agent_refuses_what_is_no_observation(name, case, env):
-    agent, (observation, message) = make_agent(name, env), wrong_observations()[case]
+def test_every_agent_refuses_what_is_no_observation(name, wrong, message, env):
     with pytest.raises(UserError, match=message):
-        agent.predict(observation)
+        make_agent(name, env).predict(wrong)
 
 
 @pytest.mark.parametrize("control", ["joint_position", "joint_delta"])
@@ -147,7 +140,6 @@ def test_an_action_means_to_the_servo_what_the_agent_meant(control):
     assert meaning.servo == "position"
 
 
-def test_an_agent_that_cannot_act_says_so_by_an_error_of_the_user_in_any_process():
+def test_an_agent_that_cannot_act_says_so_in_any_process():
     error = pickle.loads(pickle.dumps(ControlError("control must be another", "joint_torque")))
     assert (str(error), error.control) == ("control must be another", "joint_torque")
-    assert isinstance(error, CannotActError)

@@ -47,19 +47,13 @@ def test_each_list_has_a_line_on_everything_and_fits_80_columns(what, capsys, mo
     ["random", "pursuit", "paper", "rotation-30", "delay-150", "locked", "pursuit+longer-35-told"],
 )
 def test_what_it_says_makes_a_scenario_does_make_it(name):
-    meant = scenario(name)
-    expected = meant.make().unwrapped.setup
-    said = dict(describe(name))
-    ways = re.findall(r"\w*gym\.make\(.*\)", said["make it"])
+    expected = scenario(name).make().unwrapped.setup
+    ways = re.findall(r"\w*gym\.make\(.*\)", dict(describe(name))["make it"])
     assert len(ways) == 2
     for way in ways:
         made = eval(way, {"gym": gym, "mmc_gym": mmc_gym}).unwrapped.setup
         assert (made.body, made.given_body) == (expected.body, expected.given_body)
         assert (made.task, made.perturbations) == (expected.task, expected.perturbations)
-
-
-def test_an_id_is_as_good_as_a_name():
-    assert list(describe("MMCReachPursuit-v0")) == list(describe("pursuit"))
 
 
 def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
@@ -76,9 +70,10 @@ def test_it_says_what_agents_are_not_given_of_the_arm(capsys, monkeypatch):
     assert both["delay"] == "8 control steps, 160 ms"
 
 
-def test_a_scenario_that_is_none_is_an_error_of_the_user(capsys):
+def test_a_scenario_has_a_name_or_an_id(capsys):
     with pytest.raises(SystemExit):
         main(["show", "rotatoin-30"])
     assert "did you mean 'rotation-30'?" in capsys.readouterr().err
     with pytest.raises(UserError, match="'mmc' is not accepted: it is an agent"):
         list(describe("mmc"))
+    assert list(describe("MMCReachPursuit-v0")) == list(describe("pursuit"))  # an id is a name

@@ -7,7 +7,7 @@ import pytest
 from mmc_gym import make_agent
 from mmc_gym._errors import UserError
 from mmc_gym.agents.body_model.spatial import lengthened
-from mmc_gym.interface import CannotActError, ReachInterface, Seen
+from mmc_gym.interface import ReachInterface, Seen
 from mmc_gym.network import HingeArm
 
 ARM = HingeArm.named("panda")
@@ -101,8 +101,3 @@ def test_many_arms_are_as_each_alone_and_start_anew_where_episodes_do():
     np.testing.assert_array_equal(state.looks, [1, 2, 2])
     with pytest.raises(UserError, match="state"):
         agent.predict(seen[:2], state)
-
-
-def test_agents_in_the_plane_refuse_an_arm_in_space():
-    with pytest.raises(CannotActError, match="plane"):
-        make_agent("mmc", Kinematic(), interface=INTERFACE)

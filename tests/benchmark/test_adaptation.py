@@ -81,11 +81,17 @@ def test_learners_are_found_again_in_their_paths(turn):
     assert "width" not in table.index  # nothing was probed
 
 
-def test_the_table_is_printed():
+def test_the_table_is_printed_and_the_figure_has_the_timeline_and_a_curve_per_agent():
     console = Console(record=True, width=120)
-    print_learning(learning_table(played(30.0), 20), console)
+    result = played(30.0)
+    print_learning(learning_table(result, 20), console)
     text = console.export_text()
     assert "after-effect" in text and "known" in text
+    above, below = learning_figure(result, resamples=20).axes
+    assert above.get_ylabel().startswith("perturbation")
+    assert [line.get_label() for line in below.lines].count("known") == 1
+    curves = [line.get_ydata() for line in below.lines if len(line.get_xdata()) > 2]
+    assert np.nanmax(np.concatenate(curves)) == 30.0
 
 
 def test_lengths_are_in_metres_where_asked_for():
@@ -107,16 +113,6 @@ def test_people_stand_beside_agents_in_an_experiment_that_they_did():
     assert figure.axes[2].get_xlabel() == "people: 18\nTsay et al. 2020"
     own = played(15.0, family="clamp")
     assert PEOPLE not in set(learning_table(own, 20)["agent"])
-
-
-def test_the_figure_has_the_timeline_and_a_curve_per_agent():
-    above, below = learning_figure(played(30.0), resamples=20).axes
-    assert above.get_ylabel().startswith("perturbation")
-    assert [line.get_label() for line in below.lines].count("known") == 1
-    heights = np.concatenate(
-        [line.get_ydata() for line in below.lines if len(line.get_xdata()) > 2]
-    )
-    assert np.nanmax(heights) == 30.0
 
 
 def test_means_of_resamples_begin_with_the_mean():

@@ -9,6 +9,7 @@ import yaml
 
 from mmc_gym._errors import UserError
 from mmc_gym.benchmark.experiment import EXPERIMENTS, Block, Experiment, Probe, find_experiment
+from mmc_gym.envs.reach import MMCReachEnv
 
 YAML = """
 name: mine
@@ -32,6 +33,8 @@ def planned(*blocks: Block) -> list[tuple[tuple[str, ...], str]]:
 def test_an_experiment_from_yaml_equals_that_in_python(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text(YAML)
+    with pytest.raises(UserError, match="did you mean 'savings'"):
+        find_experiment("saving-30")
     catch = Probe("catch", 4)
     learning = Block("learning", 8, ("rotation-30",), (0, 90), (catch,), gradual=True, rest=60)
     mine = Experiment("mine", (Block("baseline", 4), learning))
@@ -72,15 +75,11 @@ def test_a_subject_meets_all_targets_before_one_comes_again() -> None:
 
 
 def test_the_target_leaves_the_start_at_the_go_cue_and_jumps_in_flight() -> None:
-    from mmc_gym.envs.vector import MMCReachVectorEnv
-
     task = find_experiment("target-jump").task(go_cue=0.1, target_jump=10.0)
-    env = MMCReachVectorEnv(1, task=task)
-    _, info = env.reset(options={"trial": 0})
-    targets = [info["target"][0]]
-    for _ in range(15):
-        targets.append(env.step(np.zeros((1, 3), np.float32))[4]["target"][0])
-    ways = np.array(targets) - targets[0]
+    env = MMCReachEnv(task=task)
+    infos = [env.reset(options={"trial": 0})[1]]
+    infos += [env.step(np.zeros(3, np.float32))[4] for _ in range(15)]
+    ways = np.array([info["target"] for info in infos]) - infos[0]["target"]
     assert (ways[:5] == 0).all()
     assert ways[5:10] == pytest.approx(np.tile([0.6, 0.0], (5, 1)))
     assert ways[10:] == pytest.approx(np.tile([0.6, 0.06], (6, 1)))
@@ -100,8 +99,3 @@ def test_the_target_leaves_the_start_at_the_go_cue_and_jumps_in_flight() -> None
 def test_what_is_no_experiment_is_refused(entries: dict, message: str) -> None:
     with pytest.raises(UserError, match=message):
         Experiment(**{"name": "mine", "blocks": [{"name": "a", "trials": 1}], **entries})
-
-
-def test_an_unknown_name_is_refused_with_the_nearest() -> None:
-    with pytest.raises(UserError, match="did you mean 'savings'"):
-        find_experiment("saving-30")

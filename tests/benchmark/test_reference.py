@@ -15,7 +15,6 @@ def test_the_hand_goes_straight_to_the_target_by_minimum_jerk_and_rests(make_epi
     steps = (0.2 + 2.0 / 4) / 0.02
     expected = minimum_jerk(np.arange(101) / steps)[:, None] * [1.2, 1.6]
     assert ideal.hands == pytest.approx(expected, abs=1e-9)
-    assert ideal.distances == pytest.approx(np.linalg.norm(expected - [1.2, 1.6], axis=-1))
     found = measure_all(ideal)
     assert found["success"] == found["success_1_percent"] == found["velocity_peaks"] == 1
     assert found["path_ratio"] == pytest.approx(1)
@@ -42,10 +41,7 @@ def test_it_follows_a_target_that_jumps(frozen):
 
 
 def test_episodes_may_differ_in_length(make_episode):
-    long, short = np.zeros((101, 2)), np.zeros((31, 2))
-    ideals = minimum_jerk_episodes(
-        [make_episode(long, [2.0, 0.0]), make_episode(short, [2.0, 0.0])]
-    )
-    assert [len(ideal.hands) for ideal in ideals] == [101, 31]
-    assert np.array_equal(ideals[0].hands[:31], ideals[1].hands)
+    asked = [make_episode(np.zeros((steps, 2)), [2.0, 0.0]) for steps in (101, 31)]
+    long, short = minimum_jerk_episodes(asked)
+    assert np.array_equal(long.hands[:31], short.hands)
     assert minimum_jerk_episodes([]) == ()

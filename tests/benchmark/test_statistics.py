@@ -26,8 +26,6 @@ def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_on_each_side():
     sample = np.random.default_rng(0).normal(size=400)
     assert interquartile_mean(sample) == pytest.approx(trim_mean(sample, 0.25))
     assert interquartile_mean([0, 1, 2, 3, 4, 5, 6, 1e9]) == 3.5
-    assert math.isnan(interquartile_mean([math.nan]))
-    assert interquartile_mean([7.0]) == 7.0
     values = np.array([0.0] * 40 + [0.1, 0.7])
     weights = np.random.default_rng(0).integers(0, 4, size=(500, 42)) / 3
     assert weighted_iqm(values, weights).min() >= 0
@@ -142,7 +140,6 @@ def test_an_agent_without_training_is_resampled_over_instances_alone():
     iqm = estimate(untrained, statistic="iqm").estimate
     assert iqm == pytest.approx(trim_mean(values.ravel(), 0.25))
     assert width(found) == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.08)
-    assert (Bootstrap.of(untrained, resamples=50).policies["a"] == 1).all()
 
 
 def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
@@ -163,8 +160,7 @@ def test_what_makes_an_instance_hard_for_all_drops_out_of_a_paired_difference():
 def test_a_copy_of_an_agent_is_better_in_exactly_half_of_all_cases(seeds):
     values = np.random.default_rng(5).normal(size=(seeds, 60)).round(1)
     found = both(values, values).improvement("a", "b")
-    assert found.estimate == 0.5
-    assert found.low <= 0.5 <= found.high
+    assert found.low <= found.estimate == 0.5 <= found.high
 
 
 def test_the_probability_of_improvement_of_shifted_normal_scores_is_that_of_the_integral():
@@ -189,10 +185,7 @@ def test_the_draw_depends_on_the_seed_and_not_on_the_other_agents():
     values = np.random.default_rng(9).normal(size=(3, 20))
     first, same, other = (estimate(rows("a", values), seed=seed) for seed in (1, 1, 2))
     assert first == same != other
-    (among,) = both(values, values, resamples=20, seed=3).instances
-    (alone,) = Bootstrap.of(rows("a", values), resamples=20, seed=3).instances
-    assert np.array_equal(alone, among)
-    assert (alone.sum(axis=1) == 20).all() and (alone[0] == 1).all()
+    assert both(values, values, seed=1).estimate("a", "mean") == first
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from mmc_gym.network import HingeArm, HingeNetwork
 
 ROBOTS = ("panda", "ur5", "iiwa")
+POSTURE = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
 SHIPPED = {
     "panda": ("franka_panda/panda.urdf", "panda_link0", "panda_link8"),
     "iiwa": ("kuka_iiwa/model.urdf", "lbr_iiwa_link_0", "lbr_iiwa_link_7"),
@@ -39,7 +40,7 @@ def postures(arm, count, seed=3):
     return np.random.default_rng(seed).uniform(*arm.limits.T, (count, arm.joint_count))
 
 
-def test_a_file_gives_the_poses_that_its_parser_gives(tmp_path):
+def test_a_file_gives_the_poses_that_its_parser_gives_and_a_sliding_joint_is_refused(tmp_path):
     yourdfpy = pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
     path = tmp_path / "odd.urdf"
     path.write_text(ODD.format(kind="revolute"))
@@ -49,11 +50,6 @@ def test_a_file_gives_the_poses_that_its_parser_gives(tmp_path):
         robot.update_cfg(angles)
         np.testing.assert_allclose(arm.forward(angles), robot.get_transform("e", "a"), atol=1e-12)
     assert arm.limits.tolist() == [[-1, 2], [-np.inf, np.inf], [-2, 2]]
-
-
-def test_a_file_with_a_sliding_joint_is_refused(tmp_path):
-    pytest.importorskip("yourdfpy", reason='it takes the extra "urdf"')
-    path = tmp_path / "odd.urdf"
     path.write_text(ODD.format(kind="prismatic"))
     with pytest.raises(ValueError, match="'four' must be revolute, continuous or fixed"):
         HingeArm.from_urdf(path, base="a", tip="e")
@@ -140,8 +136,7 @@ def test_engines_do_the_same_operations():
 def test_tasks_may_be_mixed(engine):
     """The hand at one point, the elbow at another, a joint locked: every clamp holds."""
     arm = HingeArm.named("panda")
-    posture = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
-    nodes = arm.nodes(posture)
+    nodes = arm.nodes(POSTURE)
     solution = HingeNetwork(arm, engine=engine).solve(
         position=nodes[-1], points={1: nodes[1]}, held={5: 1.6}, tolerance=EXACT
     )
@@ -151,12 +146,10 @@ def test_tasks_may_be_mixed(engine):
 
 
 def test_held_joints_give_the_forward_task(engine):
-    arm = HingeArm.named("iiwa")
-    network = HingeNetwork(arm, engine=engine)
-    posture = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
-    clamps = network.clamp(position=[0.0, 0.0, 0.0], held=dict(enumerate(posture)))
+    network = HingeNetwork(HingeArm.named("panda"), engine=engine)
+    clamps = network.clamp(position=[0.0, 0.0, 0.0], held=dict(enumerate(POSTURE)))
     state = network.run(network.state(np.zeros(7)), clamps, 3)
-    assert state.joint_angles.tolist() == posture
+    assert state.joint_angles.tolist() == POSTURE.tolist()
 
 
 def test_a_target_out_of_reach_gives_the_stretched_arm(engine):
@@ -171,12 +164,10 @@ def test_a_target_out_of_reach_gives_the_stretched_arm(engine):
 
 def test_the_given_start_is_preferred(engine):
     arm = HingeArm.named("panda")
-    start = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
-    pose = arm.forward(start + 0.05)
-    network = HingeNetwork(arm, engine=engine)
-    near = network.solve(pose[:3, 3], pose[:3, :3], start=start)
+    pose = arm.forward(POSTURE + 0.05)
+    near = HingeNetwork(arm, engine=engine).solve(pose[:3, 3], pose[:3, :3], start=POSTURE)
     assert near.is_solved
-    assert np.abs(near.joint_angles - start).max() < 0.15
+    assert np.abs(near.joint_angles - POSTURE).max() < 0.15
 
 
 @pytest.mark.parametrize("name", ROBOTS)
