@@ -25,6 +25,7 @@ os.environ.pop("COLUMNS", None)
 import gymnasium as gym  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
+from filelock import FileLock  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 import mmc_gym  # noqa: E402, F401  registers the environments
@@ -79,6 +80,23 @@ def env():
     env = gym.make("MMCReach-v0")
     yield env
     env.close()
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """Return a folder that the first of all workers that asks for it has filled."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def folder_of(name, fill):
+        folder = base / name
+        with FileLock(base / f"{name}.lock"):
+            if not folder.is_dir():
+                folder.mkdir()
+                fill(folder)
+        return folder
+
+    return folder_of
 
 
 @pytest.fixture

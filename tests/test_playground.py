@@ -149,10 +149,8 @@ def marked(test):
 def test_the_page_computes_what_the_package_computes(page):
     golden = json.loads((FOLDER / "golden.json").read_text())
     apart = page.execute_script(GOLDEN, golden)
-    assert apart["network"] < 1e-12
-    assert apart["straight"] < 1e-12
-    assert apart["observation"] < 1e-6
-    assert apart["policy"] < 1e-6
+    assert max(apart["network"], apart["straight"]) < 1e-12
+    assert max(apart["observation"], apart["policy"]) < 1e-6
     assert apart["body"] < 0.01  # radians; a sketch of pymunk's arm, and much nearer than this
     assert {len(one["lengths"]) for one in golden["network"]} == set(range(2, 9))
 
@@ -185,8 +183,7 @@ def test_the_hand_follows_a_target_that_is_dragged(browser, width):
 def test_new_targets_come_until_the_page_is_touched(page):
     page.get((FOLDER / "index.html").as_uri())
     first = ask(page, "scene.target")
-    moved = lambda _: ask(page, "scene.target") != first  # noqa: E731
-    WebDriverWait(page, PATIENCE, 0.05).until(moved)
+    WebDriverWait(page, PATIENCE, 0.05).until(lambda _: ask(page, "scene.target") != first)
     press(page, ".target", Keys.ARROW_RIGHT)
     wait_until_there(page)
     there = ask(page, "scene.target")
@@ -205,9 +202,8 @@ def test_the_ring_is_what_a_lock_leaves(page):
     ask(page, "scene.setLocked(0, true)")
     assert ask(page, "scene.ring.outer") == 1
     assert math.hypot(*ask(page, "scene.ring.centre")) == pytest.approx(link)
-    for _ in range(3):  # the hand arrives at targets that are drawn from it
-        ask(page, "scene.drawTarget()")
-        settle(page)
+    ask(page, "scene.drawTarget()")
+    settle(page)  # the hand arrives at targets that are drawn from it
 
 
 @marked
@@ -216,7 +212,6 @@ def test_the_hand_arrives_with_a_joint_locked_and_a_segment_longer(browser, widt
     load(browser, width)
     settle(browser)
     press(browser, "[data-node='1']", " ")
-    assert ask(browser, "scene.locked") == [False, True, False]
     handle = browser.find_element(By.CSS_SELECTOR, "[data-node='1']")
     assert handle.get_attribute("aria-valuetext") == "length 1.00, joint locked"
     locked = ask(browser, "scene.bodies.mmc.angles[1]")
@@ -226,12 +221,10 @@ def test_the_hand_arrives_with_a_joint_locked_and_a_segment_longer(browser, widt
     on_screen(browser, [0, 0])
     grip, hand = centre(browser, "[data-node='3']"), ask(browser, "scene.bodies.mmc.hand")
     x, y = on_screen(browser, hand)
-    away = 40 / math.hypot(grip[0] - x, grip[1] - y)
-    end = [grip[0] + away * (grip[0] - x), grip[1] + away * (grip[1] - y)]
-    drag(browser, grip, end, "touch")
-    lengths = ask(browser, "scene.lengths")
-    assert lengths[:2] == [1, 1]
-    assert lengths[2] > 1.15
+    away = 1 + 40 / math.hypot(grip[0] - x, grip[1] - y)
+    drag(browser, grip, [x + away * (grip[0] - x), y + away * (grip[1] - y)], "touch")
+    *others, longer = ask(browser, "scene.lengths")
+    assert others == [1, 1] and longer > 1.15
     settle(browser)
     assert ask(browser, "scene.bodies.mmc.angles[1]") == locked
     press(browser, "[data-node='1']", Keys.ENTER)

@@ -3,7 +3,6 @@
 It is built without running examples, which other tests do, and without films.
 """
 
-import os
 import re
 import runpy
 import shutil
@@ -15,7 +14,6 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from filelock import FileLock
 
 import mmc_gym
 from mmc_gym.benchmark.suite import SCENARIOS
@@ -32,25 +30,22 @@ QUICKLY = ("-D", "plot_gallery=0", "-D", "films=none")
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="the documentation is not here")
 
 
+def build(tree):
+    shutil.copytree(DOCS, tree / "docs", ignore=shutil.ignore_patterns(*MADE))
+    shutil.copytree(ROOT / "examples", tree / "examples")
+    for name in BESIDE:
+        shutil.copyfile(ROOT / name, tree / name)
+    command = [sys.executable, "-m", "sphinx", "-n", "-W", "--keep-going", "-q", *QUICKLY]
+    done = subprocess.run([*command, tree / "docs", tree / "site"], capture_output=True, text=True)
+    (tree / "log").write_text(f"{done.returncode}\n{done.stderr}")
+
+
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """The site, built once by the first process that needs it."""
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent  # all workers share it
-    tree, built = folder / "site-source", folder / "site"
-    with FileLock(folder / "site.lock"):
-        if not tree.is_dir():
-            shutil.copytree(DOCS, tree / "docs", ignore=shutil.ignore_patterns(*MADE))
-            shutil.copytree(ROOT / "examples", tree / "examples")
-            for name in BESIDE:
-                shutil.copyfile(ROOT / name, tree / name)
-            build = [sys.executable, "-m", "sphinx", "-n", "-W", "--keep-going", "-q", *QUICKLY]
-            done = subprocess.run([*build, tree / "docs", built], capture_output=True, text=True)
-            (folder / "site.log").write_text(f"{done.returncode}\n{done.stderr}")
-    log = (folder / "site.log").read_text()
+def site(once):
+    tree = once("site", build)
+    log = (tree / "log").read_text()
     assert log == "0\n", log
-    return built
+    return tree / "site"
 
 
 class Page(HTMLParser):

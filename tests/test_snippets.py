@@ -14,7 +14,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from filelock import FileLock
 
 from mmc_gym.benchmark.suite import SCENARIOS
 
@@ -70,27 +69,24 @@ model.save("mine")
 """
 
 
-@pytest.fixture(scope="session")
-def readers_folder(tmp_path_factory):
-    """What the reader of the pages has made before, by the first process that needs it."""
-    base = tmp_path_factory.getbasetemp()
-    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    folder, lock = base / "reader", FileLock(base / "reader.lock")
-    with lock:
-        if not folder.is_dir():
-            folder.mkdir()
-            for name in ("ppo-1", "mine-1", "mine-2"):
-                (folder / "runs" / name).mkdir(parents=True)
-                for file in SHIPPED.glob("ppo-1.*"):
-                    shutil.copy(file, folder / "runs" / name)
-            (folder / "my").mkdir()
-            hyperparameters = ROOT / "mmc_gym" / "training" / "hyperparams" / "ppo.yml"
-            shutil.copy(hyperparameters, folder / "my" / "ppo-mine.yml")
-            for name in ("my_agents.py", "my_tasks.py", "my_measures.py"):
-                shutil.copy(ROOT / "examples" / "bring_your_own.py", folder / name)
-            run(folder, "-c", MODEL)
-            run(folder, "-m", "mmc_gym.cli", *small("mmc-gym benchmark"))
-    return folder
+def fill(folder):
+    for name in ("ppo-1", "mine-1", "mine-2"):
+        (folder / "runs" / name).mkdir(parents=True)
+        for file in SHIPPED.glob("ppo-1.*"):
+            shutil.copy(file, folder / "runs" / name)
+    (folder / "my").mkdir()
+    hyperparameters = ROOT / "mmc_gym" / "training" / "hyperparams" / "ppo.yml"
+    shutil.copy(hyperparameters, folder / "my" / "ppo-mine.yml")
+    for name in ("my_agents.py", "my_tasks.py", "my_measures.py"):
+        shutil.copy(ROOT / "examples" / "bring_your_own.py", folder / name)
+    run(folder, "-c", MODEL)
+    run(folder, "-m", "mmc_gym.cli", *small("mmc-gym benchmark"))
+
+
+@pytest.fixture
+def here(once, tmp_path):
+    """A folder with what the reader of the pages has made before."""
+    return shutil.copytree(once("reader", fill), tmp_path / "here")
 
 
 def small(command):
@@ -109,17 +105,15 @@ COMMANDS = sorted({command for page in PAGES for command in commands(page.read_t
 
 
 @pytest.mark.parametrize("code", PYTHON)
-def test_the_code_of_a_page_runs(code, readers_folder, tmp_path):
+def test_the_code_of_a_page_runs(code, here):
     for long, short in SHORTER.items():
         code = re.sub(long, short, code)
-    shutil.copytree(readers_folder, tmp_path / "here")
-    run(tmp_path / "here", "-W", "error", "-c", code)
+    run(here, "-W", "error", "-c", code)
 
 
 @pytest.mark.parametrize("command", [one for one in COMMANDS if not {*one.split()} & {*TOO_MUCH}])
-def test_the_command_of_a_page_runs(command, readers_folder, tmp_path):
-    shutil.copytree(readers_folder, tmp_path / "here")
-    assert run(tmp_path / "here", "-m", "mmc_gym.cli", *small(command))
+def test_the_command_of_a_page_runs(command, here):
+    assert run(here, "-m", "mmc_gym.cli", *small(command))
 
 
 def test_options_of_commands_that_take_too_much_exist(tmp_path):
