@@ -1,12 +1,17 @@
-"""The planar chain: its vectors close triangles, and postures are read back as they were made."""
+"""The planar chain, whose vectors close triangles, and normalizers, which give them lengths."""
+
+import pickle
 
 import numpy as np
 import pytest
+import safetensors.numpy
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmc_gym.network import chain
+from mmc_gym._errors import UserError
+from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer, chain
+from studies.network.fitting import angle_errors, mean_squared_error
 
 angles = st.floats(-10, 10)
 
@@ -62,3 +67,95 @@ def test_every_posture_lies_between_the_reachable_radii(lengths, joint_angles):
     segments = chain.segments_from_joint_angles(joint_angles[: len(lengths)], lengths)
     radius = np.linalg.norm(segments.sum(axis=0))
     assert inner - 1e-9 <= radius <= outer + 1e-9
+
+
+lengths = st.floats(1e-6, 1e6)
+
+
+def small_normalizer(card=None):
+    random = np.random.default_rng(0)
+    shapes = [(3, 2), (4, 3), (2, 4)]
+    weights = [random.normal(size=shape) for shape in shapes]
+    return LearnedNormalizer(weights, [random.normal(size=shape[0]) for shape in shapes], card)
+
+
+@given(angle=st.floats(-np.pi, np.pi), before=lengths, after=lengths)
+def test_the_euclidean_normalizer_keeps_direction_and_gives_length(angle, before, after):
+    direction = np.array([np.cos(angle), np.sin(angle)])
+    result = EuclideanNormalizer()(before * direction, after)
+    np.testing.assert_allclose(result, after * direction, rtol=1e-12, atol=1e-12 * after)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_zero_vector_becomes_the_x_axis_and_inputs_stay(dtype):
+    zeros = np.zeros((2, 2), dtype=dtype)
+    result = EuclideanNormalizer()(zeros, [[1.0], [3.0], [2.0]])
+    np.testing.assert_array_equal(result[:, 0], [[1.0, 0.0], [3.0, 0.0], [2.0, 0.0]])
+    assert result.dtype == dtype and not zeros.any()
+
+
+def test_a_learned_normalizer_is_its_layers_one_after_the_other():
+    normalizer = small_normalizer()
+    vectors = np.random.default_rng(1).normal(size=(5, 6, 2))
+    values = vectors / 0.7
+    outputs = normalizer.activations(values)
+    for weight, bias, output in zip(normalizer.weights, normalizer.biases, outputs, strict=True):
+        values = np.tanh(values @ weight.T + bias)
+        np.testing.assert_allclose(output, values, atol=1e-14)
+    np.testing.assert_allclose(normalizer(vectors, 0.7), 0.7 * values, atol=1e-14)
+    assert normalizer.hidden_units == (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "near", "shortest", "largest"),
+    [("accurate", 0.001, 1e-9, 4.2), ("paper", 0.5, 0.1, 5)],
+)
+def test_a_shipped_normalizer_turns_no_vector_much(name, near, shortest, largest):
+    normalizer, lengths = LearnedNormalizer.shipped(name), np.geomspace(shortest, 3.0, 50)
+    assert normalizer.hidden_units == (16, 16)
+    errors = np.degrees(angle_errors(normalizer, np.linspace(0.9, 1.1, 21), directions=720))
+    assert errors.mean() < near
+    assert f"name='{name}'" in normalizer.card["recipe"] and normalizer.card["seed"] == "0, run 0"
+    written = float(normalizer.card["mean_angle_error_deg"].split()[0])
+    assert written == pytest.approx(errors.mean(), rel=1e-2)
+    assert np.degrees(angle_errors(normalizer, lengths, directions=720).max()) < largest
+    assert mean_squared_error(normalizer, directions=360) < 0.00053  # that of the published one
+
+
+def test_the_accurate_normalizer_gives_the_length():
+    normalizer = LearnedNormalizer.shipped("accurate")
+    angles = np.linspace(0, 2 * np.pi, 1000)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    for low, high, allowed in ((0.7, 1.3, 6e-4), (0.1, 3.0, 0.01), (0.03, 0.1, 0.02)):
+        lengths = np.linspace(low, high, 30)[:, None, None]
+        result = np.linalg.norm(normalizer(lengths * directions), axis=-1)
+        assert np.abs(result - 1).max() < allowed
+
+
+def test_a_saved_or_pickled_normalizer_is_read_back_as_it_was(tmp_path):
+    saved = small_normalizer({"recipe": "paper", "seed": "0"})
+    saved.save(tmp_path / "new folder" / "normalizer.safetensors")
+    loaded = LearnedNormalizer.load(tmp_path / "new folder" / "normalizer.safetensors")
+    vectors = np.random.default_rng(0).normal(size=(4, 2))
+    for same in (loaded, pickle.loads(pickle.dumps(saved))):
+        assert same.card == saved.card
+        np.testing.assert_array_equal(same(vectors), saved(vectors))
+
+
+@pytest.mark.parametrize(
+    ("weight", "bias"),
+    [
+        (np.eye(2), None),
+        (np.eye(2), np.eye(2)),
+        (np.ones((2, 3)), np.zeros(2)),  # of three inputs
+        (np.ones((3, 2)), np.zeros(3)),  # of three outputs
+        (np.full((2, 2), np.nan), np.zeros(2)),
+    ],
+)
+def test_a_file_without_a_normalizer_is_refused_by_name(tmp_path, weight, bias):
+    layer = {"layers.0.weight": weight, "layers.0.bias": bias}
+    whole = safetensors.numpy.save({k: part for k, part in layer.items() if part is not None})
+    for content in (whole, whole[:-8], b""):
+        (tmp_path / "broken.safetensors").write_bytes(content)
+        with pytest.raises(UserError, match=r"broken\.safetensors does not hold a normalizer"):
+            LearnedNormalizer.load(tmp_path / "broken.safetensors")
