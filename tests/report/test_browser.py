@@ -97,7 +97,7 @@ def test_nothing_is_logged_and_nothing_asked_of_a_network(page, screenshot):
     screenshot("report.png")
 
 
-def test_slider_and_keys_move_the_replay(page):
+def test_slider_and_keys_move_the_replay_and_it_plays_and_pauses(page):
     seek(page, 0)
     begin = pictures(page)
     seek(page, 12)
@@ -107,11 +107,7 @@ def test_slider_and_keys_move_the_replay(page):
     for key, clock in ((Keys.HOME, "0.00 s"), (Keys.ARROW_RIGHT, "0.02 s")):
         stage.send_keys(key)
         assert page.find_element(By.ID, "replay-clock").text == clock
-
-
-def test_the_replay_plays_and_pauses(page):
     seek(page, 0)
-    begin = pictures(page)
     press = "const play = document.getElementById('replay-play'); play.click();"
     assert "Pause" in page.execute_script(f"{press} return play.textContent")
     wait_until(page, lambda: pictures(page) != begin)
@@ -172,12 +168,10 @@ def test_a_failure_in_the_table_is_shown_by_the_replay(page):
     first = pictures(page)
     link = page.find_elements(By.CSS_SELECTOR, "button.show")[-1]
     page.execute_script("arguments[0].click()", link)
-    for name in ("scenario", "instance"):
-        chosen = page.find_element(By.ID, f"replay-{name.replace('scenario', 'environment')}")
-        assert Select(chosen).first_selected_option.get_attribute("value") == link.get_attribute(
-            f"data-{name}"
-        )
-    assert "failed" in Select(chosen).first_selected_option.text
+    for select, name in (("environment", "scenario"), ("instance", "instance")):
+        chosen = Select(page.find_element(By.ID, f"replay-{select}")).first_selected_option
+        assert chosen.get_attribute("value") == link.get_attribute(f"data-{name}")
+    assert "failed" in chosen.text
     assert pictures(page) != first
 
 
