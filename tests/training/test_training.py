@@ -13,9 +13,8 @@ import torch
 
 import mmc_gym
 from mmc_gym._errors import UserError
-from mmc_gym.agents.policy import PolicyAgent, load_policy
+from mmc_gym.agents.policy import load_policy
 from mmc_gym.body import ArmParameters
-from mmc_gym.interface import ReachInterface
 from mmc_gym.training import training as module
 from mmc_gym.training.hyperparameters import Recipe, read_recipe
 from mmc_gym.training.training import CHECKPOINT, Training
@@ -122,14 +121,12 @@ def test_the_card_describes_the_whole_training(trained, tmp_path):
 
 
 def test_the_policy_that_is_kept_acts_as_the_model_that_was_trained(tmp_path):
-    one = training("ppo", tmp_path, n_timesteps=1)
-    models = []
+    one, models = training("ppo", tmp_path, n_timesteps=1), []
     one.save = lambda model: (models.append(model), Training.save(one, model))
     one.run()
-    network, card = load_policy(tmp_path / "ppo-3.json")
-    envs = gym.make_vec(card.env_id, 5, control="joint_delta")
+    envs = gym.make_vec("MMCReach-v0", 5)
     observations, _ = envs.reset(seed=0)
-    agent = PolicyAgent(network, card, ReachInterface.of(envs))
+    agent = mmc_gym.make_agent(str(tmp_path / "ppo-3.json"), envs)
     actions, _ = agent.predict(observations, deterministic=True)
     expected, _ = models[-1].predict(observations, deterministic=True)
     np.testing.assert_allclose(actions, expected, atol=1e-6)
