@@ -87,8 +87,8 @@ def test_speeds_are_bell_shaped_from_the_centre_to_targets_around_it():
     assert np.mean(likeness) > 0.8
 
 
-def success(perturbation, control="joint_velocity", delay=0.0):
-    env = gym.make_vec("MMCReach-v0", 50, control=control, perturbations=perturbation)
+def success(perturbation, delay=0.0):
+    env = gym.make_vec("MMCReach-v0", 50, control="joint_velocity", perturbations=perturbation)
     agent = oc.OptimalControlAgent(ReachInterface.of(env), oc.Assumptions(delay=delay))
     episodes = run_episodes(agent, env, range(50), records_effort=False)
     return np.mean([one.distances[-1] < one.tolerance for one in episodes])
@@ -99,12 +99,9 @@ def test_a_joint_that_does_not_turn_is_not_relied_on():
     assert success("locked-2-told") > 0.9
 
 
-@pytest.mark.parametrize(
-    "control", ["joint_velocity", pytest.param("joint_position", marks=pytest.mark.slow)]
-)
-def test_senses_that_are_known_to_be_late_do_little_harm(control):
-    assert success("delay-200", control) < 0.5
-    assert success("delay-200", control, delay=0.2) > 0.9
+def test_senses_that_are_known_to_be_late_do_little_harm():
+    assert success("delay-200") < 0.5
+    assert success("delay-200", delay=0.2) > 0.9
 
 
 def test_impossible_assumptions_are_refused():

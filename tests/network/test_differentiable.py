@@ -92,16 +92,15 @@ def test_every_tensor_is_on_the_device_and_none_is_asked_for_its_value(kind, nor
     assert state.segments.shape == (4, 5, 3, 2)
 
 
-def test_what_is_given_is_brought_to_the_module():
-    network = TorchNetwork(device="cpu", dtype=torch.float32)
-    state = network.state_from_joint_angles(np.array([0.3, 0.6, 0.6]))
-    state = network(state, network.inverse(torch.ones(5, 2, dtype=torch.float64)))
-    assert state.values.dtype == torch.float32 and state.segments.shape == (5, 3, 2)
-    assert network.double().state_from_joint_angles([0.3, 0.6, 0.6]).values.dtype == torch.float64
-
-
 def at_rest(network):
     return network.state_from_joint_angles([0.1, 0.2, 0.3])
+
+
+def test_what_is_given_is_brought_to_the_module():
+    network = TorchNetwork(device="cpu", dtype=torch.float32)
+    state = network(at_rest(network), network.inverse(torch.ones(5, 2, dtype=torch.float64)))
+    assert state.values.dtype == torch.float32 and state.segments.shape == (5, 3, 2)
+    assert at_rest(network.double()).values.dtype == torch.float64
 
 
 @pytest.mark.parametrize(

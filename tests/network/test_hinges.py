@@ -188,12 +188,11 @@ def test_a_path_is_followed_without_a_jump(name):
 
 def test_one_start_is_no_other():
     arm = HingeArm.named("panda")
-    start = np.array([0.3, 0.4, -0.2, -1.8, 0.5, 1.6, 0.1])
-    away = arm.forward(-start)[:3, 3]
+    away = arm.forward(-POSTURE)[:3, 3]
     network = HingeNetwork(arm)
-    alone = network.solve(away, start=start, starts=1).joint_angles
-    clamps = network.clamp(away)
-    path = [network.run(network.state(start), clamps, times).joint_angles for times in range(151)]
+    alone = network.solve(away, start=POSTURE, starts=1).joint_angles
+    start, clamps = network.state(POSTURE), network.clamp(away)
+    path = [network.run(start, clamps, iterations).joint_angles for iterations in range(151)]
     assert any(np.array_equal(alone, posture) for posture in path)
 
 
