@@ -1,6 +1,7 @@
 """The site builds without a warning, and its pages show what they should.
 
-It is built without running examples, which other tests do, and without films.
+It is built without running examples, which other tests do, and without films.  The pictures in it
+are those that the commands beside them draw.
 """
 
 import re
@@ -10,10 +11,13 @@ import subprocess
 import sys
 from functools import cache
 from html.parser import HTMLParser
+from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import numpy as np
 import pytest
+from PIL import Image
 
 import mmc_gym
 from mmc_gym.benchmark.suite import SCENARIOS
@@ -151,3 +155,55 @@ def test_readme_is_short_and_its_links_lead_somewhere():
 def test_agents_md_is_up_to_date():
     written = runpy.run_path(str(DOCS / "write_agents_md.py"))["agents_text"]()
     assert (ROOT / "AGENTS.md").read_text() == written, "run python docs/write_agents_md.py"
+
+
+ALIKE = 40  # of 255
+SQUARE = 8
+
+# Picture, the command that draws it, its file, and the frames that are compared.
+PICTURES = [
+    # Starts, the joint locks, ends.
+    ("film.gif", "docs/draw_film.py film.gif", "film.gif", (0, 3, 25, 51)),
+    ("panda.gif", "docs/draw_panda.py panda.gif", "panda.gif", (0, 20, 65)),
+    ("learning-curves.png", "-m mmc_gym.cli curves --out .", "learning_curves.png", (0,)),
+    (
+        "compare.png",
+        "-m mmc_gym.cli compare --agents mmc-body mmc ik-dls ppo sac --out .",
+        "paths_and_profiles.png",
+        (0,),
+    ),
+]
+
+
+def squares(path, frame):
+    """Return the mean colours of a picture's squares."""
+    with Image.open(path) as image:
+        image.seek(frame)
+        return np.asarray(image.convert("RGB").reduce(SQUARE), float)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "command", "file", "frames"), PICTURES)
+def test_a_picture_shows_what_its_command_draws(name, command, file, frames, tmp_path):
+    """Compared by the mean colours of squares, in which edges and single dots have little weight.
+
+    Redrawn by the same code a square differs by 0 to 2 of 255, with another pygame or SDL by up to
+    5, and by up to 20 where other rounding changes the movements of learned policies.  Arms that
+    are drawn a single control step later differ by 40 to 110 somewhere in their panels.
+    """
+    if f"matplotlib=={version('matplotlib')}" not in (ROOT / "constraints.txt").read_text():
+        pytest.skip("another matplotlib may put labels elsewhere")
+    if name == "panda.gif":
+        pytest.importorskip("panda_gym")
+    first, *others = command.split()
+    script = ROOT / first
+    arguments = [script if script.exists() else first, *others]
+    done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    drawn, shown = tmp_path / file, ROOT / "docs" / name
+    assert drawn.suffix != ".gif" or drawn.stat().st_size < 500_000
+    for frame in frames:
+        now, before = squares(drawn, frame), squares(shown, frame)
+        assert now.shape == before.shape
+        differences = np.abs(now - before).mean(axis=-1)
+        assert differences.max() < ALIKE, f"draw docs/{name} anew: python {command}"
