@@ -161,17 +161,13 @@ ALIKE = 40  # of 255
 SQUARE = 8
 
 # Picture, the command that draws it, its file, and the frames that are compared.
+COMPARE = "-m mmc_gym.cli compare --agents mmc-body mmc ik-dls ppo sac --out ."
 PICTURES = [
     # Starts, the joint locks, ends.
     ("film.gif", "docs/draw_film.py film.gif", "film.gif", (0, 3, 25, 51)),
     ("panda.gif", "docs/draw_panda.py panda.gif", "panda.gif", (0, 20, 65)),
     ("learning-curves.png", "-m mmc_gym.cli curves --out .", "learning_curves.png", (0,)),
-    (
-        "compare.png",
-        "-m mmc_gym.cli compare --agents mmc-body mmc ik-dls ppo sac --out .",
-        "paths_and_profiles.png",
-        (0,),
-    ),
+    ("compare.png", COMPARE, "paths_and_profiles.png", (0,)),
 ]
 
 

@@ -178,11 +178,10 @@ def test_batches_have_any_axes_and_broadcast():
 
 def test_batches_larger_than_a_block_are_no_different():
     network, size = MMCNetwork(), 2 * iteration._BLOCK + 3
-    segments, targets, tail = random_segments((size, 3)), random_targets(size), slice(-7, None)
-    for goals, of_tail in ((targets, targets[tail]), (targets[0], targets[0])):
-        state = moved(network, segments, goals, 5)
-        alone = moved(network, segments[tail], of_tail, 5)
-        np.testing.assert_allclose(state.segments[tail], alone.segments, atol=1e-13)
+    segments, targets = random_segments((size, 3)), random_targets(size)
+    state = moved(network, segments, targets, 5)
+    alone = moved(network, segments[-7:], targets[-7:], 5)
+    np.testing.assert_allclose(state.segments[-7:], alone.segments, atol=1e-13)
 
 
 def test_nothing_that_is_passed_in_changes():
@@ -190,6 +189,7 @@ def test_nothing_that_is_passed_in_changes():
     segments, targets = random_segments((4, 3)), np.ones((4, 2))
     state, clamps = network.state_from_segments(segments), network.inverse(targets)
     given = segments, targets, state.values, clamps.values
+    assert not np.shares_memory(clamps.values, targets)
     copies = [array.copy() for array in given]
     network.run(state, clamps, 3)
     network.trajectory(state, clamps, 3)
@@ -247,7 +247,6 @@ def test_no_other_arm_is_bent():
         ({"velocity_decay": 1.1}, "velocity_decay must be between 0 and 1, got 1.1"),
         ({"dampening": 4}, "takes no argument 'dampening'; did you mean 'damping'"),
         ({"dynamics": "dynamic"}, "'dynamic' is not accepted; did you mean 'paper'.* or reference"),
-        ({"schedule": "late"}, "schedule 'late' is not accepted. It may be synchronous"),
         ({"engine": "jax"}, "engine 'jax' is not accepted. It may be numpy or numba"),
     ],
 )
