@@ -33,16 +33,16 @@ class Draw:
 
 
 def draw(cell):
-    if cell.notes is not None:
-        note_and_wait(cell.notes, cell.seed, "begun")
+    note_and_wait(cell.notes, cell.seed, "begun")
     numbers = np.random.default_rng(cell.seed).random(cell.size)
-    if cell.notes is not None:
-        note_and_wait(cell.notes, cell.seed, "done")
+    note_and_wait(cell.notes, cell.seed, "done")
     return numbers
 
 
 def note_and_wait(notes, seed, stage):
     """Let the victim finish two cells and never its third, and the others none before that."""
+    if notes is None:
+        return
     import ray
 
     node, victim = ray.get_runtime_context().get_node_id(), (notes / "victim").read_text()
@@ -125,8 +125,7 @@ def test_an_error_names_its_cell_after_the_others_are_handed_over(jobs):
     with pytest.raises(CellError, match="cell 1, 3, failed: ValueError: three is refused") as info:
         run_grid(refuse_three, [0, 3, *range(4, 90)], jobs=jobs, on_result=seen.__setitem__)
     assert isinstance(info.value.__cause__, ValueError)
-    assert seen[0] == 0
-    assert 1 not in seen
+    assert seen[0] == 0 and 1 not in seen
     assert len(seen) < 80  # no more are begun
 
 
@@ -143,18 +142,15 @@ def test_what_cannot_travel_is_an_error_of_its_cell(function, cell, message):
         run_grid(function, [cell, cell], jobs=2)
 
 
-def test_a_cell_whose_worker_died_is_computed_again(tmp_path):
-    cells = [0, tmp_path / "died", *range(2, 6)]
-    assert run_grid(die, cells, jobs=2) == [0, "computed again", 2, 3, 4, 5]
-
-
-@pytest.mark.parametrize("cells", [[0, "killer", 2, 3], ["killer"], []])
-def test_a_cell_that_kills_its_worker_twice_is_named(cells):
+def test_a_cell_whose_worker_died_is_computed_again_and_one_that_kills_it_twice_is_named(tmp_path):
     died = {}
-    results = run_grid(die, cells, jobs=None if len(cells) < 2 else 2, on_failure=died.__setitem__)
-    assert results == [None if cell == "killer" else cell for cell in cells]
-    assert [cells[index] for index in died] == [cell for cell in cells if cell == "killer"]
-    assert all(isinstance(error.__cause__, _grid.WorkerDied) for error in died.values())
+    cells = [0, tmp_path / "died", "killer", *range(3, 6)]
+    results = run_grid(die, cells, jobs=2, on_failure=died.__setitem__)
+    assert results == [0, "computed again", None, 3, 4, 5]
+    assert [type(error.__cause__) for error in died.values()] == [_grid.WorkerDied]
+    assert run_grid(die, ["killer"], on_failure=died.__setitem__) == [None]
+    assert sorted(died) == [0, 2]
+    assert run_grid(die, []) == []
 
 
 def test_workers_end_when_their_parent_is_killed():
@@ -233,8 +229,7 @@ def test_a_local_ray_gives_what_processes_give_and_names_errors_too(ray, monkeyp
     seen = {}
     with pytest.raises(CellError, match="cell 1, 3, failed: ValueError: three is refused"):
         run_grid(refuse_three, [0, 3, *range(4, 90)], cluster="ray", on_result=seen.__setitem__)
-    assert seen[0] == 0
-    assert len(seen) < 80
+    assert seen[0] == 0 and len(seen) < 80
     with pytest.raises(CellError, match="cell 0, 1, failed: SystemExit: 3"):
         run_grid(end, [1], cluster="ray")
     monkeypatch.setattr(_grid, "_sources", lambda: "others")

@@ -60,6 +60,7 @@ class OneByOne:
 def raising(env): return Raising()
 def constant(env): return Constant()
 def one_by_one(env): return OneByOne(env)
+def batched(env): return mmc_gym.make_agent("mmc", env)
 
 def cannot(env): raise CannotActError("env is not for me")
 def crashing(env): raise ZeroDivisionError("oh")
@@ -300,7 +301,7 @@ def test_who_alone_cannot_be_ranked_is_told_why(tmp_path, outside, capsys):
 
 
 def test_an_agent_that_does_not_take_batches_plays_alone(tmp_path, outside):
-    play([f"{outside}:one_by_one", "mmc"], tmp_path, ["random"])
+    play([f"{outside}:one_by_one", f"{outside}:batched"], tmp_path, ["random"])
     distances = read_episodes(tmp_path).groupby("agent")["final_distance"].apply(list)
     np.testing.assert_allclose(*distances, atol=1e-9)
 

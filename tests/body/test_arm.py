@@ -174,13 +174,6 @@ def test_a_servo_drives_a_joint_no_faster_than_the_speed_limit(engine, servo):
     assert max(speeds) == pytest.approx(2 * math.pi, rel=1e-4)
 
 
-def test_velocity_servos_give_the_commanded_speeds(engine):
-    arm = arm_of(engine, "velocity")
-    arm.reset([0.2, 1.0, -1.0])
-    drive(arm, [1.0, -2.0, 3.0], 40)
-    assert arm.joint_velocities == pytest.approx([1.0, -2.0, 3.0], abs=0.02)
-
-
 def test_position_servos_hold_the_arm_against_gravity(engine):
     arm = arm_of(engine, gravity=(0.0, -9.81))
     arm.records_effort = True

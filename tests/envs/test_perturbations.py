@@ -362,40 +362,31 @@ def test_a_posture_whose_locks_leave_no_target_is_refused_unless_there_is_one_al
     env = MMCReachEnv(perturbations=[LockedJoint(1), LockedJoint(2), "longer-50"])
     env.reset(seed=0)
     state, stretched = env.np_random.bit_generator.state, [1.0, 0.0, 0.0]
-    with pytest.raises(
-        UserError, match=r"joint_angles'\] must be a posture with a target in reach"
-    ):
+    message = r"joint_angles'\] must be a posture with a target in reach"
+    with pytest.raises(UserError, match=message):
         env.reset(seed=1, options={"joint_angles": stretched})
     assert env.np_random.bit_generator.state == state
     env.reset(seed=1, options={"joint_angles": stretched, "target": (1.0, 2.0)})
     assert env.arm.joint_angles == pytest.approx(stretched)
 
 
-@pytest.mark.parametrize("told", [False, True])
-@pytest.mark.parametrize("factor", [0.5, 1.5])
+@pytest.mark.parametrize("length", ["longer-50", "longer-50-told", "shorter-50", "shorter-50-told"])
 @pytest.mark.parametrize("task", ["random", "pursuit"])
-def test_goals_of_an_arm_of_another_length_are_in_their_space(factor, told, task):
-    arguments = {
-        "segment_lengths": (1.0, 0.4),
-        "task": task,
-        "perturbations": [SegmentLength(factor, told=told), "rotation-45"],
-    }
-    env = MMCReachGoalVectorEnv(5, **arguments)
+def test_goals_of_an_arm_of_another_length_are_in_their_space(length, task):
+    arguments = {"segment_lengths": (1.0, 0.4), "perturbations": [length, "rotation-45"]}
+    env = MMCReachGoalVectorEnv(5, task=task, **arguments)
     action = np.full(env.action_space.shape, 0.7, np.float32)
     assert env.observation_space.contains(env.reset(seed=0)[0])
     assert all(env.observation_space.contains(env.step(action)[0]) for _ in range(60))
 
 
-@pytest.mark.parametrize(
-    ("make", "name"),
-    [
-        (lambda: SegmentLength(0.0), "factor"),
-        (lambda: LockedJoint(time=-0.1), "time"),
-        (lambda: SensoryDelay(math.inf), "seconds"),
-        (lambda: JointNoise(speed_std=math.nan), "speed_std"),
-        (lambda: VisuomotorRotation(30.0, (0.0, math.inf)), "centre"),
-    ],
-)
-def test_values_that_make_no_sense_are_refused(make, name):
-    with pytest.raises(ValueError, match=f"^{name} must be"):
-        make()
+def test_values_that_make_no_sense_are_refused():
+    for kind, name, value in (
+        (SegmentLength, "factor", 0.0),
+        (LockedJoint, "time", -0.1),
+        (SensoryDelay, "seconds", math.inf),
+        (JointNoise, "speed_std", math.nan),
+        (VisuomotorRotation, "centre", (0.0, math.inf)),
+    ):
+        with pytest.raises(UserError, match=f"^{name} must be"):
+            kind(**{name: value})

@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pandas as pd
@@ -92,15 +91,12 @@ def test_a_store_knows_measures_whose_functions_are_not_here():
 
 
 def test_another_function_or_another_unit_is_another_measure(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.syspath_prepend(tmp_path)
+    code = "from mmc_gym.measures import measure\n@measure(label='x', unit='{}')\n"
+    code += "def x(episode): return {}\n"
     found = []
-    for number, (unit, value) in enumerate([("s", 0.0), ("s", 1.0), ("rad", 1.0), ("s", 0.0)]):
-        (tmp_path / f"measures_{number}.py").write_text(
-            "from mmc_gym.measures import measure\n"
-            f"@measure(label='x', unit={unit!r})\n"
-            f"def x(episode):\n    return {value}\n"
-        )
+    for number, facts in enumerate([("s", 0.0), ("s", 1.0), ("rad", 1.0), ("s", 0.0)]):
+        (tmp_path / f"measures_{number}.py").write_text(code.format(*facts))
         import_modules([f"measures_{number}"])
         found.append(catalogue.digest(MEASURES.pop("x")))
     assert len(set(found[:3])) == 3 and found[3] == found[0]

@@ -111,16 +111,14 @@ def test_a_locked_arm_of_a_batch_does_not_touch_the_others_and_may_be_folded_to_
     assert abs(mixed.joint_angles[0, 1]) == pytest.approx(np.pi, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("schedule", "knowledge", "message"),
-    [
+def test_incomplete_knowledge_and_delayed_networks_are_refused():
+    for schedule, knowledge, message in (
         ("synchronous", {"weight": -1.0}, "weight must be finite and not negative, got -1"),
         ("synchronous", {"weight": 1.0}, "sensed must be given if it has a weight"),
         ("synchronous", {"locked": np.ones(3, bool)}, "joint_angles must be given if joints are"),
         ("delayed", {}, "schedule must be 'synchronous', got 'delayed'"),
-    ],
-)
-def test_incomplete_knowledge_and_delayed_networks_are_refused(schedule, knowledge, message):
-    network = MMCNetwork(schedule=schedule)
-    with pytest.raises(UserError, match=message):
-        run_to(network, network.state_from_joint_angles([0, 0, 0]), [1, 1], Embodiment(**knowledge))
+    ):
+        network = MMCNetwork(schedule=schedule)
+        start = network.state_from_joint_angles([0, 0, 0])
+        with pytest.raises(UserError, match=message):
+            run_to(network, start, [1, 1], Embodiment(**knowledge))

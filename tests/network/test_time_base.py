@@ -56,12 +56,6 @@ def test_a_movement_is_bell_shaped_for_longer_arms_too(segments):
     assert 0.4 < (steps.argmax() + 0.5) / 60 < 0.6
 
 
-def test_single_precision_is_kept():
-    state = NETWORK.state_from_joint_angles(np.array(POSTURE, dtype=np.float32))
-    after = timed_step(NETWORK, state, np.array([-1, 1.5], np.float32), 0.2)
-    assert after.values.dtype == np.float32
-
-
 def test_other_networks_and_what_is_out_of_range_are_refused():
     for other in (MMCNetwork(dynamics="paper"), MMCNetwork(schedule="delayed")):
         with pytest.raises(ValueError, match="network must be kinematic and synchronous"):
