@@ -6,14 +6,8 @@ from functools import partial
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import (
-    FrameStackObservation,
-    NormalizeObservation,
-    RepeatAction,
-    RescaleAction,
-    TransformAction,
-    vector,
-)
+from gymnasium import wrappers
+from gymnasium.wrappers import vector
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
@@ -218,11 +212,11 @@ def test_an_agent_without_memory_takes_no_state(name):
 
 TWICE = np.float32([-2.0, 2.0])
 WRAPPERS = (
-    NormalizeObservation,
-    lambda env: RescaleAction(env, *TWICE),
-    lambda env: FrameStackObservation(env, 2),
-    lambda env: RepeatAction(env, 2),
-    lambda env: TransformAction(env, lambda action: action / 2, None),
+    wrappers.NormalizeObservation,
+    lambda env: wrappers.RescaleAction(env, *TWICE),
+    lambda env: wrappers.FrameStackObservation(env, 2),
+    lambda env: wrappers.RepeatAction(env, 2),
+    lambda env: wrappers.TransformAction(env, lambda action: action / 2, None),
 )
 
 
@@ -232,7 +226,7 @@ def test_wrappers_that_change_what_is_seen_or_done_are_refused_by_their_names(wr
     wrapped = wrap(gym.make("MMCReach-v0"))
     name = type(wrapped).__name__
     envs = gym.make_vec("MMCReach-v0", 1, vectorization_mode="sync", wrappers=[wrap])
-    for env in (wrapped, gym.wrappers.RecordEpisodeStatistics(wrapped), envs):
+    for env in (wrapped, wrappers.RecordEpisodeStatistics(wrapped), envs):
         with pytest.raises(CannotActError, match=f"env must show its own .* got it in {name}: "):
             make_agent(agent, env)
 
@@ -245,9 +239,9 @@ def test_wrappers_of_vectors_are_refused_and_harmless_ones_are_not():
     for env in (vector.NormalizeObservation(native), VecNormalize(many), VecFrameStack(many, 2)):
         with pytest.raises(CannotActError, match=f"got it in {type(env).__name__}: "):
             make_agent("mmc", env)
-    harmless = (gym.wrappers.ClipAction, gym.wrappers.RecordEpisodeStatistics, Paid)
+    harmless = (wrappers.ClipAction, wrappers.RecordEpisodeStatistics, Paid)
     env = gym.make("MMCReach-v0", render_mode="rgb_array")
-    for wrap in (*harmless, gym.wrappers.RenderCollection, gym.wrappers.NormalizeReward):
+    for wrap in (*harmless, wrappers.RenderCollection, wrappers.NormalizeReward):
         env = wrap(env)
     for each in (env, vector.RecordEpisodeStatistics(native), VecNormalize(many, norm_obs=False)):
         assert make_agent("ppo", each)

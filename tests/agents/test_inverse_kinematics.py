@@ -5,17 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmc_gym.agents.inverse_kinematics import (
-    closed_form,
-    damped_least_squares,
-    hand_position,
-    iterate,
-    jacobian,
-    solutions,
-)
+from mmc_gym.agents import inverse_kinematics as ik
 from mmc_gym.network.chain import reachable_radii, wrap_angle
 
-SOLVERS = {"dls": damped_least_squares, "closed-form": closed_form}
+SOLVERS = {"dls": ik.damped_least_squares, "closed-form": ik.closed_form}
 ARMS = ((1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), (2.0, 1.0, 0.5), (0.5,) * 7)
 UNEQUAL = (1.0, 0.7, 1.3)
 CASES = [(name, arm) for name in SOLVERS for arm in ARMS if name != "closed-form" or len(arm) <= 3]
@@ -37,7 +30,7 @@ def random_reaches(lengths, count=200):
 
 
 def distances(joint_angles, target, lengths):
-    return np.linalg.norm(hand_position(joint_angles, lengths) - target, axis=-1)
+    return np.linalg.norm(ik.hand_position(joint_angles, lengths) - target, axis=-1)
 
 
 @every_case
@@ -49,7 +42,7 @@ def test_reaches_random_targets_from_random_postures(name, lengths):
     }[name]
     postures, targets = random_reaches(lengths)
     for _ in range(steps):
-        postures = iterate(SOLVERS[name], postures, targets, lengths, iterations)
+        postures = ik.iterate(SOLVERS[name], postures, targets, lengths, iterations)
     assert (distances(postures, targets, lengths) <= accuracy).mean() >= share
 
 
@@ -60,7 +53,7 @@ def test_stays_finite_and_ends_no_farther_away_from_anywhere(data):
     posture = np.array(data.draw(st.lists(angles, min_size=len(lengths), max_size=len(lengths))))
     target = polar(data.draw(st.floats(0.0, 2 * sum(lengths))), data.draw(angles))
     first = distances(posture, target, lengths)
-    after = iterate(SOLVERS[name], posture, target, lengths, 100)
+    after = ik.iterate(SOLVERS[name], posture, target, lengths, 100)
     assert np.isfinite(after).all()
     assert distances(after, target, lengths) <= first + 0.01 * sum(lengths)  # of a bend
 
@@ -97,7 +90,7 @@ def test_targets_are_reached_from_where_iterations_get_stuck(name, lengths):
     if cases:
         postures, targets = map(np.array, zip(*cases))
         for _ in range(60):  # each begins with a look at whether it is stuck
-            postures = iterate(SOLVERS[name], postures, targets, lengths, 10)
+            postures = ik.iterate(SOLVERS[name], postures, targets, lengths, 10)
         np.testing.assert_array_less(distances(postures, targets, lengths), 0.05)
 
 
@@ -105,8 +98,8 @@ def test_targets_are_reached_from_where_iterations_get_stuck(name, lengths):
 def test_points_at_targets_out_of_reach_and_rests(name, lengths):
     posture, target = random_reaches(lengths, 1)[0][0], polar(1.5 * sum(lengths), 2.0)
     for iterations in (1200, 30):
-        posture = iterate(SOLVERS[name], posture, target, lengths, iterations)
-        hand = hand_position(posture, lengths)
+        posture = ik.iterate(SOLVERS[name], posture, target, lengths, iterations)
+        hand = ik.hand_position(posture, lengths)
         np.testing.assert_allclose(hand, polar(sum(lengths), 2.0), atol=0.05)
 
 
@@ -120,23 +113,23 @@ def test_every_solution_of_the_sweep_puts_the_hand_on_the_target(lengths, share,
     inner, outer = reachable_radii(lengths)
     target = polar(inner + share * (outer - inner), angle)
     posture = np.array(posture[: len(lengths)])
-    found = solutions(target, lengths, posture)
-    hands = hand_position(found, lengths)
+    found = ik.solutions(target, lengths, posture)
+    hands = ik.hand_position(found, lengths)
     np.testing.assert_allclose(hands, np.broadcast_to(target, hands.shape), atol=1e-12)
 
 
 @given(st.lists(angles, min_size=3, max_size=3).map(np.array))
 def test_a_posture_that_reaches_already_is_its_own_closed_form_solution(posture):
-    found = closed_form(posture, hand_position(posture, UNEQUAL), UNEQUAL)
+    found = ik.closed_form(posture, ik.hand_position(posture, UNEQUAL), UNEQUAL)
     np.testing.assert_allclose(found, posture, atol=1e-5)
 
 
 @pytest.mark.parametrize("target", [[0.5, 0.2], [0.98, -0.4], [-1.0, 2.0]])
 def test_one_iteration_is_what_the_textbook_says(target):
     posture, target = np.array([0.4, -1.2, 2.0]), np.array(target)
-    hand, *rows = jacobian(posture, UNEQUAL)
+    hand, *rows = ik.jacobian(posture, UNEQUAL)
     matrix, error = np.stack(rows), target - hand
     short = error * min(1.0, 0.1 / np.linalg.norm(error))
-    after = damped_least_squares(posture, target, UNEQUAL, damping=0.2)
+    after = ik.damped_least_squares(posture, target, UNEQUAL, damping=0.2)
     expected = matrix.T @ np.linalg.solve(matrix @ matrix.T + 0.04 * np.eye(2), short)
     np.testing.assert_allclose(after - posture, expected, atol=1e-12)

@@ -12,13 +12,7 @@ import pytest
 from mmc_gym import make_agent
 from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym.agents import AGENTS, policy
-from mmc_gym.agents.policy import (
-    EVALUATION_EPISODES,
-    PRETRAINED,
-    PolicyAgent,
-    load_policy,
-    save_policy,
-)
+from mmc_gym.agents.policy import PRETRAINED, load_policy
 from mmc_gym.measures.rollout import evaluate
 from mmc_gym.training.hyperparameters import names, read_recipe
 from mmc_gym.training.training import evaluate_policy
@@ -53,7 +47,7 @@ def test_what_ships_is_complete_and_of_the_shipped_hyperparameters(name, seed):
 @pytest.mark.parametrize("name", [name for name, seed in SHIPPED if seed == 0])
 def test_what_ships_does_as_well_as_its_card_says(name):
     network, card = load_policy(PRETRAINED / f"{name}-0.json")
-    scores = evaluate_policy(network, card, EVALUATION_EPISODES)
+    scores = evaluate_policy(network, card, policy.EVALUATION_EPISODES)
     last = card.learning_curve[-1]
     for measure in ("success", "final_distance", "episode_return"):
         # Another machine's arithmetic may end a few episodes otherwise.
@@ -64,7 +58,7 @@ def test_what_ships_does_as_well_as_its_card_says(name):
 def test_what_ships_reaches_alike_on_both_engines(name, seed):
     network, card = load_policy(PRETRAINED / f"{name}-{seed}.json")
     arguments = {**card.hyperparameters["env_kwargs"], "control": card.control}
-    make = partial(PolicyAgent, network, card)
+    make = partial(policy.PolicyAgent, network, card)
     solved, exact = (
         evaluate(make, card.env_id, arguments | {"engine": engine}, 300 if seed else 100)["success"]
         for engine in ("pymunk", "analytic")
@@ -86,7 +80,7 @@ def test_damaged_weights_are_an_error(copy, tmp_path):
     with pytest.raises(ValueError, match="its weights are not those of its card"):
         load_policy(copy)
     network.tensors["mean.bias"] = np.full_like(network.tensors["mean.bias"], np.nan)
-    save_policy(network, card, tmp_path)
+    policy.save_policy(network, card, tmp_path)
     with pytest.raises(ValueError, match="its weights must be finite"):
         load_policy(copy)
 

@@ -6,16 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mmc_gym.measures import path, reaching
+from mmc_gym.measures import path, reaching, speed
 from mmc_gym.measures.episode import hand_speed, moving_part
-from mmc_gym.measures.speed import (
-    MINIMUM_JERK_SPAN,
-    correlation_with_minimum_jerk,
-    count_peaks,
-    peakedness,
-    phase_of_peak,
-    sparc,
-)
 from mmc_gym.network.chain import segments_from_joint_angles
 from mmc_gym.network.time_base import minimum_jerk
 
@@ -128,10 +120,10 @@ STEP = 0.02
 
 
 def smoothness(speeds, step=STEP):
-    return sparc(SimpleNamespace(movement_speeds=np.asarray(speeds), control_step=step))
+    return speed.sparc(SimpleNamespace(movement_speeds=np.asarray(speeds), control_step=step))
 
 
-SHAPES = (peakedness, phase_of_peak, correlation_with_minimum_jerk)
+SHAPES = (speed.peakedness, speed.phase_of_peak, speed.correlation_with_minimum_jerk)
 
 
 def bell(steps):
@@ -163,16 +155,16 @@ def test_hand_speed_is_path_over_time():
     ],
 )
 def test_peaks_are_rises_that_stand_out(profile, peaks):
-    assert count_peaks(profile) == count_peaks(1e-3 * np.asarray(profile)) == peaks
+    assert speed.count_peaks(profile) == speed.count_peaks(1e-3 * np.asarray(profile)) == peaks
 
 
 def test_minimum_jerk_is_the_reference_of_all_shapes():
     speeds = bell(501)
-    assert peakedness(speeds) == pytest.approx(15 / 8, rel=1e-4)
-    assert peakedness(np.full(7, 0.3)) == pytest.approx(1)
-    assert math.isnan(correlation_with_minimum_jerk(np.full(7, 0.3)))
-    assert phase_of_peak(speeds) == 0.5
-    assert correlation_with_minimum_jerk(speeds) == pytest.approx(1)
+    assert speed.peakedness(speeds) == pytest.approx(15 / 8, rel=1e-4)
+    assert speed.peakedness(np.full(7, 0.3)) == pytest.approx(1)
+    assert math.isnan(speed.correlation_with_minimum_jerk(np.full(7, 0.3)))
+    assert speed.phase_of_peak(speeds) == 0.5
+    assert speed.correlation_with_minimum_jerk(speeds) == pytest.approx(1)
 
 
 def test_a_raised_cosine_correlates_with_minimum_jerk_as_the_integrals_say():
@@ -180,7 +172,7 @@ def test_a_raised_cosine_correlates_with_minimum_jerk_as_the_integrals_say():
     # variances 3/7 and 1/2, and the covariance 45/π⁴.
     time = (np.arange(2000) + 0.5) / 2000
     expected = 45 / math.pi**4 / math.sqrt(3 / 14)
-    found = correlation_with_minimum_jerk(1 - np.cos(2 * math.pi * time))
+    found = speed.correlation_with_minimum_jerk(1 - np.cos(2 * math.pi * time))
     assert found == pytest.approx(expected, abs=1e-5)
 
 
@@ -197,11 +189,12 @@ def test_the_moving_part_of_minimum_jerk_is_its_span_whatever_rest_surrounds_it(
     moving = np.pad(bell(4_000), rest)
     part = moving_part(moving)
     found = (part.start - rest) / 4_000, (part.stop - rest) / 4_000
-    assert found == pytest.approx(MINIMUM_JERK_SPAN, abs=3e-4)
+    assert found == pytest.approx(speed.MINIMUM_JERK_SPAN, abs=3e-4)
     speeds = moving[part]
-    assert correlation_with_minimum_jerk(speeds, MINIMUM_JERK_SPAN) == pytest.approx(1, abs=1e-6)
+    likeness = speed.correlation_with_minimum_jerk(speeds, speed.MINIMUM_JERK_SPAN)
+    assert likeness == pytest.approx(1, abs=1e-6)
     # The numbers in the module's docstring.
-    assert peakedness(speeds) == pytest.approx(1.658, abs=5e-4)
+    assert speed.peakedness(speeds) == pytest.approx(1.658, abs=5e-4)
 
 
 def test_sparc_is_that_of_the_authors_own_example():

@@ -10,21 +10,13 @@ from mmc_gym.benchmark.ranking import rank_agents
 from mmc_gym.benchmark.statistics import Bootstrap
 from mmc_gym.benchmark.store import read_episodes
 from mmc_gym.measures import SET_MEASURES
-from mmc_gym.report import write_report
+from mmc_gym.report import tables, write_report
 from mmc_gym.report.replay import replay
-from mmc_gym.report.tables import (
-    LAWS,
-    failure_table,
-    law_table,
-    ranking_table,
-    scenario_table,
-    score_table,
-)
 
 
 def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
     expected = rank_agents(read_episodes(benchmark_store), resamples=200)
-    table = ranking_table(results)
+    table = tables.ranking_table(results)
     assert [row.name for row in table.rows] == expected["agent"].to_list()
     assert [row.cells[0].text for row in table.rows] == expected["rank"].astype(str).to_list()
     success, low, high = 100 * expected.loc[0, ["success", "success_low", "success_high"]]
@@ -37,7 +29,7 @@ def test_the_ranking_is_that_of_the_terminal(benchmark_store, results):
 
 def test_each_scenario_has_the_difference_to_every_other_agent_on_the_same_episodes(results):
     (agent,) = results.focus
-    table = scenario_table(results, agent)
+    table = tables.scenario_table(results, agent)
     names = [heading.label for heading in table.headings[2:]]
     assert REFERENCE not in names and len(names) == 5
     assert [row.name for row in table.rows] == ["all scenarios", *results.environments]
@@ -50,13 +42,13 @@ def test_each_scenario_has_the_difference_to_every_other_agent_on_the_same_episo
     assert cell.notes[0].startswith(f"{100 * less.estimate:+.1f} [".replace("-", "−"))
     assert (cell.look, less.high < 0) == ("worse", True)
     assert cells["random"]["mmc"][:2] == ("100.0", ("0.0 [0.0, 0.0]",))
-    ranked = {row.name: row.cells[1].text for row in ranking_table(results).rows}
+    ranked = {row.name: row.cells[1].text for row in tables.ranking_table(results).rows}
     assert {name: cells["all scenarios"][name].text for name in ranked} == ranked
 
 
 def test_where_it_fails_is_counted_and_replayed_first(results):
     (agent,) = results.focus
-    rows = {row.name: row.cells for row in failure_table(results).rows}
+    rows = {row.name: row.cells for row in tables.failure_table(results).rows}
     here = results.by_scenario["rotation-15"]
     mine = here[(here["agent"] == agent) & (here["success"] == 0)]
     failed, links, possible, distance = rows[f"{agent} in rotation-15"]
@@ -72,7 +64,7 @@ def test_where_it_fails_is_counted_and_replayed_first(results):
 
 
 def test_scores_are_those_of_the_bootstrap_and_the_best_is_marked(results):
-    table = score_table(results, "rotation-15")
+    table = tables.score_table(results, "rotation-15")
     numbers = {heading.label: number for number, heading in enumerate(table.headings[1:])}
     distance = results.measures[numbers["final distance"]]
     rows = results.episodes[results.episodes["environment"] == "rotation-15"]
@@ -88,7 +80,7 @@ def test_scores_are_those_of_the_bootstrap_and_the_best_is_marked(results):
 
 
 def test_agents_keep_the_laws_beside_people(results):
-    assert law_table(results) is None
+    assert tables.law_table(results) is None
     rows = [
         ("mmc", math.nan, "speed_curvature_exponent", 0.25),
         ("mmc", math.nan, "speed_curvature_r_squared", 0.9),
@@ -97,14 +89,14 @@ def test_agents_keep_the_laws_beside_people(results):
         ("ppo", 1.0, "speed_curvature_exponent", 0.4),
     ]
     columns = ["agent", "training_seed", "measure", "value"]
-    table = law_table(replace(results, sets=pd.DataFrame(rows, columns=columns)))
+    table = tables.law_table(replace(results, sets=pd.DataFrame(rows, columns=columns)))
     assert table.headings[1:] == (("speed-curvature exponent", "", ""),)
     assert {row.name: row.cells[0][:2] for row in table.rows} == {
         "people": ("0.333", ("Viviani & Schneider 1991",)),
         "mmc": ("0.250", ("R² 0.90",)),
         "ppo": ("0.300", ("0.200 to 0.400",)),
     }
-    names = {name for law in LAWS for name in (law.measure, law.explained) if name}
+    names = {name for law in tables.LAWS for name in (law.measure, law.explained) if name}
     assert names <= SET_MEASURES.keys()
 
 
