@@ -13,8 +13,6 @@ from mmc_gym.body import ArmParameters
 from mmc_gym.envs.perturbations import (
     CursorJump,
     ErrorClamp,
-    ForceField,
-    HandMass,
     JointNoise,
     LockedJoint,
     Noise,
@@ -58,8 +56,8 @@ def rough_actions(steps, seed):
 @pytest.mark.parametrize(
     ("perturbations", "body", "is_told"),
     [
-        ([ForceField(3.0), ForceField(4.0)], {"force_field": ((1.0, 7.0), (-7.0, 1.0))}, False),
-        ([HandMass(1.0), HandMass(2.0)], {"hand_mass": 3.5}, False),
+        (["force-field-3", "force-field-4"], {"force_field": ((1.0, 7.0), (-7.0, 1.0))}, False),
+        (["hand-mass-1", "hand-mass-2"], {"hand_mass": 3.5}, False),
         (
             [SegmentLength(2.0, 0), SegmentLength(0.5, 1)],
             {"segment_lengths": (2, 0.5, 1), "torque_limit": 500.0},
@@ -181,9 +179,7 @@ def test_what_is_wrong_with_the_senses_is_not_told_nor_rewarded(name):
         assert all(np.array_equal(seen[4][key], told[4][key]) for key in told[4])
 
 
-@pytest.mark.parametrize(
-    ("name", "steps"), [("delay-40", 2), ("delay-200", 10), (["delay-40", "delay-200"], 12)]
-)
+@pytest.mark.parametrize(("name", "steps"), [("delay-40", 2), (["delay-40", "delay-200"], 12)])
 def test_delay_is_gymnasiums_once_it_is_over_and_shows_the_start_before(name, steps):
     late = MMCReachEnv(perturbations=name)
     wrapped = gym.wrappers.DelayObservation(MMCReachEnv(), delay=steps)

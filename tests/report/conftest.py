@@ -12,18 +12,7 @@ import pytest
 from mmc_gym.agents import resolve
 from mmc_gym.agents.inverse_kinematics import hand_position
 from mmc_gym.agents.registry import IDEAL, REFERENCE
-from mmc_gym.benchmark.store import (
-    EPISODES,
-    PATHS,
-    CellKey,
-    Manifest,
-    NotPlayed,
-    Policy,
-    episodes_file,
-    paths_file,
-    update_manifest,
-    write_cell,
-)
+from mmc_gym.benchmark import store
 from mmc_gym.benchmark.suite import SCENARIOS, minimum_jerk_episodes
 from mmc_gym.measures import MEASURES, SET_MEASURES, Episode
 from mmc_gym.network.time_base import minimum_jerk
@@ -93,12 +82,12 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
         key: SCENARIOS[key].settings | WORLD | (worlds or {}).get(key, {}) for key in keys
     }
     ideal = {"source": REFERENCE, "name": REFERENCE, "knowledge": IDEAL}
-    policies = {REFERENCE: [Policy(training_seed=None, **ideal)]}
+    policies = {REFERENCE: [store.Policy(training_seed=None, **ideal)]}
     for name, (duration, trembling, lost, seeds, source) in movers.items():
         sources = {seed: name if seed is None else f"{name}-{seed}" for seed in seeds}
         known = [resolve(source or own) for own in sources.values()]
         policies[name] = [
-            Policy(
+            store.Policy(
                 training_seed=seed,
                 source=one.source_name,
                 name=one.name,
@@ -115,14 +104,14 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
                     for instance in range(instances)
                 ]
                 if (name, seed, key) not in missing:
-                    write(folder, CellKey(name, seed, key), episodes, seed == seeds[0])
+                    write(folder, store.CellKey(name, seed, key), episodes, seed == seeds[0])
     if "random" in keys:
         like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
-        write(folder, CellKey(REFERENCE, None, "random"), minimum_jerk_episodes(like))
-    skipped = NotPlayed(
+        write(folder, store.CellKey(REFERENCE, None, "random"), minimum_jerk_episodes(like))
+    skipped = store.NotPlayed(
         agent="mmc", training_seed=None, environment="pursuit", status="skipped", reason="<b>no</b>"
     )
-    manifest = Manifest(
+    manifest = store.Manifest(
         episodes=instances,
         seed=0,
         measures={name: one.facts for name, one in MEASURES.items()},
@@ -132,14 +121,14 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
         not_played=[skipped] if "mmc" in movers else [],
         versions={"mmc-gym": "0.1.0"},
     )
-    update_manifest(folder, lambda before: manifest)
+    store.update_manifest(folder, lambda before: manifest)
 
 
 def write(folder, key, episodes, keeps_paths=True):
-    files = {EPISODES: episodes_file(key, episodes, {}, {})}
+    files = {store.EPISODES: store.episodes_file(key, episodes, {}, {})}
     if keeps_paths:
-        files[PATHS] = paths_file(key, dict(enumerate(episodes[:12])))
-    write_cell(folder, key, files)
+        files[store.PATHS] = store.paths_file(key, dict(enumerate(episodes[:12])))
+    store.write_cell(folder, key, files)
 
 
 @pytest.fixture(scope="session")
