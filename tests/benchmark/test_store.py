@@ -54,16 +54,11 @@ def store(episodes, tmp_path):
 
 def test_episodes_are_read_back(store, episodes):
     frame = read_episodes(store)
-    assert list(frame.columns) == [
-        *("agent", "training_seed", "environment", "instance", "seed"),
-        *("start_x", "start_y", "target_x", "target_y", "duration"),
-        *MEASURES,
-    ]
-    who = frame[["agent", "training_seed", "instance", "seed"]]
-    assert who.to_numpy().tolist() == [["ppo", 3, 0, 7], ["ppo", 3, 1, 11]]
-    np.testing.assert_allclose(frame["duration"], 0.8)
-    np.testing.assert_array_equal(frame[["start_x", "start_y"]], [[0.0, 1.0]] * 2)
-    np.testing.assert_array_equal(frame[["target_x", "target_y"]], [[2.0, 1.0], [2.0, 2.0]])
+    who = {"agent": "ppo", "training_seed": 3, "environment": "random", "instance": [0, 1]}
+    where = {"start_x": 0.0, "start_y": 1.0, "target_x": 2.0, "target_y": [1.0, 2.0]}
+    expected = pd.DataFrame({**who, "seed": [7, 11], **where, "duration": 0.8})
+    assert list(frame.columns) == [*expected, *MEASURES]
+    pd.testing.assert_frame_equal(frame[list(expected)], expected, check_dtype=False)
     for measure in MEASURES.values():
         np.testing.assert_array_equal(frame[measure.name], [measure.of(e) for e in episodes])
     assert np.isnan(frame["time_to_target"][1])

@@ -35,10 +35,7 @@ def assert_equal(arms, singles):
 
 @pytest.fixture
 def play_both(postures, scale):
-    """A random schedule of commands, partial resets and locks, of arms and of single ones.
-
-    All record their effort.
-    """
+    """A random schedule of commands, partial resets and locks, of arms and of single ones."""
 
     def play(case, servo, count, steps, threads=1, alone=None):
         engine, parameters = case
@@ -76,10 +73,9 @@ def play_both(postures, scale):
                 single.step()
             assert_equal(arms, singles)
             assert np.isnan(arms.servo_work).all() == (engine == "analytic")  # which tells none
-        for _ in range(2):  # closed arms can be stepped again
-            arms.close()
-            arms.close()
-            arms.step()
+        arms.close()
+        arms.close()
+        arms.step()  # closed arms can be stepped again
         arms.close()
 
     return play
@@ -110,12 +106,7 @@ def test_a_forked_process_has_threads_of_its_own():
     arms.step()
     context = multiprocessing.get_context("fork")
     results = context.Queue()
-
-    def step_elsewhere():
-        arms.step()
-        results.put(arms.joint_angles.tolist())
-
-    process = context.Process(target=step_elsewhere)
+    process = context.Process(target=lambda: (arms.step(), results.put(arms.joint_angles.tolist())))
     process.start()
     elsewhere = results.get(timeout=30)
     process.join()
@@ -169,8 +160,7 @@ def test_arrays_of_another_shape_and_unknown_arms_are_refused(engine):
     with pytest.raises(ValueError, match=r"joint_velocities must be of shape \(4, 3\)"):
         arms.reset(np.zeros((4, 3)), joint_velocities=np.zeros(3))
     for unknown in ([4], [-1], [0, 0], [0.5], [True, False], [[0]]):
-        with pytest.raises(ValueError, match="arms must be different indices from 0 to 3"):
-            arms.reset(np.zeros((len(unknown), 3)), unknown)
-        with pytest.raises(ValueError, match="arms must be different indices from 0 to 3"):
-            arms.lock(unknown)
+        for act in (lambda rows: arms.reset(np.zeros((len(rows), 3)), rows), arms.lock):
+            with pytest.raises(ValueError, match="arms must be different indices from 0 to 3"):
+                act(unknown)
     arms.reset(np.zeros((0, 3)), [])
