@@ -180,18 +180,6 @@ def test_the_hand_follows_a_target_that_is_dragged(browser, width):
 
 
 @marked
-def test_new_targets_come_until_the_page_is_touched(page):
-    page.get((FOLDER / "index.html").as_uri())
-    first = ask(page, "scene.target")
-    WebDriverWait(page, PATIENCE, 0.05).until(lambda _: ask(page, "scene.target") != first)
-    press(page, ".target", Keys.ARROW_RIGHT)
-    wait_until_there(page)
-    there = ask(page, "scene.target")
-    page.execute_async_script("setTimeout(arguments[0], 1500)")  # at rest for 75 steps
-    assert ask(page, "scene.target") == there
-
-
-@marked
 def test_the_ring_is_what_a_lock_leaves(page):
     assert ask(page, "scene.ring") == {"centre": [0, 0], "outer": 3, "inner": 0}
     ask(page, "scene.setLocked(1, true)")

@@ -13,7 +13,7 @@ from mmc_gym import make_agent
 from mmc_gym._errors import MismatchWarning, UserError
 from mmc_gym.agents import AGENTS, policy
 from mmc_gym.agents.policy import PRETRAINED, load_policy
-from mmc_gym.measures.rollout import evaluate
+from mmc_gym.measures.rollout import evaluate, run_episodes
 from mmc_gym.training.hyperparameters import names, read_recipe
 from mmc_gym.training.training import evaluate_policy
 
@@ -21,13 +21,12 @@ MEBIBYTE = 2**20
 SHIPPED = [(name, seed) for name, entry in AGENTS.items() for seed in range(entry.training_seeds)]
 BY_DAY = [pytest.param(*cell, marks=[pytest.mark.slow] if cell[1] else []) for cell in SHIPPED]
 """The first training of each agent; the others are slow."""
-SUFFIXES = ("json", "safetensors")
 
 
 @pytest.fixture
 def copy(tmp_path):
-    for suffix in SUFFIXES:
-        shutil.copy(PRETRAINED / f"ppo-0.{suffix}", tmp_path)
+    for file in PRETRAINED.glob("ppo-0.*"):
+        shutil.copy(file, tmp_path)
     return tmp_path / "ppo-0.json"
 
 
@@ -68,7 +67,8 @@ def test_what_ships_reaches_alike_on_both_engines(name, seed):
 
 
 def test_nothing_else_ships():
-    expected = {f"{name}-{seed}.{suffix}" for name, seed in SHIPPED for suffix in SUFFIXES}
+    suffixes = ("json", "safetensors")
+    expected = {f"{name}-{seed}.{suffix}" for name, seed in SHIPPED for suffix in suffixes}
     assert {path.name for path in PRETRAINED.iterdir()} == expected
     assert sum(path.stat().st_size for path in PRETRAINED.iterdir()) < 10 * MEBIBYTE
 
@@ -129,14 +129,12 @@ def test_a_card_is_loaded_as_it_was_written_or_not_at_all(copy):
 def test_a_policy_of_joint_deltas_moves_the_arm_alike_under_position_control():
     hands = []
     for control in ("joint_delta", "joint_position"):
-        env = gym.make("MMCReach-v0", control=control)
-        agent, (observation, _) = make_agent("ppo", env), env.reset(seed=5)
-        for _ in range(12):  # later rounding grows, where the hand dances about the target
-            action, _ = agent.predict(observation, deterministic=True)
-            observation, *_, info = env.step(action)
-            hands.append(info["end_effector"])
-    np.testing.assert_allclose(hands[:12], hands[12:], atol=1e-3)
-    assert np.linalg.norm(hands[11] - hands[0]) > 0.1
+        # Later rounding grows, where the hand dances about the target.
+        env = gym.make("MMCReach-v0", control=control, max_episode_steps=12)
+        (episode,) = run_episodes(make_agent("ppo", env), env, [5])
+        hands.append(episode.hands)
+    np.testing.assert_allclose(*hands, atol=1e-3)
+    assert np.linalg.norm(hands[0][11] - hands[0][0]) > 0.1
 
 
 @pytest.mark.parametrize(

@@ -115,12 +115,6 @@ def test_a_forked_process_has_threads_of_its_own():
     arms.close()
 
 
-@pytest.mark.parametrize("copies", [pickle.dumps, copy.copy, copy.deepcopy])
-def test_pymunk_arms_cannot_be_copied(copies):
-    with pytest.raises(TypeError, match="PymunkArmBatch cannot be pickled or copied"):
-        copies(PymunkArmBatch(count=2))
-
-
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda arms: pickle.loads(pickle.dumps(arms))])
 def test_a_copy_of_analytic_arms_has_the_same_future(copied):
     arms = AnalyticArmBatch(None, 520, threads=2)

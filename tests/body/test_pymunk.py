@@ -180,32 +180,6 @@ def test_in_a_strong_field_arms_stay_closed_and_a_stronger_one_is_refused(case, 
         make_arm(engine, apart)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("servo", "resets", "gap"),
-    [
-        ("position", 10_000, 0.004),
-        ("velocity", 500, 0.003),
-        ("torque", 500, 0.008),  # the full torque for 0.4 s whips joints round at 30 rad/s
-    ],
-)
-def test_a_long_life_leaves_the_pivots_tight_and_the_memory_as_it_was(servo, resets, gap, scale):
-    arm, random = Arm(servo=servo), np.random.default_rng(0)
-    largest = scale(arm.parameters, servo)
-    for episode in range(resets):
-        if episode == 50:
-            before = memory_in_use()
-        arm.reset(random.uniform(-math.pi, math.pi, 3).tolist(), random.uniform(-6, 6, 3).tolist())
-        commands = random.uniform(-largest, largest, (20, 3)).tolist()
-        held = random.choice((1, 5, 20))
-        for step in range(100):
-            if step % held == 0:
-                arm.command(commands[step % 20])
-            arm.step()
-            assert pivot_gap(arm) <= gap
-    assert memory_in_use() - before < 2
-
-
 def test_resets_among_obstacles_leave_the_memory_as_it_was():
     arm, used = Arm(ArmParameters(obstacles=((1.2, 0.8, 0.2), (-0.5, -1.5, 0.4)))), []
     for episodes in (300, 700):

@@ -10,7 +10,7 @@ from scipy import stats
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
-from mmc_gym.interface import CONTROLS, NEAR, ReachInterface
+from mmc_gym.interface import CONTROLS, ObservationLayout, ReachInterface
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)
@@ -88,25 +88,18 @@ def test_observation_and_info_tell_the_state(lengths, control, weight, smoothnes
     env.action_space.seed(0)
     for _ in range(60):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        assert observation.shape == (3 * count + 6,)
         assert (terminated, truncated) == (False, False)
         assert set(info) == {
             *("distance", "is_success", "end_effector", "target"),
             *(f"reward_{name}" for name in names),
         }
-        angles = np.arctan2(observation[count : 2 * count], observation[:count])
-        hand = hand_of(angles, lengths)
-        np.testing.assert_allclose(info["end_effector"], hand, atol=1e-5)
-        target = info["target"]
-        large = (target - hand) / (NEAR + math.dist(target, hand))
-        for seen, vector in zip(
-            np.split(observation[-6:], 3), (target, target - hand, large), strict=True
-        ):
-            from_first = complex(*vector) * np.exp(-1j * angles[0])
-            np.testing.assert_allclose(seen, [from_first.real, from_first.imag], atol=1e-4)
-        assert info["distance"] == pytest.approx(math.dist(info["end_effector"], target))
+        places = {"hand": info["end_effector"], "target": info["target"]}
+        angles, speeds = env.arm.joint_angles, np.divide(env.arm.joint_velocities, math.tau)
+        expected = ObservationLayout(count, sum(lengths)).encode(angles, speeds, **places)
+        np.testing.assert_allclose(observation, expected, atol=1e-6)
+        np.testing.assert_allclose(info["end_effector"], hand_of(angles, lengths), atol=1e-9)
+        assert info["distance"] == pytest.approx(math.dist(*places.values()))
         assert info["is_success"] == (info["distance"] <= 0.05)
-        speeds = observation[2 * count : 3 * count]
         assert info["reward_distance"] == -info["distance"]
         assert info["reward_control"] == pytest.approx(-weight * np.mean(speeds**2), abs=1e-6)
         assert info["reward_precision"] == precision(env.setup, info["distance"])

@@ -78,9 +78,8 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
     The `worlds` are other settings of environments, by name.
     """
     movers = agents if isinstance(agents, dict) else {name: AGENTS[name] for name in agents}
-    environments = {
-        key: SCENARIOS[key].settings | WORLD | (worlds or {}).get(key, {}) for key in keys
-    }
+    worlds = {key: WORLD | (worlds or {}).get(key, {}) for key in keys}
+    environments = {key: SCENARIOS[key].settings | world for key, world in worlds.items()}
     ideal = {"source": REFERENCE, "name": REFERENCE, "knowledge": IDEAL}
     policies = {REFERENCE: [store.Policy(training_seed=None, **ideal)]}
     for name, (duration, trembling, lost, seeds, source) in movers.items():
@@ -92,25 +91,21 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
                 source=one.source_name,
                 name=one.name,
                 knowledge=one.knowledge,
-                training_steps=one.card.training_steps if one.card else None,
+                training_steps=one.training_steps,
             )
             for seed, one in zip(seeds, known)
         ]
         for key, settings in environments.items():
             error = lost * (settings["strength"] or 0) / (4 if settings["unit"] == "ms" else 1)
-            for seed in seeds:
-                episodes = [
-                    episode(instance, duration, trembling, error, seed or 0)
-                    for instance in range(instances)
-                ]
-                if (name, seed, key) not in missing:
-                    write(folder, store.CellKey(name, seed, key), episodes, seed == seeds[0])
+            how = duration, trembling, error
+            for seed in {seed for seed in seeds if (name, seed, key) not in missing}:
+                episodes = [episode(instance, *how, seed or 0) for instance in range(instances)]
+                write(folder, store.CellKey(name, seed, key), episodes, seed == seeds[0])
     if "random" in keys:
         like = [episode(instance, 30, 0.0, 0.0) for instance in range(instances)]
         write(folder, store.CellKey(REFERENCE, None, "random"), minimum_jerk_episodes(like))
-    skipped = store.NotPlayed(
-        agent="mmc", training_seed=None, environment="pursuit", status="skipped", reason="<b>no</b>"
-    )
+    skipped = store.CellKey("mmc", None, "pursuit")._asdict()
+    skipped = store.NotPlayed(**skipped, status="skipped", reason="<b>no</b>")
     manifest = store.Manifest(
         episodes=instances,
         seed=0,

@@ -56,17 +56,6 @@ def test_tuning_in_parts_and_interrupted_gives_the_same_as_at_once(tmp_path, mon
     assert not any(one == other for one, other in itertools.combinations(parameters, 2))
 
 
-def test_trials_of_other_steps_or_constants_in_use_are_ignored(tmp_path, monkeypatch):
-    tune("mmc", 1, STEPS, tmp_path)
-    first = complete(tmp_path)
-    assert tune("mmc", 1, 100, tmp_path)["steps_per_trial"] == 100
-    monkeypatch.setitem(tuning.NETWORK_IN_USE, "iterations_per_step", 5)
-    assert tune("mmc", 1, STEPS, tmp_path)["best"]["iterations_per_step"] == 5
-    monkeypatch.undo()
-    assert tune("mmc", 1, STEPS, tmp_path)["best_value"] == first[0][1]
-    assert complete(tmp_path) == first
-
-
 def test_the_first_trial_has_the_constants_in_use_which_are_those_of_the_agent(tmp_path):
     result = tune("mmc", 1, 20_000, tmp_path)
     assert result["best"] == result["in_use"] == IN_USE

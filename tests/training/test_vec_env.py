@@ -107,13 +107,11 @@ ARMS = 8
 
 
 def test_without_a_correction_it_is_the_base_agent():
-    residual = Residual(native(count=ARMS, control="joint_delta"))
+    residual, envs = Residual(native(count=ARMS)), native(count=ARMS).vector_env
     residual.seed(3)
-    envs = native(count=ARMS, control="joint_delta").vector_env
-    agent, state = make_agent("mmc", envs), None
+    agent, state, started = make_agent("mmc", envs), None, np.ones(ARMS, dtype=bool)
     seen, (observed, _) = residual.reset(), envs.reset(seed=3)
     assert residual.observation_space.contains(seen[0])
-    started = np.ones(ARMS, dtype=bool)
     for step in range(205):  # over two ends of episodes
         np.testing.assert_array_equal(seen[:, :15], observed)
         action, state = agent.predict(observed, state, started)
@@ -122,14 +120,11 @@ def test_without_a_correction_it_is_the_base_agent():
         observed, _, _, started, vector_infos = envs.step(action)
         np.testing.assert_array_equal(dones, started)
         if step % 100 == 99:
-            for index, info in enumerate(infos):
-                final = vector_infos["final_obs"][index]
-                np.testing.assert_array_equal(info["terminal_observation"][:15], final)
+            final = np.stack(vector_infos["final_obs"])
             # The proposal at the end is that of the agent that continues, not of one that starts.
-            stacked = np.stack(vector_infos["final_obs"])
-            proposal, _ = agent.predict(stacked, state)
-            ends = np.stack([info["terminal_observation"][15:] for info in infos])
-            np.testing.assert_array_equal(ends, proposal)
+            proposal, _ = agent.predict(final, state)
+            ends = np.stack([info["terminal_observation"] for info in infos])
+            np.testing.assert_array_equal(ends, np.hstack([final, proposal]))
 
 
 def test_other_autoreset_modes_goal_environments_and_unknown_agents_are_refused():
