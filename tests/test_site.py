@@ -145,14 +145,11 @@ def test_the_first_screen_counts_what_is_available(page):
     assert ", ".join(f"{count} {things}" for things, count in counts.items()) in first
 
 
-def test_readme_is_short_and_its_links_lead_somewhere():
+def test_readme_is_short_and_its_links_lead_somewhere_and_agents_md_is_up_to_date():
     text = (ROOT / "README.md").read_text()
     assert len(text.splitlines()) <= 105
     links = re.findall(r"\]\((?!https?:)([^)#]+)\)", text)
     assert links and not [link for link in links if not (ROOT / link).exists()]
-
-
-def test_agents_md_is_up_to_date():
     written = runpy.run_path(str(DOCS / "write_agents_md.py"))["agents_text"]()
     assert (ROOT / "AGENTS.md").read_text() == written, "run python docs/write_agents_md.py"
 

@@ -230,15 +230,12 @@ def test_it_starts_and_is_asked_as_the_agents_are_whatever_they_do(env, oracle, 
         assert np.array_equal(first.hands, second.hands)
 
 
-def test_it_follows_a_target_that_jumps(frozen):
+def test_it_follows_a_target_that_jumps_in_episodes_of_any_length(frozen, make_episode):
     env = gym.make("MMCReachDoubleStep200-v0")
     for ideal in minimum_jerk_episodes(run_episodes(frozen, env, episode_seeds(1, 5))):
         assert ideal.distances[-1] == pytest.approx(0, abs=1e-9)
         turn = np.linalg.norm(np.diff(ideal.hands, 2, axis=0), axis=-1)
         assert turn.max() < 0.1  # no corner: the velocity changes little in a step
-
-
-def test_episodes_may_differ_in_length(make_episode):
     asked = [make_episode(np.zeros((steps, 2)), [2.0, 0.0]) for steps in (101, 31)]
     long, short = minimum_jerk_episodes(asked)
     assert np.array_equal(long.hands[:31], short.hands)

@@ -86,17 +86,14 @@ def test_a_cursor_and_a_hand_without_an_arm_are_read_back_beside_others(store, m
     np.testing.assert_array_equal(away, np.repeat([0.0, 1.0], [41, 5])[:, None] * [1.0, 1.0])
 
 
-def test_a_cell_that_is_written_again_or_removed_leaves_nothing_of_before(store, episodes):
+def test_a_cell_is_known_by_its_settings_and_leaves_nothing_once_removed(store, episodes):
+    assert cell_facts(store, KEY, {**SETTINGS, "arguments": (1, 2)}) == FACTS
+    assert cell_facts(store, KEY, {**SETTINGS, "seed": 1}) is None
+    assert cell_facts(store, KEY._replace(training_seed=None), SETTINGS) is None
     write(store, KEY, episodes, {"has_paths": False})
     assert read_paths(store).empty and len(read_episodes(store)) == 2
     write_cell(store, KEY, {})
     assert not list(store.glob("*/*.parquet"))
-
-
-def test_a_cell_is_known_by_its_settings(store):
-    assert cell_facts(store, KEY, {**SETTINGS, "arguments": (1, 2)}) == FACTS
-    assert cell_facts(store, KEY, {**SETTINGS, "seed": 1}) is None
-    assert cell_facts(store, KEY._replace(training_seed=None), SETTINGS) is None
 
 
 @pytest.mark.parametrize("kind", READ)

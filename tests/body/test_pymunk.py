@@ -89,16 +89,6 @@ def test_no_servo_gives_more_than_the_torque_limit(servo, scale):
     assert max(torques) > 49.0  # it was tried
 
 
-def test_an_obstacle_stops_a_segment_at_its_surface():
-    p = ArmParameters(segment_lengths=(1.0,), obstacles=((0.0, 0.8, 0.2),), torque_limit=40.0)
-    arm = Arm(p)
-    for _ in range(100):
-        arm.command([math.pi / 2])
-        arm.step()
-    touching = math.pi / 2 - math.asin((0.2 + p.segment_radius) / 0.8)
-    assert arm.joint_angles[0] == pytest.approx(touching, abs=0.02)
-
-
 @pytest.mark.parametrize(
     ("lengths", "masses"),
     [

@@ -241,9 +241,7 @@ def test_a_cursor_jumps_to_the_left_once_the_hand_has_made_a_share_of_the_way():
     assert 0 < has_jumped.sum() < len(hands)
     left = 0.1 * np.array([-target[1], target[0]])
     np.testing.assert_allclose(cursors - hands, np.outer(has_jumped, left), atol=1e-9)
-
-
-def test_a_cursor_at_a_target_that_waits_at_the_start_stays_there():
+    # At a target that waits at the start it stays there.
     assert ErrorClamp(15.0, (0.0, 1.0)).cursor(1.0, 1.0, (0.0, 1.0)) == (0.0, 1.0)
     assert CursorJump(10.0, 0.2, (0.0, 1.0)).cursor(1.0, 1.0, (0.0, 1.0)) == (1.0, 1.0)
 

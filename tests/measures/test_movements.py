@@ -165,11 +165,8 @@ def test_minimum_jerk_is_the_reference_of_all_shapes():
     assert math.isnan(speed.correlation_with_minimum_jerk(np.full(7, 0.3)))
     assert speed.phase_of_peak(speeds) == 0.5
     assert speed.correlation_with_minimum_jerk(speeds) == pytest.approx(1)
-
-
-def test_a_raised_cosine_correlates_with_minimum_jerk_as_the_integrals_say():
-    # In both, time runs from 0 to 1; 30 t² (1 − t)² and 1 − cos 2πt have the means 1 and 1, the
-    # variances 3/7 and 1/2, and the covariance 45/π⁴.
+    # A raised cosine correlates as the integrals say: with time from 0 to 1, 30 t² (1 − t)² and
+    # 1 − cos 2πt have the means 1 and 1, the variances 3/7 and 1/2, and the covariance 45/π⁴.
     time = (np.arange(2000) + 0.5) / 2000
     expected = 45 / math.pi**4 / math.sqrt(3 / 14)
     found = speed.correlation_with_minimum_jerk(1 - np.cos(2 * math.pi * time))
@@ -197,11 +194,8 @@ def test_the_moving_part_of_minimum_jerk_is_its_span_whatever_rest_surrounds_it(
     assert speed.peakedness(speeds) == pytest.approx(1.658, abs=5e-4)
 
 
-def test_sparc_is_that_of_the_authors_own_example():
-    time = np.arange(-1, 1, 0.01)
-    assert smoothness(np.exp(-5 * time**2), 0.01) == pytest.approx(-1.41403, abs=5e-6)
-
-
 def test_smoothness_ignores_duration_and_punishes_a_second_submovement():
+    authors_own = np.exp(-5 * np.arange(-1, 1, 0.01) ** 2)
+    assert smoothness(authors_own, 0.01) == pytest.approx(-1.41403, abs=5e-6)
     assert smoothness(bell(120)) == pytest.approx(smoothness(bell(60)), abs=0.02)
     assert smoothness(np.concatenate([bell(60), 0.5 * bell(60)])) < smoothness(bell(60)) - 0.1

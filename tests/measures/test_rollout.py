@@ -125,14 +125,11 @@ class Slider(gym.Env):
         return {"end_effector": self.hand, "target": self.target, "distance": distance}
 
 
-def test_an_environment_of_your_own_needs_no_arm():
+def test_an_environment_of_your_own_needs_no_arm_but_an_end(env, frozen, monkeypatch):
     (episode,) = run_episodes(says((np.array([1.0, 0.0]), None)), TimeLimit(Slider(), 5), [1])
     found = measure_all(episode)
     assert (found["success"], found["time_to_target"]) == (1, 0.5)
     assert np.isnan(found["joint_work"]) and np.isnan(found["joint_effort"])
-
-
-def test_an_endless_episode_is_given_up(env, frozen, monkeypatch):
     monkeypatch.setattr(rollout, "MAX_STEPS", 150)
     with pytest.raises(RuntimeError, match="did not end within 150 steps"):
         run_episodes(frozen, env.unwrapped, [1])

@@ -95,15 +95,12 @@ def test_a_harmonic_ellipse_follows_the_two_thirds_power_law(axes):
     assert law == pytest.approx(expected, abs=1e-3)
 
 
-def test_the_same_ellipse_at_constant_speed_has_the_exponent_zero():
+def test_an_ellipse_at_constant_speed_has_the_exponent_zero_and_straight_paths_have_none():
     phase = np.linspace(0, math.tau, 20_001)
     lengths = np.linalg.norm(np.diff(ellipse(phase), axis=0), axis=-1)
     way = np.concatenate([[0], np.cumsum(lengths)])
     even = np.interp(np.linspace(0, way[-1], 400), way, phase)
     assert sets.speed_curvature_law(ellipse(even), STEP).slope == pytest.approx(0, abs=5e-3)
-
-
-def test_straight_paths_and_hands_at_rest_have_no_power_law():
     line = np.linspace(0, 1, 50)[:, None] ** 2 * [1.0, 2.0]
     trembling = 1e-4 * np.random.default_rng(0).standard_normal((50, 2)) * STEP
     for hands in (line, trembling, np.zeros((50, 2)), np.zeros((2, 2)), np.zeros((0, 2))):

@@ -7,13 +7,11 @@ import pytest
 import torch
 
 from mmc_gym import UserError
-from mmc_gym.network import EuclideanNormalizer, LearnedNormalizer
+from mmc_gym.network import LearnedNormalizer
 from studies.network import fitting
 from studies.network.fitting import (
     ACCURATE,
     PAPER,
-    angle_errors,
-    mean_squared_error,
     train_normalizers,
 )
 
@@ -78,22 +76,6 @@ def test_training_is_adam_on_the_error_with_a_penalty_on_the_weights():
     layers = zip(trained.weights, trained.biases)
     written = np.concatenate([part.ravel() for layer in layers for part in layer])
     np.testing.assert_allclose(written, expected.detach().numpy(), rtol=1e-9, atol=1e-12)
-
-
-def test_the_measures_find_a_known_error():
-    turn, shrink = 0.1, 0.8
-
-    class Turned(EuclideanNormalizer):
-        def normalize_rows(self, rows, lengths):
-            super().normalize_rows(rows, lengths)
-            x, y = rows[:, 0].copy(), rows[:, 1].copy()
-            rows[:, 0] = shrink * (np.cos(turn) * x - np.sin(turn) * y)
-            rows[:, 1] = shrink * (np.sin(turn) * x + np.cos(turn) * y)
-
-    errors = angle_errors(Turned(), [0.5, 1.0, 2.0], directions=12)
-    np.testing.assert_allclose(errors, np.full((3, 12), turn), atol=1e-14)
-    expected = (1 + shrink**2 - 2 * shrink * np.cos(turn)) / 2
-    assert mean_squared_error(Turned(), directions=60) == pytest.approx(expected)
 
 
 def test_the_command_writes_what_ships(tmp_path, monkeypatch, capsys):
