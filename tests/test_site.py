@@ -97,7 +97,6 @@ def test_every_scenario_has_a_page(site):
 
 @pytest.mark.slow
 def test_every_internal_link_leads_somewhere(site):
-    lost = []
     for page in pages(site):
         for link in read(page).links:
             parts = urlsplit(link)
@@ -105,12 +104,9 @@ def test_every_internal_link_leads_somewhere(site):
                 continue
             target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
             target = target / "index.html" if target.is_dir() else target
-            found = target.is_file()
-            if found and target.suffix == ".html" and parts.fragment:
-                found = unquote(parts.fragment) in read(target).anchors
-            if not found:
-                lost.append(f"{page.relative_to(site)}: {link}")
-    assert not lost
+            assert target.is_file(), f"{page.relative_to(site)}: {link}"
+            if target.suffix == ".html" and parts.fragment:
+                assert unquote(parts.fragment) in read(target).anchors, f"{page}: {link}"
 
 
 @pytest.mark.slow
