@@ -202,12 +202,11 @@ def test_a_state_of_another_agent_or_of_other_arms_is_an_error(name):
 
 
 @pytest.mark.parametrize("name", ["ppo", "sac", "random"])
-def test_an_agent_without_memory_takes_no_state(name):
-    env = gym.make("MMCReach-v0")
-    agent, (observation, _) = make_agent(name, env), env.reset(seed=0)
+def test_an_agent_without_memory_takes_no_state(name, env):
+    observation, _ = env.reset(seed=0)
     for state in (np.zeros(3), make_agent("mmc", env).predict(observation)[1], ()):
         with pytest.raises(UserError, match="state must be None, which is what predict"):
-            agent.predict(observation, state)
+            make_agent(name, env).predict(observation, state)
 
 
 TWICE = np.float32([-2.0, 2.0])
@@ -286,12 +285,11 @@ def test_stable_baselines3_evaluates_them():
 
 
 @pytest.mark.parametrize("name", ["random", "ppo"])
-def test_what_is_drawn_at_random_is_the_same_at_every_run(name):
-    env = gym.make("MMCReach-v0")
+def test_what_is_drawn_at_random_is_the_same_at_every_run(name, env):
     observation, _ = env.reset(seed=0)
-    one, other = (make_agent(name, env) for _ in range(2))
-    drawn = [one.predict(observation)[0] for _ in range(3)]
-    np.testing.assert_array_equal(drawn, [other.predict(observation)[0] for _ in range(3)])
+    agents = make_agent(name, env), make_agent(name, env)
+    drawn, again = ([one.predict(observation)[0] for _ in range(3)] for one in agents)
+    np.testing.assert_array_equal(drawn, again)
     assert not np.array_equal(drawn[0], drawn[1])
 
 

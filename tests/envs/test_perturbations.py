@@ -26,22 +26,18 @@ from mmc_gym.envs.perturbations import (
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.vector import MMCReachGoalVectorEnv, MMCReachVectorEnv
 from mmc_gym.interface import CONTROLS, ReachInterface, Seen
+from mmc_gym.measures import run_episodes
 from mmc_gym.network.chain import node_positions, segments_from_joint_angles, wrap_angle
 
 DISC = Obstacles().discs[0]
 STILL = np.zeros(3, np.float32)
 
 
-def movement(env, steps=100, **reset):
-    """What reset and steps tell while the MMC agent acts; `angles` are the joint angles."""
-    agent, state = make_agent("mmc", env), None
-    observation, info = env.reset(**reset)
-    infos = [{**info, "angles": joint_angles(env)}]
-    for _ in range(steps):
-        action, state = agent.predict(observation, state)
-        observation, _, _, _, info = env.step(action)
-        infos.append({**info, "angles": joint_angles(env)})
-    return infos
+def movement(env, seed=0, steps=100, options=None):
+    """The episode of the MMC agent."""
+    limited = gym.wrappers.TimeLimit(env, steps)
+    (episode,) = run_episodes(make_agent("mmc", env), limited, [seed], options=[options or {}])
+    return episode
 
 
 def joint_angles(env):
@@ -89,7 +85,7 @@ def test_who_is_not_told_a_length_misses_by_its_change(factor, told):
     assert env.parameters.segment_lengths == (1.0, 1.0, factor if told else 1.0)
     expected = 0.0 if told else abs(factor - 1)
     for seed in range(5):
-        assert movement(env, seed=seed)[-1]["distance"] == pytest.approx(expected, abs=0.01)
+        assert movement(env, seed).distances[-1] == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize("joint", range(3))
@@ -111,8 +107,7 @@ def test_a_joint_locks_at_its_time_and_for_the_episode(name, step, engine):
     env = MMCReachEnv(perturbations=name, engine=engine)
     moved = []
     for seed in range(5):
-        infos = movement(env, seed=seed, steps=40)
-        angles = np.array([info["angles"] for info in infos])[:, 1]
+        angles = movement(env, seed, steps=40).joint_angles[:, 1]
         assert np.abs(wrap_angle(angles[step:] - angles[step])).max() < 0.02
         moved.append(np.abs(wrap_angle(angles[: step + 1] - angles[0])).max())
     assert (max(moved) > 0.2) == (step > 0)
@@ -222,9 +217,9 @@ def test_the_cursor_is_the_hand_turned_and_is_seen_and_rewarded(rotation, task, 
 def offsets(perturbation, trial):
     """Offsets of hand and cursor from the start, and of the target, in a centre-out trial."""
     env = MMCReachEnv(task="centre-out", perturbations=[perturbation])
-    infos = movement(env, 40, seed=0, options={"trial": trial})
-    hands, cursors = (np.array([one[name] for one in infos]) for name in ("end_effector", "cursor"))
-    return hands - hands[0], cursors - hands[0], infos[0]["target"] - hands[0]
+    episode = movement(env, steps=40, options={"trial": trial})
+    places = episode.hands, episode.cursors, episode.targets[0]
+    return [place - episode.hands[0] for place in places]
 
 
 @pytest.mark.parametrize("trial", [0, 3])

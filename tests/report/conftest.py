@@ -91,7 +91,7 @@ def write_store(folder, agents=AGENTS, keys=KEYS, missing=(), instances=INSTANCE
                 source=one.source_name,
                 name=one.name,
                 knowledge=one.knowledge,
-                training_steps=one.training_steps,
+                training_steps=one.card.training_steps if one.card else None,
             )
             for seed, one in zip(seeds, known)
         ]
