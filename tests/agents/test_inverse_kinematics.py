@@ -103,21 +103,6 @@ def test_points_at_targets_out_of_reach_and_rests(name, lengths):
         np.testing.assert_allclose(hand, polar(sum(lengths), 2.0), atol=0.05)
 
 
-@given(
-    st.sampled_from([arm for arm in ARMS if len(arm) <= 3] + [(0.3, 1.0, 2.0), (1.0, 0.2)]),
-    st.floats(0.0, 1.0),
-    angles,
-    st.lists(angles, min_size=3, max_size=3),
-)
-def test_every_solution_of_the_sweep_puts_the_hand_on_the_target(lengths, share, angle, posture):
-    inner, outer = reachable_radii(lengths)
-    target = polar(inner + share * (outer - inner), angle)
-    posture = np.array(posture[: len(lengths)])
-    found = ik.solutions(target, lengths, posture)
-    hands = ik.hand_position(found, lengths)
-    np.testing.assert_allclose(hands, np.broadcast_to(target, hands.shape), atol=1e-12)
-
-
 @given(st.lists(angles, min_size=3, max_size=3).map(np.array))
 def test_a_posture_that_reaches_already_is_its_own_closed_form_solution(posture):
     found = ik.closed_form(posture, ik.hand_position(posture, UNEQUAL), UNEQUAL)

@@ -152,21 +152,16 @@ def test_nothing_that_files_of_rl_zoo3_name_is_made_or_imported(run, monkeypatch
     assert not (run / "made").exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "statistics"),
-    [
-        ("mine.zip", "mine_vecnormalize.pkl"),
-        ("mine_1000_steps.zip", "mine_vecnormalize_1000_steps.pkl"),
-    ],
-)
-def test_of_several_files_of_statistics_a_model_takes_its_own(folder, name, statistics):
-    (folder / "model.zip").rename(folder / name)
-    for copy in (statistics, "other_vecnormalize_2000_steps.pkl"):
-        shutil.copy(folder / "vec_normalize.pkl", folder / copy)
-    assert resolve(folder / name).model.statistics == folder / statistics
-    (folder / statistics).unlink()
+@pytest.mark.parametrize("steps", ["", "_1000_steps"])
+def test_of_several_files_of_statistics_a_model_takes_its_own(folder, steps):
+    model = (folder / "model.zip").rename(folder / f"mine{steps}.zip")
+    statistics = folder / f"mine_vecnormalize{steps}.pkl"
+    for copy in (statistics, folder / "other_vecnormalize_2000_steps.pkl"):
+        shutil.copy(folder / "vec_normalize.pkl", copy)
+    assert resolve(model).model.statistics == statistics
+    statistics.unlink()
     with pytest.raises(UserError, match="must have one file of VecNormalize beside it"):
-        _ = resolve(folder / name).model.statistics
+        _ = resolve(model).model.statistics
 
 
 def test_missing_wrappers_are_told(env):
@@ -186,22 +181,17 @@ def test_missing_wrappers_are_told(env):
     assert mmc_gym.make_agent(behind, RescaleAction(env, *TWICE))
 
 
-@pytest.mark.parametrize(
-    ("entry", "message"),
-    [
-        ("frame_stack: 4", "env must be wrapped in frame_stack 4, as in the training of MMC"),
-        ("env_wrapper: [own.Wrapper: {scale: 2}]", "env must be wrapped in env_wrapper"),
-        ("env_wrapper: gymnasium.wrappers.TimeLimit", None),
-    ],
-)
-def test_what_a_model_of_rl_zoo3_saw_is_seen_again_or_it_is_refused(run, env, entry, message):
-    (run / "MMCReach-v0" / "config.yml").write_text(f"{{{entry}}}")
-    make = resolve(str(run), allow_pickle=True).factory
-    if message is None:
-        assert make(env)
-    else:
+def test_what_a_model_of_rl_zoo3_saw_is_seen_again_or_it_is_refused(run, env):
+    config = run / "MMCReach-v0" / "config.yml"
+    config.write_text("{env_wrapper: gymnasium.wrappers.TimeLimit}")
+    assert resolve(str(run), allow_pickle=True).factory(env)
+    for entry, message in {
+        "frame_stack: 4": "env must be wrapped in frame_stack 4, as in the training of MMC",
+        "env_wrapper: [own.Wrapper: {scale: 2}]": "env must be wrapped in env_wrapper",
+    }.items():
+        config.write_text(f"{{{entry}}}")
         with pytest.raises(CannotActError, match=message):
-            make(env)
+            resolve(str(run), allow_pickle=True).factory(env)
 
 
 def test_a_model_acts_by_its_own_statistics_and_never_by_others(tmp_path, model, env):

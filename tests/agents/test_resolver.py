@@ -177,9 +177,8 @@ def test_what_is_no_agent_is_an_error_of_the_user(folder, agent, message):
         resolve_all([agent])
 
 
-@pytest.mark.parametrize(
-    ("agents", "message"),
-    [
+def test_agents_that_cannot_stand_beside_each_other_are_refused():
+    for agents, message in (
         ([], "agents must be one or more"),
         (3, "agents must be a list of agents"),
         ({"x": []}, "at least one training, got none of 'x'"),
@@ -187,11 +186,9 @@ def test_what_is_no_agent_is_an_error_of_the_user(folder, agent, message):
         ({"é" * 60: "mmc"}, "the label of an agent must be a text of at most 100 characters"),
         (["mmc", "mmc"], "agents must have different names, got mmc repeatedly"),
         (["x=ppo", "x=ppo-3"], "got x repeatedly"),
-    ],
-)
-def test_agents_that_cannot_stand_beside_each_other_are_refused(agents, message):
-    with pytest.raises(UserError, match=message):
-        resolve_all(agents)
+    ):
+        with pytest.raises(UserError, match=message):
+            resolve_all(agents)
 
 
 def test_changed_code_is_another_fingerprint(tmp_path, monkeypatch):

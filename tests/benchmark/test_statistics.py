@@ -185,15 +185,13 @@ def test_the_draw_depends_on_the_seed_and_not_on_the_other_agents():
     assert both(values, values, seed=1).estimate("a", "mean") == first
 
 
-@pytest.mark.parametrize(
-    ("frame", "message"),
-    [
-        (rows("a", [[1.0, 2.0]]).drop(columns="instance"), "it lacks .'instance'"),
-        (pd.concat([rows("a", [[1.0, 2.0]])] * 2), "'instance': 0.* repeatedly"),
-        (pd.concat([rows("a", [[1.0, 2.0]]), rows("b", [[1.0]])]), "of 'b', 1 × 2 episodes, got 1"),
-        (rows("a", [[1.0], [2.0]]).iloc[:0], "must have rows"),
-    ],
-)
-def test_agents_that_have_not_met_the_same_are_not_compared(frame, message):
-    with pytest.raises(ValueError, match=message):
-        Bootstrap.of(frame)
+def test_agents_that_have_not_met_the_same_are_not_compared():
+    two = rows("a", [[1.0, 2.0]])
+    for frame, message in (
+        (two.drop(columns="instance"), "it lacks .'instance'"),
+        (pd.concat([two, two]), "'instance': 0.* repeatedly"),
+        (pd.concat([two, rows("b", [[1.0]])]), "of 'b', 1 × 2 episodes, got 1"),
+        (two.iloc[:0], "must have rows"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Bootstrap.of(frame)

@@ -165,15 +165,6 @@ def test_a_position_servo_turns_the_short_way_round(engine, start, target):
     assert min(np.diff(angles) * math.copysign(1, way)) >= -1e-12
 
 
-def test_a_servo_drives_a_joint_no_faster_than_the_speed_limit(engine, servo):
-    arm, speeds = arm_of(engine, servo, segment_lengths=(1.0,)), []
-    for _ in range(60):
-        arm.command([{"position": arm.joint_angles[0] + 3.0}.get(servo, 400.0)])
-        arm.step()
-        speeds.append(arm.joint_velocities[0])
-    assert max(speeds) == pytest.approx(2 * math.pi, rel=1e-4)
-
-
 def test_position_servos_hold_the_arm_against_gravity(engine):
     arm = arm_of(engine, gravity=(0.0, -9.81))
     arm.records_effort = True

@@ -131,14 +131,6 @@ def bell(steps):
     return hand_speed(minimum_jerk(np.linspace(0, 1, steps + 1))[:, None] * [1.0, 2.0], STEP)
 
 
-def test_hand_speed_is_path_over_time():
-    line = np.stack([1.5 * STEP * np.arange(51), np.zeros(51)], axis=-1)
-    assert hand_speed(line, STEP) == pytest.approx(np.full(50, 1.5))
-    angles = 2.0 * STEP * np.arange(200)
-    circle = 0.7 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    assert hand_speed(circle, STEP) == pytest.approx(np.full(199, 1.4), rel=1e-3)
-
-
 @pytest.mark.parametrize(
     ("profile", "peaks"),
     [

@@ -52,16 +52,6 @@ def test_posture_variability_is_that_at_each_target_and_of_hands_that_are_there(
     assert math.isnan(sets.posture_variability([alone]))
 
 
-def test_fitts_line_through_exact_conditions_is_found():
-    amplitudes, widths = np.meshgrid([0.3, 0.6, 1.2], [0.02, 0.05, 0.1])
-    times = 0.15 + 0.08 * np.log2(2 * amplitudes / widths)
-    line = sets.fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel())
-    assert line == pytest.approx((0.15, 0.08, 1.0))
-    times[0, 0] = math.nan
-    assert sets.fitts_law(amplitudes.ravel(), widths.ravel(), times.ravel()) == pytest.approx(line)
-    assert np.isnan(sets.fitts_law([1, 1, 1], [0.1, 0.1, 0.1], [0.4, 0.5, 0.6])).all()
-
-
 FITTS = ("fitts_slope", "fitts_r_squared")
 
 
