@@ -10,7 +10,7 @@ from scipy import stats
 
 from mmc_gym._errors import UserError
 from mmc_gym.envs.reach import MMCReachEnv, MMCReachGoalEnv, precision
-from mmc_gym.interface import CONTROLS, ObservationLayout, ReachInterface
+from mmc_gym.interface import CONTROLS, ObservationLayout, ReachInterface, relative_speeds
 from mmc_gym.network.chain import segments_from_joint_angles
 
 same = partial(data_equivalence, exact=True)
@@ -94,7 +94,7 @@ def test_observation_and_info_tell_the_state(lengths, control, weight, smoothnes
             *(f"reward_{name}" for name in names),
         }
         places = {"hand": info["end_effector"], "target": info["target"]}
-        angles, speeds = env.arm.joint_angles, np.divide(env.arm.joint_velocities, math.tau)
+        angles, speeds = env.arm.joint_angles, relative_speeds(env.arm.joint_velocities, math.tau)
         expected = ObservationLayout(count, sum(lengths)).encode(angles, speeds, **places)
         np.testing.assert_allclose(observation, expected, atol=1e-6)
         np.testing.assert_allclose(info["end_effector"], hand_of(angles, lengths), atol=1e-9)
