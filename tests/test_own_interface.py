@@ -17,7 +17,7 @@ from mmc_gym.cli import main
 from mmc_gym.interface import InterfacedEnv, ReachInterface, Seen
 from mmc_gym.network.chain import segments_from_joint_angles
 from mmc_gym.report import write_report
-from studies.other_bodies.reacher import BODIES, optimal_torques, play
+from studies.other_bodies.reacher import BODIES, play
 
 LENGTHS = (1.0, 1.1)
 METRES = 0.1  # the environment's lengths are in metres, segment lengths are a tenth of that
@@ -217,19 +217,3 @@ def test_the_servo_is_the_solution_of_the_riccati_equation():
     expected = -gains @ np.concatenate([-left, speeds])
     np.testing.assert_allclose(reacher.INTERFACE.act(goal, seen), expected, atol=1e-5)
     np.testing.assert_allclose(reacher.root(weight) @ reacher.root(weight), weight)
-
-
-@pytest.mark.slow
-def test_no_torques_cost_less_than_the_optimum():
-    env = gym.make("Reacher-v5")
-    returns = {"optimum": play(None, [env], [3])["return"][0]}
-    observation, _ = env.reset(seed=3)
-    torques = optimal_torques(
-        np.arctan2(observation[2:4], observation[:2]), observation[6:8], observation[4:6]
-    )
-    random = np.random.default_rng(0)
-    for number in range(5):
-        env.reset(seed=3)
-        others = np.clip(torques + random.normal(0, 0.01, torques.shape), -1, 1)
-        returns[number] = sum(env.step(one)[1] for one in others.astype(np.float32))
-    assert max(returns, key=returns.get) == "optimum"

@@ -115,21 +115,17 @@ def test_a_policy_that_sees_something_else_is_refused():
         export_policy(policy)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"mean.bias": None}, "tensors must have 'mean.bias'"),
-        ({"log_std": np.zeros(2, np.float32)}, r"shapes {'log_std': \(3,\).*got .*\(2,\)"),
-        ({"mean.bias": np.zeros(3)}, "tensors must be float32"),
-        ({"surplus": np.zeros(3, np.float32)}, "tensors must be float32"),
-    ],
-)
-def test_tensors_that_do_not_fit_are_errors(change, message):
+def test_tensors_that_do_not_fit_are_errors():
     tensors = dict(export_policy(make_policy("ActorCriticPolicy", "MMCReach-v0"))[0].tensors)
-    tensors |= change
-    tensors = {name: value for name, value in tensors.items() if value is not None}
-    with pytest.raises(ValueError, match=message):
-        PolicyNetwork(tensors, "relu", "gaussian")
+    lacking = {name: value for name, value in tensors.items() if name != "mean.bias"}
+    for changed, message in (
+        (lacking, "tensors must have 'mean.bias'"),
+        (tensors | {"log_std": np.zeros(2, np.float32)}, r"{'log_std': \(3,\).*got .*\(2,\)"),
+        (tensors | {"mean.bias": np.zeros(3)}, "tensors must be float32"),
+        (tensors | {"surplus": np.zeros(3, np.float32)}, "tensors must be float32"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            PolicyNetwork(changed, "relu", "gaussian")
 
 
 def test_a_history_has_what_was_seen_and_done_less_what_is_seen_now():

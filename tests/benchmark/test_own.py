@@ -91,18 +91,15 @@ def test_names_that_are_taken_or_none_are_refused(name):
         register_perturbation(Family(name, "", "", 1.0, Heavy))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
+def test_a_family_that_makes_no_perturbation_is_refused():
+    for make, message in (
         (lambda mass: None, "what 'heavy' makes must be a Perturbation of the strength, got None"),
         (lambda: Heavy(), "heavy-1 has no such strength: .*takes 0 positional arguments"),
         (Perturbation, "Perturbation.* takes no arguments"),
         (lambda mass: Perturbation(), "the perturbation Perturbation must have .* change_body"),
-    ],
-)
-def test_a_family_that_makes_no_perturbation_is_refused(make, message):
-    with pytest.raises(UserError, match=message):
-        register_perturbation(Family("heavy", "", "", 1.0, make))
+    ):
+        with pytest.raises(UserError, match=message):
+            register_perturbation(Family("heavy", "", "", 1.0, make))
     assert "heavy" not in FAMILIES
 
 

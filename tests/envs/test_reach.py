@@ -94,7 +94,8 @@ def test_observation_and_info_tell_the_state(lengths, control, weight, smoothnes
             *(f"reward_{name}" for name in names),
         }
         places = {"hand": info["end_effector"], "target": info["target"]}
-        angles, speeds = env.arm.joint_angles, relative_speeds(env.arm.joint_velocities, math.tau)
+        angles = env.arm.joint_angles
+        speeds = relative_speeds(np.array(env.arm.joint_velocities), math.tau)
         expected = ObservationLayout(count, sum(lengths)).encode(angles, speeds, **places)
         np.testing.assert_allclose(observation, expected, atol=1e-6)
         np.testing.assert_allclose(info["end_effector"], hand_of(angles, lengths), atol=1e-9)
@@ -204,19 +205,16 @@ def test_what_the_arm_cannot_do_is_refused():
         MMCReachEnv(segment_lengths=(2.0, 0.5)).reset(options={"target": (1.0, 0.0)})
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"control": "torque"}, "control 'torque' .*; did you mean 'joint_torque'"),
-        ({"reward_type": "golden"}, "reward_type 'golden' is not accepted. It may be dense or sp"),
-        ({"render_mode": "ansi"}, "render_mode 'ansi' is not accepted. It may be None, human or"),
-        ({"control_weight": "a"}, "control_weight must be finite and not negative, got 'a'"),
-        ({"n_segments": 4}, "no argument 'n_segments'; did you mean 'segment_lengths'"),
-    ],
-)
-def test_impossible_environments_are_refused(arguments, message):
-    with pytest.raises(UserError, match=message):
-        MMCReachEnv(**arguments)
+def test_impossible_environments_are_refused():
+    for name, value, message in (
+        ("control", "torque", "control 'torque' .*; did you mean 'joint_torque'"),
+        ("reward_type", "golden", r"reward_type 'golden' is not accepted\. It may be dense or sp"),
+        ("render_mode", "ansi", r"render_mode 'ansi' is not accepted\. It may be None, human or"),
+        ("control_weight", "a", "control_weight must be finite and not negative, got 'a'"),
+        ("n_segments", 4, "no argument 'n_segments'; did you mean 'segment_lengths'"),
+    ):
+        with pytest.raises(UserError, match=message):
+            MMCReachEnv(**{name: value})
 
 
 def test_the_goal_environment_has_no_costs_and_goals_that_tell_the_reward():

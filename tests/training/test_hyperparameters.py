@@ -157,15 +157,12 @@ def test_a_mistake_is_named_with_the_value_and_what_is_accepted(changes, message
         recipe(**changes).steps_per_leg(25)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_what_only_the_constructor_can_refuse_is_said_in_its_words():
+    for changes, message in (
         ({"policy_kwargs": {"net_architecture": [8]}}, "net_architecture'.*unexpected keyword"),
         ({"batch_size": 1}, "AssertionError: `batch_size`"),
         ({"vec_env_wrapper": [{RESIDUAL: {"base": 1}}]}, "unexpected keyword argument 'base'"),
         ({**SAC, "ent_coef": "auto_x"}, "ValueError: could not convert string to float: 'x'"),
-    ],
-)
-def test_what_only_the_constructor_can_refuse_is_said_in_its_words(changes, message):
-    with pytest.raises(UserError, match=r"hyperparameters of \w+-mine must be .*" + message):
-        make(recipe(**changes))
+    ):
+        with pytest.raises(UserError, match=r"hyperparameters of \w+-mine must be .*" + message):
+            make(recipe(**changes))
