@@ -284,13 +284,11 @@ class HingeNetwork:
             is_exact=far < LOOSE[0] or turn < LOOSE[1],
             ridge=(10 * far) ** 2,
         )
-        groups = [range(least, min(least + LANES, starts)) for least in range(0, starts, LANES)]
-        lanes = [np.resize(group, LANES) for group in groups]
         ends = np.zeros(len(tasks), self._ends)
         for least in range(0, len(tasks), _CHUNK):
             rows = slice(least, least + _CHUNK)
             own = None if first is None else first[rows]
-            self._settle(ends[rows], tasks[rows], plan, near, own, pool, lanes)
+            self._settle(ends[rows], tasks[rows], plan, near, own, pool, starts)
         ends = ends.reshape(batch)
         errors, is_solved = (ends["far"], ends["turn"]), ends["rank"] < 0
         return HingeSolution(ends["angle"], *errors, ends["iterations"], is_solved)
@@ -303,13 +301,14 @@ class HingeNetwork:
         near: tuple[float, ...],
         start: Floats | None,
         pool: Floats,
-        groups: list[NDArray[np.int64]],
+        starts: int,
     ) -> None:
-        """Write the best posture for each task into `ends`; groups of starts follow each other."""
+        """Write the best posture for each task into `ends`."""
         ends["rank"] = np.inf
         active, blocks, order = np.arange(len(tasks)), self._blocks(tasks), None
-        for number, group in enumerate(groups):
-            if start is not None and number == 0:
+        for begin in range(0, starts, LANES):
+            group = begin + np.arange(LANES) % (starts - begin)  # few starts fill all lanes
+            if start is not None and begin == 0:
                 blocks["angle"] = pool[group].T
                 blocks["angle"][:, :, group == 0] = start[:, :, None]
                 self._relax(blocks, plan._replace(alone=ALONE, near=self._near))
@@ -321,7 +320,7 @@ class HingeNetwork:
             away = blocks["merit"]
             if start is not None:
                 away = ((blocks["angle"] - start[active, :, None]) ** 2).sum(axis=1)
-                away[:, 0] *= number > 0  # what settles from there wins
+                away[:, 0] *= begin > 0  # what settles from there wins
             far, turn = np.sqrt(blocks["miss"]), np.zeros_like(away)
             if plan.weight:
                 turn = np.arctan2(np.sqrt(blocks["sine"]), blocks["cosine"])
