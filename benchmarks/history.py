@@ -1,4 +1,4 @@
-"""Read, write, compare and draw the runs of `make speed`, kept as JSON.
+"""Read, write and compare the runs of `make speed`, kept as JSON.
 
     runs/speed/2026-11-22T03-17-00Z.json    one run: the machine, and a row for each timed thing
 
@@ -12,13 +12,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
-
-LINES = ("-", "--", "-.", ":")
 
 LOSS = 0.20
 """Share of its ratio that a row may lose before the check fails."""
@@ -118,24 +114,3 @@ def losses(runs: Sequence[Run]) -> list[str]:
                 f"usually {usual:.3g}: a loss of {1 - row.ratio / usual:.0%}"
             )
     return found
-
-
-def draw_history(runs: Sequence[Run], file: Path) -> None:
-    """Draw the ratio of each of our rows over all runs, as a part of its median."""
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
-    axes = figure.subplots()
-    times = [datetime.fromisoformat(run.time) for run in runs]
-    names = dict.fromkeys(row.name for run in runs for row in run.rows if row.ours)
-    for name, marker, line in zip(names, cycle("osD^vPX"), cycle(LINES)):  # 28 looks in grey, too
-        ratios = np.array(
-            [next((r.ratio for r in run.rows if r.name == name), np.nan) for run in runs]
-        )
-        look = {"marker": marker, "markersize": 3, "linestyle": line, "linewidth": 0.9}
-        axes.plot(times, ratios / np.nanmedian(ratios), label=name, **look)
-    axes.axhline(1 - LOSS, color="0.4", linestyle=":", linewidth=0.9)
-    axes.set_xlabel("time of the run [day and time, UTC]")
-    axes.set_ylabel("ratio to the peer / its median")
-    axes.set_title(f"Speed beside peers, run by run; dotted: a loss of {LOSS:.0%}")
-    axes.tick_params(axis="x", rotation=30)
-    figure.legend(loc="outside right upper", fontsize=6, frameon=False)
-    figure.savefig(file, dpi=150)

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 import tyro
 from gymnasium.error import DependencyNotInstalled
-from history import Run, SpeedRow, draw_history, losses, now, read_runs, write_run
+from history import Run, SpeedRow, losses, now, read_runs, write_run
 from numpy.typing import NDArray
 from peers import (
     ENGINES,
@@ -305,8 +305,7 @@ def main(arguments: Arguments) -> None:
         console.print(growth_table(seconds_per_step(made, arguments.growth_rounds, 0.02)))
     file = write_run(Run(now(), machine(), (*rows, *kept, *acting)), arguments.out)
     runs = read_runs(arguments.out)
-    draw_history(runs, arguments.out / "history.png")
-    console.print(f"wrote {file}, and history.png beside it; {len(runs)} runs are there")
+    console.print(f"wrote {file}; {len(runs)} runs are there")
     if lost := losses(runs):
         console.print("\n".join(["slower than before:", *lost]))
         if arguments.check:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.history import Run, SpeedRow, draw_history, losses, read_runs, write_run
+from benchmarks.history import Run, SpeedRow, losses, read_runs, write_run
 
 
 def runs(*ratios, **facts):
@@ -46,8 +46,6 @@ def test_runs_are_read_as_they_were_written(tmp_path):
     for run in reversed(made):
         write_run(run, tmp_path)
     assert read_runs(tmp_path) == made
-    draw_history(made, tmp_path / "history.png")
-    assert (tmp_path / "history.png").stat().st_size
 
 
 @pytest.mark.slow

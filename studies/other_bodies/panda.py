@@ -44,10 +44,8 @@ BODIES: dict[str, dict[str, Any]] = {
 }
 UNTUNED: dict[str, dict[str, Any]] = {
     "forearm 40 % longer": {"longer": {"panda_joint5": 1.4}},
-    "upper arm 20 % shorter": {"longer": {"panda_joint3": 0.8}},
     "upper arm and forearm 15 % longer": {"longer": {"panda_joint3": 1.15, "panda_joint5": 1.15}},
     "a tool of 10 cm": {"longer": {"panda_grasptarget_hand": 1 + 0.1 / 0.105}},
-    "joints 1 and 3 locked": {"locked": (0, 2)},
     "forearm 20 % longer, joint 6 locked": {"longer": {"panda_joint5": 1.2}, "locked": (5,)},
 }
 AGENTS = ("mmc-body", "ik-body", "least squares", "pybullet", "tqc")

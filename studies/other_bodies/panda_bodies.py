@@ -18,8 +18,6 @@ from panda_gym.envs.tasks.reach import Reach
 from panda_gym.pybullet import PyBullet
 
 DATA = Path(pybullet_data.getDataPath()) / "franka_panda"
-
-
 NEUTRAL = np.array([0.0, 0.41, 0.0, -1.85, 0.0, 2.26, 0.79])  # where the robot starts
 
 

@@ -145,8 +145,7 @@ def make(name: str, env: Any, sac: Path) -> Any:
     if name == "ik, pd":
         given = {one.name: getattr(INTERFACE, one.name) for one in fields(INTERFACE)}
         return make_agent("ik-closed-form", env, interface=TwoConstants(**given))
-    known = {"ik": "ik-closed-form"}
-    return make_agent(known.get(name, name), env, interface=INTERFACE)
+    return make_agent("ik-closed-form" if name == "ik" else name, env, interface=INTERFACE)
 
 
 def play(agent: Any, envs: list[Any], seeds: list[int]) -> pd.DataFrame:
