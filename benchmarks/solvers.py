@@ -103,9 +103,8 @@ class Arm:
             child, hinge = f"link{joint}", '<axis xyz="0 0 1"/>' + limit
             text += _link(parents[joint], child, self.offsets[joint], "revolute", hinge)
         text += _link(parents[-1], "hand", self.offsets[-1])
-        text += (
-            _link(f"link{self.elbow}", "elbow", np.eye(4)) if self.elbow < len(self.limits) else ""
-        )
+        if self.elbow < len(self.limits):
+            text += _link(f"link{self.elbow}", "elbow", np.eye(4))
         return f'<robot name="{self.name}">{text}</robot>'
 
     def write(self) -> str:
@@ -418,10 +417,8 @@ class Pink(Stepper):
         model = pinocchio.buildModelFromXML(arm.urdf())
         posture = pinocchio.neutral(model)
         self.target = pinocchio.SE3
-        self.library, self.configuration = (
-            pink,
-            pink.Configuration(model, model.createData(), posture),
-        )
+        self.library = pink
+        self.configuration = pink.Configuration(model, model.createData(), posture)
         limits = [pink.limits.ConfigurationLimit(model)]
         self.settings = {"limits": limits, "safety_break": False}
         self.hand = pink.tasks.FrameTask("hand", 1.0, 1.0, lm_damping=self.damping)
