@@ -40,7 +40,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from typing import Any
 
@@ -220,8 +220,7 @@ class HingeNetwork:
         require_whole("iterations", iterations, least=0)
         batch = _together("state", [state.joint_angles.shape[:-1], clamps.batch_shape])
         tasks, n = self._tasks(clamps, batch), self.arm.joint_count
-        lanes = np.minimum(np.arange(-(-len(tasks) // LANES) * LANES), len(tasks) - 1)
-        lanes = lanes.reshape(-1, LANES)
+        lanes = np.resize(np.arange(len(tasks)), (-(-len(tasks) // LANES), LANES))
         blocks = self._blocks(tasks[lanes])
         for name, values in (("angle", state.joint_angles), ("speed", state.joint_velocities)):
             rows = np.broadcast_to(values, (*batch, n)).reshape(-1, n)
@@ -276,7 +275,7 @@ class HingeNetwork:
             first = self.state(start).joint_angles
             batch = _together("start", [batch, first.shape[:-1]])
             first = np.broadcast_to(first, (*batch, first.shape[-1])).reshape(-1, first.shape[-1])
-        tasks, pool = self._tasks(clamps, batch), self._pool(max(starts, POOL), seed)
+        tasks, pool = self._tasks(clamps, batch), _pool(self.arm, max(starts, POOL), seed)
         plan = self._plan(clamps, iterations)._replace(
             far=max(far, LOOSE[0]),
             turn=max(turn, LOOSE[1]),
@@ -349,19 +348,6 @@ class HingeNetwork:
         self._relax(many, plan._replace(times=0, newton=0))
         return np.argsort(many["merit"].reshape(len(blocks), -1), axis=1)
 
-    def _pool(self, least: int, seed: int) -> Floats:
-        """Return at least so many postures within the limits, whole blocks, (size, n)."""
-        size = -(-least // LANES) * LANES
-        if (size, seed) not in self._pools:
-            random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
-            low, high = np.where(np.isinf(self.arm.limits), (-np.pi, np.pi), self.arm.limits).T
-            self._pools[size, seed] = random.uniform(low, high, (size, self.arm.joint_count))
-        return self._pools[size, seed]
-
-    @cached_property
-    def _pools(self) -> dict[tuple[int, int], Floats]:
-        return {}
-
     def _tasks(self, clamps: HingeClamps, batch: tuple[int, ...]) -> NDArray[Any]:
         """Return the task of each arm of a batch, as an array of `hinge_iteration.task_type`."""
         tasks = np.zeros(batch, task_type(self.arm.joint_count, self.arm.node_count))
@@ -414,6 +400,15 @@ class HingeNetwork:
         arm = self.arm
         nodes = arm.nodes(np.zeros(arm.joint_count))
         return Arm(arm.axes, arm.points, nodes, np.array(arm.joint_nodes))
+
+
+@lru_cache(maxsize=16)
+def _pool(arm: HingeArm, least: int, seed: int) -> Floats:
+    """Return at least so many postures within the limits, whole blocks, (size, n)."""
+    size = -(-least // LANES) * LANES
+    random = np.random.default_rng([seed, size, 77])  # not what users draw targets from
+    low, high = np.where(np.isinf(arm.limits), (-np.pi, np.pi), arm.limits).T
+    return random.uniform(low, high, (size, arm.joint_count))
 
 
 def _together(name: str, shapes: list[tuple[int, ...]]) -> tuple[int, ...]:
