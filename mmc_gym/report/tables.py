@@ -300,39 +300,31 @@ def _notes(*notes: str) -> tuple[str, ...]:
     return tuple(note for note in notes if note)
 
 
-class Law(NamedTuple):
-    """A law of human movement, or another measure of sets of movements."""
-
-    measure: str
-    explained: str = ""  # name of the measure that says how well the law holds
-
-
-LAWS = (
-    Law("posture_variability"),
-    Law("fitts_slope", "fitts_r_squared"),
-    Law("speed_curvature_exponent", "speed_curvature_r_squared"),
-)
+LAWS = {
+    "posture_variability": "",
+    "fitts_slope": "fitts_r_squared",
+    "speed_curvature_exponent": "speed_curvature_r_squared",
+}
+"""Laws of human movement: measures of sets, each with that of how well it holds, if any."""
 
 
 def law_table(results: Results) -> Table | None:
     """Return how well agents follow the laws, and other set measures; None without any values."""
     known = results.sets[results.sets["value"].notna()] if len(results.sets) else results.sets
-    listed = {name for law in LAWS for name in (law.measure, law.explained)}
-    others = [Law(name) for name in results.set_measures if name not in listed]
-    laws = [law for law in (*LAWS, *others) if (known["measure"] == law.measure).any()]
+    others = [name for name in results.set_measures if name not in LAWS.values()]
+    laws = [name for name in dict.fromkeys([*LAWS, *others]) if name in set(known["measure"])]
     if not laws:
         return None
-    measures = [results.set_measures[law.measure] for law in laws]
-    present = set(known.loc[known["measure"].isin([one.name for one in measures]), "agent"])
+    measures = [results.set_measures[name] for name in laws]
+    present = set(known.loc[known["measure"].isin(laws), "agent"])
     agents = [agent for agent in results.agents if agent in present]
     environments = list(dict.fromkeys(one.environment for one in measures))
-    cited = [people().get(law.measure) for law in laws]
+    cited = [people().get(name) for name in laws]
     figures = [TableCell(span(one.low, one.high), (one.authors,)) if one else NONE for one in cited]
     rows = []
     for agent in agents:
         mine = known[known["agent"] == agent]
-        cells = tuple(_kept(mine, law, one) for law, one in zip(laws, measures))
-        rows.append(_row(results, agent, cells))
+        rows.append(_row(results, agent, [_kept(mine, one) for one in measures]))
     return Table(
         "Laws of human movement",
         "scores",
@@ -347,14 +339,14 @@ def law_table(results: Results) -> Table | None:
     )
 
 
-def _kept(mine: pd.DataFrame, law: Law, measure: SetMeasure) -> TableCell:
-    values = mine.loc[mine["measure"] == law.measure, "value"]
+def _kept(mine: pd.DataFrame, measure: SetMeasure) -> TableCell:
+    values = mine.loc[mine["measure"] == measure.name, "value"]
     if values.empty:
         return NONE
     notes = []
     if len(values) > 1:
         notes.append(f"{measure.number(values.min())} to {measure.number(values.max())}")
-    explained = mine.loc[mine["measure"] == law.explained, "value"]
+    explained = mine.loc[mine["measure"] == LAWS.get(measure.name), "value"]
     if len(explained):
         notes.append(f"R² {number(explained.mean(), 2)}")
     return TableCell(measure.number(values.mean()), tuple(notes))
