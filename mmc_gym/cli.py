@@ -305,12 +305,12 @@ def adapt(
     Args:
         experiment: One of `mmc-gym list experiments`, with any strength, or your own YAML file.
         agents: The agents, see compare.
-        keep: Agents that keep their whole memory from trial to trial, such as ppo-memory.
+        keep: Agents that keep their whole memory, such as ppo-memory.
         rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
         retention: Share of what they learned that lasts to the next trial; 0, with rate 1: none.
         subjects: Subjects of each agent; each meets the targets in another order.
         seed: Seed of the subjects.
-        lengths_in: m: metres, for an arm as long as a person's; else segment lengths.
+        lengths_in: Of segments, or metres of a person's arm.
         out: Folder of data and figure; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
     """
