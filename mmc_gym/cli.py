@@ -311,7 +311,7 @@ def adapt(
         subjects: Subjects of each agent; each meets the targets in another order.
         seed: Seed of the subjects.
         lengths_in: Of segments, or metres of a person's arm.
-        out: Folder of data and figure; an interrupted run is resumed.
+        out: Folder; an interrupted run is resumed.
         jobs: Number of agents at once; one per core, if not given.
     """
     from mmc_gym.benchmark import trials
