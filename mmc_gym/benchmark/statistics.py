@@ -153,15 +153,16 @@ def _counts(seed: tuple[int, ...], count: int, resamples: int) -> Floats:
 def _episode_counts(
     seed: int, agent: int, shape: tuple[int, int], resamples: int
 ) -> NDArray[np.signedinteger]:
-    """Return how often each episode of an agent is drawn, (R + 1, policies · instances).
+    """Return how often each episode of an agent is drawn, (policies · instances, R + 1).
 
-    The `shape` is (policies, instances) of one environment.
+    The `shape` is (policies, instances) of one environment.  A last row of zeros stands for none.
     """
     small = math.prod(shape) < np.iinfo(np.int16).max  # half the memory
     policies = _counts((seed, _POLICIES, agent), shape[0], resamples)
     instances = _counts((seed, _INSTANCES, shape[1]), shape[1], resamples)
-    counts = policies[:, :, None] * instances[:, None]
-    return counts.reshape(resamples + 1, -1).astype(np.int16 if small else np.int32)
+    counts = policies.T[:, None] * instances.T
+    counts = np.concatenate([*counts, np.zeros((1, resamples + 1))])
+    return counts.astype(np.int16 if small else np.int32)
 
 
 class Estimate(NamedTuple):
@@ -308,21 +309,30 @@ def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) ->
 def _median_of_counts(table: Floats, counts: NDArray[np.signedinteger]) -> Floats:
     """Return the median in each resample, (R,): the mean of two values where these share it.
 
+    Where half of the weight is reached is looked for among blocks of sorted values, then in one.
+
     Args:
         table: values of one environment, (policies, instances), NaN for none.
-        counts: how often each is drawn, (R, policies · instances).
+        counts: of `_episode_counts`.
     """
     values = table.ravel()
     order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]  # NaN last
     if not len(order):
-        return np.full(len(counts), np.nan)
-    values = values[order]
-    total = np.cumsum(counts.take(order, axis=1), axis=1, dtype=counts.dtype)
-    whole = total[:, -1:]
-    # The first at half of the weight, and the first beyond.
-    low = np.argmin(total < (whole + 1) // 2, axis=1)
-    high = np.argmin(total <= whole // 2, axis=1)
-    return np.where(whole[:, 0] > 0, (values[low] + values[high]) / 2, np.nan)
+        return np.full(counts.shape[1], np.nan)
+    values, size = values[order], math.isqrt(len(order)) + 1
+    order = np.pad(order, (0, -len(order) % size), constant_values=table.size)  # of no weight
+    weights = counts.take(order, axis=0, mode="clip").reshape(-1, size, counts.shape[1])
+    sums = weights.sum(axis=1, dtype=counts.dtype)
+    ends = np.cumsum(sums, axis=0)
+    whole, resample = ends[-1], np.arange(counts.shape[1])
+    middle = np.zeros(len(resample))
+    for least in ((whole + 1) // 2, whole // 2 + 1):  # at half of the weight, and beyond
+        block = np.minimum((ends < least).sum(axis=0), len(ends) - 1)
+        before = (ends - sums)[block, resample]
+        inside = before + np.cumsum(weights[block, :, resample], axis=1).T
+        place = block * size + (inside < least).sum(axis=0)
+        middle += values[np.minimum(place, len(values) - 1)] / 2
+    return np.where(whole > 0, middle, np.nan)
 
 
 @dataclass(frozen=True)
