@@ -16,7 +16,7 @@ from mmc_gym.agents import AGENTS
 from mmc_gym.agents.base import Predictor
 from mmc_gym.agents.resolver import AgentLike, resolve
 from mmc_gym.benchmark.suite import make_player
-from mmc_gym.envs import shapes as drawing
+from mmc_gym.envs import render as drawing
 from mmc_gym.envs.reach import MMCReachEnv
 from mmc_gym.envs.render import open_display
 from mmc_gym.envs.scenarios import EnvLike

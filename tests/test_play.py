@@ -14,7 +14,7 @@ import pytest
 import mmc_gym
 from mmc_gym._errors import UserError
 from mmc_gym.agents import AGENTS
-from mmc_gym.envs.shapes import SIZE, View
+from mmc_gym.envs.render import SIZE, View
 from mmc_gym.play import Game, play
 
 

@@ -1,6 +1,10 @@
 """Pictures of `MMCReachEnv`, frame by frame, as an array or in a window.
 
 A picture is painted larger than it is shown and then averaged down, which smooths all edges.
+
+Colour alone carries no meaning: the arm is the filled shape, the target the ring with a cross, with
+a second ring when it is reached.  An internal model's arm is a thin line with hollow joints.  Dots,
+or rings without a cross, show where the target will be.
 """
 
 from __future__ import annotations
@@ -9,6 +13,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise, product
 from typing import Any
 
 import gymnasium as gym
@@ -17,12 +22,141 @@ import pygame
 from numpy.typing import NDArray
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs import shapes
-from mmc_gym.envs.shapes import SIZE, Canvas, Point, View
 from mmc_gym.envs.spec import ReachSetup
 from mmc_gym.interface import in_the_world
+from mmc_gym.network.chain import reachable_radii
 
+Color = tuple[int, int, int]
+Point = tuple[float, float]
+Place = Sequence[float]  # (x, y), also a list or an array
+
+SIZE = 640  # width and height of the picture in pixels; video encoders like multiples of 16
 _OVERSAMPLING = 2
+_MARGIN = 1.1  # half the picture's width, in reaches
+_FONT_SIZE = 22  # of the caption
+
+# Blue and vermilion of the Okabe-Ito palette: apart for every kind of colour vision.
+BACKGROUND: Color = (246, 247, 249)
+REACHABLE: Color = (255, 255, 255)
+BORDER: Color = (205, 210, 218)
+OUTLINE: Color = (22, 42, 66)
+ROD: Color = (64, 132, 190)
+BASE: Color = (120, 130, 144)
+TRACE: Color = (92, 104, 122)
+TARGET: Color = (213, 78, 0)
+GHOST: Color = (0, 128, 96)
+CURSOR: Color = (170, 60, 130)
+FIELD: Color = (172, 180, 192)
+SENSED: Color = (78, 93, 112)
+
+BASE_WIDTH, HAND_WIDTH = 21.0, 8.0  # thickness of the arm at its ends
+
+
+@dataclass(frozen=True)
+class View:
+    """The map from the world (x to the right, y up, the base in the middle) to a square picture."""
+
+    reach: float  #: of the arm, segment lengths; the picture shows a little more
+    size: int = SIZE  #: width and height of the picture, pixels
+
+    @property
+    def scale(self) -> float:
+        """Pixels per segment length."""
+        return self.size / (2 * _MARGIN * self.reach)
+
+    def pixel(self, point: Place) -> Point:
+        """Return the pixel of a point (x, y) of the world."""
+        middle = self.size / 2
+        return middle + point[0] * self.scale, middle - point[1] * self.scale
+
+    def point(self, pixel: Place) -> Point:
+        """Return the point (x, y) of the world at a pixel."""
+        middle = self.size / 2
+        return (pixel[0] - middle) / self.scale, (middle - pixel[1]) / self.scale
+
+    def stroke(self, width: float) -> float:
+        """Scale a width in pixels from a picture of `SIZE` to this one."""
+        return width * self.size / SIZE
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A surface of pygame on which the world is painted through a view.
+
+    Points are in the world; widths and radii are in pixels of a picture of `SIZE`.
+    """
+
+    surface: pygame.Surface
+    view: View
+
+    def pixels(self, length: float) -> float:
+        """Return a length of the world in pixels of a picture of `SIZE`."""
+        return length * self.view.scale / self.view.stroke(1)
+
+    def disc(self, color: Color, middle: Place, radius: float) -> None:
+        """Paint a disc."""
+        pixel, radius = self.view.pixel(middle), self.view.stroke(radius)
+        pygame.draw.circle(self.surface, color, pixel, radius)
+
+    def ring(self, color: Color, middle: Place, radius: float, width: float) -> None:
+        """Paint a circle; the line is centred on it."""
+        pixel, outer = self.view.pixel(middle), self.view.stroke(radius + width / 2)
+        line = max(1, round(self.view.stroke(width)))
+        pygame.draw.circle(self.surface, color, pixel, outer, line)
+
+    def square(self, color: Color, middle: Point, radius: float, turn: float = 0.0) -> None:
+        """Paint a square on its corner, `radius` from the middle to each; `turn` is in radians."""
+        (x, y), radius = self.view.pixel(middle), self.view.stroke(radius)
+        angles = [turn + quarter * math.pi / 2 for quarter in range(4)]
+        corners = [(x + radius * math.cos(a), y + radius * math.sin(a)) for a in angles]
+        pygame.draw.polygon(self.surface, color, corners)
+
+    def rod(self, color: Color, start: Place, end: Place, width: float, end_width: float) -> None:
+        """Paint a tapering rod with round ends."""
+        (x, y), (end_x, end_y) = self.view.pixel(start), self.view.pixel(end)
+        length = math.hypot(end_x - x, end_y - y)
+        if length > 0:
+            half = self.view.stroke(0.5) / length
+            across_x, across_y = (y - end_y) * half, (end_x - x) * half
+            corners = [
+                (x + width * across_x, y + width * across_y),
+                (end_x + end_width * across_x, end_y + end_width * across_y),
+                (end_x - end_width * across_x, end_y - end_width * across_y),
+                (x - width * across_x, y - width * across_y),
+            ]
+            pygame.draw.polygon(self.surface, color, corners)
+        self.disc(color, start, width / 2)
+        self.disc(color, end, end_width / 2)
+
+    def line(self, color: Color, points: Sequence[Place], width: float) -> None:
+        """Paint a line through points."""
+        for start, end in pairwise(points):
+            self.rod(color, start, end, width, width)
+
+    def edged_line(self, color: Color, points: Sequence[Place], width: float) -> None:
+        """Paint a line with a light edge, which keeps it visible on the arm."""
+        self.line(REACHABLE, points, width + 2.5)
+        self.line(color, points, width)
+
+    def hollow_diamond(self, color: Color, middle: Point, radius: float) -> None:
+        """Paint a diamond with a light edge and a light middle."""
+        for size, shade in ((radius + 2.5, REACHABLE), (radius, color), (radius / 2, REACHABLE)):
+            self.square(shade, middle, size)
+
+
+def _blend(start: Color, end: Color, share: float) -> Color:
+    """Return the colour at a share of the way between two."""
+    red, green, blue = (round(a + (b - a) * share) for a, b in zip(start, end, strict=True))
+    return red, green, blue
+
+
+def _node_positions(segment_angles: Sequence[float], lengths: Sequence[float]) -> list[Point]:
+    """Return base, joints and hand (N + 1 points) of an arm with these absolute angles."""
+    nodes = [(0.0, 0.0)]
+    for angle, length in zip(segment_angles, lengths, strict=True):
+        x, y = nodes[-1]
+        nodes.append((x + length * math.cos(angle), y + length * math.sin(angle)))
+    return nodes
 
 
 @dataclass(frozen=True)
@@ -30,9 +164,9 @@ class Scene:
     """The part of a picture that changes from frame to frame."""
 
     segment_angles: Sequence[float]  #: N absolute angles, radians
-    target: Sequence[float]  #: (x, y), segment lengths
+    target: Place  #: (x, y), segment lengths
     trace: Sequence[Point] = ()  #: position of the hand at each past control step, oldest first
-    path: Sequence[Sequence[float]] = ()  #: all places of the target; empty if it stands still
+    path: Sequence[Place] = ()  #: all places of the target; empty if it stands still
     ghost: Sequence[float] | None = None  #: N joint angles of an internal model, radians
     steps: int = 0  #: control steps since the reset
     observation: Any = None  #: the last one; it is drawn if the senses are disturbed
@@ -48,21 +182,21 @@ class Renderer:
         """
         self._setup = setup
         self._lengths = setup.body.segment_lengths
-        self._old_lengths = setup.unperturbed.segment_lengths
         large = View(setup.farthest, _OVERSAMPLING * SIZE)
         self._canvas = Canvas(pygame.Surface((large.size,) * 2, depth=32), large)
-        self._scenery = Canvas(self._canvas.surface.copy(), large)
-        self._picture = pygame.Surface((SIZE, SIZE), depth=32)
         self._paint_scenery()
+        self._scenery = self._canvas.surface.copy()
+        self._picture = pygame.Surface((SIZE, SIZE), depth=32)
         self._window = Window(setup.frame_rate) if mode == "human" else None
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3), a new array; None if it is shown in a window."""
-        nodes = shapes.node_positions(scene.segment_angles, self._lengths)
-        self._canvas.surface.blit(self._scenery.surface, (0, 0))
+        nodes = _node_positions(scene.segment_angles, self._lengths)
+        self._canvas.surface.blit(self._scenery, (0, 0))
         self._paint_path(scene)
-        self._canvas.draw_trace(scene.trace)
-        self._paint_arm(scene, nodes)
+        self._paint_trace(scene)
+        self._paint_arm(nodes)
+        self._paint_changes(scene, nodes)
         if scene.observation is not None and self._setup.are_senses_disturbed:
             self._paint_sensed(scene.observation)
         self._paint_target(scene, nodes[-1])
@@ -78,68 +212,116 @@ class Renderer:
             self._window.close()
 
     def _paint_scenery(self) -> None:
-        """Paint the parts that are the same in every frame."""
-        canvas, body = self._scenery, self._setup.body
-        canvas.surface.fill(shapes.BACKGROUND)
-        canvas.draw_reachable_set(self._lengths)
+        """Paint what is the same in every frame: reachable set, perturbations, base and caption."""
+        canvas, body, view = self._canvas, self._setup.body, self._canvas.view
+        canvas.surface.fill(BACKGROUND)
+        inner, outer = reachable_radii(self._lengths)
+        for radius, color in ((outer, REACHABLE), (inner, BACKGROUND)):
+            if radius > 0:
+                canvas.disc(BORDER, (0, 0), canvas.pixels(radius) + 0.75)
+                canvas.disc(color, (0, 0), canvas.pixels(radius) - 0.75)
         if body.force_field is not None:
             (_, right), (left, _) = body.force_field
-            canvas.draw_curl_field(right - left)
+            self._paint_curl_field(right - left)
         for obstacle in body.obstacles:
             middle, radius = obstacle[:2], canvas.pixels(obstacle[2])
-            canvas.disc(shapes.BORDER, middle, radius)
-            canvas.ring(shapes.OUTLINE, middle, radius, 4)
+            canvas.disc(BORDER, middle, radius)
+            canvas.ring(OUTLINE, middle, radius, 4)
         if pull := math.hypot(*body.gravity):
-            start, along = np.full(2, 0.85 * canvas.view.reach), np.array(body.gravity) / pull
-            ways = [
-                (start + share * canvas.view.reach * along).tolist() for share in (0, 0.15, 0.3)
-            ]
-            canvas.line(shapes.TRACE, ways[:2], 4)
-            canvas.rod(shapes.TRACE, ways[1], ways[2], 18, 0)
-        canvas.square(shapes.OUTLINE, (0, 0), 31, math.pi / 4)  # the plate under the arm
-        canvas.square(shapes.BASE, (0, 0), 28, math.pi / 4)
-        canvas.draw_caption(self._setup.caption)
+            start, along = np.full(2, 0.85 * view.reach), np.array(body.gravity) / pull
+            ways = [(start + share * view.reach * along).tolist() for share in (0, 0.15, 0.3)]
+            canvas.line(TRACE, ways[:2], 4)
+            canvas.rod(TRACE, ways[1], ways[2], 18, 0)
+        canvas.square(OUTLINE, (0, 0), 31, math.pi / 4)  # the plate under the arm
+        canvas.square(BASE, (0, 0), 28, math.pi / 4)
+        pygame.font.init()
+        font = pygame.font.Font(None, round(view.stroke(_FONT_SIZE)))
+        corner = (view.stroke(12), view.stroke(10))
+        canvas.surface.blit(font.render(self._setup.caption, True, TRACE), corner)
+
+    def _paint_curl_field(self, curl: float) -> None:
+        """Paint arrows that turn as the field bends movements, clockwise if `curl` is positive."""
+        canvas, reach, sense = self._canvas, self._canvas.view.reach, -math.copysign(1, curl)
+        turns = [sense * step / 12 * 1.4 * math.pi for step in range(13)]
+        for row, column in product(range(-3, 4), repeat=2):
+            x, y = column * reach / 3, row * reach / 3
+            if 0 < math.hypot(x, y) < 0.95 * reach:
+                radius = 0.045 * reach
+                arc = [(x + radius * math.cos(a), y + radius * math.sin(a)) for a in turns]
+                canvas.line(FIELD, arc, 2)
+                canvas.rod(FIELD, arc[-3], arc[-1], 12, 0)  # the head of the arrow
 
     def _paint_path(self, scene: Scene) -> None:
-        """Paint the places where a moving target will be."""
-        canvas, setup = self._canvas, self._setup
-        target, places = tuple(scene.target), [tuple(place) for place in scene.path]
+        """Paint where a moving target will be: dots, or faint rings joined by a thin line."""
+        canvas, target = self._canvas, tuple(scene.target)
+        places = [tuple(place) for place in scene.path]
         if len(set(places)) <= 1:
             return
-        if setup.task.periodic:
-            color = shapes.blend(shapes.BACKGROUND, shapes.TARGET, 0.45)
+        if self._setup.task.periodic:
             for place in places[:: max(1, len(places) // 160)]:
-                canvas.disc(color, place, 2)
+                canvas.disc(_blend(BACKGROUND, TARGET, 0.45), place, 2)
             return
-        last = len(places) - 1 - places[::-1].index(target)
-        canvas.draw_next_targets(target, places[last + 1 :], setup.success_distance)
+        color, last = _blend(BACKGROUND, TARGET, 0.55), len(places) - 1 - places[::-1].index(target)
+        canvas.line(color, places[last:], 1.5)
+        for place in places[last + 1 :]:
+            canvas.disc(REACHABLE, place, self._target_radius + 3)
+            canvas.ring(color, place, self._target_radius + 3, 2)
 
-    def _paint_arm(self, scene: Scene, nodes: Sequence[Point]) -> None:
-        canvas, body = self._canvas, self._setup.body
-        canvas.draw_arm(scene.segment_angles, self._lengths)
-        changes = zip(nodes, scene.segment_angles, self._lengths, self._old_lengths, strict=False)
+    @property
+    def _target_radius(self) -> float:
+        return max(self._canvas.pixels(self._setup.success_distance), 3)
+
+    def _paint_trace(self, scene: Scene) -> None:
+        """Paint the past points of the hand as dots that fade with age."""
+        for age, (start, end) in enumerate(pairwise(scene.trace), start=1):
+            freshness = age / len(scene.trace)
+            color = _blend(REACHABLE, TRACE, 0.2 + 0.8 * freshness)
+            self._canvas.line(color, (start, end), 0.8 + 1.4 * freshness)
+            self._canvas.disc(color, end, 1.5 + 1.8 * freshness)
+
+    def _paint_arm(self, nodes: Sequence[Point]) -> None:
+        """Paint tapering rods on round joints."""
+        canvas, along = self._canvas, [0.0, *accumulate(self._lengths)]
+        taper = (HAND_WIDTH - BASE_WIDTH) / along[-1]
+        widths = [BASE_WIDTH + taper * way for way in along]
+        # From the hand to the base: the thicker rod lies on top at every joint.
+        rods = list(zip(pairwise(nodes), pairwise(widths), strict=True))
+        for (start, end), (width, end_width) in reversed(rods):
+            canvas.rod(OUTLINE, start, end, width + 4, end_width + 4)
+            canvas.rod(ROD, start, end, width, end_width)
+        for node, width in zip(nodes[:-1], widths, strict=False):
+            canvas.disc(OUTLINE, node, 0.36 * width + 2)
+            canvas.disc(REACHABLE, node, 0.36 * width)
+        canvas.disc(OUTLINE, nodes[-1], HAND_WIDTH / 2 + 2)
+
+    def _paint_changes(self, scene: Scene, nodes: Sequence[Point]) -> None:
+        """Paint former lengths, a mass at the hand, an internal model's arm, and locks."""
+        canvas, setup, body = self._canvas, self._setup, self._setup.body
+        old_lengths = setup.unperturbed.segment_lengths
+        changes = zip(nodes, scene.segment_angles, self._lengths, old_lengths, strict=False)
         for start, angle, length, old in changes:
-            if length != old:
-                canvas.draw_old_length(start, angle, old)
+            if length != old:  # a line along the segment, and a bar across its former end
+                along_x, along_y = math.cos(angle), math.sin(angle)
+                x, y = start[0] + old * along_x, start[1] + old * along_y
+                dx, dy = 18 / canvas.pixels(1) * along_y, 18 / canvas.pixels(1) * along_x
+                canvas.edged_line(OUTLINE, (start, (x, y)), 2)
+                canvas.edged_line(OUTLINE, ((x - dx, y + dy), (x + dx, y - dy)), 2)
         if body.hand_mass:
             radius = 9 * body.hand_mass ** (1 / 3)  # of a ball whose volume grows with the mass
-            canvas.disc(shapes.REACHABLE, nodes[-1], radius + 2.5)
-            canvas.disc(shapes.OUTLINE, nodes[-1], radius)
+            canvas.disc(REACHABLE, nodes[-1], radius + 2.5)
+            canvas.disc(OUTLINE, nodes[-1], radius)
         if scene.ghost is not None:
-            canvas.draw_ghost(scene.ghost, self._setup.given_body.segment_lengths)
-        lock_step = self._setup.lock_step
-        is_locked = lock_step is not None and scene.steps >= lock_step
+            lengths = setup.given_body.segment_lengths
+            ghost = _node_positions(list(accumulate(scene.ghost)), lengths)
+            canvas.edged_line(GHOST, ghost, 2.5)
+            for node in ghost[1:]:
+                canvas.disc(GHOST, node, 5.5)
+                canvas.disc(REACHABLE, node, 3)
+        is_locked = setup.lock_step is not None and scene.steps >= setup.lock_step
         for joint in body.lockable_joints if is_locked else ():
-            canvas.draw_lock(nodes[joint])
-
-    def _paint_target(self, scene: Scene, hand: Point) -> None:
-        canvas, setup, (x, y) = self._canvas, self._setup, scene.target
-        cursor = hand if setup.cursor is None else setup.cursor.cursor(*hand, (x, y))
-        if setup.cursor is not None:
-            canvas.line(shapes.CURSOR, (hand, cursor), 1.8)
-            canvas.hollow_diamond(shapes.CURSOR, cursor, 9.5)
-        is_reached = math.dist(cursor, scene.target) <= setup.success_distance
-        canvas.draw_target(scene.target, setup.success_distance, is_reached)
+            canvas.square(REACHABLE, nodes[joint], 18, math.pi / 4)
+            canvas.square(OUTLINE, nodes[joint], 15, math.pi / 4)
+            canvas.disc(REACHABLE, nodes[joint], 3)  # the keyhole
 
     def _paint_sensed(self, observation: NDArray[np.float32]) -> None:
         """Paint arm, hand and target where an observation of `MMCReach-v0` shows them."""
@@ -147,11 +329,29 @@ class Renderer:
         seen = setup.layout.split(observation.astype(float))
         relative = np.arctan2(seen.sines, seen.cosines)
         lengths = setup.given_body.segment_lengths
-        nodes = shapes.node_positions(np.cumsum(relative).tolist(), lengths)
+        nodes = _node_positions(np.cumsum(relative).tolist(), lengths)
         points = np.stack((seen.target - seen.offset, seen.target))
-        self._canvas.edged_line(shapes.SENSED, nodes, 2)
+        self._canvas.edged_line(SENSED, nodes, 2)
         for x, y in in_the_world(points, relative).tolist():
-            self._canvas.hollow_diamond(shapes.SENSED, (x, y), 8)
+            self._canvas.hollow_diamond(SENSED, (x, y), 8)
+
+    def _paint_target(self, scene: Scene, hand: Point) -> None:
+        """Paint cursor and target: a ring of the success radius, and a second when reached."""
+        canvas, setup, (x, y) = self._canvas, self._setup, scene.target
+        cursor = hand if setup.cursor is None else setup.cursor.cursor(*hand, (x, y))
+        if setup.cursor is not None:
+            canvas.line(CURSOR, (hand, cursor), 1.8)
+            canvas.hollow_diamond(CURSOR, cursor, 9.5)
+        is_reached = math.dist(cursor, scene.target) <= setup.success_distance
+        radius = self._target_radius
+        gap, tick = ((radius + more) / canvas.pixels(1) for more in (3, 14))
+        # A light edge around everything keeps the target visible on the arm.
+        for color, width in ((REACHABLE, 4.5), (TARGET, 2.5)):
+            for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+                ends = (x + gap * dx, y + gap * dy), (x + tick * dx, y + tick * dy)
+                canvas.line(color, ends, width)
+            for ring in (radius, radius + 8.5)[: 1 + is_reached]:
+                canvas.ring(color, scene.target, ring, width)
 
 
 def open_display(*, must_be_seen: bool = False) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mmc_gym.envs import shapes
+from mmc_gym.envs import render
 from mmc_gym.report.results import REPLAYED_INSTANCES, Results
 
 _SIDE_BY_SIDE = 4  # agents shown at first
@@ -47,7 +47,7 @@ def replay(results: Results) -> dict[str, Any]:
         "scenes": scenes,
         "chosen": agents[:_SIDE_BY_SIDE],
         "colours": {
-            name.lower(): "#{:02x}{:02x}{:02x}".format(*getattr(shapes, name)) for name in _COLOURS
+            name.lower(): "#{:02x}{:02x}{:02x}".format(*getattr(render, name)) for name in _COLOURS
         },
     }
 

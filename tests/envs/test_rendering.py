@@ -12,11 +12,10 @@ import pygame
 import pytest
 
 from mmc_gym._errors import UserError
-from mmc_gym.envs import shapes as drawing
+from mmc_gym.envs import render as drawing
 from mmc_gym.envs.perturbations import FAMILIES, VisuomotorRotation
 from mmc_gym.envs.reach import MMCReachEnv
-from mmc_gym.envs.render import Renderer, Scene, Window
-from mmc_gym.envs.shapes import View
+from mmc_gym.envs.render import Renderer, Scene, View, Window
 from mmc_gym.envs.spec import Options, ReachSetup
 
 FAR = (-2.5, 0.0)
