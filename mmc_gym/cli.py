@@ -18,9 +18,10 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
+from typing_extensions import override
 from tyro.conf import Positional
 
 from mmc_gym._console import make_console, print_list, print_written, progress_bar
@@ -28,29 +29,17 @@ from mmc_gym._errors import MismatchWarning, UserError, require, shown, unknown
 from mmc_gym._files import import_modules, read_yaml
 from mmc_gym._grid import CellError
 
-if TYPE_CHECKING:
-    from mmc_gym.training.training import TrainingProgress
-
 DESCRIPTION = "Compare agents that reach with a planar arm.  --version alone prints the version."
 TRACEBACK = "MMC_GYM_TRACEBACK"
 _PAIR = "NAME=VALUE with a value in YAML, such as control=joint_velocity"
 
 _app = tyro.extras.SubcommandApp()
 _commands: dict[str, Callable[..., None]] = {}
-_OTHER_WORDS = {"--agent": "--agents", "--models": "--agents"} | dict.fromkeys(
-    ("--env", "--environments", "--perturbations", "--tasks"), "--scenarios"
-)
 _COMPARED = (
     *("mmc-body", "ik-body", "mmc", "mmc-classical", "ik-dls"),
     *("ppo", "sac", "tqc-her", "random"),
 )
-_ARGUMENT = {
-    "adapt": "--experiment",
-    "report": "--store",
-    "train": "--name",
-    "list": "--what",
-    "show": "--scenario",
-}
+_WITH_ARGUMENT = ("adapt", "report", "train", "list", "show")
 
 
 def _command(function: Callable[..., None]) -> Callable[..., None]:
@@ -60,50 +49,25 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
     return _app.command(name=name)(function)
 
 
-def _options(command: str) -> list[str]:
-    """Return the options of a command."""
-    taken = inspect.signature(_commands[command]).parameters
-    shared = fields(taken["more"].default) if "more" in taken else ()
-    names = [name for name in taken if name != "more"]
-    names += ["import" if one.name == "imports" else one.name for one in shared]
-    options = [f"--{name.replace('_', '-')}" for name in names]
-    return [one for one in options if one != _ARGUMENT.get(command)]
-
-
-def _spelt(arguments: list[str]) -> list[str]:
-    """Return the arguments of the command line, with options that had other words by their own.
-
-    Raises:
-        UserError: for a command or an option that is misspelt.
-    """
+def _check_spelling(arguments: list[str]) -> None:
+    """Raise a `UserError` for a command or an option that is misspelt."""
     if not arguments or arguments[0].startswith("-"):
-        return arguments
+        return
     command, *others = arguments
     if command not in _commands:
         raise unknown("command", command, _commands)
-    known = _options(command)
-    first = next((one for one in others[:1] if not one.startswith("-")), None)
-    if first is not None and command == "record":
-        _told("record takes its file as --out FILE")
-        others = ["--out", *others]
-    elif first is not None and command not in _ARGUMENT:
-        also = f"; did you mean --agents {first}?" if "--agents" in known else ""
-        raise UserError(f"{command} must be followed by options, got {first!r}{also}")
-    found = [command]
+    taken = inspect.signature(_commands[command]).parameters
+    shared = fields(taken["more"].default) if "more" in taken else ()
+    names = [name for name in taken if name != "more"][command in _WITH_ARGUMENT :]
+    names += ["import" if one.name == "imports" else one.name for one in shared]
+    known = [f"--{name.replace('_', '-')}" for name in names]
+    if others and not others[0].startswith("-") and command not in _WITH_ARGUMENT:
+        also = f"; did you mean --agents {others[0]}?" if "--agents" in known else ""
+        raise UserError(f"{command} must be followed by options, got {others[0]!r}{also}")
     for text in others:
-        word, sign, value = text.partition("=")
-        option, present = word.replace("_", "-"), _OTHER_WORDS.get(word)
-        if not word.startswith("--") or option in (*known, "--help"):
-            found.append(text)
-        elif command == "report" and option == "--store":
-            _told("report takes its folder without --store")
-            found += [value] if value else []
-        elif present in known:
-            _told(f"{option} is called {present}")
-            found.append(f"{present}{sign}{value}")
-        else:
+        word = text.partition("=")[0].replace("_", "-")
+        if word.startswith("--") and word not in (*known, "--help"):
             raise unknown(f"option of {command}", word, known)
-    return found
 
 
 def _told(message: str) -> None:
@@ -140,9 +104,10 @@ class Imports:
     imports: Modules = ()
     """Your own modules, imported first."""
 
-    def load(self) -> None:
-        """Import the modules."""
+    def load(self) -> dict[str, Any]:
+        """Import the modules; return the arguments that functions of the package share."""
         import_modules(self.imports)
+        return {}
 
 
 @dataclass(frozen=True)
@@ -152,19 +117,19 @@ class World(Imports):
     env_kwargs: Pairs = ()
     """Arguments of the environment, values in YAML."""
 
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """The arguments of the environment; reading a value as YAML runs no code."""
+    @override
+    def load(self) -> dict[str, Any]:
+        super().load()
         found: dict[str, Any] = {}
         for text in self.env_kwargs:
             name, _, value = text.partition("=")
             require(name.isidentifier() and bool(value), "env-kwargs", text, _PAIR)
             require(name not in found, "env-kwargs", text, f"given once for {name}")
             try:
-                found[name] = read_yaml(value)
+                found[name] = read_yaml(value)  # runs no code
             except ValueError as error:
                 raise UserError(f"env-kwargs must be {_PAIR}, got {shown(text)}: {error}") from None
-        return found
+        return {"env_kwargs": found}
 
 
 @dataclass(frozen=True)
@@ -173,6 +138,10 @@ class Played(World):
 
     allow_pickle: Switch = False
     """Load .zip files of stable-baselines3, which may run any code."""
+
+    @override
+    def load(self) -> dict[str, Any]:
+        return {**super().load(), "allow_pickle": self.allow_pickle}
 
 
 NO_IMPORTS, WORLD, PLAYED = Imports(), World(), Played()
@@ -204,7 +173,7 @@ def compare(
     """
     from mmc_gym.benchmark import compare
 
-    more.load()
+    shared = more.load()
     compare.compare(
         agents,
         _one("scenarios", scenarios, "benchmark plays several"),
@@ -213,9 +182,8 @@ def compare(
         out,
         make_console(),
         focus=focus,
-        env_kwargs=more.arguments,
         interface=interface,
-        allow_pickle=more.allow_pickle,
+        **shared,
     )
 
 
@@ -256,7 +224,7 @@ def benchmark(
     from mmc_gym.agents import AGENTS, REFERENCE
     from mmc_gym.benchmark import ranking, runner
 
-    more.load()
+    shared = more.load()
     failed: list[str] = []
     with progress_bar() as bar:
         task = bar.add_task("cells")
@@ -274,10 +242,9 @@ def benchmark(
             seed,
             jobs=jobs,
             cluster=cluster,
-            env_kwargs=more.arguments,
             interface=interface,
-            allow_pickle=more.allow_pickle,
             on_progress=on_progress,
+            **shared,
         )
     ranking.print_ranking(make_console(), out)
     if failed:
@@ -316,7 +283,7 @@ def adapt(
     """
     from mmc_gym.benchmark import trials
 
-    more.load()
+    shared = more.load()
     with progress_bar() as bar:
         task = bar.add_task("agents")
         result = trials.run_experiment(
@@ -329,9 +296,8 @@ def adapt(
             retention=retention,
             keep=keep,
             jobs=jobs,
-            env_kwargs=more.arguments,
-            allow_pickle=more.allow_pickle,
             on_progress=lambda done, total: bar.update(task, completed=done, total=total),
+            **shared,
         )
     result = replace(result, lengths_in=lengths_in)
     result.print(make_console())
@@ -386,27 +352,34 @@ def train(
         tensorboard: Folder for TensorBoard's logs.
         device: For PyTorch: cpu, cuda, cuda:1, auto.
     """
-    more.load()
+    shared = more.load()
     from mmc_gym.agents.policy import FINAL_EPISODES, file_stem
-    from mmc_gym.training.hyperparameters import read_recipe
-    from mmc_gym.training.training import Training
+    from mmc_gym.training import training
 
-    recipe = read_recipe(name, env, steps, more.arguments)
-    folder = out or Path("runs") / file_stem(recipe.name, seed)
+    folder = out or Path("runs") / file_stem(Path(name).stem, seed)
     with progress_bar() as bar:
-        task = bar.add_task(f"{recipe.name}, seed {seed}")
+        task = bar.add_task(folder.name)
 
-        def report(progress: TrainingProgress) -> None:
-            bar.update(task, completed=progress.steps)
+        def report(progress: training.TrainingProgress) -> None:
+            bar.update(task, completed=progress.steps, total=progress.total_steps)
             if scores := progress.evaluation:
                 bar.console.print(
                     f"{progress.steps:>10,} steps  success {scores['success']:6.1%}  "
                     f"final distance {scores['final_distance']:.3f}  {scores['seconds']:6.0f} s"
                 )
 
-        training = Training(recipe, seed, folder, report, device=device, tensorboard=tensorboard)
-        bar.update(task, total=training.total_steps)
-        card = training.run(resume)
+        card = training.train(
+            name,
+            env=env,
+            seed=seed,
+            steps=steps,
+            out=folder,
+            resume=resume,
+            tensorboard=tensorboard,
+            device=device,
+            on_progress=report,
+            **shared,
+        ).card
     print(
         f"{folder / card.file_stem}.safetensors: success {card.scores['success']:.1%} over "
         f"{FINAL_EPISODES} fixed episodes after {card.training_steps:,} steps in "
@@ -446,9 +419,8 @@ def play(
     open_display(must_be_seen=True)  # at once: what follows takes a while to load
     from mmc_gym import play
 
-    more.load()
-    agent, env = _one("agents", agents), _one("scenarios", scenarios)
-    play.play(agent, env, seed, env_kwargs=more.arguments, allow_pickle=more.allow_pickle)
+    shared = more.load()
+    play.play(_one("agents", agents), _one("scenarios", scenarios), seed, **shared)
 
 
 @_command
@@ -506,7 +478,7 @@ def record(
     """
     from mmc_gym.record import record
 
-    more.load()
+    shared = more.load()
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes)
         record(
@@ -516,9 +488,8 @@ def record(
             episodes,
             seed,
             lambda _: bar.advance(task),
-            env_kwargs=more.arguments,
             interface=interface,
-            allow_pickle=more.allow_pickle,
+            **shared,
         )
     print(f"wrote {out}")
 
@@ -533,21 +504,18 @@ def main(arguments: list[str] | None = None) -> None:
             _flush()
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        if os.environ.get(TRACEBACK):
-            raise
-        print("mmc-gym: interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
-    except (UserError, OSError, MemoryError, CellError) as error:
+    except (KeyboardInterrupt, UserError, OSError, MemoryError, CellError) as error:
         if os.environ.get(TRACEBACK):
             raise
         message, status = str(error), 2
-        if isinstance(error, CellError):
+        if isinstance(error, KeyboardInterrupt):
+            message, status = "interrupted", 130
+        elif isinstance(error, CellError):
             message = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)"
             status = 1
         elif isinstance(error, MemoryError):
             message = f"not enough memory. {message}"
-        print(f"mmc-gym: {message}", file=sys.stderr)
+        _told(message)
         raise SystemExit(status) from error
 
 
@@ -558,10 +526,11 @@ def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
         print(f"mmc-gym {version('mmc-gym')}")
         return
+    _check_spelling(arguments)
     config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --more.env-kwargs
     with warnings.catch_warnings():
         warnings.showwarning = partial(_show_warning, warnings.showwarning)
-        _app.cli(prog="mmc-gym", args=_spelt(arguments), description=DESCRIPTION, config=config)
+        _app.cli(prog="mmc-gym", args=arguments, description=DESCRIPTION, config=config)
 
 
 def _open_streams() -> None:
