@@ -157,11 +157,7 @@ class ObservationLayout:
         return spaces.Dict(observation=posture, achieved_goal=goal, desired_goal=goal)
 
     def additions(self, space: spaces.Space[Any]) -> int:
-        """Return how many values an observation space has beyond this layout.
-
-        Raises:
-            UserError: if no such observation fits the space.
-        """
+        """Return how many values an observation space has beyond this layout."""
         goals = space.spaces if isinstance(space, spaces.Dict) else {}
         shape = goals.get("observation", space).shape or (0,)
         count = shape[0] - (self.posture_size if goals else self.size)
@@ -431,11 +427,7 @@ class ReachInterface:
         return self.speed_limit / self.servo_gain
 
     def sense(self, observation: Observation) -> Sensed:
-        """Return posture and target of observations of either kind, see `ObservationLayout`.
-
-        Raises:
-            UserError: if it is no such observation, see `ObservationLayout.check`.
-        """
+        """Return posture and target of observations of either kind, see `ObservationLayout`."""
         observation = self.layout.check(observation)
         if isinstance(observation, Mapping):
             joint_angles = self._joint_angles(np.asarray(observation["observation"], np.float64))
@@ -447,11 +439,7 @@ class ReachInterface:
         return Sensed(self.within_limits(joint_angles), target)
 
     def see(self, observation: Observation) -> Seen:
-        """Return all that observations show; `sense` returns what most agents need.
-
-        Raises:
-            UserError: if it is no such observation, see `ObservationLayout.check`.
-        """
+        """Return all that observations show; `sense` returns what most agents need."""
         layout = self.layout
         values = np.asarray(layout.flatten(layout.check(observation)), np.float64)
         parts, joint_angles = layout.split(values), self._joint_angles(values)
@@ -555,9 +543,6 @@ class InterfacedEnv(gym.Env[Any, Any]):
             env: the environment, single; agents also accept a vector of equal ones.
             interface: a `ReachInterface`, "module:name" of one, or a function of the environment
                 that returns one.
-
-        Raises:
-            UserError: if it is none of these.
         """
         found = import_object(interface, "interface") if isinstance(interface, str) else interface
         if callable(found) and not isinstance(found, ReachInterface):

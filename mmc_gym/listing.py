@@ -134,9 +134,6 @@ def describe(name: str) -> Iterator[tuple[str, str]]:
 
     Args:
         name: of a scenario or experiment, or the id of an environment.
-
-    Raises:
-        UserError: for an unknown name.
     """
     if name in AGENTS and name not in TASK_SCENARIOS:
         raise UserError(

@@ -53,9 +53,6 @@ def record(
 
     Returns:
         The path of the film.
-
-    Raises:
-        UserError: if an argument is not accepted, or the extra is missing.
     """
     out = Path(out)
     films = {".gif": gif, ".mp4": mp4}
@@ -112,11 +109,7 @@ def gif(pictures: Iterable[Picture], frame_rate: int) -> bytes:
 
 
 def mp4(pictures: Iterable[Picture], frame_rate: int) -> bytes:
-    """Return pictures (height, width, 3) as an MP4 film, H.264.
-
-    Raises:
-        UserError: if the extra `video` is missing.
-    """
+    """Return pictures (height, width, 3) as an MP4 film, H.264."""
     write_frames = _require_ffmpeg()
     with tempfile.TemporaryDirectory() as folder:
         path, left = Path(folder) / "film.mp4", iter(pictures)

@@ -58,11 +58,7 @@ from mmc_gym.network.chain import Floats, nearest_reachable, wrap_angle
 
 @dataclass(frozen=True)
 class Assumptions:
-    """Costs to minimise, and assumptions on timing, lag, noise and delay.
-
-    Raises:
-        UserError: if a value is negative, or `speed`, `longest` or `lag` is zero.
-    """
+    """Costs to minimise, and assumptions on timing, lag, noise and delay."""
 
     shortest: float = 0.3  #: T₀, duration of a movement of no length, s
     speed: float = 4.0  #: v̄, growth of distance with duration, segment lengths / s

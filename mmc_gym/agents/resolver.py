@@ -240,9 +240,6 @@ def resolve(agent: AgentLike, *, allow_pickle: bool = False) -> ResolvedAgent:
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
 
-    Raises:
-        UserError: if it is none of these.
-
     >>> resolve("ppo-3").name, resolve("ppo-3").training_seed, resolve("mmc").training_seed
     ('ppo', 3, None)
     >>> resolve("mine=mmc").label

@@ -60,9 +60,6 @@ class SingleArm(ABC):
         Args:
             joint_angles: N relative angles in radians.
             joint_velocities: N relative angular velocities in rad/s, or None for rest.
-
-        Raises:
-            UserError: for another number of angles or velocities than N.
         """
         speeds = [0.0] * self._count if joint_velocities is None else joint_velocities
         self._require_count("joint_angles", joint_angles)

@@ -74,9 +74,6 @@ class ArmParameters:
         lockable_joints: indices of the joints that `lock` makes rigid where they are.
         substep: duration of a physics step, s.
         substeps: number of physics steps in a control step.
-
-    Raises:
-        UserError: if a value is not as described here.
     """
 
     segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)

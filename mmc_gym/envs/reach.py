@@ -125,11 +125,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
-        """Make the environment; the class docstring lists the arguments.
-
-        Raises:
-            UserError: a `ValueError`, if an argument is unknown, or not accepted.
-        """
+        """Make the environment; the class docstring lists the arguments."""
         check_names(arguments, "render_mode")
         require_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.setup = setup = self.make_setup(**arguments)
@@ -214,9 +210,6 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
 
         Args:
             joint_angles: N relative angles in radians, or None for no second arm.
-
-        Raises:
-            UserError: if they are not N finite numbers.
         """
         if joint_angles is not None:
             count = self.setup.joint_count

@@ -60,9 +60,6 @@ def make(name: str, **arguments: Any) -> gym.Env[Any, Any]:
         arguments: those of `gym.make` and of the environment, such as `render_mode`, `control` or
             `segment_lengths`.  `perturbations` may follow a name without any.
 
-    Raises:
-        UserError: for an unknown name, an argument that the name sets, or one not accepted.
-
     Example:
         >>> make("pursuit+delay-160", control="joint_velocity").spec.id
         'MMCReachPursuit-v0'
@@ -77,9 +74,6 @@ def make_vec(name: str, num_envs: int = 1, **arguments: Any) -> VectorEnv[Any, A
         name: as for `make`.
         num_envs: number of environments.
         arguments: those of `gym.make_vec`, such as `vectorization_mode`, and of the environment.
-
-    Raises:
-        UserError: as `make` does.
     """
     env_id, given = _for_gymnasium(name, arguments)
     try:
@@ -316,9 +310,6 @@ def scenario(name: str, interface: Any = None) -> Scenario:
         'last segment 35 % longer, given to agents'
         >>> scenario("centre-out+locked").name
         'centre-out+locked-2'
-
-    Raises:
-        UserError: for an unknown name, or an impossible strength.
     """
     if not isinstance(name, str):
         raise _unknown(name)
@@ -348,11 +339,7 @@ def _joined(task: Scenario, changes: Sequence[Scenario]) -> Scenario:
 
 
 def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
-    """Return the scenario of a perturbation, in the task "random".
-
-    Raises:
-        UserError: if the strength is impossible, or agents cannot be given the change.
-    """
+    """Return the scenario of a perturbation, in the task "random"."""
     if told and not family.told:
         accepted = ", ".join(one.name for one in FAMILIES.values() if one.told)
         raise UserError(f"'-told' may follow {accepted} only, got it after {family.name!r}")
@@ -394,11 +381,7 @@ def own_scenario(env: EnvLike, name: str = "", interface: Any = None) -> Scenari
 
 
 def find_perturbation(value: object) -> Perturbation:
-    """Return the perturbation of a name, or `value` itself if it is a perturbation.
-
-    Raises:
-        UserError: for an unknown name, an impossible strength, or anything else.
-    """
+    """Return the perturbation of a name, or `value` itself if it is a perturbation."""
     if isinstance(value, Perturbation):
         value.check_hooks()
         return value
@@ -406,11 +389,7 @@ def find_perturbation(value: object) -> Perturbation:
 
 
 def find_task(value: object) -> Task:
-    """Return the task of a name, or `value` itself if it is a task.
-
-    Raises:
-        UserError: for an unknown name, or anything else.
-    """
+    """Return the task of a name, or `value` itself if it is a task."""
     if isinstance(value, Task):
         value.check_hooks()
         return value

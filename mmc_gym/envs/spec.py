@@ -97,11 +97,7 @@ class ReachSetup:
         engine: Engine = "pymunk",
         **arm_parameters: Any,
     ) -> None:
-        """Check the arguments, which `MMCReachEnv` lists.
-
-        Raises:
-            UserError: if one is unknown, or not accepted.
-        """
+        """Check the arguments, which `MMCReachEnv` lists."""
         require_choice("control", control, CONTROLS)
         require_choice("reward_type", reward_type, get_args(RewardType))
         require_not_negative(

@@ -72,11 +72,7 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         copy: bool = True,
         **arguments: Any,
     ) -> None:
-        """Make the environment; the class docstring lists the arguments.
-
-        Raises:
-            UserError: a `ValueError`, if an argument is unknown, or not accepted.
-        """
+        """Make the environment; the class docstring lists the arguments."""
         drawn = arguments.pop("render_mode", None)
         require(drawn is None, "render_mode", drawn, "left out; vectorization_mode='sync' draws")
         own = ("num_envs", "max_episode_steps", "autoreset_mode", "threads", "copy")

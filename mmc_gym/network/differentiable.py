@@ -78,9 +78,6 @@ class TorchNetwork(torch.nn.Module):
         device: device of its parameters, torch's default if None.
         dtype: their type, torch's default if None.
 
-    Raises:
-        UserError: for a normalizer of another kind.
-
     >>> network = TorchNetwork(MMCNetwork(damping=4), dtype=torch.float64)
     >>> angles = torch.tensor([0.3, 0.6, 0.6], dtype=torch.float64, requires_grad=True)
     >>> state = network.state_from_joint_angles(angles)

@@ -45,12 +45,7 @@ SEGMENT_WEIGHT = 0.05  #: λ: weight of the segments of a rigid body, beside its
 
 @dataclass(frozen=True, eq=False)
 class Embodiment:
-    """Knowledge about the bodies of a batch of arms; None where there is none.
-
-    Raises:
-        UserError: for a negative weight, a weight without a sensed posture, or locks without
-            angles.
-    """
+    """Knowledge about the bodies of a batch of arms; None where there is none."""
 
     segment_lengths: Floats | None = None  #: of each arm, (..., N), in place of the network's
     sensed: Floats | None = None  #: sensed segments, (..., N, 2)
@@ -77,9 +72,6 @@ def embodied_run(
         clamps: hold the end effector at the target, see `MMCNetwork.inverse`.
         body: knowledge about the bodies; its arrays broadcast to the state's batch axes.
         iterations: number of iterations.
-
-    Raises:
-        UserError: for another schedule.
 
     >>> network = MMCNetwork()
     >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])

@@ -263,9 +263,6 @@ class MMCNetwork:
 
         The segments are not normalized before the first iteration.  float32 is kept; anything else
         becomes float64.
-
-        Raises:
-            UserError: if the shape is another or a value is no finite number.
         """
         segments = require_floats("segments", segments, (self.segment_count, self.dimensions))
         parts = [chain.chain_vectors(segments)]

@@ -71,9 +71,6 @@ def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
         iteration: its number k, from 1.
         duration: T, of the movement or of each, in iterations.
 
-    Raises:
-        UserError: if a duration is not positive and finite.
-
     >>> share([1, 2, 3, 4, 5], duration=4).round(4).tolist()
     [0.1035, 0.4423, 0.793, 1.0, 1.0]
     """

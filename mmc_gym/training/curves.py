@@ -120,9 +120,6 @@ def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
     Returns:
         Columns agent, seed, steps (environment steps), seconds (wall time), cpu_seconds, success
         (part of the episodes), and the other scores of the evaluations; NaN where one is missing.
-
-    Raises:
-        UserError: if a card has no curve.
     """
     rows: list[dict[str, Any]] = []
     for name, group in cards.items():

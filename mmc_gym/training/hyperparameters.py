@@ -83,11 +83,7 @@ class Recipe:
 
     @property
     def algorithm(self) -> Algorithm:
-        """The algorithm: the name up to the first "-".
-
-        Raises:
-            UserError: if there is no such algorithm.
-        """
+        """The algorithm: the name up to the first "-"."""
         name = self.name.partition("-")[0]
         if name not in ALGORITHMS:
             known = ", ".join(ALGORITHMS)
@@ -126,9 +122,6 @@ class Recipe:
 
         Args:
             evaluations: approximate number of evaluations in a training.
-
-        Raises:
-            UserError: if a hyperparameter or the environment is not accepted.
         """
         settings = self.settings
         try:
@@ -156,9 +149,6 @@ class Recipe:
         """Return an untrained model, which logs to the folder `tensorboard`.
 
         Each wrapper in the list is put around those before it.
-
-        Raises:
-            UserError: if a wrapper, the algorithm or the policy does not take its arguments.
         """
         settings = self.settings
         # The constructor itself has the defaults of the keys that are not in the file.

@@ -149,9 +149,6 @@ def export_network(
 
     Linear `hidden` layers, each followed by the same of `ACTIVATIONS`, lead to the layer `mean` of
     the actions; `log_std` is a layer or a parameter.
-
-    Raises:
-        ValueError: if there is another activation.
     """
     hidden = list(hidden)
     linear = [layer for layer in hidden if isinstance(layer, torch.nn.Linear)]

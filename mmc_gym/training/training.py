@@ -339,11 +339,7 @@ class _Legs(BaseCallback):
 
 
 def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> GymnasiumVecEnv:
-    """Return the native vector environment of `count` arms, for stable-baselines3.
-
-    Raises:
-        UserError: if it is not a reaching environment, or does not accept the arguments.
-    """
+    """Return the native vector environment of `count` arms, for stable-baselines3."""
     try:
         env = gym.make_vec(env_id, count, autoreset_mode="SameStep", **arguments)
     except TypeError as error:

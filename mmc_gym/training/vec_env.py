@@ -158,9 +158,6 @@ class RandomScenarios(VecEnvWrapper):
             ranges: lowest and highest strength of families of perturbations by name, both
                 included; where strengths are whole numbers, only those are drawn.
             groups: number of groups.
-
-        Raises:
-            UserError: if a name, a strength or the number of groups is not accepted.
         """
         super().__init__(venv)
         fine = is_whole(groups) and groups >= 1 and venv.num_envs % groups == 0
