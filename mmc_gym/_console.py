@@ -40,9 +40,7 @@ def make_console() -> Console:
 def progress_bar(*, auto_refresh: bool = True) -> Progress:
     """Return a bar on stderr: task, progress, elapsed and remaining time; none without a terminal.
 
-    Args:
-        auto_refresh: draw from a thread, ten times a second.  Without it the caller draws, and no
-            thread disturbs timings.
+    With `auto_refresh` a thread draws, ten times a second; without it no thread disturbs timings.
     """
     console = Console(stderr=True)
     return Progress(
@@ -92,9 +90,8 @@ def _digits(value: float, decimals: int) -> str:
 def cell(row: Mapping[Any, Any], decimals: int) -> str:
     """Return a statistic, its interval below, and the number of episodes with a value, if not all.
 
-    Args:
-        row: estimate, low, high, count, missing.
-        decimals: at most; fewer if three digits are reached without them.
+    A row has estimate, low, high, count, missing.  There are fewer `decimals` if three digits are
+    reached without them.
 
     >>> print(cell(dict(estimate=0.5, low=0.4, high=0.61, count=9, missing=1), 2))
     0.50
@@ -134,15 +131,11 @@ def print_columns(
     columns: Mapping[str, Sequence[str]],
     note: str,
 ) -> None:
-    """Print columns of text and columns of numbers, and `note` below.
+    """Print columns of text and columns of numbers, and below `note`, how to read them.
 
-    Columns that do not fit side by side continue in a further table.
-
-    Args:
-        console: where to.
-        labels: texts of the rows by heading, aligned at the left; repeated in each further table.
-        columns: numbers of the rows by heading, aligned at the right.
-        note: how to read the numbers.
+    The `labels`, texts of the rows by heading, are aligned at the left; `columns`, numbers of the
+    rows by heading, at the right.  Columns that do not fit side by side continue in a further
+    table, where the labels are repeated.
     """
     widths = {
         name: max(_width(cells), min(_width([name]), _NAME_WIDTH))

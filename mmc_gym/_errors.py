@@ -139,7 +139,7 @@ def require_rows(
     fine: Callable[[Numbers], bool],
     counts: Container[int] = range(sys.maxsize),
 ) -> tuple[Numbers, ...]:
-    """Return rows of numbers, each of which satisfies `fine`, as tuples of floats.
+    """Return rows of numbers, each satisfying `fine`, as tuples of floats.
 
     The number of rows must be in `counts`.
     """
@@ -192,14 +192,10 @@ def nearest(value: object, known: Iterable[object]) -> str:
 def unknown(
     name: str, value: object, known: Iterable[object], *also: str, guess: str = ""
 ) -> UserError:
-    """Return the error that `value` is not among the known values.
+    """Return the error that the value of an argument `name` is not among the known values.
 
-    Args:
-        name: of the argument.
-        value: the value given.
-        known: the accepted names; None may be one.
-        also: what else is accepted, in words.
-        guess: what to suggest instead of the closest name.
+    It names the known ones and what is `also` accepted, in words.  It suggests `guess`, or else the
+    closest name.
 
     >>> print(unknown("engine", "pymunck", ["pymunk", "analytic"]))
     engine 'pymunck' is not accepted; did you mean 'pymunk'? It may be pymunk or analytic

@@ -43,11 +43,7 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
 
 
 def check_folder(path: Path | str, name: str) -> Path:
-    """Return the path of a folder, which need not exist but must not be a file or lie in one.
-
-    Raises:
-        UserError: if it cannot be a folder; it names the argument.
-    """
+    """Return the path of a folder, which need not exist but must not be a file or lie in one."""
     require(isinstance(path, str | Path), name, path, "the path of a folder")
     path = Path(path)
     existing = next((part for part in (path, *path.parents) if part.exists()), Path())
@@ -92,8 +88,7 @@ def look_here() -> None:
 def import_modules(names: Iterable[str]) -> None:
     """Import modules that register environments, tasks, perturbations or measures.
 
-    Raises:
-        UserError: if one cannot be imported; any error of its own code keeps its traceback.
+    An error of a module's own code keeps its traceback.
     """
     look_here()
     for name in names:
@@ -105,11 +100,7 @@ def import_modules(names: Iterable[str]) -> None:
 
 
 def import_object(path: str, what: str) -> Any:
-    """Return the object that is named by `path`, "module:name".
-
-    Raises:
-        UserError: if the module cannot be imported or has no such name; it begins with `what`.
-    """
+    """Return the object that is named by `path`, "module:name"; errors begin with `what`."""
     look_here()
     try:
         return pkgutil.resolve_name(path)

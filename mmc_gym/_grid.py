@@ -61,7 +61,7 @@ def run_grid(
     on_result: Callable[[int, Value], None] | None = None,
     on_failure: Callable[[int, CellError], None] | None = None,
 ) -> list[Value]:
-    """Compute `function` of every cell, in many processes at once.
+    """Compute `function` of every cell, in many processes at once; return results in their order.
 
     Args:
         function: takes one cell.  It must be picklable, depend on its cell only, and have no
@@ -71,18 +71,14 @@ def run_grid(
             number of processors of this machine, or of the cluster.
         cluster: None for this machine; "ray" for the Ray cluster that `RAY_ADDRESS` names or this
             machine belongs to, or a local one if there is none; "ray://HOST:PORT" for the one
-            whose client server listens there.  A node with other sources of `mmc_gym` than this
-            machine's refuses work.
+            whose client server listens there.  A node with other sources of `mmc_gym` refuses work.
         on_result: called here with (index, result) as soon as a cell is finished.
         on_failure: called here with (index, error) for a cell whose worker dies twice; the grid
-            continues without it.  Then even a single cell is computed in another process, unless
-            `jobs` is 1.  By default such a death ends the grid, as any error does.
-
-    Returns:
-        The results in the order of the cells; None for each that was given to `on_failure`.
+            continues without it, and its result is None.  Then even a single cell is computed in
+            another process, unless `jobs` is 1.  By default such a death ends the grid, as any
+            error does.
 
     Raises:
-        UserError: if `jobs` or `cluster` is not accepted, or Ray is not installed.
         CellError: if `function` raised.  Before it is raised, the cells that have begun are
             finished and given to `on_result`; no others begin.
 

@@ -152,10 +152,8 @@ def draw_paths(
 def plot_postures(nodes: NDArray[Any], ends: NDArray[Any], axes: Axes | None = None) -> Figure:
     """Draw successive postures of the first `EXAMPLES` arms, later ones darker.
 
-    Args:
-        nodes: positions of base, joints and hand in each posture, (postures, arms, N + 1, 2).
-        ends: position of each arm's target, drawn as a cross, (arms, 2).
-        axes: to draw on; those of a new figure if None.
+    Nodes are base, joints and hand in each posture, (postures, arms, N + 1, 2); ends are the arms'
+    targets, drawn as crosses, (arms, 2).  Without `axes` there is a new figure.
     """
     count = len(nodes)
     # Show more of the early postures: the first steps are the largest.

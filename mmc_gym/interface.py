@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeAlias,
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from mmc_gym._errors import UserError, require, require_array
+from mmc_gym._errors import UserError, require, require_floats
 from mmc_gym._files import import_object
 from mmc_gym.network.chain import Floats, wrap_angle
 
@@ -176,9 +175,6 @@ class ObservationLayout:
             joint_speeds: as fractions of their limit, likewise, see `relative_speeds`.
             hand: seen position of the hand or its cursor, segment lengths, (x, y) or (..., 2).
             target: segment lengths, (x, y) or (..., 2).
-
-        Returns:
-            (..., 3 N + 6), or the mapping of a goal environment, see the class.
         """
         if isinstance(joint_angles, list):
             cosines, sines = [*map(cos, joint_angles)], [*map(sin, joint_angles)]
@@ -200,23 +196,19 @@ class ObservationLayout:
         return seen
 
     def check(self, observation: Observation) -> Observation:
-        """Return an observation of either kind, see the class, as arrays of finite numbers.
-
-        Raises:
-            UserError: if it has another shape, lacks a goal, or is not all finite numbers.
-        """
+        """Return an observation of either kind, see the class, as arrays of finite numbers."""
         if type(observation) is np.ndarray and observation.ndim == 1:
             values = observation.tolist()  # for a single arm four times quicker than numpy
             is_whole = len(values) == self.size and observation.dtype.char in "fd"
             if is_whole and math.isfinite(sum(values)):
                 return observation
         if not isinstance(observation, Mapping):
-            return _finite_rows("observation", observation, self.size)
+            return require_floats("observation", observation, (self.size,))
         sizes = {"observation": self.posture_size, "achieved_goal": 2, "desired_goal": 2}
         accepted = f"a mapping with {', '.join(sizes)}"
         require(sizes.keys() <= observation.keys(), "observation", sorted(observation), accepted)
         rows = {
-            name: _finite_rows(f"observation[{name!r}]", observation[name], size)
+            name: require_floats(f"observation[{name!r}]", observation[name], (size,))
             for name, size in sizes.items()
         }
         shapes = {name: one.shape for name, one in rows.items()}
@@ -268,15 +260,6 @@ def _shown(cosine: Any, sine: Any, hand: Any, target: Any, root: Any) -> tuple[A
     scale = NEAR + root(x * x + y * y)
     seen_x, seen_y = cosine * target_x + sine * target_y, cosine * target_y - sine * target_x
     return seen_x, seen_y, x, y, x / scale, y / scale
-
-
-def _finite_rows(name: str, value: Any, size: int) -> NDArray[np.floating]:
-    """Return arrays (..., size) of finite numbers; raise a `UserError` for anything else."""
-    array = require_array(name, value)
-    if array.shape[-1:] != (size,):
-        raise UserError(f"{name} must have shape (..., {size}), got {array.shape}")
-    require(bool(np.isfinite(array).all()), name, array.tolist(), "finite numbers")
-    return array
 
 
 def _components(vectors: Any) -> tuple[Any, Any]:
@@ -391,10 +374,8 @@ class ReachInterface:
     def of(cls, env: Any) -> ReachInterface:
         """Return the interface of an environment, wrapped or not, or of a vector of equal ones.
 
-        Vectors may be Gymnasium's, native or not, or stable-baselines3's.
-
-        Raises:
-            UserError: if it is no reaching environment of this package, or they differ.
+        It is one of this package; vectors may be Gymnasium's, native or not, or
+        stable-baselines3's.
         """
         body, control = read_attribute(env, "parameters"), read_attribute(env, "control")
         if isinstance(body, ReachInterface):
@@ -409,11 +390,7 @@ class ReachInterface:
 
     @cached_property
     def layout(self) -> ObservationLayout:
-        """The layout of the environment's observations.
-
-        Raises:
-            CannotActError: for an interface with a `see` of its own.
-        """
+        """The layout of the environment's observations; a `CannotActError` if they are others."""
         if not self.is_own:
             raise CannotActError(
                 "env must be a reaching environment of mmc_gym for an agent that reads its "
@@ -491,17 +468,12 @@ class ReachInterface:
         return low, high
 
     def act(self, joint_targets: Floats, sensed: Sensed) -> NDArray[np.float32]:
-        """Return the action that sends the joints to their targets (..., N).
+        """Return the action that sends the joints to their targets, (..., N), float32 within ±1.
 
         Under position control the action is the targets; under delta and velocity control it is the
         speed that a position servo would ask for.  A target beyond a joint limit becomes the limit,
-        and no joint is sent through its forbidden range.
-
-        Returns:
-            float32 within −1 and 1, (..., N).
-
-        Raises:
-            CannotActError: under torque control, whose servos take no targets.
+        and no joint is sent through its forbidden range.  Under torque control a `CannotActError`
+        is raised.
         """
         self.check_takes_joint_targets()
         if self.control == "joint_position":
@@ -531,18 +503,14 @@ class InterfacedEnv(gym.Env[Any, Any]):
     Attributes:
         env: the environment, with the wrappers that the interface was written for.
         parameters: the interface.
-        control: its control mode.
         success_distance: that of the interface; NaN if it has none.
-        reach: sum of the segment lengths.
     """
 
     def __init__(self, env: Any, interface: Any) -> None:
-        """Join an environment with its interface, which may be found by name or made.
+        """Join an environment with its interface.
 
-        Args:
-            env: the environment, single; agents also accept a vector of equal ones.
-            interface: a `ReachInterface`, "module:name" of one, or a function of the environment
-                that returns one.
+        The environment is single; agents also accept a vector of equal ones.  The interface is a
+        `ReachInterface`, "module:name" of one, or a function of the environment that returns one.
         """
         found = import_object(interface, "interface") if isinstance(interface, str) else interface
         if callable(found) and not isinstance(found, ReachInterface):
@@ -601,66 +569,10 @@ def in_the_world(vectors: Floats, joint_angles: Floats) -> Floats:
     return turned
 
 
-_HARMLESS = frozenset(
-    {
-        *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"),
-        *("RecordEpisodeStatistics", "RecordVideo", "HumanRendering", "RenderCollection"),
-        *("AddWhiteNoise", "ObstructView", "DictInfoToList", "NormalizeReward", "ClipReward"),
-        *("TransformReward", "Monitor", "VecMonitor", "VecCheckNan", "VecVideoRecorder"),
-    }
-)
-"""Names of wrappers that leave observations as they are, and what actions do."""
-
-
-def wrappers_of(env: Any) -> list[Any]:
-    """Return the wrappers around an environment, the outermost first.
-
-    Those around the first environment of a vector follow, as far as it can be reached.
-    """
-    found = []
-    while env is not None:
-        if hasattr(env, "venv") or isinstance(env, (gym.Wrapper, VectorWrapper)):
-            found.append(env)
-            env = env.venv if hasattr(env, "venv") else env.env
-        else:
-            env = next(iter(getattr(env, "envs", ())), None)
-    return found
-
-
-def is_harmless(name: str) -> bool:
-    """Return whether a wrapper of this name, of a library, changes no observation or action."""
-    return name in _HARMLESS
-
-
-def changes_contract(wrapper: Any) -> bool:
-    """Return whether a wrapper changes what agents see, or what their actions do.
-
-    Of Gymnasium and stable-baselines3 only wrappers that are known not to are trusted.  Your own
-    are, if they keep both spaces.
-    """
-    if type(wrapper).__module__.startswith(("gymnasium.", "stable_baselines3.", "sb3_contrib.")):
-        is_off = getattr(wrapper, "norm_obs", True) is False  # VecNormalize, of rewards alone
-        return not (is_off or is_harmless(type(wrapper).__name__))
-    inner = getattr(wrapper, "venv", None) or wrapper.env
-    names = ("observation_space", "action_space")
-    return any(getattr(wrapper, name) != getattr(inner, name) for name in names)
-
-
-def require_plain(env: Any) -> None:
-    """Raise a `CannotActError` for a wrapper that changes observations or actions."""
-    for wrapper in wrappers_of(env):
-        if changes_contract(wrapper):
-            raise CannotActError(
-                "env must show its own observations and take its own actions, got it in "
-                f"{type(wrapper).__name__}: make the agent for the environment inside"
-            )
-
-
 def read_attribute(env: Any, name: str) -> Any:
     """Return an attribute of any environment that `ReachInterface.of` accepts; None if it has none.
 
-    Raises:
-        UserError: if it is not the same for all environments of a vector.
+    It must be the same for all environments of a vector.
     """
     value = getattr(getattr(env, "unwrapped", None), name, None)
     if value is not None or not hasattr(env, "get_attr"):

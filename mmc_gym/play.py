@@ -37,14 +37,8 @@ def play(
 ) -> None:
     """Open a window in which the mouse moves the target and an agent the arm.
 
-    Args:
-        agent: the first agent, see `mmc_gym.agents.resolve`; keys choose among
-            `mmc_gym.agents.AGENTS`.
-        env: id of a reaching environment, "module:Id", "module:function", or a function that
-            returns one; it gets no time limit.
-        seed: of the postures, or None for different ones each time.
-        env_kwargs: arguments of the environment, see `compare`.
-        allow_pickle: whether files that hold pickles may be loaded, see `compare`.
+    Keys choose among `mmc_gym.agents.AGENTS`; `agent` is the first.  Without a `seed` postures
+    differ each time.  The other arguments are those of `mmc_gym.compare`; there is no time limit.
 
     Raises:
         UserError: without a display, for an unknown agent, or for an environment without an arm.

@@ -38,21 +38,10 @@ def record(
     interface: Any = None,
     allow_pickle: bool = False,
 ) -> Path:
-    """Write a film of an agent in the first episodes that `compare` plays.
+    """Write a film of an agent in the first episodes that `compare` plays, and return its path.
 
-    Args:
-        out: file to write: .gif, or .mp4, which needs the extra `video`.
-        agent: as in `mmc_gym.compare`.
-        env: a reaching environment, as in `mmc_gym.compare`.
-        episodes: number of episodes in the film.
-        seed: of the starts and targets.
-        on_episode: called with each episode after it ends.
-        env_kwargs: arguments of the environment, as in `mmc_gym.compare`.
-        interface: of your own environment, as in `mmc_gym.compare`.
-        allow_pickle: whether files that hold pickles may be loaded, as in `mmc_gym.compare`.
-
-    Returns:
-        The path of the film.
+    The file `out` ends in .gif, or in .mp4, which needs the extra `video`.  `on_episode` is called
+    with each episode after it ends.  The other arguments are those of `mmc_gym.compare`.
     """
     out = Path(out)
     films = {".gif": gif, ".mp4": mp4}

@@ -11,7 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 from typing_extensions import override
 
@@ -117,11 +119,7 @@ class InternalModelAgent(Agent[State]):
     is_in_space: ClassVar[bool] = False
 
     def __init__(self, interface: ReachInterface) -> None:
-        """Make an agent for the environment that `interface` describes.
-
-        Raises:
-            CannotActError: under torque control, or for an arm that it does not move.
-        """
+        """Make an agent for an environment; raise a `CannotActError` if it cannot act in it."""
         accepted = "a ReachInterface, such as ReachInterface.of(env)"
         require(isinstance(interface, ReachInterface), "interface", interface, accepted)
         interface.check_takes_joint_targets()
@@ -177,9 +175,8 @@ def resumed(
 ) -> State:
     """Return the state to resume from: made anew by `start` where an episode starts.
 
-    Raises:
-        UserError: if the state comes from another agent or another number of arms, or
-            `episode_start` has other batch axes than the observations.
+    It must come from this agent and as many arms, and `episode_start` have the observations' batch
+    axes.
     """
     if state is None:
         return start()
@@ -252,6 +249,56 @@ def some(values: NDArray[Any]) -> bool:
 def every(values: NDArray[Any]) -> bool:
     """Return whether no value is 0; see `some`."""
     return bool(np.count_nonzero(values) == values.size)
+
+
+HARMLESS = frozenset(
+    {
+        *("TimeLimit", "OrderEnforcing", "PassiveEnvChecker", "Autoreset", "ClipAction"),
+        *("RecordEpisodeStatistics", "RecordVideo", "HumanRendering", "RenderCollection"),
+        *("AddWhiteNoise", "ObstructView", "DictInfoToList", "NormalizeReward", "ClipReward"),
+        *("TransformReward", "Monitor", "VecMonitor", "VecCheckNan", "VecVideoRecorder"),
+    }
+)
+"""Names of wrappers that leave observations as they are, and what actions do."""
+
+
+def wrappers_of(env: Any) -> list[Any]:
+    """Return the wrappers around an environment, the outermost first.
+
+    Those around the first environment of a vector follow, as far as it can be reached.
+    """
+    found = []
+    while env is not None:
+        if hasattr(env, "venv") or isinstance(env, (gym.Wrapper, VectorWrapper)):
+            found.append(env)
+            env = env.venv if hasattr(env, "venv") else env.env
+        else:
+            env = next(iter(getattr(env, "envs", ())), None)
+    return found
+
+
+def changes_contract(wrapper: Any) -> bool:
+    """Return whether a wrapper changes what agents see, or what their actions do.
+
+    Of Gymnasium and stable-baselines3 only wrappers that are known not to are trusted.  Your own
+    are, if they keep both spaces.
+    """
+    if type(wrapper).__module__.startswith(("gymnasium.", "stable_baselines3.", "sb3_contrib.")):
+        is_off = getattr(wrapper, "norm_obs", True) is False  # VecNormalize, of rewards alone
+        return not (is_off or type(wrapper).__name__ in HARMLESS)
+    inner = getattr(wrapper, "venv", None) or wrapper.env
+    names = ("observation_space", "action_space")
+    return any(getattr(wrapper, name) != getattr(inner, name) for name in names)
+
+
+def require_plain(env: Any) -> None:
+    """Raise a `CannotActError` for a wrapper that changes observations or actions."""
+    for wrapper in wrappers_of(env):
+        if changes_contract(wrapper):
+            raise CannotActError(
+                "env must show its own observations and take its own actions, got it in "
+                f"{type(wrapper).__name__}: make the agent for the environment inside"
+            )
 
 
 def warn_of_another_arm(label: str, trained: ArmParameters | None, env: Any) -> None:

@@ -75,7 +75,6 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
         """Make the agent, whose solver is one iteration, such as `damped_least_squares`.
 
         Raises:
-            UserError: if `iterations_per_step` is less than one.
             CannotActError: under torque control, or if the solver is not for so many segments.
         """
         require_whole("iterations_per_step", iterations_per_step)

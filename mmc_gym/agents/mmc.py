@@ -24,11 +24,7 @@ from mmc_gym.network.time_base import share, timed_step
 
 
 def network_of_arm(interface: ReachInterface, **settings: Any) -> MMCNetwork:
-    """Return an MMC network of an environment's arm, with settings of `MMCNetwork`.
-
-    Raises:
-        CannotActError: for an arm of a single segment, which has no triangles.
-    """
+    """Return an MMC network of an environment's arm, of two segments or more, with settings."""
     lengths = interface.segment_lengths
     if len(lengths) < 2:
         raise CannotActError(f"env must have two segments or more for MMC, got {len(lengths)}")
@@ -41,17 +37,7 @@ class NetworkAgent(JointTargetAgent[State]):
     def __init__(
         self, interface: ReachInterface, network: MMCNetwork, iterations_per_step: int = 1
     ) -> None:
-        """Make the agent.
-
-        Args:
-            interface: of the environment.
-            network: the internal model, with the environment's segment lengths.
-            iterations_per_step: iterations of the network in a control step.
-
-        Raises:
-            UserError: if `iterations_per_step` is less than one; as `CannotActError`, under torque
-                control.
-        """
+        """Make the agent of a network with the environment's segment lengths."""
         require_whole("iterations_per_step", iterations_per_step)
         super().__init__(interface)
         require(isinstance(network, MMCNetwork), "network", network, "an MMCNetwork")

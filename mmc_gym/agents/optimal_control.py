@@ -216,12 +216,7 @@ class OptimalControlAgent(InternalModelAgent[Belief]):
     """Optimal feedback control of the given arm, by joint velocities."""
 
     def __init__(self, interface: ReachInterface, assumed: Assumptions = DEFAULT) -> None:
-        """Make an agent of these assumptions.
-
-        Raises:
-            UserError: if the longest movement is shorter than a control step.
-            CannotActError: under torque control.
-        """
+        """Make an agent of these assumptions."""
         super().__init__(interface)
         require(isinstance(assumed, Assumptions), "assumed", assumed, "an Assumptions")
         accepted = f"at least a control step, {interface.control_step:g} s"

@@ -126,12 +126,10 @@ class MinimumJerkAgent(JointTargetAgent[MinimumJerkState]):
 
 
 def minimum_jerk_step(plan: HandPlan, target: Floats, remaining: Floats) -> HandPlan:
-    """Return the plan one control step later, on the way of least jerk to rest at the target.
+    """Return the plan one control step later, on the way of least jerk to rest at a target.
 
-    Args:
-        plan: the present one.
-        target: segment lengths, (..., 2).
-        remaining: control steps, (...), until the hand rests there; after this step if one or less.
+    Targets are (..., 2).  The hand rests there after the remaining control steps, (...); after this
+    one if that is one or less.
     """
     time = np.maximum(remaining, 1.0)[..., None]
     way = target - plan.position

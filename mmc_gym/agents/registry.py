@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import gymnasium as gym
 
-from mmc_gym.agents.base import Agent, RandomAgent
+from mmc_gym.agents.base import Agent, RandomAgent, require_plain
 from mmc_gym.agents.body_model.agent import ik_body, mmc_body
 from mmc_gym.agents.inverse_kinematics import (
     InverseKinematicsAgent,
@@ -20,7 +20,7 @@ from mmc_gym.agents.mmc import MMCAgent, TimedMMCAgent, dynamic_mmc, network_of_
 from mmc_gym.agents.optimal_control import OptimalControlAgent
 from mmc_gym.agents.planners import MinimumJerkAgent
 from mmc_gym.agents.policy_network import VIEWS, View
-from mmc_gym.interface import Control, InterfacedEnv, ReachInterface, require_plain
+from mmc_gym.interface import Control, InterfacedEnv, ReachInterface
 from mmc_gym.network import LearnedNormalizer
 
 Kind = Literal[
@@ -128,27 +128,23 @@ def _ik(description: str, solver: Solver, iterations_per_step: int = 3) -> Agent
 def _trained(
     name: str,
     description: str,
-    *,
     training_seeds: int,
+    *,
     control: Control = "joint_delta",
     view: View = "arm",
     base_agent: str = "",
     memory: int = 0,
     command: str = "mmc-gym train {}",
-) -> AgentEntry:
+) -> dict[str, AgentEntry]:
     def build(interface: ReachInterface) -> Agent[Any]:
         # Not at the top: pydantic, which checks the card, takes a while to load.
         from mmc_gym.agents.policy import PolicyAgent, load_policy, shipped_file
 
         return PolicyAgent(*load_policy(shipped_file(name, 0)), interface)
 
-    return AgentEntry(
-        f"{description}, trained by `{command.format(name)}`",
-        build,
-        learned_knowledge(view, base_agent, memory=memory),
-        control=control,
-        training_seeds=training_seeds,
-    )
+    description += f", trained by `{command.format(name)}`"
+    knowledge = learned_knowledge(view, base_agent, memory=memory)
+    return {name: AgentEntry(description, build, knowledge, control, training_seeds)}
 
 
 AGENTS: dict[str, AgentEntry] = {
@@ -174,35 +170,24 @@ AGENTS: dict[str, AgentEntry] = {
     ),
     "mmc-tuned": _mmc("as mmc, with constants that Optuna found", tuned_mmc),
     "ik-dls": _ik("inverse kinematics by damped least squares", damped_least_squares),
-    "ppo": _trained("ppo", "PPO of stable-baselines3", training_seeds=10),
-    "sac": _trained("sac", "SAC of stable-baselines3", training_seeds=5),
-    "tqc-her": _trained(
-        "tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", training_seeds=5
-    ),
-    "ppo-residual": _trained(
-        "ppo-residual",
-        "PPO on top of mmc: it corrects its actions",
-        training_seeds=5,
-        base_agent="mmc",
-    ),
-    "ppo-smooth": _trained(
-        "ppo-smooth", "PPO that is also rewarded for smoothness", training_seeds=3
-    ),
-    "ppo-position": _trained(
+    **_trained("ppo", "PPO of stable-baselines3", 10),
+    **_trained("sac", "SAC of stable-baselines3", 5),
+    **_trained("tqc-her", "TQC of sb3-contrib with hindsight, sparse rewards", 5),
+    **_trained("ppo-residual", "PPO on top of mmc: it corrects its actions", 5, base_agent="mmc"),
+    **_trained("ppo-smooth", "PPO that is also rewarded for smoothness", 3),
+    **_trained(
         "ppo-position",
         "PPO whose actions are joint angles",
-        training_seeds=3,
+        3,
         control="joint_position",
         view="target",
     ),
-    "ppo-torque": _trained(
-        "ppo-torque", "PPO whose actions are torques", training_seeds=3, control="joint_torque"
-    ),
-    "ppo-memory": _trained(
+    **_trained("ppo-torque", "PPO whose actions are torques", 3, control="joint_torque"),
+    **_trained(
         "ppo-memory",
         "a memory of 1.4 s, taught by PPO that is given the truth, under perturbations drawn for "
         "each episode",
-        training_seeds=3,
+        3,
         memory=68,
         command="python -m studies.learners.ppo_memory",
     ),

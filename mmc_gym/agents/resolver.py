@@ -19,6 +19,7 @@ import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property, partial
@@ -37,7 +38,7 @@ from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, is_whole, require, unknown
 from mmc_gym._files import import_object, look_here
-from mmc_gym.agents.base import Agent, Predictor, warn_of_another_arm
+from mmc_gym.agents.base import Agent, Predictor, require_plain, warn_of_another_arm
 from mmc_gym.agents.registry import (
     AGENTS,
     IDEAL,
@@ -49,14 +50,7 @@ from mmc_gym.agents.registry import (
     learned_knowledge,
 )
 from mmc_gym.agents.sb3 import SUFFIX, ModelAgent, SavedModel, as_agent, models_in
-from mmc_gym.interface import (
-    CONTROLS,
-    CannotActError,
-    Control,
-    InterfacedEnv,
-    ReachInterface,
-    require_plain,
-)
+from mmc_gym.interface import CONTROLS, CannotActError, Control, InterfacedEnv, ReachInterface
 
 if TYPE_CHECKING:
     from mmc_gym.agents.policy import PolicyCard
@@ -97,16 +91,11 @@ class ResolvedAgent:
 
     @cached_property
     def factory(self) -> Factory:
-        """The function that makes the agent for an environment.
-
-        Raises:
-            FileNotFoundError: if a file is missing.
-            UserError: if it cannot be imported, or is pickled and that is not allowed.
-        """
+        """The function that makes the agent for an environment; a missing file raises an error."""
         if self.policy is not None:
             return partial(_make_policy, self.policy)
         if self.name:
-            return _no_arm if self.is_reference else AGENTS[self.name].make
+            return _no_arm if self.entry is None else self.entry.make
         return partial(_made, self._thing, self.label)
 
     @cached_property
@@ -123,12 +112,7 @@ class ResolvedAgent:
 
     @cached_property
     def card(self) -> PolicyCard | None:
-        """The card of its policy; None if it has none.
-
-        Raises:
-            FileNotFoundError: if a file of the policy is missing.
-            UserError: if it is damaged.
-        """
+        """The card of its policy; None if it has none.  A missing file raises an error."""
         if self.policy is None:
             return None
         from mmc_gym.agents.policy import load_policy
@@ -219,8 +203,7 @@ class ResolvedAgent:
 
     def check(self) -> None:
         """Import its module or read its files; raise what `factory` and `card` raise."""
-        if not self.is_reference:
-            _ = self.factory, self.card
+        _ = self.factory, self.card
 
     def __getstate__(self) -> dict[str, Any]:
         # The fingerprint travels along: pickles of one object may differ between processes.
@@ -260,15 +243,14 @@ def resolve_all(
             all its trainings; or else for that of seed 0.
 
     Raises:
-        UserError: if there is none, an unknown one, or two of the same label and training seed; if
-            a file holds no policy, or pickles that may not be loaded.
+        UserError: also for none, or two of the same label and training seed.
         FileNotFoundError: if a file is missing.
 
     >>> [(one.label, one.training_seed) for one in resolve_all(["mmc", "mine=ppo-3"])]
     [('mmc', None), ('mine', 3)]
     """
-    fine = isinstance(agents, Iterable)
-    require(fine, "agents", agents, "a list of agents, such as ['mmc', 'ppo'], or a mapping")
+    accepted = "a list of agents, such as ['mmc', 'ppo'], or a mapping"
+    require(isinstance(agents, Iterable), "agents", agents, accepted)
     found = []
     listed = [agents] if isinstance(agents, str) else agents
     pairs: Any = agents.items() if isinstance(agents, Mapping) else (("", one) for one in listed)
@@ -348,11 +330,8 @@ def _matching(pattern: str) -> list[str]:
     found = [path for path in glob(pattern) if path.endswith(suffixes) or Path(path).is_dir()]
     if not found:
         raise UserError(f"agents must match a file or a folder, got {pattern!r}")
-    return sorted(found, key=_with_equally_long_numbers)
-
-
-def _with_equally_long_numbers(path: str) -> str:
-    return re.sub(r"\d+", lambda number: number[0].zfill(20), path)
+    # With numbers equally long, texts are in the order of their numbers.
+    return sorted(found, key=lambda path: re.sub(r"\d+", lambda digits: digits[0].zfill(20), path))
 
 
 def _common_label(pattern: str) -> str:
@@ -474,15 +453,22 @@ def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
 
 def _check_takes_env(given: Any, label: str) -> None:
     """Raise a `UserError` for a function or class that cannot be called with an environment."""
-    accepted = f"{getattr(given, '__name__', 'a function')}(env), called with the environment alone"
     is_agent = not isinstance(given, type) or hasattr(given, "predict")
     require(is_agent, f"agent {label!r}", given, "a class with predict")
-    try:
-        inspect.signature(given).bind(None)
-    except TypeError as error:
+    if error := _refusal(given, None):
+        name = getattr(given, "__name__", "a function")
+        accepted = f"{name}(env), called with the environment alone"
         raise UserError(f"agent {label!r} must be {accepted}, got {given}: {error}") from error
-    except ValueError:  # Python does not know its signature
-        pass
+
+
+def _refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeError | None:
+    """Return why a function does not take arguments; None if it does, or nobody knows."""
+    with suppress(ValueError):  # Python does not know its signature
+        try:
+            inspect.signature(function).bind(*arguments, **more)
+        except TypeError as error:
+            return error
+    return None
 
 
 def _gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bool:
@@ -510,12 +496,8 @@ def _function_agent(function: Callable[[Any], Any]) -> Predictor:
 
 def _with_whole_signature(agent: Any) -> Predictor:
     """Return the agent; or one that calls its `predict` with the observation alone."""
-    try:
-        inspect.signature(agent.predict).bind(None, None, None, deterministic=True)
-    except TypeError:
+    if _refusal(agent.predict, None, None, None, deterministic=True):
         return _function_agent(agent.predict)
-    except ValueError:  # Python does not know its signature
-        pass
     return cast(Predictor, agent)
 
 
@@ -562,8 +544,7 @@ def make_agent(
         allow_pickle: whether files that hold pickles may be loaded, see `resolve`.
 
     Raises:
-        UserError: for an unknown name, a file that holds no policy, or what is no reaching
-            environment; as `CannotActError`, for an environment that the agent cannot act in.
+        CannotActError: for an environment that the agent cannot act in.
         FileNotFoundError: if a file of the policy is missing.
 
     >>> import gymnasium as gym, mmc_gym

@@ -33,17 +33,21 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from mmc_gym._errors import MismatchWarning, UserError
-from mmc_gym.agents.base import Agent, Started, warn_of_another_arm
+from mmc_gym.agents.base import (
+    HARMLESS,
+    Agent,
+    Started,
+    changes_contract,
+    warn_of_another_arm,
+    wrappers_of,
+)
 from mmc_gym.interface import (
     CONTROLS,
     CannotActError,
     Control,
     ControlError,
     Observation,
-    changes_contract,
-    is_harmless,
     read_attribute,
-    wrappers_of,
 )
 
 if TYPE_CHECKING:
@@ -288,7 +292,7 @@ class SavedModel:
         entry = self.recipe.get(name)
         listed = entry if isinstance(entry, list) else [entry]
         named = [one for each in listed for one in (each if isinstance(each, dict) else [each])]
-        return any(one and not is_harmless(str(one).rpartition(".")[2]) for one in named)
+        return any(one and str(one).rpartition(".")[2] not in HARMLESS for one in named)
 
     @cached_property
     def statistics(self) -> Path | None:

@@ -25,7 +25,6 @@ def make_arm(
     """Build an arm simulated by `engine`.
 
     Raises:
-        UserError: for an unknown engine, or an arm that it cannot simulate.
         MissingExtraError: if the engine needs numba and it is not installed.
     """
     single, _ = _classes(engine)
@@ -39,12 +38,7 @@ def make_arms(
     servo: Servo = "position",
     threads: int = 1,
 ) -> ArmBatch:
-    """Build `count` equal arms, simulated by `engine` in `threads` threads.
-
-    Raises:
-        UserError: as `make_arm`, and for fewer than one arm or thread.
-        MissingExtraError: if the engine needs numba and it is not installed.
-    """
+    """Build `count` equal arms, simulated by `engine` in `threads` threads; see `make_arm`."""
     _, batch = _classes(engine)
     return batch(parameters, count, servo, threads)
 

@@ -38,8 +38,7 @@ class SingleArm(ABC):
     def __init__(self, parameters: ArmParameters | None = None, servo: Servo = "position") -> None:
         """Build the arm, stretched along the x axis and at rest; see `command` for its servos.
 
-        Raises:
-            UserError: for an unknown kind of servo, or an arm that the engine cannot simulate.
+        An arm that the engine cannot simulate raises a `UserError`.
         """
         require_choice("servo", servo, get_args(Servo))
         self.parameters = _checked(parameters)
@@ -55,11 +54,8 @@ class SingleArm(ABC):
         """Place the arm.  From then on it moves as a newly built one does, bit for bit.
 
         Until the first command the servos hold the posture (position), stop the joints (velocity)
-        or are slack (torque).  Locks are open again.
-
-        Args:
-            joint_angles: N relative angles in radians.
-            joint_velocities: N relative angular velocities in rad/s, or None for rest.
+        or are slack (torque).  Locks are open again.  Angles are N, relative, in radians;
+        velocities N, relative, in rad/s, or None for rest.
         """
         speeds = [0.0] * self._count if joint_velocities is None else joint_velocities
         self._require_count("joint_angles", joint_angles)
@@ -119,13 +115,9 @@ class ArmBatch(ABC):
         servo: Servo = "position",
         threads: int = 1,
     ) -> None:
-        """Build the arms, stretched along the x axis and at rest; see `SingleArm.command`.
+        """Build the arms, stretched along the x axis and at rest; see `SingleArm`.
 
         The number of threads that simulate the arms does not change the result.
-
-        Raises:
-            UserError: for an unknown kind of servo, less than one arm or thread, or an arm that
-                the engine cannot simulate.
         """
         require_choice("servo", servo, get_args(Servo))
         self._count = require_whole("count", count)
@@ -148,13 +140,7 @@ class ArmBatch(ABC):
     ) -> None:
         """Place k of the arms, see `SingleArm.reset`.  The others do not change.
 
-        Args:
-            joint_angles: relative angles in radians, (k, N).
-            arms: indices of the k arms, or None for all.
-            joint_velocities: relative angular velocities in rad/s, (k, N), or None for rest.
-
-        Raises:
-            UserError: for another shape, or for indices that repeat or belong to no arm.
+        Angles and velocities are (k, N); `arms` are k different indices, or None for all.
         """
         chosen = np.arange(self._count) if arms is None else self._indices(arms)
         shape = len(chosen), self._shape[1]

@@ -54,9 +54,6 @@ class HandField:
             motion: of each segment before the substep: centre of gravity (x, y), angle, velocity of
                 the centre (x, y) and angular velocity, (..., N, 6).
             yields: 1 for each joint that yields to a push, 0 for each that is held, (..., N).
-
-        Returns:
-            Impulse and moment, (..., 3).
         """
         centres, velocities, speeds = motion[..., :2], motion[..., 3:5], motion[..., 5:]
         angles = motion[..., 2:3] + self._substep * speeds

@@ -148,9 +148,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     ) -> tuple[Any, Info]:
         """Start an episode: see "Starting State" in the class docstring.
 
-        Raises:
-            UserError: for an unknown option, or one of wrong shape, not finite, outside the
-                joint limits, or out of reach; the environment stays as it was.
+        If an option is not accepted, the environment stays as it was.
         """
         checked = self.setup.check_options(options)
         super().reset(seed=seed)
@@ -167,9 +165,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     ) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Hand the action to the servos and simulate one control step.
 
-        Raises:
-            UserError: if the action has the wrong shape or an element that is not a number
-                within −1 and 1; the environment stays as it was.
+        If the action is not accepted, the environment stays as it was.
         """
         arm, setup = self._arm, self.setup
         command = self._command(action)
@@ -194,13 +190,10 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
         return self._arm
 
     def set_target(self, target: ArrayLike) -> None:
-        """Move the target during an episode; the next step observes and rewards it.
+        """Move the target to (x, y) during an episode; the next step observes and rewards it.
 
-        Args:
-            target: (x, y) in segment lengths.  It stays there, whatever the task.
-
-        Raises:
-            UserError: if it is no point in reach; the target stays where it was.
+        It stays there, whatever the task.  If it is no point in reach, a `UserError` is raised, and
+        the target stays where it was.
         """
         self._targets = [self.setup.check_target("target", target)]
         self._target = self._targets[0]
@@ -208,8 +201,7 @@ class MMCReachEnv(ReachEnvironment, gym.Env[Any, NDArray[np.float32]]):
     def show_posture(self, joint_angles: ArrayLike | None) -> None:
         """Draw a second arm into the following pictures, such as that of an internal model.
 
-        Args:
-            joint_angles: N relative angles in radians, or None for no second arm.
+        Its joint angles are N, relative, in radians; None draws no second arm.
         """
         if joint_angles is not None:
             count = self.setup.joint_count
@@ -350,12 +342,8 @@ def reward_and_info(
 ) -> tuple[Any, Info]:
     """Return the reward of a state, and the infos that explain it.
 
-    Args:
-        setup: of the environment.
-        distance: of the hand, or the cursor that stands for it, from the target.
-        is_success: whether the task is done.
-        speeds: of the joints, the first axis, as fractions of their limit.
-        speeds_before: the same one control step earlier.
+    The distance is from the target to the hand, or to the cursor that stands for it.  Speeds of the
+    joints, now and one control step earlier, are fractions of their limit, joints first.
     """
     reward_control = _minus_mean_square(speeds, setup.control_weight)
     reward_precision = precision(setup, distance)

@@ -68,13 +68,7 @@ def make(name: str, **arguments: Any) -> gym.Env[Any, Any]:
 
 
 def make_vec(name: str, num_envs: int = 1, **arguments: Any) -> VectorEnv[Any, Any, Any]:
-    """Make many environments of a scenario, or of an id, by `gym.make_vec`.
-
-    Args:
-        name: as for `make`.
-        num_envs: number of environments.
-        arguments: those of `gym.make_vec`, such as `vectorization_mode`, and of the environment.
-    """
+    """Make many environments of a scenario, or of an id, by `gym.make_vec`; see `make`."""
     env_id, given = _for_gymnasium(name, arguments)
     try:
         return gym.make_vec(env_id, num_envs=num_envs, **given)
@@ -104,9 +98,6 @@ def make_environment(
         control: the control mode; None keeps that among the arguments, or the default.  It is left
             out if your own environment takes no such argument.
         arguments: for its constructor.
-
-    Raises:
-        UserError: if there is no such environment, or it does not take the arguments.
     """
     try:
         return _made(env, arguments if control is None else {**arguments, "control": control})
@@ -368,11 +359,7 @@ def perturbed(family: Family, strength: float, told: bool = False) -> Scenario:
 
 
 def own_scenario(env: EnvLike, name: str = "", interface: Any = None) -> Scenario:
-    """Return the scenario of your own environment, under its own name unless one is given.
-
-    Raises:
-        UserError: if there is no such environment, or it needs an `interface` (`InterfacedEnv`).
-    """
+    """Return the scenario of your own environment, under its own name unless one is given."""
     with closing(make_environment(env)) as made:
         is_known = interface is not None or hasattr(made.unwrapped, "parameters")
         require(is_known, "scenario", env, "a reaching environment, or one with an interface")
@@ -476,12 +463,10 @@ def register_task(name: str, task: Task, description: str = "") -> None:
     """Name your own task, for its id, arguments, the benchmark, the report and file names.
 
     Args:
-        name: words with hyphens, such as "near-targets", whose id is `MMCReachNearTargets-v0`.
+        name: words with hyphens that nothing else is called by, such as "near-targets", whose id is
+            `MMCReachNearTargets-v0`.
         task: an object of your class.
         description: a line for the report.
-
-    Raises:
-        UserError: if the name has another form, or belongs to this package or a perturbation.
     """
     fine = isinstance(name, str) and name not in {*FAMILIES, *_SHIPPED}
     fine = fine and re.fullmatch("[a-z][a-z0-9]*(-[a-z0-9]+)*", name) is not None
@@ -496,8 +481,7 @@ def register_task(name: str, task: Task, description: str = "") -> None:
 def register_perturbation(family: Family) -> None:
     """Name your own perturbations, for scenarios, arguments, the benchmark and the report.
 
-    Raises:
-        UserError: if the name is not words with hyphens, or belongs to this package or a task.
+    The family's name is words with hyphens that no task and no family of this package is called by.
     """
     require(isinstance(family, Family), "family", family, "a Family")
     fine = family.name not in {*TASKS, *_SHIPPED}

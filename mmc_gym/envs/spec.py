@@ -216,11 +216,7 @@ class ReachSetup:
         return Trial(options.joint_angles or trial.joint_angles, [options.target])
 
     def _draw(self, random: np.random.Generator, options: Options) -> Trial:
-        """Return a trial of the task; draw again if a posture has no target in reach.
-
-        Raises:
-            UserError: if none is found.
-        """
+        """Return a trial of the task; draw again if a posture has no target in reach."""
         posture = options.joint_angles if options.target is None else None
         request = Request(self.workspace, random, options.trial, posture)
         for _ in range(_MOST_TRIALS):
@@ -248,12 +244,10 @@ class ReachSetup:
         return Trial(posture, [(x, y) for x, y in path])
 
     def check_options(self, options: dict[str, Any] | None) -> Options:
-        """Return the options of a reset.
+        """Return the options of a reset; refuse unknown ones, and what cannot be.
 
-        Raises:
-            UserError: for an unknown option, or one of wrong shape, not finite, outside the
-                joint limits, out of reach, or in an obstacle; or for a posture from which locked
-                joints leave no target in reach.
+        Joint limits, reach, obstacles, and locked joints that leave no target in reach are
+        respected.
         """
         options = {} if options is None else options
         accepted = "a mapping with 'joint_angles', 'target' or 'trial'"

@@ -119,14 +119,11 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, Info]:
-        """Start episodes of all arms, or of those that `options["reset_mask"]` chooses.
+        """Start episodes of all arms, or of those that `options["reset_mask"]`, (n,) bool, chooses.
 
-        Args:
-            seed: of the first arm, the next gets `seed` + 1 and so on; or one for each.
-            options: as in `MMCReachEnv.reset`, the same for all; and `reset_mask`, (n,) bool.
-
-        Raises:
-            UserError: if a seed or an option is not accepted; the arms stay as they were.
+        The first arm has the `seed`, the next `seed` + 1 and so on; or there is one for each.  The
+        other options are those of `MMCReachEnv.reset`, the same for all arms.  If an argument is
+        not accepted, the arms stay as they were.
         """
         if isinstance(options, Mapping):
             options = dict(options)
@@ -147,9 +144,9 @@ class MMCReachVectorEnv(ReachEnvironment, VectorEnv[Any, NDArray[np.float32], ND
     ) -> tuple[Any, NDArray[np.float64], Bools, Bools, Info]:
         """Hand each arm its action, (n, N), and simulate one control step.
 
+        If an action is not accepted, the arms stay as they were.
+
         Raises:
-            UserError: if the actions have another shape, or one is not within −1 and 1; the arms
-                stay as they were.
             gymnasium.error.ResetNeeded: before the first reset; or, without autoreset, if an
                 episode is over.
         """

@@ -54,12 +54,10 @@ class Workspace:
         given_body: ArmParameters | None = None,
         locked: Sequence[int] = (),
     ) -> None:
-        """Make the workspace of `body`.
+        """Make the workspace of `body`, in which the joints `locked` (indices) never move.
 
-        Args:
-            body: the arm that moves.
-            given_body: the arm that agents are given, by default the same; both reach all targets.
-            locked: indices of joints that are always locked.
+        Targets are reached by `given_body`, too: the arm that agents are given, by default the
+        same.
 
         Raises:
             UserError: if there is nothing that both can reach.
@@ -76,12 +74,10 @@ class Workspace:
         self._hands = limits and not locked and reachable_hands(body.segment_lengths, limits)
 
     def contains(self, point: Sequence[float], posture: Sequence[float] | None = None) -> bool:
-        """Tell whether the hand can be at `point` (x, y), leaving joint limits aside.
+        """Tell whether the hand, and with a cursor both, can be at `point` (x, y).
 
-        Args:
-            point: (x, y).  With a cursor, both it and the hand must be able to be there.
-            posture: N joint angles to start from, which the locked joints keep; None ignores
-                locks.
+        Joint limits are left aside.  Locked joints keep their angles in `posture`, N joint angles;
+        None ignores locks.
         """
         x, y = point
         hand = (x, y) if self.cursor is None else self.cursor.hand(x, y)
@@ -106,11 +102,7 @@ class Workspace:
         return radius * math.cos(angle), radius * math.sin(angle)
 
     def draw_posture(self, random: np.random.Generator) -> list[float]:
-        """Draw joint angles, uniform on the circle or within their limits, clear of obstacles.
-
-        Raises:
-            UserError: if the obstacles leave no room for the arm.
-        """
+        """Draw joint angles, uniform on the circle or within their limits, clear of obstacles."""
         for _ in range(_MOST_POSTURES):
             posture = [random.uniform(low, high) for low, high in self._limits]
             if self.is_clear(posture):
@@ -121,10 +113,8 @@ class Workspace:
         """Draw a target that the hand can reach from `posture`, clear of obstacles.
 
         Targets are area-uniform over the reachable set; with joint limits, up to the size of a grid
-        cell.  With locked joints and joint limits they are hands of uniform postures.
-
-        Raises:
-            NoTarget: if none is found.
+        cell.  With locked joints and joint limits they are hands of uniform postures.  `NoTarget`
+        is raised if none is found.
         """
         for _ in range(_MOST_TARGETS):
             hand = self._draw_hand(random, posture)
@@ -150,12 +140,9 @@ class Workspace:
         return is_free and (cursor is None or cursor.centre == (0.0, 0.0))
 
     def draw_pairs(self, randoms: Sequence[np.random.Generator]) -> tuple[Floats, Floats]:
-        """Draw a posture and a target from each of k generators, where `is_ring`.
+        """Draw joint angles, (k, N), and targets, (k, 2), from k generators, where `is_ring`.
 
         They equal those of `draw_posture` and `draw_target`, in a tenth of the time.
-
-        Returns:
-            Joint angles, radians, (k, N), and targets, (k, 2).
         """
         count = len(self.body.segment_lengths)
         draws = np.empty((len(randoms), count + 2))

@@ -61,13 +61,9 @@ def triangle_products(segment_count: int) -> NDArray[np.float64]:
 
 
 def chain_vectors(segments: Floats) -> Floats:
-    """Return all vectors v_ij of the chain with the given segment vectors.
+    """Return all vectors v_ij of a chain, (..., N(N+1)/2, 2 or 3), from segments (..., N, 2 or 3).
 
-    Args:
-        segments: segment vectors, shape (..., N, 2 or 3).
-
-    Returns:
-        Array of shape (..., N(N+1)/2, 2 or 3), in the order of `vector_pairs`.
+    They are in the order of `vector_pairs`.
     """
     starts, ends = np.array(vector_pairs(segments.shape[-2])).T
     nodes = node_positions(segments)
@@ -81,14 +77,9 @@ def node_positions(segments: Floats) -> Floats:
 
 
 def segments_from_joint_angles(joint_angles: Floats, segment_lengths: ArrayLike) -> Floats:
-    """Return the segment vectors of a posture (forward kinematics; their sum is the end effector).
+    """Return the segment vectors (..., N, 2) of a posture; their sum is the end effector.
 
-    Args:
-        joint_angles: relative angles in radians, 0 = straight on, shape (..., N).
-        segment_lengths: N lengths.
-
-    Returns:
-        Segment vectors, shape (..., N, 2).
+    Joint angles (..., N) are relative, radians, 0 = straight on.
 
     >>> segments_from_joint_angles(np.array([0.0, np.pi / 2]), (1.0, 2.0)).round(6)
     array([[1., 0.],

@@ -174,17 +174,13 @@ class TorchNetwork(torch.nn.Module):
     ) -> TorchState:
         """Return the state after `iterations` iterations; `state` itself stays as it is.
 
-        Like `MMCNetwork.run`, it bends arms that lie in one line with their targets.
-
-        Args:
-            state: the state to begin with.
-            clamps: held vectors, by their pair of nodes; (..., 2) each.  Batch axes of the state
-                and of clamps are broadcast against each other.
-            iterations: number of iterations.
+        Like `MMCNetwork.run`, it bends arms that lie in one line with their targets.  Clamps hold
+        vectors, (..., 2), by their pair of nodes.  Batch axes of the state and of clamps are
+        broadcast against each other.
 
         Raises:
             UserError: if the state comes from another kind of network, a pair is no vector of the
-                chain, shapes do not fit, or `iterations` is no whole number of at least 0.
+                chain, or shapes do not fit.
         """
         require_whole("iterations", iterations, least=0)
         accepted = "a TorchState of a network of this kind"

@@ -64,14 +64,10 @@ class Embodiment:
 def embodied_run(
     network: MMCNetwork, state: MMCState, clamps: Clamps, body: Embodiment, iterations: int = 1
 ) -> MMCState:
-    """Return the state after `iterations` iterations towards a target.
+    """Return the state after `iterations` iterations of a synchronous network towards a target.
 
-    Args:
-        network: a synchronous network of any dynamics.
-        state: its state; stays as it is.
-        clamps: hold the end effector at the target, see `MMCNetwork.inverse`.
-        body: knowledge about the bodies; its arrays broadcast to the state's batch axes.
-        iterations: number of iterations.
+    The `clamps` hold the end effector at the target, see `MMCNetwork.inverse`.  The arrays of
+    `body` broadcast to the state's batch axes.
 
     >>> network = MMCNetwork()
     >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])

@@ -84,9 +84,6 @@ def linear_operator(
         clamped: rows that are held (`Clamps.rows`).
         triangles: ∂₂∂₂ᵀ, see `chain.triangle_products`; by default that of the network, in numpy.
         arrays: the module that `triangles` is an array of, numpy or torch.
-
-    Raises:
-        UserError: if clamps are those of another schedule.
     """
     if triangles is None:
         triangles = chain.triangle_products(network.segment_count)

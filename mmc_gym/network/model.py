@@ -112,13 +112,7 @@ class MMCState:
 
 @dataclass(frozen=True, eq=False)
 class Clamps:
-    """Variables held at given values, made by the network that they are used with.
-
-    Attributes:
-        rows: their rows in the state, in ascending order.
-        values: the given values, (rows, 2, ...).
-        segment_count: N of the network.
-    """
+    """Variables held at given values, made by the network that they are used with."""
 
     rows: tuple[int, ...]
     values: Floats
@@ -181,10 +175,6 @@ class MMCNetwork:
             decides to which side it bends, and differences grow (1e-9 after 60 iterations, then to
             another posture).  The first run with N segments compiles for some seconds.
         dimensions: 2; or 3, with the Euclidean normalizer and the engine "numpy".
-
-    Raises:
-        UserError: for fewer than two segments, a value outside its range, or an unknown argument;
-            as `MissingExtraError`, for the engine "numba" where it is not installed.
 
     >>> network = MMCNetwork()
     >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
@@ -290,10 +280,6 @@ class MMCNetwork:
         """Hold the vectors v_ij of the given node pairs at values (..., 2): any mixed task.
 
         A held segment is not normalized, so its value should have its length.
-
-        Raises:
-            UserError: for a pair that is not a vector of the chain, or a value that is not a finite
-                array of shape (..., 2).
         """
         held = held_rows(self, "vectors", vectors, require_floats)
         if not held:
@@ -318,10 +304,6 @@ class MMCNetwork:
         If a straight or folded arm, its target and all clamped vectors lie in one line, so do all
         means, and no iteration leaves that line.  Such an arm is first bent by `chain.BEND` at each
         joint, if it could get nearer to its target.
-
-        Raises:
-            UserError: if state or clamps come from another kind of network, or `iterations` is not
-                a whole number of at least 0.
         """
         self._check(state, clamps, iterations)
         values, clamped = state.values, clamps.values

@@ -94,11 +94,9 @@ class LearnedNormalizer(Normalizer):
         biases: Sequence[ArrayLike],
         card: dict[str, str] | None = None,
     ) -> None:
-        """Make a normalizer from layer weights (outputs, inputs) and biases (outputs,).
+        """Make a normalizer of layers from 2 inputs to 2 outputs.
 
-        Raises:
-            UserError: if the layers do not lead from 2 inputs to 2 outputs, or a value is not
-                finite.
+        Weights are (outputs, inputs), biases (outputs,).
         """
         self.weights = [np.array(require_array("weights", each), np.float64) for each in weights]
         self.biases = [np.array(require_array("biases", each), np.float64) for each in biases]

@@ -54,8 +54,7 @@ CORRECTIONS = 4  #: steps that correct the gain of an iteration
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
     """Return the time base ξ, the share of a minimum-jerk movement that is covered at a phase.
 
-    Args:
-        phase: time / duration; before 0 the movement has not begun, after 1 it is over.
+    The phase is time / duration; before 0 the movement has not begun, after 1 it is over.
     """
     phase = np.clip(require_array("phase", phase).astype(np.float64), 0.0, 1.0)
     covered: NDArray[np.float64] = phase**3 * (10 - 15 * phase + 6 * phase**2)
@@ -65,11 +64,8 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
 def share(iteration: ArrayLike, duration: ArrayLike) -> NDArray[np.float64]:
     """Return σ, the share of the remaining distance that the hand covers in an iteration.
 
-    After `duration` iterations the share is 1: the hand covers the rest as fast as the network can.
-
-    Args:
-        iteration: its number k, from 1.
-        duration: T, of the movement or of each, in iterations.
+    It is 1 after `duration` iterations, T, of the movement or of each: the hand then covers the
+    rest as fast as the network can.  Iterations are counted from 1.
 
     >>> share([1, 2, 3, 4, 5], duration=4).round(4).tolist()
     [0.1035, 0.4423, 0.793, 1.0, 1.0]
@@ -87,14 +83,8 @@ def timed_step(
 ) -> MMCState:
     """Return the state after an iteration in which the hand covers a share of its distance.
 
-    Args:
-        network: a kinematic and synchronous network.
-        state: its state; stays as it is.
-        target: target of the end effector, (..., 2).
-        share: σ, between 0 and 1, for all arms or each, (...).
-
-    Raises:
-        UserError: for another kind of network, or a share outside its range.
+    The network is kinematic and synchronous.  Targets of the end effector are (..., 2), and shares
+    σ, between 0 and 1, for all arms or each, (...).
     """
     _check(network)
     state = network.run(state, network.inverse(target), iterations=0)  # broadcasts, sets R
@@ -130,14 +120,9 @@ def timed_trajectory(
 ) -> tuple[MMCState, Floats]:
     """Move to a target, and record the segments after every iteration.
 
-    Args:
-        network: a kinematic and synchronous network.
-        state: where the movement starts.
-        target: target of the end effector, (..., 2).
-        duration: T, in iterations.
-
-    Returns:
-        The last state, and the segments of all iterations, (round(T), ..., N, 2).
+    The network is kinematic and synchronous, the target of the end effector (..., 2), and the
+    duration T in iterations.  Returns the last state, and the segments of all iterations,
+    (round(T), ..., N, 2).
 
     >>> network = MMCNetwork()
     >>> start = network.state_from_joint_angles([0.3, 0.6, 0.6])

@@ -36,13 +36,9 @@ from mmc_gym.benchmark.statistics import success_interval
 
 
 def learning_curves(folder: Path | None, out: Path) -> None:
-    """Print where the learning curves end; write them and a figure.
+    """Print where learning curves end; write curves.csv (a row for each evaluation) and a figure.
 
-    Writes curves.csv (a row for each evaluation), and learning_curves.png and .svg.
-
-    Args:
-        folder: of trained policies, see `read_cards`; None for those that ship with the package.
-        out: folder for the files.
+    Policies are those of `folder`, see `read_cards`, or those that ship.
 
     Raises:
         UserError: if the folder holds no policies, or damaged ones, or `out` is a file.
@@ -133,8 +129,9 @@ def curve_rows(cards: Mapping[str, Sequence[PolicyCard]]) -> pd.DataFrame:
 def mean_curves(curves: pd.DataFrame, against: Literal["steps", "cpu_seconds"]) -> pd.DataFrame:
     """Return the mean success of each name over its training seeds, with 95 % intervals.
 
-    Its points are the evaluations of the longest training between the last seed's first evaluation
-    and the end of the shortest training, and that end.  One seed has no interval.
+    Its points `against` steps or time are the evaluations of the longest training between the last
+    seed's first evaluation and the end of the shortest training, and that end.  One seed has no
+    interval.
 
     Args:
         curves: of `curve_rows`.

@@ -118,11 +118,7 @@ class Recipe:
         return dict(checked)
 
     def steps_per_leg(self, evaluations: int) -> int:
-        """Return the environment steps of a leg: whole rollouts, between two evaluations.
-
-        Args:
-            evaluations: approximate number of evaluations in a training.
-        """
+        """Return the environment steps of a leg: whole rollouts, between two evaluations."""
         settings = self.settings
         try:
             episode_steps = gym.spec(self.env_id).max_episode_steps or 1
@@ -146,10 +142,7 @@ class Recipe:
     def make_model(
         self, env: VecEnv, seed: int, device: str = "cpu", tensorboard: str | None = None
     ) -> BaseAlgorithm:
-        """Return an untrained model, which logs to the folder `tensorboard`.
-
-        Each wrapper in the list is put around those before it.
-        """
+        """Return an untrained model, which logs to the folder `tensorboard`."""
         settings = self.settings
         # The constructor itself has the defaults of the keys that are not in the file.
         options = {key: settings[key] for key in self.hyperparameters if key not in _OWN}
@@ -248,7 +241,6 @@ def read_recipe(
 
     Raises:
         FileNotFoundError: if there is no such file.
-        UserError: if there is no such name or environment, or the file is no such mapping.
     """
     require(isinstance(source, str), "name", source, "a name, or the path of a YAML file")
     path = Path(source)

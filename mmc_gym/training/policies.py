@@ -202,11 +202,7 @@ def save_checkpoint(model: BaseAlgorithm, head: dict[str, Any], path: Path) -> N
 
 
 def read_head(path: Path) -> dict[str, Any]:
-    """Return the head that `save_checkpoint` was given.
-
-    Raises:
-        UserError: if the file is not a checkpoint, or is damaged.
-    """
+    """Return the head that `save_checkpoint` was given; refuse a file that is damaged."""
     content = path.read_bytes()
     try:
         with safetensors.safe_open(path, framework="pt") as file:

@@ -85,12 +85,7 @@ class Training:
     curve: list[dict[str, float]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        """Check the arguments, before anything is trained.
-
-        Raises:
-            UserError: if a hyperparameter, the environment or the device is not accepted, or an
-                extra is missing.
-        """
+        """Check the arguments, before anything is trained."""
         require_whole("evaluations", self.evaluations)
         fine = is_whole(self.seed) and 0 <= self.seed < 2**32
         require(fine, "seed", self.seed, "from 0 to 2**32 - 1")
@@ -179,11 +174,7 @@ class Training:
         return network, {"view": view, "base_agent": residual.base_agent if residual else ""}
 
     def find_checkpoint(self) -> dict[str, Any] | None:
-        """Return the head of the checkpoint; None if there is no checkpoint.
-
-        Raises:
-            UserError: if the checkpoint is damaged or belongs to another training.
-        """
+        """Return the head of the checkpoint; None if there is none.  Refuse another training's."""
         if not self.checkpoint.exists():
             return None
         head = read_head(self.checkpoint)
@@ -280,26 +271,17 @@ def train(
     env_kwargs: Mapping[str, Any] | None = None,
     on_progress: Callable[[TrainingProgress], None] = lambda progress: None,
 ) -> PolicyAgent:
-    """Train an agent, as `mmc-gym train` does.
+    """Train an agent, as `mmc-gym train` does, whose options are the arguments.
 
-    Args:
-        name: of hyperparameters that ship, such as "ppo"; or the path of your own YAML file.
-        env: id of one of the environments in the file; the first if None.
-        seed: of everything random.
-        steps: environment steps, instead of those in the file.
-        out: folder for checkpoint and policy; None writes none, and `agent.save` does later.
-        resume: whether to continue from the checkpoint in the folder.
-        tensorboard: folder for TensorBoard's logs.
-        device: of torch, such as "cpu".
-        env_kwargs: arguments of the environment, in addition to those in the file.
-        on_progress: called after every rollout and every evaluation.
+    Without the folder `out` no files are kept, and `agent.save` writes the policy later.
+    `env_kwargs` are in addition to those in the file of hyperparameters.  `on_progress` is called
+    after every rollout and every evaluation.
 
     Returns:
         The trained agent, with its `card`; it acts without torch.
 
     Raises:
         FileExistsError: if the folder holds a training, and `resume` is not set.
-        UserError: if an argument is not accepted.
     """
     recipe = read_recipe(str(name), env, steps, env_kwargs)
     with tempfile.TemporaryDirectory() as nowhere:
@@ -350,11 +332,7 @@ def make_vec_env(env_id: str, count: int, arguments: dict[str, Any]) -> Gymnasiu
 
 
 def usable_device(name: str) -> str:
-    """Return the name of a device that torch can use here; of the best one for "auto".
-
-    Raises:
-        UserError: if torch has no such device here.
-    """
+    """Return the name of a device that torch can use here; of the best one for "auto"."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     try:

@@ -57,11 +57,7 @@ class GymnasiumVecEnv(VecEnv):
         self.metadata = vector_env.metadata
 
     def reset(self) -> VecEnvObs:
-        """Start an episode in every environment, with the seeds and options set for it.
-
-        Raises:
-            UserError: if the options of the environments differ.
-        """
+        """Start an episode in every environment, with the seeds, and the options they all share."""
         options = self._options
         are_equal = all(data_equivalence(options[0], one) for one in options[1:])
         require(are_equal, "options", options, "the same for all environments")
@@ -150,14 +146,11 @@ class RandomScenarios(VecEnvWrapper):
         ranges: Mapping[str, Sequence[float]] | None = None,
         groups: int = 32,
     ) -> None:
-        """Wrap a vector of equal environments.
+        """Wrap a vector of equal environments, a multiple of `groups`.
 
-        Args:
-            venv: of a multiple of `groups` arms.
-            names: of scenarios, see `mmc_gym.envs.scenarios.scenario`.
-            ranges: lowest and highest strength of families of perturbations by name, both
-                included; where strengths are whole numbers, only those are drawn.
-            groups: number of groups.
+        The `names` are of scenarios, see `mmc_gym.envs.scenarios.scenario`.  The `ranges` are
+        lowest and highest strength of families of perturbations by name, both included; where
+        strengths are whole numbers, only those are drawn.
         """
         super().__init__(venv)
         fine = is_whole(groups) and groups >= 1 and venv.num_envs % groups == 0
@@ -273,11 +266,7 @@ class Residual(VecEnvWrapper):
     """
 
     def __init__(self, venv: VecEnv, base_agent: str = "mmc") -> None:
-        """Wrap an environment; `base_agent` is a key of `BASE_AGENTS`.
-
-        Raises:
-            UserError: if there is no such agent, or the observations are not in a `Box`.
-        """
+        """Wrap an environment with Box observations; `base_agent` is a key of `BASE_AGENTS`."""
         if base_agent not in BASE_AGENTS:
             raise UserError(f"base_agent must be one of {list(BASE_AGENTS)}, got {base_agent!r}")
         space, action = venv.observation_space, venv.action_space

@@ -39,70 +39,13 @@ All functions that numba compiles together are in this file, see `mmc_gym._compi
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
 
 from mmc_gym._compiling import compiled, inner
-from mmc_gym.body.parameters import ArmParameters, Servo
 
 # What binds a joint: nothing, a bound of its servo, or its stop while the servo is at a bound.
 FREE, AT_HIGHEST, AT_LOWEST, STOPPED_ABOVE, STOPPED_BELOW = 0.0, 1.0, -1.0, -2.0, 2.0
 _TINY = 1e-12  # rad/s: less is not worth another guess
-_STOP_RATE = -60 * math.log(0.9)  # a stop corrects 10 % of its error in 1/60 s, pymunk's default
-
-Records = NDArray[np.void]
-
-
-def _fields(names: str, *shape: int) -> list[tuple[str, type[np.float64], tuple[int, ...]]]:
-    return [(name, np.float64, shape) for name in names.split()]
-
-
-def make_records(segments: int, count: int) -> tuple[Records, Records, Records]:
-    """Return the state of `count` arms, their public values, and the type of working memory.
-
-    The state is one record per block of arms, with arrays (N, lanes): `lag` is the part of the
-    velocity of u_j that closes the pivots; `asked` is the servo's command, `limit` its largest
-    impulse; `held` is the angle of a locked joint, or nan; `yields` is 1 where the servo gave its
-    largest torque.  Public values are one record per arm, with arrays (N,) and the hand (2,).
-
-    The working memory of a block is an empty array.  Compiled functions take its type and allocate
-    the record, many times faster than numpy does.
-    """
-    lanes = 32 if segments <= 4 else 8  # the records of a block fit the cache
-    names = "angle speed lag_x lag_y asked limit held yields"
-    state = np.zeros(-(-count // lanes), _fields(names, segments, lanes))
-    names = "segment_angles joint_angles joint_velocities joint_cosines joint_sines"
-    shown = np.zeros(count, [*_fields(names, segments), *_fields("end_effector", 2)])
-    names = (
-        "sine cosine free_x free_y wanted turn lowest highest stop_above stop_below load_x load_y "
-        "needed bound moment_x moment_y right inverse excess"
-    )
-    fields = _fields(names, segments, lanes)
-    fields += _fields("push_x push_y push_turn velocity_x velocity_y changed is_done", lanes)
-    fields += _fields("matrix factor", segments, segments, lanes)
-    return state, shown, np.empty(0, fields)
-
-
-def make_chain(parameters: ArmParameters, servo: Servo) -> Records:
-    """Return the one record that describes all arms: segments, each with the joint before it."""
-    p, count = parameters, len(parameters.segment_lengths)
-    of_segments = "length mass centre inertia lowest_angle highest_angle"
-    of_all = "substep speed_limit torque_limit gain stop_gain is_position is_torque"
-    fields = [*_fields(of_segments, count), *_fields(of_all)]
-    chain = np.zeros(1, [*fields, *_fields("gravity", 2), *_fields("field", 2, 2)])
-    chain["length"] = p.segment_lengths
-    chain["mass"], chain["centre"], chain["inertia"] = np.transpose(p.rods)
-    limits = p.joint_limits or ((-math.inf, math.inf),) * count
-    chain["lowest_angle"], chain["highest_angle"] = np.transpose(limits)
-    for name in ("substep", "speed_limit", "torque_limit", "gravity"):
-        chain[name] = getattr(p, name)
-    chain["gain"] = -math.expm1(-p.servo_gain * p.substep) / p.substep
-    chain["stop_gain"] = -math.expm1(-_STOP_RATE * p.substep) / p.substep
-    chain["is_position"], chain["is_torque"] = servo == "position", servo == "torque"
-    chain["field"] = p.force_field or 0.0
-    return chain
 
 
 @inner

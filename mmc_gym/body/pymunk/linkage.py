@@ -208,11 +208,7 @@ class Linkage:
 
 
 def make_space(parameters: ArmParameters) -> pymunk.Space:
-    """Return an empty Space with gravity and solver settings for these arms.
-
-    Raises:
-        UserError: for arms that Chipmunk cannot hold together.
-    """
+    """Return an empty Space with gravity and solver settings for these arms."""
     space = pymunk.Space()
     space.gravity = parameters.gravity
     space.iterations = solver_iterations(parameters)
