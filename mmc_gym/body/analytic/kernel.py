@@ -218,7 +218,7 @@ def _move(arms, work, chain, lanes):
 def _push(arms, work, chain, lanes):
     """Compute the field's impulse on the hand, `push_x` and `push_y`, and its moment, `push_turn`.
 
-    `mmc_gym.body.force_field` has the equations.
+    `mmc_gym.body.pymunk.linkage.HandField` has the equations.
     """
     segments = arms.angle.shape[0]
     reach = chain.length[segments - 1] - chain.centre[segments - 1]

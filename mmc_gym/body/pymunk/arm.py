@@ -29,8 +29,7 @@ from pymunk.batch import Buffer, get_space_bodies
 from typing_extensions import override
 
 from mmc_gym.body.base import SingleArm
-from mmc_gym.body.force_field import HandField
-from mmc_gym.body.pymunk.linkage import MOTION, Linkage, forget_impulses, make_space
+from mmc_gym.body.pymunk.linkage import MOTION, HandField, Linkage, forget_impulses, make_space
 
 _LONGEST_HISTORY = 20_000  # calls: 10,000 steps, each with a command
 

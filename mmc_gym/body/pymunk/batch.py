@@ -24,9 +24,8 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies, set_space_bodies
 from typing_extensions import override
 
 from mmc_gym.body.base import ArmBatch, Floats, Indices
-from mmc_gym.body.force_field import HandField
 from mmc_gym.body.parameters import ArmParameters, Servo
-from mmc_gym.body.pymunk.linkage import MOTION, Linkage, forget_impulses, make_space
+from mmc_gym.body.pymunk.linkage import MOTION, HandField, Linkage, forget_impulses, make_space
 
 ARMS_PER_GROUP = 128  # larger groups need fewer calls, but fit the cache less well
 _WORTH_A_THREAD = 16  # arms
