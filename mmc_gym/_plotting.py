@@ -38,17 +38,11 @@ STYLE: Any = {
 
 
 class PlottedMovement(NamedTuple):
-    """One movement, as figures draw it.
+    """One movement, as figures draw it."""
 
-    Attributes:
-        hands: positions of the hand or cursor, segment lengths, (steps + 1, 2).
-        target: its position, segment lengths, (2,).
-        speeds: of the hand in each step, segment lengths/s, (steps,).
-    """
-
-    hands: Floats
-    target: Floats
-    speeds: Floats
+    hands: Floats  #: positions of the hand or cursor, segment lengths, (steps + 1, 2)
+    target: Floats  #: its position, segment lengths, (2,)
+    speeds: Floats  #: of the hand in each step, segment lengths/s, (steps,)
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:

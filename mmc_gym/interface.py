@@ -52,17 +52,11 @@ class ControlError(CannotActError):
 
 
 class ActionMeaning(NamedTuple):
-    """The meaning of an action for a joint's servo.
+    """The meaning of an action for a joint's servo."""
 
-    Attributes:
-        servo: the kind of servo that follows it.
-        scale: command for an action of 1, in radians, rad/s, or mass · length² / s².
-        is_relative: whether the present joint angle is added to the command.
-    """
-
-    servo: Servo
-    scale: float
-    is_relative: bool = False
+    servo: Servo  #: the kind of servo that follows it
+    scale: float  #: command for an action of 1, in radians, rad/s, or mass · length² / s²
+    is_relative: bool = False  #: whether the present joint angle is added to the command
 
 
 def action_meaning(control: Control, body: ArmParameters) -> ActionMeaning:
@@ -81,24 +75,15 @@ class ObservationParts(NamedTuple):
     """The parts of observations, arrays of numpy or torch with the batch in front.
 
     Target and offset are vectors in the first segment's frame, whose x axis is that segment.
-
-    Attributes:
-        cosines: of the joint angles, (..., N).
-        sines: of the joint angles, (..., N).
-        speeds: joint velocities as fractions of their limit, (..., N).
-        target: position of the target, segment lengths, (..., 2).
-        offset: target − hand, segment lengths, (..., 2).
-        near: the same, enlarged near 0: offset / (NEAR + |offset|), (..., 2).
-        rest: values that follow, if the observation is longer, (..., any number).
     """
 
-    cosines: Any
-    sines: Any
-    speeds: Any
-    target: Any
-    offset: Any
-    near: Any
-    rest: Any
+    cosines: Any  #: of the joint angles, (..., N)
+    sines: Any  #: of the joint angles, (..., N)
+    speeds: Any  #: joint velocities as fractions of their limit, (..., N)
+    target: Any  #: position of the target, segment lengths, (..., 2)
+    offset: Any  #: target − hand, segment lengths, (..., 2)
+    near: Any  #: the same, enlarged near 0: offset / (NEAR + |offset|), (..., 2)
+    rest: Any  #: values that follow, if the observation is longer, (..., any number)
 
 
 NEAR = 0.05  # segment lengths
@@ -115,18 +100,13 @@ class ObservationLayout:
     One of `MMCReachGoal-v0` is a mapping: `observation` is the first 3 N numbers of that,
     `achieved_goal` the hand and `desired_goal` the target, (..., 2).  Lengths are in segment
     lengths.
-
-    Attributes:
-        joint_count: N.
-        reach: sum of the segment lengths that agents are given.
-        is_clipped: whether `encode` clips to `limits`; noise or a cursor may exceed the reach.
-        has_goals: whether `encode` makes observations of `MMCReachGoal-v0`.
     """
 
-    joint_count: int
-    reach: float
+    joint_count: int  #: N
+    reach: float  #: sum of the segment lengths that agents are given
+    #: whether `encode` clips to `limits`; noise or a cursor may exceed the reach
     is_clipped: bool = False
-    has_goals: bool = False
+    has_goals: bool = False  #: whether `encode` makes observations of `MMCReachGoal-v0`
 
     @cached_property
     def posture_size(self) -> int:
@@ -286,28 +266,18 @@ def relative_speeds(joint_velocities: Any, limit: float) -> Any:
 
 @dataclass(frozen=True)
 class Sensed:
-    """Posture and target of an observation in physical units; arrays lead with the batch.
+    """Posture and target of an observation in physical units; arrays lead with the batch."""
 
-    Attributes:
-        joint_angles: radians, (..., N).
-        target: segment lengths, (..., 2).
-    """
-
-    joint_angles: Floats
-    target: Floats
+    joint_angles: Floats  #: radians, (..., N)
+    target: Floats  #: segment lengths, (..., 2)
 
 
 @dataclass(frozen=True)
 class Seen(Sensed):
-    """All that an observation shows in physical units; arrays lead with the batch.
+    """All that an observation shows in physical units; arrays lead with the batch."""
 
-    Attributes:
-        joint_speeds: rad/s, (..., N).
-        hand: seen position of the hand or its cursor, segment lengths, (..., 2).
-    """
-
-    joint_speeds: Floats
-    hand: Floats
+    joint_speeds: Floats  #: rad/s, (..., N)
+    hand: Floats  #: seen position of the hand or its cursor, segment lengths, (..., 2)
 
     def in_rows(self) -> Seen:
         """Return the same with all batch axes as one, (n, ...); a single arm is a row."""
@@ -334,32 +304,25 @@ class ReachInterface:
     `make_agent` and `compare` take an object of it as `interface`.  Choose the unit of length such
     that the segments have lengths near 1, because agents know no others.  In space vectors have
     three components, (..., 3).
-
-    Attributes:
-        segment_lengths: N lengths; of an arm in space, the distances between its nodes.
-        control: the environment's control mode; "joint_position" for a servo of your own.
-        speed_limit: largest joint speed, rad/s.
-        servo_gain: speed that a position servo asks for per angle to its target, 1/s.
-        control_step: duration of a control step, s.
-        joint_limits: lowest and highest angle of each joint, radians; None: joints turn freely.
-        lockable_joints: joints that lock during an episode; empty if agents are not given them.
-        success_distance: distance within which the target counts as reached, in the unit above.
-            None: as the environment says, in `info["is_success"]`.
-        has_drive: whether `act` itself plans how the joints move to their targets.  Agents then
-            give the posture to be reached in the end, not how far to turn in a control step.
-        arm: of an arm in space, its joints; None in the plane.
     """
 
+    #: N lengths; of an arm in space, the distances between its nodes
     segment_lengths: tuple[float, ...]
-    control: Control
-    speed_limit: float
-    servo_gain: float
-    control_step: float
+    control: Control  #: the environment's control mode; "joint_position" for a servo of your own
+    speed_limit: float  #: largest joint speed, rad/s
+    servo_gain: float  #: speed that a position servo asks for per angle to its target, 1/s
+    control_step: float  #: duration of a control step, s
+    #: lowest and highest angle of each joint, radians; None: joints turn freely
     joint_limits: JointLimits | None = None
+    #: joints that lock during an episode; empty if agents are not given them
     lockable_joints: tuple[int, ...] = ()
+    #: distance within which the target counts as reached, in the unit above.  None: as the
+    #: environment says, in `info["is_success"]`.
     success_distance: float | None = None
+    #: whether `act` itself plans how the joints move to their targets.  Agents then give the
+    #: posture to be reached in the end, not how far to turn in a control step.
     has_drive: bool = False
-    arm: Any = None
+    arm: Any = None  #: of an arm in space, its joints; None in the plane
 
     is_own: ClassVar[bool] = True  #: whether observations are those of `ObservationLayout`
 

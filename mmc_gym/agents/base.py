@@ -46,13 +46,9 @@ class Predictor(Protocol):
 
 
 class Agent(ABC, Generic[State]):
-    """A controller with stable-baselines3's `predict`, for one observation or a batch.
+    """A controller with stable-baselines3's `predict`, for one observation or a batch."""
 
-    Attributes:
-        training_steps: environment steps that its training took.
-    """
-
-    training_steps: int = 0
+    training_steps: int = 0  #: environment steps that its training took
 
     @property
     def facts(self) -> dict[str, str]:
@@ -110,12 +106,9 @@ class Agent(ABC, Generic[State]):
 
 
 class InternalModelAgent(Agent[State]):
-    """An agent whose state is an internal model of the arm, and which returns joint targets.
+    """An agent whose state is an internal model of the arm, and which returns joint targets."""
 
-    Attributes:
-        is_in_space: whether it moves an arm in space (`ReachInterface.arm`); others a planar one.
-    """
-
+    #: whether it moves an arm in space (`ReachInterface.arm`); others a planar one
     is_in_space: ClassVar[bool] = False
 
     def __init__(self, interface: ReachInterface) -> None:

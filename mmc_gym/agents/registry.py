@@ -37,18 +37,12 @@ Kind = Literal[
 
 @dataclass(frozen=True)
 class Knowledge:
-    """The kind of an agent, what it is given and what it senses, in words for a table.
+    """The kind of an agent, what it is given and what it senses, in words for a table."""
 
-    Attributes:
-        kind: "yours" for one that does not ship with the package.
-        lengths: whether it is given the segment lengths.
-        actions: whether it is given what its actions do (the servo and its limits).
-        senses: what it looks at, and when.
-    """
-
-    kind: Kind
-    lengths: str = "given"
-    actions: str = "given"
+    kind: Kind  #: "yours" for one that does not ship with the package
+    lengths: str = "given"  #: whether it is given the segment lengths
+    actions: str = "given"  #: whether it is given what its actions do (the servo and its limits)
+    #: what it looks at, and when
     senses: str = "posture once, at the start; the target in every step"
 
 
@@ -78,21 +72,16 @@ def learned_knowledge(
 
 @dataclass(frozen=True)
 class AgentEntry:
-    """An agent of this package, and what is known of it.
+    """An agent of this package, and what is known of it."""
 
-    Attributes:
-        description: what it is, in a line.
-        build: makes it from what it is given; for a trained agent, its training of seed 0.
-        knowledge: its kind, what it is given, and what it senses.
-        control: the control mode in which it is compared.  Agents that give joint targets act in
-            every mode that has a servo; only joint positions do not depend on late senses.
-        training_seeds: how many trainings of it ship with the package; 0 if it is not trained.
-    """
-
-    description: str
+    description: str  #: what it is, in a line
+    #: makes it from what it is given; for a trained agent, its training of seed 0
     build: Callable[[ReachInterface], Agent[Any]]
-    knowledge: Knowledge
+    knowledge: Knowledge  #: its kind, what it is given, and what it senses
+    #: the control mode in which it is compared.  Agents that give joint targets act in every mode
+    #: that has a servo; only joint positions do not depend on late senses.
     control: Control = "joint_position"
+    #: how many trainings of it ship with the package; 0 if it is not trained
     training_seeds: int = 0
 
     def make(self, env: gym.Env[Any, Any]) -> Agent[Any]:

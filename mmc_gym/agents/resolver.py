@@ -69,24 +69,19 @@ class ResolvedAgent:
 
     Its files are read and its module is imported when they are first needed, again in each process
     that it is sent to.
-
-    Attributes:
-        label: the agent's name in tables and data.
-        source: the name from which `resolve` finds it again: "mmc", "ppo-3", "runs/ppo-1.json" or
-            "module:function"; empty for functions and objects.
-        name: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship with the package.
-        policy: the path of its policy; None if it has none.
-        model: its model of stable-baselines3, or the file of one; None if it has none.
-        given: the function or object itself; None for a name or a model.
-        number: the place of this training among several whose files do not tell their seeds.
     """
 
-    label: str
+    label: str  #: the agent's name in tables and data
+    #: the name from which `resolve` finds it again: "mmc", "ppo-3", "runs/ppo-1.json" or
+    #: "module:function"; empty for functions and objects
     source: str
+    #: its key in `AGENTS`, or `REFERENCE`; empty if it does not ship with the package
     name: str = ""
-    policy: Path | None = None
+    policy: Path | None = None  #: the path of its policy; None if it has none
+    #: its model of stable-baselines3, or the file of one; None if it has none
     model: SavedModel | ModelAgent | None = None
-    given: Any = None
+    given: Any = None  #: the function or object itself; None for a name or a model
+    #: the place of this training among several whose files do not tell their seeds
     number: int | None = None
 
     @cached_property

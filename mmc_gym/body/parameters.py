@@ -25,16 +25,11 @@ _SMALLEST, _LARGEST, _MOST_SUBSTEPS = 1e-9, 1e9, 10_000  # what can be computed,
 
 
 class Rod(NamedTuple):
-    """Mass and inertia of a segment, including its drive and its load.
+    """Mass and inertia of a segment, including its drive and its load."""
 
-    Attributes:
-        mass: mass.
-        centre: distance of the centre of gravity from the joint, length.
-        inertia: moment of inertia about the centre of gravity plus the drive's, mass · length².
-    """
-
-    mass: float
-    centre: float
+    mass: float  #: mass
+    centre: float  #: distance of the centre of gravity from the joint, length
+    #: moment of inertia about the centre of gravity plus the drive's, mass · length²
     inertia: float
 
 
@@ -51,46 +46,36 @@ class ArmParameters:
     arm from the joint on, without a load at the hand.  Bare rods are an ill-conditioned chain:
     after the same number of sweeps, pymunk leaves them at least forty times farther from the exact
     movement.
-
-    Attributes:
-        segment_lengths: N positive lengths.
-        segment_masses: N positive masses of the uniform rods, or None for 1 each.
-        speed_limit: largest joint speed that a servo asks for, rad/s.
-        torque_limit: largest torque of a servo, mass · length² / s².  The default is 500.  With
-            default masses and more inertia about the base than the default arm (both stretched), it
-            is 500 times the ratio of these inertias: 18,519 for ten segments.  A changed arm
-            (`dataclasses.replace`, perturbations) keeps its limit.
-        servo_gain: speed that a position servo asks for per angle to its target, 1/s.
-        joint_limits: lowest and highest angle of each joint, or None for continuous joints.
-        gravity: acceleration (x, y), length / s².
-        drive_inertia: inertia of each drive, as a fraction of that of the stretched arm from its
-            joint on; 0 for bare rods.
-        hand_mass: point mass carried at the hand, mass.
-        force_field: 2 × 2 matrix of a viscous force field, mass / s, or None.  The force on the
-            hand is `force_field` · (velocity of the hand).  Engines refuse a field stronger than
-            `strongest_field`, or that pushes more than `strongest_push`.
-        obstacles: fixed discs (x, y, radius) that the segments collide with, without friction.
-        segment_radius: half the thickness of the segments in collisions, length.
-        lockable_joints: indices of the joints that `lock` makes rigid where they are.
-        substep: duration of a physics step, s.
-        substeps: number of physics steps in a control step.
     """
 
-    segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)
+    segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)  #: N positive lengths
+    #: N positive masses of the uniform rods, or None for 1 each
     segment_masses: tuple[float, ...] | None = None
-    speed_limit: float = 2 * math.pi
+    speed_limit: float = 2 * math.pi  #: largest joint speed that a servo asks for, rad/s
+    #: largest torque of a servo, mass · length² / s².  The default is 500.  With default masses and
+    #: more inertia about the base than the default arm (both stretched), it is 500 times the ratio
+    #: of these inertias: 18,519 for ten segments.  A changed arm (`dataclasses.replace`,
+    #: perturbations) keeps its limit.
     torque_limit: float = None  # type: ignore[assignment]  # a number from `__post_init__` on
-    servo_gain: float = 12.0
+    servo_gain: float = 12.0  #: speed that a position servo asks for per angle to its target, 1/s
+    #: lowest and highest angle of each joint, or None for continuous joints
     joint_limits: tuple[tuple[float, float], ...] | None = None
-    gravity: tuple[float, float] = (0.0, 0.0)
+    gravity: tuple[float, float] = (0.0, 0.0)  #: acceleration (x, y), length / s²
+    #: inertia of each drive, as a fraction of that of the stretched arm from its joint on; 0 for
+    #: bare rods
     drive_inertia: float = 0.25
-    hand_mass: float = 0.0
+    hand_mass: float = 0.0  #: point mass carried at the hand, mass
+    #: 2 × 2 matrix of a viscous force field, mass / s, or None.  The force on the hand is
+    #: `force_field` · (velocity of the hand).  Engines refuse a field stronger than
+    #: `strongest_field`, or that pushes more than `strongest_push`.
     force_field: tuple[tuple[float, float], tuple[float, float]] | None = None
+    #: fixed discs (x, y, radius) that the segments collide with, without friction
     obstacles: tuple[tuple[float, float, float], ...] = ()
-    segment_radius: float = 0.05
+    segment_radius: float = 0.05  #: half the thickness of the segments in collisions, length
+    #: indices of the joints that `lock` makes rigid where they are
     lockable_joints: tuple[int, ...] = ()
-    substep: float = 0.005
-    substeps: int = 4
+    substep: float = 0.005  #: duration of a physics step, s
+    substeps: int = 4  #: number of physics steps in a control step
 
     def __post_init__(self) -> None:
         # All fields become floats: arrays made from whole numbers would round later values.

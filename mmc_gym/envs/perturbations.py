@@ -72,12 +72,9 @@ class ForceField(Perturbation):
 
     After Shadmehr & Mussa-Ivaldi (1994), J. Neurosci. 14:3208.  The hand leaves its course where
     the field drives the servos to their torque limit.
-
-    Attributes:
-        curl: mass / s; positive bends to the right of the movement.
     """
 
-    curl: float = 60.0
+    curl: float = 60.0  #: mass / s; positive bends to the right of the movement
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -88,13 +85,9 @@ class ForceField(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class HandMass(Perturbation):
-    """The hand carries a point mass; several add.
+    """The hand carries a point mass; several add."""
 
-    Attributes:
-        mass: segment masses; 3 is as heavy as the default arm.
-    """
-
-    mass: float = 3.0
+    mass: float = 3.0  #: segment masses; 3 is as heavy as the default arm
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -104,13 +97,9 @@ class HandMass(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class Gravity(Perturbation):
-    """The arm hangs in gravity, which pulls along −y.  Agents are always given it.
+    """The arm hangs in gravity, which pulls along −y.  Agents are always given it."""
 
-    Attributes:
-        acceleration: segment lengths / s²; it is added to the `gravity` of the arm.
-    """
-
-    acceleration: float = 60.0
+    acceleration: float = 60.0  #: segment lengths / s²; it is added to the `gravity` of the arm
     told = True
 
     @override
@@ -122,17 +111,11 @@ class Gravity(Perturbation):
 @spelt
 @dataclass(frozen=True)
 class SegmentLength(Perturbation):
-    """A segment is longer or shorter than before, as by a tool or growth; its mass is the same.
+    """A segment is longer or shorter than before, as by a tool or growth; its mass is the same."""
 
-    Attributes:
-        factor: new length over old.
-        segment: index of the segment; -1 is the last.
-        told: whether agents are given the new length.
-    """
-
-    factor: float = 1.2
-    segment: int = -1
-    told: bool = False
+    factor: float = 1.2  #: new length over old
+    segment: int = -1  #: index of the segment; -1 is the last
+    told: bool = False  #: whether agents are given the new length
 
     def __post_init__(self) -> None:
         require_positive("factor", self.factor)
@@ -151,16 +134,11 @@ class LockedJoint(Perturbation):
 
     If it is locked from the start, the other joints can reach all targets.  If it locks later, the
     target may become unreachable: the posture at that time is not known when targets are drawn.
-
-    Attributes:
-        joint: index of the joint, from the base outward.
-        time: when it locks, s after the start; the same for all joints that lock.
-        told: whether agents are given the joint (`env.unwrapped.parameters`).
     """
 
-    joint: int = 1
-    time: float = 0.0
-    told: bool = False
+    joint: int = 1  #: index of the joint, from the base outward
+    time: float = 0.0  #: when it locks, s after the start; the same for all joints that lock
+    told: bool = False  #: whether agents are given the joint (`env.unwrapped.parameters`)
 
     def __post_init__(self) -> None:
         require_not_negative(time=self.time)
@@ -180,14 +158,10 @@ class Obstacles(Perturbation):
     the path of a pursued target may lead through them.  Physics steps are half as long as without
     obstacles, because a fast segment sinks into a disc a little: at most 0.07 in a million control
     steps of rough commands, and 0.14 with full steps.
-
-    Attributes:
-        discs: (x, y, radius) of each.
-        segment_radius: half the thickness of the segments.
     """
 
-    discs: tuple[tuple[float, float, float], ...] = _DISCS[:2]
-    segment_radius: float = 0.05
+    discs: tuple[tuple[float, float, float], ...] = _DISCS[:2]  #: (x, y, radius) of each
+    segment_radius: float = 0.05  #: half the thickness of the segments
 
     @override
     def change_body(self, body: ArmParameters) -> ArmParameters:
@@ -207,13 +181,10 @@ class Noise(Perturbation, ABC):
 
 
 class Cursor(Perturbation, ABC):
-    """A cursor is seen, measured and rewarded in place of the hand.
+    """A cursor is seen, measured and rewarded in place of the hand."""
 
-    Attributes:
-        centre: (x, y), where cursor and hand coincide.  None: where the task's movements begin, or
-            the base if they begin anywhere.
-    """
-
+    #: (x, y), where cursor and hand coincide.  None: where the task's movements begin, or the base
+    #: if they begin anywhere.
     centre: Point | None
 
     @abstractmethod
@@ -235,14 +206,11 @@ class VisuomotorRotation(Cursor):
     """The cursor is the hand, turned about a centre.
 
     After Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20:8916, who turned by 30°.
-
-    Attributes:
-        degrees: counter-clockwise.
-        centre: as of every cursor.  A turn about the base leaves all targets in reach; one
-            about another point may take fixed targets near the border out of reach.
     """
 
-    degrees: float = 30.0
+    degrees: float = 30.0  #: counter-clockwise
+    #: as of every cursor.  A turn about the base leaves all targets in reach; one about another
+    #: point may take fixed targets near the border out of reach.
     centre: Point | None = None
 
     def __post_init__(self) -> None:
@@ -272,11 +240,9 @@ class ErrorClamp(Cursor):
     """The cursor moves along a fixed direction, as far from the centre as the hand, which is free.
 
     After Morehead, Taylor, Parvin & Ivry (2017), J. Cogn. Neurosci. 29:1061.
-
-    Attributes:
-        degrees: from the direction of the target to that of the cursor, counter-clockwise.
     """
 
+    #: from the direction of the target to that of the cursor, counter-clockwise
     degrees: float = 15.0
     centre: Point | None = None
 
@@ -299,14 +265,10 @@ class CursorJump(Cursor):
     """The cursor is the hand, until it jumps across the way to the target and stays beside it.
 
     After Saunders & Knill (2005), Exp. Brain Res. 162:458.
-
-    Attributes:
-        percent: of the way from the centre to the target; positive to the left.
-        share: of the way that the hand has made when the cursor jumps.
     """
 
-    percent: float = 10.0
-    share: float = 0.25
+    percent: float = 10.0  #: of the way from the centre to the target; positive to the left
+    share: float = 0.25  #: of the way that the hand has made when the cursor jumps
     centre: Point | None = None
 
     def __post_init__(self) -> None:
@@ -341,14 +303,11 @@ class JointNoise(Noise):
 
     Standing still, people feel their joint angles to about 1° (van Beers, Sittig & Denier van
     der Gon, 1998, Exp. Brain Res. 122:367).
-
-    Attributes:
-        std: standard deviation of the angles, rad; that of the velocities is 10 / s times as large.
-        speed_std: increase of `std` with the joint's speed, s.
     """
 
+    #: standard deviation of the angles, rad; that of the velocities is 10 / s times as large
     std: float = 0.02
-    speed_std: float = 0.0
+    speed_std: float = 0.0  #: increase of `std` with the joint's speed, s
     _RATE: ClassVar[float] = 10.0  # 1/s
 
     def __post_init__(self) -> None:
@@ -369,14 +328,10 @@ class JointNoise(Noise):
 @spelt
 @dataclass(frozen=True)
 class VisionNoise(Noise):
-    """Noise of the seen hand and target, in each coordinate.
+    """Noise of the seen hand and target, in each coordinate."""
 
-    Attributes:
-        std: standard deviation, segment lengths.
-        distance_std: increase of `std` with the distance of hand and target (Weber's law).
-    """
-
-    std: float = 0.03
+    std: float = 0.03  #: standard deviation, segment lengths
+    #: increase of `std` with the distance of hand and target (Weber's law)
     distance_std: float = 0.0
 
     def __post_init__(self) -> None:
@@ -396,12 +351,9 @@ class SensoryDelay(Perturbation):
 
     `gymnasium.wrappers.DelayObservation` shows zeros at first, which no posture has, and cannot
     wrap a vector environment.
-
-    Attributes:
-        seconds: the delay, at most 1,000, rounded to control steps; several add.
     """
 
-    seconds: float = 0.1
+    seconds: float = 0.1  #: the delay, at most 1,000, rounded to control steps; several add
 
     def __post_init__(self) -> None:
         require_not_negative(seconds=self.seconds)
@@ -420,25 +372,15 @@ def _index(name: str, index: int, count: int) -> int:
 
 @dataclass(frozen=True)
 class Family:
-    """Perturbations of one kind, which differ in strength.
+    """Perturbations of one kind, which differ in strength."""
 
-    Attributes:
-        name: the first part of their names.
-        unit: of the strength.
-        description: of a scenario, in a line; `{}` stands for the strength.
-        default: strength of a name without one.
-        make: makes the perturbation of a strength.
-        told: whether agents can be given the change (`-told`).
-        whole: whether strengths are whole numbers: the number of a joint, or a count.
-    """
-
-    name: str
-    unit: str
-    description: str
-    default: float
-    make: Callable[[float], Perturbation]
-    told: bool = False
-    whole: bool = False
+    name: str  #: the first part of their names
+    unit: str  #: of the strength
+    description: str  #: of a scenario, in a line; `{}` stands for the strength
+    default: float  #: strength of a name without one
+    make: Callable[[float], Perturbation]  #: makes the perturbation of a strength
+    told: bool = False  #: whether agents can be given the change (`-told`)
+    whole: bool = False  #: whether strengths are whole numbers: the number of a joint, or a count
 
 
 def _longer(percent: float) -> SegmentLength:

@@ -163,30 +163,23 @@ def code_of(thing: Any) -> str:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A task with perturbations, under one name.
+    """A task with perturbations, under one name."""
 
-    Attributes:
-        name: the one name, with its strength.
-        env: your own environment, in place of task and perturbations.
-        env_kwargs: more arguments of the environment.
-        interface: of your own environment, if it says nothing of one, see `InterfacedEnv`.
-        family: the name up to the strength of the last perturbation, such as "delay" or
-            "centre-out+delay"; empty for a task.
-        strength: of the last perturbation, comparable within the family.
-        told: whether agents are given what the last perturbation changes.
-    """
-
-    name: str
+    name: str  #: the one name, with its strength
     description: str
     task: str | Task = "random"
     perturbations: tuple[Perturbation, ...] = ()
-    env: EnvLike | None = None
+    env: EnvLike | None = None  #: your own environment, in place of task and perturbations
+    #: more arguments of the environment
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    #: of your own environment, if it says nothing of one, see `InterfacedEnv`
     interface: Any = None
+    #: the name up to the strength of the last perturbation, such as "delay" or "centre-out+delay";
+    #: empty for a task
     family: str = ""
-    strength: float | None = None
+    strength: float | None = None  #: of the last perturbation, comparable within the family
     unit: str = ""
-    told: bool = False
+    told: bool = False  #: whether agents are given what the last perturbation changes
 
     @property
     def task_name(self) -> str:

@@ -42,19 +42,12 @@ class Trial(NamedTuple):
 
 
 class Request(NamedTuple):
-    """The request for a trial.
+    """The request for a trial."""
 
-    Attributes:
-        workspace: of the arm.
-        random: the generator to draw from.
-        trial: number of the trial, if the task numbers them; None draws one.
-        joint_angles: posture to start from; None draws one.
-    """
-
-    workspace: Workspace
-    random: np.random.Generator
-    trial: int | None = None
-    joint_angles: list[float] | None = None
+    workspace: Workspace  #: of the arm
+    random: np.random.Generator  #: the generator to draw from
+    trial: int | None = None  #: number of the trial, if the task numbers them; None draws one
+    joint_angles: list[float] | None = None  #: posture to start from; None draws one
 
     def draw_posture(self) -> list[float]:
         """Return the posture to start from.
@@ -70,17 +63,13 @@ class Request(NamedTuple):
 
 
 class Task(ABC):
-    """A reaching task.
+    """A reaching task."""
 
-    Attributes:
-        advance: when the target moves to the next place of its path: "time", each control step, or
-            "reach", when the hand is within the success distance.
-        periodic: whether the path starts again at its end.
-        episode_steps: control steps of an episode in the environments that Gymnasium makes.
-    """
-
+    #: when the target moves to the next place of its path: "time", each control step, or "reach",
+    #: when the hand is within the success distance
     advance: ClassVar[Literal["time", "reach"]] = "time"
-    periodic: ClassVar[bool] = False
+    periodic: ClassVar[bool] = False  #: whether the path starts again at its end
+    #: control steps of an episode in the environments that Gymnasium makes
     episode_steps: ClassVar[int] = 100
 
     @property
@@ -129,12 +118,9 @@ class DoubleStep(RandomTarget):
     """The target jumps to another place while the hand is on its way.
 
     After Georgopoulos, Kalaska & Massey (1981), J. Neurophysiol. 46:725.
-
-    Attributes:
-        delay: when it jumps, s after the start.
     """
 
-    delay: float = 0.1
+    delay: float = 0.1  #: when it jumps, s after the start
 
     def __post_init__(self) -> None:
         require_not_negative(delay=self.delay)
@@ -152,14 +138,11 @@ class ViaPoints(RandomTarget):
     """Random targets one after the other: the next appears when the last has been reached.
 
     Success is to be at the last of them.
-
-    Attributes:
-        count: number of targets in a trial.
     """
 
     advance: ClassVar[Literal["time", "reach"]] = "reach"
     episode_steps: ClassVar[int] = 200
-    count: int = 3
+    count: int = 3  #: number of targets in a trial
 
     def __post_init__(self) -> None:
         require_whole("count", self.count)
@@ -174,14 +157,10 @@ class ViaPoints(RandomTarget):
 @spelt
 @dataclass(frozen=True)
 class PointToPoint(Task):
-    """From one of a list of points to another, starting at rest in the evenly bent posture.
+    """From one of a list of points to another, starting at rest in the evenly bent posture."""
 
-    Attributes:
-        points: (x, y) as fractions of the arm's reach.
-        pairs: indices of start and target among the points, one pair a trial.
-    """
-
-    points: tuple[Point, ...]
+    points: tuple[Point, ...]  #: (x, y) as fractions of the arm's reach
+    #: indices of start and target among the points, one pair a trial
     pairs: tuple[tuple[int, int], ...]
 
     def __post_init__(self) -> None:
@@ -236,16 +215,11 @@ class CuedTarget(PointToPoint):
 
     All movements have one start.  For the jump see Saunders & Knill (2005), Exp. Brain Res.
     162:458.
-
-    Attributes:
-        go_cue: when the target leaves the start, s.
-        jump: across the way from start to target, percent of it, positive to the left.
-        jump_time: when it jumps, s after the go cue.
     """
 
-    go_cue: float = 0.0
-    jump: float = 0.0
-    jump_time: float = 0.1
+    go_cue: float = 0.0  #: when the target leaves the start, s
+    jump: float = 0.0  #: across the way from start to target, percent of it, positive to the left
+    jump_time: float = 0.1  #: when it jumps, s after the go cue
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -275,19 +249,14 @@ class Pursuit(Task):
 
     Frequencies are multiples of 1 / period.  The multiples are prime, so that no sine is a harmonic
     of another; phases are random.  The centre is half a reach in front of the base (along y).
-
-    Attributes:
-        period: time after which the path repeats, s.
-        multiples_x, multiples_y: frequencies of the sines in x and in y, per period.
-        amplitude: sum of the amplitudes in x, and in y, as a fraction of the reach.
     """
 
     periodic: ClassVar[bool] = True
     episode_steps: ClassVar[int] = 500  # one period
-    period: float = 10.0
-    multiples_x: tuple[int, ...] = (2, 5)
-    multiples_y: tuple[int, ...] = (3, 7)
-    amplitude: float = 0.3
+    period: float = 10.0  #: time after which the path repeats, s
+    multiples_x: tuple[int, ...] = (2, 5)  #: frequencies of the sines in x, per period
+    multiples_y: tuple[int, ...] = (3, 7)  #: those in y
+    amplitude: float = 0.3  #: sum of the amplitudes in x, and in y, as a fraction of the reach
 
     def __post_init__(self) -> None:
         require_positive("period", self.period)

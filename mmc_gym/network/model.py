@@ -65,17 +65,13 @@ class MMCState:
     """Values of all variables of a batch of networks.
 
     The properties show them with the batch first, without a copy.
-
-    Attributes:
-        values: one row per variable with the batch on the last axes, (rows, 2, ...), or
-            (rows, 3, ...) in space: the chain's vectors, then the segments that await their
-            normalization (schedule "delayed" only), then the segment velocities (dynamic networks
-            only).
-        segment_count: N.
     """
 
+    #: one row per variable with the batch on the last axes, (rows, 2, ...), or (rows, 3, ...) in
+    #: space: the chain's vectors, then the segments that await their normalization (schedule
+    #: "delayed" only), then the segment velocities (dynamic networks only)
     values: Floats
-    segment_count: int
+    segment_count: int  #: N
 
     @property
     def vectors(self) -> Floats:
@@ -123,15 +119,10 @@ NO_CLAMPS = Clamps((), np.empty((0, 2)), 0)
 
 
 class Trajectory(NamedTuple):
-    """The states of a network over its iterations.
+    """The states of a network over its iterations."""
 
-    Attributes:
-        state: the last state.
-        segments: after every iteration, (iterations, ..., N, 2).
-    """
-
-    state: MMCState
-    segments: Floats
+    state: MMCState  #: the last state
+    segments: Floats  #: after every iteration, (iterations, ..., N, 2)
 
     def plot(self, axes: Axes | None = None) -> Figure:
         """Draw the first arms, later iterations darker, and the paths of their hands.
@@ -161,21 +152,6 @@ class MMCNetwork:
     It converges for d > (N + 1)/2, and without oscillation for d ≥ N + 1.  At d = N + 1 the linear
     part needs a single iteration.  A smaller d is refused.
 
-    Attributes:
-        segment_lengths: N positive lengths.
-        damping: d, the weight of the present value in the mean (paper: 10); more than (N + 1)/2.
-        normalizer: Euclidean (classical network) or learned.
-        dynamics: "kinematic", or a rule for the velocity: "paper" or "reference".
-        velocity_damping: d_v (paper: 5).  Dynamic networks only.
-        velocity_decay: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
-        schedule: "synchronous" or "delayed".
-        engine: "numpy"; or "numba", which compiles the inverse task of a Euclidean and synchronous
-            network.  That takes a quarter of the time, and the result is equal up to rounding
-            (1e-12).  Only a stretched arm whose target needs it bent is in a balance: rounding
-            decides to which side it bends, and differences grow (1e-9 after 60 iterations, then to
-            another posture).  The first run with N segments compiles for some seconds.
-        dimensions: 2; or 3, with the Euclidean normalizer and the engine "numpy".
-
     >>> network = MMCNetwork()
     >>> state = network.state_from_joint_angles([0.3, 0.6, 0.6])
     >>> state = network.run(state, network.inverse([-1.0, 1.5]), iterations=100)
@@ -189,15 +165,24 @@ class MMCNetwork:
     [-1.0, 1.5, 0.5]
     """
 
-    segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)
+    segment_lengths: tuple[float, ...] = (1.0, 1.0, 1.0)  #: N positive lengths
+    #: d, the weight of the present value in the mean (paper: 10); more than (N + 1)/2
     damping: float = 10.0
+    #: Euclidean (classical network) or learned
     normalizer: Normalizer = field(default_factory=EuclideanNormalizer)
+    #: "kinematic", or a rule for the velocity: "paper" or "reference"
     dynamics: Dynamics = "kinematic"
-    velocity_damping: float = 5.0
+    velocity_damping: float = 5.0  #: d_v (paper: 5).  Dynamic networks only.
+    #: factor on the velocity in each iteration (paper: 0.92).  Dynamic only.
     velocity_decay: float = 0.92
-    schedule: Schedule = "synchronous"
+    schedule: Schedule = "synchronous"  #: "synchronous" or "delayed"
+    #: "numpy"; or "numba", which compiles the inverse task of a Euclidean and synchronous network.
+    #: That takes a quarter of the time, and the result is equal up to rounding (1e-12).  Only a
+    #: stretched arm whose target needs it bent is in a balance: rounding decides to which side it
+    #: bends, and differences grow (1e-9 after 60 iterations, then to another posture).  The first
+    #: run with N segments compiles for some seconds.
     engine: NetworkEngine = "numpy"
-    dimensions: int = 2
+    dimensions: int = 2  #: 2; or 3, with the Euclidean normalizer and the engine "numpy"
 
     def __post_init__(self) -> None:
         accepted = "two or more positive and finite lengths"

@@ -58,19 +58,13 @@ _OURS = ("self", "env", "seed", "device", "tensorboard_log", "_init_setup_model"
 
 @dataclass(frozen=True)
 class Recipe:
-    """An entry of a hyperparameter file.
+    """An entry of a hyperparameter file."""
 
-    Attributes:
-        name: of the file, without folder and suffix; it begins with the algorithm's.
-        env_id: the environment to train in.
-        hyperparameters: the entry of the file for it.
-        classes: policies, wrappers and replay buffers that the entry may name.
-    """
+    name: str  #: of the file, without folder and suffix; it begins with the algorithm's
+    env_id: str  #: the environment to train in
+    hyperparameters: dict[str, Any]  #: the entry of the file for it
 
-    name: str
-    env_id: str
-    hyperparameters: dict[str, Any]
-
+    #: policies, wrappers and replay buffers that the entry may name
     classes: ClassVar[Mapping[str, type]] = {
         **POLICIES,
         **{f"{kind.__module__}.{kind.__name__}": kind for kind in (Residual, RandomScenarios)},

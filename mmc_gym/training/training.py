@@ -63,25 +63,17 @@ class Training:
     """A training in one environment, with the hyperparameters of a YAML file.
 
     To train another learner, override `make_model` and `export`.
-
-    Attributes:
-        seed: of everything random.
-        folder: where the checkpoint and the trained policy are written.
-        report: called after every rollout and every evaluation.
-        evaluations: approximate number of evaluations, each followed by a checkpoint.
-        device: the device of torch, such as "cpu".
-        tensorboard: folder for TensorBoard's logs.
-        curve: the learning curve, a row for each evaluation.
-        interface: of the environment; set by `run`.
     """
 
     recipe: Recipe
-    seed: int
-    folder: Path
+    seed: int  #: of everything random
+    folder: Path  #: where the checkpoint and the trained policy are written
+    #: called after every rollout and every evaluation
     report: Callable[[TrainingProgress], None] = lambda progress: None
-    evaluations: int = 25
-    device: str = "cpu"
-    tensorboard: Path | str | None = None
+    evaluations: int = 25  #: approximate number of evaluations, each followed by a checkpoint
+    device: str = "cpu"  #: the device of torch, such as "cpu"
+    tensorboard: Path | str | None = None  #: folder for TensorBoard's logs
+    #: the learning curve, a row for each evaluation
     curve: list[dict[str, float]] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
@@ -127,7 +119,7 @@ class Training:
             settings = self.recipe.settings
             env = make_vec_env(self.recipe.env_id, settings["n_envs"], settings["env_kwargs"])
             self._world = env.vector_env
-            self.interface = ReachInterface.of(self._world)
+            self.interface = ReachInterface.of(self._world)  #: of the environment
             model = self.make_model(env)
             try:
                 PolicyAgent(*self._policy(model), self.interface)
