@@ -173,18 +173,9 @@ def compare(
     """
     from mmc_gym.benchmark import compare
 
-    shared = more.load()
-    compare.compare(
-        agents,
-        _one("scenarios", scenarios, "benchmark plays several"),
-        episodes,
-        seed,
-        out,
-        make_console(),
-        focus=focus,
-        interface=interface,
-        **shared,
-    )
+    shared = {**more.load(), "interface": interface, "focus": focus}
+    env = _one("scenarios", scenarios, "benchmark plays several")
+    compare.compare(agents, env, episodes, seed, out, make_console(), **shared)
 
 
 def _one(option: str, values: tuple[str, ...], otherwise: str = "") -> str:
@@ -414,9 +405,6 @@ def play(
         scenarios: The scenario, see compare.
         seed: Seed of the first posture.
     """
-    from mmc_gym.envs.render import open_display
-
-    open_display(must_be_seen=True)  # at once: what follows takes a while to load
     from mmc_gym import play
 
     shared = more.load()
@@ -478,19 +466,11 @@ def record(
     """
     from mmc_gym.record import record
 
-    shared = more.load()
+    shared = {**more.load(), "interface": interface}
+    agent, env = _one("agents", agents), _one("scenarios", scenarios)
     with progress_bar() as bar:
         task = bar.add_task("episodes", total=episodes)
-        record(
-            out,
-            _one("agents", agents),
-            _one("scenarios", scenarios),
-            episodes,
-            seed,
-            lambda _: bar.advance(task),
-            interface=interface,
-            **shared,
-        )
+        record(out, agent, env, episodes, seed, lambda _: bar.advance(task), **shared)
     print(f"wrote {out}")
 
 
@@ -543,11 +523,7 @@ def _open_streams() -> None:
 
 
 def _flush() -> None:
-    """Print what waits to be printed.  If that fails, drop it, or it fails again when Python ends.
-
-    Raises:
-        OSError: as on a full disk.
-    """
+    """Print what waits; if that fails, drop it, or it fails again when Python ends."""
     try:
         sys.stdout.flush()
     except OSError as error:

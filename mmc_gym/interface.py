@@ -40,11 +40,7 @@ class CannotActError(UserError):
 
 
 class ControlError(CannotActError):
-    """An agent cannot act in the control mode of an environment, but in another one.
-
-    Attributes:
-        control: the control mode of the agent.
-    """
+    """An agent cannot act in the control mode of an environment, but in its own, `control`."""
 
     def __init__(self, message: str, control: str = "") -> None:
         super().__init__(message)
@@ -197,10 +193,9 @@ class ObservationLayout:
         return rows
 
     def flatten(self, observation: Any, arrays: Any = np) -> Any:
-        """Return observations of either kind as those of `MMCReach-v0`.
+        """Return observations of either kind, in numpy or torch, as those of `MMCReach-v0`.
 
-        They are arrays of the module numpy or torch.  They may be longer; the values that follow
-        are kept.
+        They may be longer; the values that follow are kept.
         """
         if not isinstance(observation, Mapping):
             return observation
@@ -457,16 +452,11 @@ class ReachInterface:
 
 
 class InterfacedEnv(gym.Env[Any, Any]):
-    """An environment together with its `ReachInterface`: what agents and measures need to know.
+    """An environment, with its wrappers, together with the `ReachInterface` written for it.
 
     Observations, actions, rewards and ends of episodes are the environment's.  Infos have more
     entries, as the interface sees them: `end_effector`, `target`, `distance` between them,
     `joint_angles` (not wrapped), and `is_success` where the interface has a success distance.
-
-    Attributes:
-        env: the environment, with the wrappers that the interface was written for.
-        parameters: the interface.
-        success_distance: that of the interface; NaN if it has none.
     """
 
     def __init__(self, env: Any, interface: Any) -> None:

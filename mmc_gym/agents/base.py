@@ -5,11 +5,15 @@ An agent sees only observations; besides, it is given a `ReachInterface`.
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from copy import deepcopy
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar, cast
 
 import gymnasium as gym
 import numpy as np
@@ -43,6 +47,46 @@ class Predictor(Protocol):
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
         """Return the action for `observation`, and the state to hand back at the next step."""
+
+
+def refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeError | None:
+    """Return why a function does not take arguments; None if it does, or nobody knows."""
+    with suppress(ValueError):  # Python does not know its signature
+        try:
+            inspect.signature(function).bind(*arguments, **more)
+        except TypeError as error:
+            return error
+    return None
+
+
+def gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bool:
+    """Return whether a function returns something of an action's shape for an observation."""
+    space = deepcopy(env.observation_space)
+    space.seed(0)
+    try:
+        action = np.asarray(function(space.sample()))
+    except Exception:  # whatever it raises, it takes no observations
+        return False
+    return action.shape == env.action_space.shape and action.dtype.kind in "fiub"
+
+
+def function_agent(function: Callable[[Any], Any]) -> Predictor:
+    """Return the agent of a function of observations that returns an action, or it and a state."""
+
+    def predict(
+        observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        given = function(observation)
+        return given if isinstance(given, tuple) and len(given) == 2 else (given, None)
+
+    return SimpleNamespace(predict=predict)
+
+
+def with_whole_signature(agent: Any) -> Predictor:
+    """Return the agent; or one that calls its `predict` with the observation alone."""
+    if refusal(agent.predict, None, None, None, deterministic=True):
+        return function_agent(agent.predict)
+    return cast(Predictor, agent)
 
 
 class Agent(ABC, Generic[State]):

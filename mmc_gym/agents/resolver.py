@@ -15,12 +15,9 @@ agents, too.  No other module parses the name of an agent.
 from __future__ import annotations
 
 import hashlib
-import inspect
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property, partial
 from glob import glob
@@ -28,17 +25,24 @@ from importlib.resources import files
 from importlib.util import find_spec
 from os.path import exists
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import cloudpickle
 import gymnasium as gym
-import numpy as np
 from gymnasium.vector import VectorEnv
 
 from mmc_gym._errors import UserError, is_whole, require, unknown
 from mmc_gym._files import import_object, look_here
-from mmc_gym.agents.base import Agent, Predictor, require_plain, warn_of_another_arm
+from mmc_gym.agents.base import (
+    Agent,
+    Predictor,
+    function_agent,
+    gives_actions,
+    refusal,
+    require_plain,
+    warn_of_another_arm,
+    with_whole_signature,
+)
 from mmc_gym.agents.registry import (
     AGENTS,
     IDEAL,
@@ -435,9 +439,9 @@ def _made(given: Any, label: str, env: gym.Env[Any, Any]) -> Predictor:
     if isinstance(agent, ModelAgent):
         return agent.acting_in(env)
     if hasattr(agent, "predict"):
-        return _with_whole_signature(agent)
-    if not isinstance(given, type) and _gives_actions(given, env):
-        return _function_agent(given)
+        return with_whole_signature(agent)
+    if not isinstance(given, type) and gives_actions(given, env):
+        return function_agent(given)
     if failure is not None:
         raise failure
     raise UserError(
@@ -450,50 +454,10 @@ def _check_takes_env(given: Any, label: str) -> None:
     """Raise a `UserError` for a function or class that cannot be called with an environment."""
     is_agent = not isinstance(given, type) or hasattr(given, "predict")
     require(is_agent, f"agent {label!r}", given, "a class with predict")
-    if error := _refusal(given, None):
+    if error := refusal(given, None):
         name = getattr(given, "__name__", "a function")
         accepted = f"{name}(env), called with the environment alone"
         raise UserError(f"agent {label!r} must be {accepted}, got {given}: {error}") from error
-
-
-def _refusal(function: Callable[..., Any], *arguments: Any, **more: Any) -> TypeError | None:
-    """Return why a function does not take arguments; None if it does, or nobody knows."""
-    with suppress(ValueError):  # Python does not know its signature
-        try:
-            inspect.signature(function).bind(*arguments, **more)
-        except TypeError as error:
-            return error
-    return None
-
-
-def _gives_actions(function: Callable[[Any], Any], env: gym.Env[Any, Any]) -> bool:
-    """Return whether a function returns something of an action's shape for an observation."""
-    space = deepcopy(env.observation_space)
-    space.seed(0)
-    try:
-        action = np.asarray(function(space.sample()))
-    except Exception:  # whatever it raises, it takes no observations
-        return False
-    return action.shape == env.action_space.shape and action.dtype.kind in "fiub"
-
-
-def _function_agent(function: Callable[[Any], Any]) -> Predictor:
-    """Return the agent of a function of observations that returns an action, or it and a state."""
-
-    def predict(
-        observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        given = function(observation)
-        return given if isinstance(given, tuple) and len(given) == 2 else (given, None)
-
-    return SimpleNamespace(predict=predict)
-
-
-def _with_whole_signature(agent: Any) -> Predictor:
-    """Return the agent; or one that calls its `predict` with the observation alone."""
-    if _refusal(agent.predict, None, None, None, deterministic=True):
-        return _function_agent(agent.predict)
-    return cast(Predictor, agent)
 
 
 def _digest_of_module(source: str) -> str:
