@@ -58,28 +58,7 @@ class Options(NamedTuple):
 
 
 class ReachSetup:
-    """The arguments of `MMCReachEnv`, and what follows from them.
-
-    Attributes:
-        unperturbed: physical parameters of the arm, from the arguments.
-        given_body: those that agents are given, with the perturbations that are `told`.
-        body: those of the simulated arm, with all perturbations.
-        task_name: the name by which the task was given, or None.
-        caption: task and perturbations, for a picture; empty without any.
-        noises: noises of the senses.
-        delay: of the senses, control steps.
-        are_senses_disturbed: whether there is noise or delay.
-        cursor: the perturbation that shows a cursor in place of the hand, or None.
-        lock_step: number of control steps after which the lockable joints lock, or None.
-        workspace: where hand and target can be.
-        path_length: number of places on the path of the target.
-        draws_pairs: whether `workspace.draw_pairs` can draw many trials at once.
-        frame_rate: pictures a second, one each control step.
-        action: what actions mean for the servos.
-        action_space, observation_space: of one arm.
-        layout: of the observations; its `reach` is the sum of the given lengths.
-        farthest: distance from the base that the hand, or its cursor, never exceeds.
-    """
+    """The arguments of `MMCReachEnv`, and what follows from them."""
 
     observation_space: spaces.Space[Any]
 
@@ -114,41 +93,47 @@ class ReachSetup:
         self.success_distance = float(success_distance)
         self.engine: Engine = engine
         self.task = find_task(task)
+        #: the name by which the task was given, or None
         self.task_name = task if isinstance(task, str) else None
         if isinstance(perturbations, str) or not isinstance(perturbations, Sequence):
             perturbations = (perturbations,)
         self.perturbations = tuple(map(find_perturbation, perturbations))
         names = [one if isinstance(one, str) else type(one).__name__ for one in perturbations]
         task_names = [] if task == "random" else [self.task_name or type(self.task).__name__]
+        #: task and perturbations, for a picture; empty without any
         self.caption = ", ".join([*task_names, *names])
-        self.unperturbed = ArmParameters(**arm_parameters)
+        self.unperturbed = ArmParameters(**arm_parameters)  #: the arm of the arguments
         self._apply_perturbations(self.unperturbed, names)
-        self.action = action_meaning(control, self.given_body)
+        self.action = action_meaning(control, self.given_body)  #: what actions mean for the servos
         lengths = self.given_body.segment_lengths
         self.joint_count, self.reach = len(lengths), sum(lengths)
         # With noise, a longer arm or a cursor, observed values may exceed the limits.
         is_clipped = bool(self.noises) or self.farthest > self.reach
+        #: of the observations; its `reach` is the sum of the given lengths
         self.layout = ObservationLayout(self.joint_count, self.reach, is_clipped)
         self.observation_space = self.layout.space()
         self.action_space = spaces.Box(-1.0, 1.0, (self.joint_count,), np.float32)
+        #: pictures a second, one each control step
         self.frame_rate = round(1 / self.given_body.control_step)
         self.task.check(self.workspace)
+        #: whether `workspace.draw_pairs` can draw many trials at once
         self.draws_pairs = type(self.task) is RandomTarget and self.workspace.is_ring
         self._is_own_task = not type(self.task).__module__.startswith("mmc_gym.")
-        self.path_length = 0
+        self.path_length = 0  #: number of places on the path of the target
         for seed in range(_TRIED if self._is_own_task else 1):  # rather than later, in an episode
             self.path_length = len(self.draw_trial(np.random.default_rng(seed), Options()).targets)
 
     def _apply_perturbations(self, parameters: ArmParameters, names: Sequence[str]) -> None:
         changes, step = self.perturbations, parameters.control_step
+        #: the simulated arm, with all perturbations; the given one, with those that are `told`
         self.body = self.given_body = parameters
         for name, change in zip(names, changes, strict=True):
             self.body = _changed(name, change, self.body)
             self.given_body = _changed(name, change, self.given_body, change.told)
-        self.noises = [change for change in changes if isinstance(change, Noise)]
+        self.noises = [change for change in changes if isinstance(change, Noise)]  #: of the senses
         delays = [change for change in changes if isinstance(change, SensoryDelay)]
         seconds = sum(change.seconds for change in delays)
-        self.delay = round(seconds / step)
+        self.delay = round(seconds / step)  #: of the senses, control steps
         if seconds and not self.delay:
             late = names[changes.index(delays[0])]
             raise UserError(
@@ -159,11 +144,14 @@ class ReachSetup:
         times = {change.time for change in changes if isinstance(change, LockedJoint)}
         if len(times) > 1:
             raise UserError(f"locked joints must lock at one time, got the times {sorted(times)}")
+        #: control steps after which joints lock, or None
         self.lock_step = round(times.pop() / step) if times else None
         locked = self.body.lockable_joints if self.lock_step == 0 else ()
+        #: where hand and target can be
         self.workspace = Workspace(self.body, self.given_body, locked)
-        self.cursor = self.workspace.cursor = self._cursor()
+        self.cursor = self.workspace.cursor = self._cursor()  #: that stands for the hand, or None
         reach = sum(self.body.segment_lengths)
+        #: distance from the base that the hand, or its cursor, never exceeds
         self.farthest = self.cursor.farthest(reach) if self.cursor else reach
 
     def _cursor(self) -> Cursor | None:

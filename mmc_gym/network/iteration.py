@@ -26,23 +26,19 @@ _BLOCK = 4096
 
 
 class Iteration:
-    """Iterations of a network in numpy, for a set of clamped rows and a dtype's character.
-
-    Attributes:
-        operator: the linear part, see `linear_operator`.
-        clamped: rows that hold clamp values.
-        normalized: rows to normalize, those of the free segments.
-        lengths: lengths to bring them to, (n, 1).
-    """
+    """Iterations of a network in numpy, for a set of clamped rows and a dtype's character."""
 
     def __init__(self, network: MMCNetwork, clamped: tuple[int, ...], dtype: str) -> None:
         free = [row for row in range(network.segment_count) if row not in clamped]
         self._is_delayed = network.schedule == "delayed"
         offset = len(chain.vector_pairs(network.segment_count)) if self._is_delayed else 0
         self._normalizer = network.normalizer
+        #: the linear part, see `linear_operator`
         self.operator: Floats = linear_operator(network, clamped).astype(dtype)
-        self.clamped = _as_slice(clamped)
+        self.clamped = _as_slice(clamped)  #: rows that hold clamp values
+        #: rows of the free segments
         self.normalized = _as_slice(tuple(offset + row for row in free))
+        #: lengths to bring them to, (n, 1)
         self.lengths: Floats = np.array(network.segment_lengths, dtype=dtype)[free, None]
 
     def __call__(self, state: Floats, held: Floats, result: Floats, times: int) -> None:

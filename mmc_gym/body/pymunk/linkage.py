@@ -72,28 +72,19 @@ def solver_iterations(parameters: ArmParameters) -> int:
 
 
 class Linkage:
-    """One arm in a Space, which may hold others.  All sequences run from the base outward.
-
-    Attributes:
-        segments: the bodies of the N segments; their origin is their centre of gravity.
-        rods: of each segment, the handle of its body, its length, and how far its centre of gravity
-            is from its joint.
-        servos: the N constraints that drive the joints.
-        servo_handles: their handles.
-        locks: the lockable joints, each with the constraint that makes it rigid.
-        locked: whether these constraints are closed.
-        joint_handles: all constraints, in the order in which Chipmunk solves them.
-        force_limits: the largest force of each of these, with the locks open.
-    """
+    """One arm in a Space, which may hold others.  All sequences run from the base outward."""
 
     def __init__(self, space: pymunk.Space, parameters: ArmParameters, servo: Servo) -> None:
         """Build the arm into `space`."""
         self._parameters, self._servo = parameters, servo
+        #: bodies of the N segments; their origin is their centre of gravity
         self.segments: list[pymunk.Body] = []
-        self.servos: list[pymunk.Constraint] = []
+        self.servos: list[pymunk.Constraint] = []  #: the N constraints that drive the joints
+        #: each lockable joint, with the constraint that makes it rigid
         self.locks: list[tuple[int, pymunk.GearJoint]] = []
-        self.locked = False
+        self.locked = False  #: whether these constraints are closed
         self._stops: list[Any] = []  # handles of the joint limits, where there are any
+        #: of each segment, its body's handle, its length, and its centre's distance from its joint
         self.rods: list[tuple[Any, float, float]] = []
         # Every arm has its own base, a body outside of the Space.  The Space's static body would be
         # read and written by bulk calls.
@@ -114,8 +105,10 @@ class Linkage:
         space.add(*in_order)
         if parameters.obstacles:
             self._add_shapes(space)
-        self.servo_handles = [servo._constraint for servo in self.servos]
+        self.servo_handles = [servo._constraint for servo in self.servos]  #: handles of the servos
+        #: of all constraints, in the order in which Chipmunk solves them
         self.joint_handles = [constraint._constraint for constraint in in_order]
+        #: of each of these, with the locks open
         self.force_limits = [constraint.max_force for constraint in in_order]
 
     def _make_joint(
