@@ -215,7 +215,7 @@ def benchmark(
     from mmc_gym.agents import AGENTS, REFERENCE
     from mmc_gym.benchmark import ranking, runner
 
-    shared = more.load()
+    shared = {**more.load(), "interface": interface}
     failed: list[str] = []
     with progress_bar() as bar:
         task = bar.add_task("cells")
@@ -233,7 +233,6 @@ def benchmark(
             seed,
             jobs=jobs,
             cluster=cluster,
-            interface=interface,
             on_progress=on_progress,
             **shared,
         )
@@ -405,6 +404,9 @@ def play(
         scenarios: The scenario, see compare.
         seed: Seed of the first posture.
     """
+    from mmc_gym.envs.render import open_display
+
+    open_display(must_be_seen=True)  # at once: what follows takes a while to load
     from mmc_gym import play
 
     shared = more.load()
@@ -491,8 +493,7 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(error, KeyboardInterrupt):
             message, status = "interrupted", 130
         elif isinstance(error, CellError):
-            message = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)"
-            status = 1
+            message, status = f"{message.splitlines()[0]} ({TRACEBACK}=1 shows the traceback)", 1
         elif isinstance(error, MemoryError):
             message = f"not enough memory. {message}"
         _told(message)
