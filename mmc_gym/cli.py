@@ -265,7 +265,7 @@ def adapt(
         keep: Agents that keep their whole memory, such as ppo-memory.
         rate: Share of an error that mmc-body and ik-body learn; two numbers: fast and slow.
         retention: Share of what they learned that lasts to the next trial; 0, with rate 1: none.
-        subjects: Subjects of each agent; each meets the targets in another order.
+        subjects: Subjects of each agent; each has another order.
         seed: Seed of the subjects.
         lengths_in: Of segments, or metres of a person's arm.
         out: Folder; an interrupted run is resumed.

@@ -28,12 +28,7 @@ class Listed(NamedTuple):
 
 
 class Listing(list[str]):
-    """Names; a notebook shows them as a table with descriptions.
-
-    Attributes:
-        headings: of the table's columns.
-        rows: a line for each name.
-    """
+    """Names; a notebook shows them as a table with `headings` and `rows`, a line for each name."""
 
     def __init__(self, headings: Listed, rows: Iterable[Listed]) -> None:
         """Make the list of the names in `rows`."""

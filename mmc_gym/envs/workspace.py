@@ -39,14 +39,11 @@ class Workspace:
 
     The joints in `locked` cannot move: the segments on both sides of each form one rigid piece, and
     the reachable points depend on the posture.
-
-    Attributes:
-        inner: smallest distance of a reachable point from the base, with all joints free.
-        outer: largest distance, likewise.
-        cursor: the perturbation whose cursor must reach a target in place of the hand, or None.
     """
 
-    cursor: Cursor | None = None
+    inner: float  #: smallest distance of a reachable point from the base, with all joints free
+    outer: float  #: largest distance, likewise
+    cursor: Cursor | None = None  #: whose cursor must reach a target in place of the hand
 
     def __init__(
         self,
