@@ -66,7 +66,6 @@ nitpick_ignore_regex = [
     (r"py:.*", r"mmc_gym\.benchmark\.store\.(CellKey|Policy)"),
     # Type variables, and names of types that are no classes.
     (r"py:.*", r"mmc_gym\.agents\.base\.State"),
-    (r"py:.*", r"mmc_gym\.envs\.perturbations\.Coordinate"),
     (r"py:.*", r"mmc_gym\.measures\.catalogue\.(OfEpisodes?|Quantity)"),
 ]
 
