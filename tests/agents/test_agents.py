@@ -307,9 +307,8 @@ def test_vectors_of_any_kind_have_the_interface_of_their_environments():
         assert make_agent("mmc-body", envs).interface == interface
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
+def test_wrong_arguments_of_agents_are_refused():
+    for make, message in (
         (lambda it: MMCAgent("env", MMCNetwork()), "interface must be a ReachInterface, .*'env'"),
         (lambda it: MMCAgent(it, "mmc"), "network must be an MMCNetwork, got 'mmc'"),
         (lambda it: MMCAgent(it, MMCNetwork((1.0,) * 4)), "network must be of 3 segments"),
@@ -317,8 +316,6 @@ def test_vectors_of_any_kind_have_the_interface_of_their_environments():
         (lambda it: InverseKinematicsAgent(it, damped_least_squares, 0), "iterations_per_step"),
         (lambda it: Parts(find_locks=True), "'find_locks'; did you mean 'finds_locks'"),
         (lambda it: Parts(vigour=1.5), "vigour must be a number between 0 and 1, got 1.5"),
-    ],
-)
-def test_wrong_arguments_of_agents_are_refused(make, message):
-    with pytest.raises(UserError, match=message):
-        make(ReachInterface.of(gym.make("MMCReach-v0")))
+    ):
+        with pytest.raises(UserError, match=message):
+            make(ReachInterface.of(gym.make("MMCReach-v0")))

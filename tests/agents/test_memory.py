@@ -109,19 +109,16 @@ def test_by_default_nothing_is_kept():
     assert not agent.learns and agent.between_trials(state) is None
 
 
-@pytest.mark.parametrize(
-    ("rate", "retention", "message"),
-    [
+def test_rates_are_checked():
+    for rate, retention, message in (
         ((1.5,), (0.0,), "rate must be numbers between 0 and 1"),
         ((0.5,), (-1.0,), "retention must be numbers between 0 and 1"),
         ((), (), "rate must be numbers between 0 and 1"),
         ((0.5,), (0.5, 0.9), "retention must be 1, as of rate"),
         ((0.7, 0.7), (0.5, 0.9), "rate must be at most 1 together"),
-    ],
-)
-def test_rates_are_checked(rate, retention, message):
-    with pytest.raises(UserError, match=message):
-        Parts(rate=rate, retention=retention)
+    ):
+        with pytest.raises(UserError, match=message):
+            Parts(rate=rate, retention=retention)
 
 
 @pytest.mark.parametrize("name", ["width", "largest_error"])

@@ -85,17 +85,14 @@ def test_the_target_leaves_the_start_at_the_go_cue_and_jumps_in_flight() -> None
     assert ways[10:] == pytest.approx(np.tile([0.6, 0.06], (6, 1)))
 
 
-@pytest.mark.parametrize(
-    ("entries", "message"),
-    [
+def test_what_is_no_experiment_is_refused():
+    for entries, message in (
         ({"blocks": []}, "blocks"),
         ({"blocks": [{"name": "a", "trials": 0}]}, "blocks.0.trials .* got 0"),
         ({"blocks": [{"name": "a", "trials": 1, "perturbations": ["rotate"]}]}, "rotate"),
         ({"blocks": [{"name": "a", "trials": 1, "trial": 1}]}, "blocks.0.trial is not known"),
         ({"blocks": [{"name": "a", "trials": 4, "probes": [{"name": "b", "every": 1}]}]}, "every"),
         ({"name": "Mine!"}, "name"),
-    ],
-)
-def test_what_is_no_experiment_is_refused(entries: dict, message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        Experiment(**{"name": "mine", "blocks": [{"name": "a", "trials": 1}], **entries})
+    ):
+        with pytest.raises(UserError, match=message):
+            Experiment(**{"name": "mine", "blocks": [{"name": "a", "trials": 1}], **entries})

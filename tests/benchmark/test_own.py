@@ -151,19 +151,16 @@ def test_predict_may_take_an_observation_alone():
     assert found.controls == {"plain": "joint_torque", "class": "joint_delta"}
 
 
-@pytest.mark.parametrize(
-    ("agent", "error", "message"),
-    [
+def test_what_makes_no_agent_of_an_environment_is_refused():
+    for agent, error, message in (
         (Plain, UserError, r"agent 'x' must be Plain\(env\), called with the environment alone"),
         (lambda: Plain(), UserError, "environment alone.* too many positional arguments"),
         (dict, UserError, "agent 'x' must be a class with predict, got <class 'dict'>"),
         (lambda env: 3, UserError, "'x' must return an object with predict"),
         (lambda env: 1 / 0, ZeroDivisionError, "division by zero"),
-    ],
-)
-def test_what_makes_no_agent_of_an_environment_is_refused(agent, error, message):
-    with pytest.raises(error, match=message):
-        compare({"x": agent}, episodes=1)
+    ):
+        with pytest.raises(error, match=message):
+            compare({"x": agent}, episodes=1)
 
 
 @pytest.mark.slow

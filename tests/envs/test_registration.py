@@ -79,9 +79,8 @@ def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturba
     assert MMCReachEnv(perturbations=[name]).setup.perturbations == one.perturbations
 
 
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [
+def test_a_wrong_name_is_refused_with_a_hint():
+    for name, hint in (
         ("gremlins", "scenario 'gremlins' is not accepted. It may be random, .*force-field"),
         ("delay-40-told", "'-told' may follow longer, shorter, locked, locks only.*'delay'"),
         ("centre-out+rotatoin-30-told", "'rotatoin-30-told'.*did you mean 'rotation-30-told'"),
@@ -94,11 +93,9 @@ def test_a_name_with_any_strength_makes_a_perturbation(name, full_name, perturba
         ("shorter-100", "shorter-100 has no such .* length must be less than 100 %, got 100"),
         ("delay-", "did you mean 'delay'"),
         (None, "scenario None is not accepted. It may be"),
-    ],
-)
-def test_a_wrong_name_is_refused_with_a_hint(name, hint):
-    with pytest.raises(UserError, match=hint):
-        scenario(name)
+    ):
+        with pytest.raises(UserError, match=hint):
+            scenario(name)
 
 
 def test_an_environment_is_no_name_of_one():

@@ -62,9 +62,8 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
     assert len(movements) == 420
 
 
-@pytest.mark.parametrize(
-    ("task", "arguments", "message"),
-    [
+def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused():
+    for task, arguments, message in (
         ("paper", {"segment_lengths": (2.0, 0.5)}, "no evenly bent posture has the hand at"),
         # The cursor leaves the reach.
         ("paper", {"perturbations": VisuomotorRotation(30.0, (0.0, 1.5))}, "where trial .* starts"),
@@ -73,11 +72,9 @@ def test_the_papers_task_is_its_420_movements_from_rest_and_evenly_bent():
         ("centre-out", {"segment_lengths": (1.0, 1.0), "perturbations": "locked"}, "perturbed arm"),
         (Misspelt(), {}, r"a method of Misspelt must be draw\(self, request\), got 'drawn'"),
         ("centre-in", {}, "task 'centre-in' is not accepted; did you mean 'centre-out'"),
-    ],
-)
-def test_a_task_that_is_none_or_that_the_arm_cannot_do_is_refused(task, arguments, message):
-    with pytest.raises(UserError, match=message):
-        MMCReachEnv(task=task, **arguments)
+    ):
+        with pytest.raises(UserError, match=message):
+            MMCReachEnv(task=task, **arguments)
 
 
 class Mine(RandomTarget):

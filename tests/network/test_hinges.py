@@ -207,9 +207,8 @@ def test_batches_are_solved_as_their_tasks_alone():
     assert alone.joint_angles.tolist() == together.joint_angles[1, 2].tolist()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_tasks_are_checked():
+    for arguments, message in (
         ({"position": [1.0, 2.0]}, r"position must be of shape \(..., 3\)"),
         ({"rotation": np.eye(4)}, r"rotation must be of shape \(..., 3, 3\)"),
         ({"held": {7: 0.0}}, "joint 7 is not accepted"),
@@ -217,11 +216,9 @@ def test_batches_are_solved_as_their_tasks_alone():
         ({"position": [np.nan, 0, 0]}, "position must be finite"),
         ({"position": np.zeros((2, 3)), "start": np.zeros((3, 7))}, "start must have batch axes"),
         ({"start": np.zeros(6)}, "joint_angles must be of shape"),
-    ],
-)
-def test_tasks_are_checked(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        HingeNetwork(HingeArm.named("panda")).solve(**arguments)
+    ):
+        with pytest.raises(ValueError, match=message):
+            HingeNetwork(HingeArm.named("panda")).solve(**arguments)
 
 
 def test_descriptions_are_checked():

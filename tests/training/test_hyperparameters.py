@@ -133,9 +133,8 @@ def test_all_that_an_entry_names_is_made():
     assert model.clip_range(1.0) == model.clip_range(0.0) == 0.2
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_a_mistake_is_named_with_the_value_and_what_is_accepted():
+    for changes, message in (
         ({"learning_rat": 1e-3}, "'learning_rat' is not accepted; did you mean 'learning_rate'"),
         ({"policy": f"{POLICIES}.TQCGoalPolicy"}, "may be MlpPolicy or .*PPOTargetPolicy"),
         ({"rollout_buffer_class": "os.system"}, "rollout_buffer_class must be .*, got 'os.system'"),
@@ -150,11 +149,9 @@ def test_all_that_an_entry_names_is_made():
         ({"env_kwargs": {"max_episode_steps": None}}, "max_episode_steps must be a whole number"),
         ({"n_steps": 0}, "n_steps must be a whole number of at least 1, got 0"),
         ({**SAC, "train_freq": 0}, "train_freq must be a whole number of at least 1, got 0"),
-    ],
-)
-def test_a_mistake_is_named_with_the_value_and_what_is_accepted(changes, message):
-    with pytest.raises(UserError, match=message):
-        recipe(**changes).steps_per_leg(25)
+    ):
+        with pytest.raises(UserError, match=message):
+            recipe(**changes).steps_per_leg(25)
 
 
 def test_what_only_the_constructor_can_refuse_is_said_in_its_words():

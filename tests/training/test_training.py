@@ -181,19 +181,16 @@ def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
             module.read_head(tmp_path / CHECKPOINT)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_impossible_trainings_are_refused(tmp_path, monkeypatch):
+    for arguments, message in (
         ({"device": "cuda:99"}, "device must be one that .*, got 'cuda:99'"),
         ({"device": "meta"}, "device must be one that .*, got 'meta'"),
         ({"seed": -1}, "seed must be from 0 to .*, got -1"),
         ({"tensorboard": Path("logs")}, r'pip install "mmc-gym\[training\]"'),
-    ],
-)
-def test_impossible_trainings_are_refused(tmp_path, arguments, message, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tensorboard", None)
-    with pytest.raises(UserError, match=message):
-        Training(**{"recipe": tiny("ppo"), "seed": 3, "folder": tmp_path, **arguments})
+    ):
+        monkeypatch.setitem(sys.modules, "tensorboard", None)
+        with pytest.raises(UserError, match=message):
+            Training(**{"recipe": tiny("ppo"), "seed": 3, "folder": tmp_path, **arguments})
 
 
 def test_a_training_has_whole_legs_and_finds_the_best_device(tmp_path):

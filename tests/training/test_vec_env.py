@@ -200,17 +200,14 @@ def test_whole_strengths_are_drawn_whole(family):
     assert env.reset().shape == (ARMS, 15)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_mistakes_in_scenarios_are_named():
+    for arguments, message in (
         ({"groups": 3}, "groups must be a divisor of the 8 environments, got 3"),
         ({"names": ["randon"]}, "scenario 'randon' is not accepted; did you mean 'random'"),
         ({"ranges": {"rotatio": [0, 1]}}, "did you mean 'rotation"),
         ({"ranges": {"rotation": [5, 1]}}, "must be the lowest and the highest strength"),
         ({"ranges": {"locked": [1, 4]}}, "joint"),
         ({"names": []}, "names must be one at least"),
-    ],
-)
-def test_mistakes_in_scenarios_are_named(arguments, message):
-    with pytest.raises(UserError, match=message):
-        scenarios(**arguments)
+    ):
+        with pytest.raises(UserError, match=message):
+            scenarios(**arguments)
