@@ -39,6 +39,9 @@ _COMPARED = (
     *("mmc-body", "ik-body", "mmc", "mmc-classical", "ik-dls"),
     *("ppo", "sac", "tqc-her", "random"),
 )
+_FORMER = {"--agent": "--agents", "--models": "--agents"} | dict.fromkeys(
+    ("--env", "--environments", "--perturbations", "--tasks"), "--scenarios"
+)
 _WITH_ARGUMENT = ("adapt", "report", "train", "list", "show")
 
 
@@ -49,10 +52,14 @@ def _command(function: Callable[..., None]) -> Callable[..., None]:
     return _app.command(name=name)(function)
 
 
-def _check_spelling(arguments: list[str]) -> None:
-    """Raise a `UserError` for a command or an option that is misspelt."""
+def _spelt(arguments: list[str]) -> list[str]:
+    """Return the arguments with former words of options replaced, after a line about each.
+
+    Raises:
+        UserError: for a command or an option that is misspelt.
+    """
     if not arguments or arguments[0].startswith("-"):
-        return
+        return arguments
     command, *others = arguments
     if command not in _commands:
         raise unknown("command", command, _commands)
@@ -61,13 +68,28 @@ def _check_spelling(arguments: list[str]) -> None:
     names = [name for name in taken if name != "more"][command in _WITH_ARGUMENT :]
     names += ["import" if one.name == "imports" else one.name for one in shared]
     known = [f"--{name.replace('_', '-')}" for name in names]
-    if others and not others[0].startswith("-") and command not in _WITH_ARGUMENT:
-        also = f"; did you mean --agents {others[0]}?" if "--agents" in known else ""
-        raise UserError(f"{command} must be followed by options, got {others[0]!r}{also}")
+    first = next((one for one in others[:1] if not one.startswith("-")), None)
+    if first and command == "record":
+        _told("record takes its file as --out FILE")
+        others = ["--out", *others]
+    elif first and command not in _WITH_ARGUMENT:
+        also = f"; did you mean --agents {first}?" if "--agents" in known else ""
+        raise UserError(f"{command} must be followed by options, got {first!r}{also}")
+    found = [command]
     for text in others:
-        word = text.partition("=")[0].replace("_", "-")
-        if word.startswith("--") and word not in (*known, "--help"):
+        word, sign, value = text.partition("=")
+        option, present = word.replace("_", "-"), _FORMER.get(word)
+        if command == "report" and option == "--store":
+            _told("report takes its folder without --store")
+            found += [value] if value else []
+        elif present in known:
+            _told(f"{option} is called {present}")
+            found.append(f"{present}{sign}{value}")
+        elif word.startswith("--") and option not in (*known, "--help"):
             raise unknown(f"option of {command}", word, known)
+        else:
+            found.append(text)
+    return found
 
 
 def _told(message: str) -> None:
@@ -507,7 +529,7 @@ def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
         print(f"mmc-gym {version('mmc-gym')}")
         return
-    _check_spelling(arguments)
+    arguments = _spelt(arguments)
     config = (tyro.conf.OmitArgPrefixes,)  # --env-kwargs, not --more.env-kwargs
     with warnings.catch_warnings():
         warnings.showwarning = partial(_show_warning, warnings.showwarning)

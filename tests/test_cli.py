@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import pytest
 
 from mmc_gym._grid import CellError
-from mmc_gym.cli import _commands, main
+from mmc_gym.cli import _commands, _spelt, main
 
 ENV_KWARGS = ["compare", "--agents", "mmc", "--env-kwargs"]
 
@@ -95,6 +95,23 @@ def test_mistakes_end_with_one_line_that_says_what_was_meant(arguments, message,
     assert message in error and len(error.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("former", "present", "told"),
+    [
+        ("compare --env random", ["--scenarios", "random"], "--env is called --scenarios"),
+        ("compare --agent=mmc", ["--agents=mmc"], "--agent is called --agents"),
+        ("record film.gif", ["--out", "film.gif"], "record takes its file as --out FILE"),
+        ("report --store runs/mine", ["runs/mine"], "report takes its folder without --store"),
+    ],
+)
+def test_former_options_are_accepted_with_a_line(former, present, told, capsys):
+    command, *others = former.split()
+    assert _spelt([command, *others]) == [command, *present]
+    assert capsys.readouterr().err == f"mmc-gym: {told}\n"
+    assert _spelt([command, *present]) == [command, *present]
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.parametrize("command", _commands)
 def test_the_help_of_a_command_fits_a_screen_and_names_no_empty_default(command, capsys):
     with pytest.raises(SystemExit):
@@ -142,6 +159,21 @@ def test_workers_start_where_a_standard_stream_is_closed(tmp_path, closed):
     done = subprocess.run(script, shell=True, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "ranking.csv").exists()
+
+
+def test_an_interruption_during_an_import_that_swallows_it_is_one_line(tmp_path):
+    code = (
+        "import signal, sys; sys.argv = ['mmc-gym']\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # jobs of a shell ignore it
+        "import mmc_gym._interrupt\n"
+        "sys.path.insert(0, '.'); import interrupted"
+    )
+    (tmp_path / "interrupted.py").write_text(
+        "import os, signal\ntry: os.kill(os.getpid(), signal.SIGINT)\nexcept BaseException: pass\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "mmc-gym: interrupted\n")
 
 
 def test_version_and_completion_are_printed_and_help_says_so(capsys):

@@ -73,7 +73,7 @@ class Memory(NamedTuple):
 
     @property
     def belief(self) -> Floats:
-        """X in the direction of the movement, (n, N + 2)."""
+        """The belief x in the direction of the movement, (n, N + 2)."""
         belief: Floats = self.states[np.arange(len(self.states)), :, self.towards].sum(axis=1)
         return belief
 
