@@ -75,48 +75,31 @@ def shipped_file(name: str, seed: int) -> Path:
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", strict=True))
 class PolicyCard:
-    """The card of a trained policy: what it is, and how it was trained.
+    """The card of a trained policy: what it is, and how it was trained."""
 
-    Attributes:
-        name: of the hyperparameters, such as "ppo".
-        env_id: the environment that it was trained in.
-        control: the control mode that its actions are of.
-        view: see `mmc_gym.agents.policy_network`.
-        activation, distribution: see `PolicyNetwork`.
-        base_agent: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none.
-        hyperparameters: the entries of the YAML file.
-        training_steps: environment steps.
-        training_seconds: wall time.
-        training_cpu_seconds: time of all cores, of this process alone.
-        versions: of the libraries.
-        scores: of the evaluation after training.
-        learning_curve: one row per evaluation during training, with `CURVE_COLUMNS` and more.
-        sha256: of the weights file.
-        engine: the physics engine of its training; None if unknown.
-        body: the arm that it was trained with, without perturbations; None if unknown.
-        blocks: steps in each block of its memory, see `History`; empty if it has none.
-    """
-
-    name: str
+    name: str  #: of the hyperparameters, such as "ppo"
     algorithm: Algorithm
-    env_id: str
-    control: Control
+    env_id: str  #: the environment that it was trained in
+    control: Control  #: the control mode that its actions are of
     segment_count: Annotated[int, Gt(0)]
-    view: View
-    activation: Activation
-    distribution: Distribution
-    base_agent: str
-    hyperparameters: dict[str, Any]
+    view: View  #: see `mmc_gym.agents.policy_network`
+    activation: Activation  #: see `PolicyNetwork`
+    distribution: Distribution  #: see `PolicyNetwork`
+    base_agent: str  #: a key of `BASE_AGENTS` whose actions the policy corrects; empty for none
+    hyperparameters: dict[str, Any]  #: the entries of the YAML file
     seed: Count
-    training_steps: Count
-    training_seconds: Seconds
-    training_cpu_seconds: Seconds
-    versions: dict[str, str]
-    scores: Row
+    training_steps: Count  #: environment steps
+    training_seconds: Seconds  #: wall time
+    training_cpu_seconds: Seconds  #: time of all cores, of this process alone
+    versions: dict[str, str]  #: of the libraries
+    scores: Row  #: of the evaluation after training
+    #: one row per evaluation during training, with `CURVE_COLUMNS` and more
     learning_curve: list[Row]
-    sha256: str = ""
-    engine: str | None = None
+    sha256: str = ""  #: of the weights file
+    engine: str | None = None  #: the physics engine of its training; None if unknown
+    #: the arm that it was trained with, without perturbations; None if unknown
     body: ArmParameters | None = None
+    #: steps in each block of its memory, see `History`; empty if it has none
     blocks: tuple[Annotated[int, Gt(0)], ...] = ()
 
     @model_validator(mode="after")

@@ -184,14 +184,10 @@ class History:
     target at rest are zeros however the world is turned, a mean over a block filters noise, and a
     difference between blocks is a velocity.  At the start of an episode the memory is filled with
     its first observation and with actions of zero.
-
-    Attributes:
-        layout: of the observations.
-        blocks: steps in each block.
     """
 
-    layout: ObservationLayout
-    blocks: Sequence[int]
+    layout: ObservationLayout  #: of the observations
+    blocks: Sequence[int]  #: steps in each block
 
     @property
     def size(self) -> int:

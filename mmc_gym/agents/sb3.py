@@ -60,18 +60,13 @@ _LAST = "_last_obs"  # the last observation of its training, as it saw it
 
 
 class World(NamedTuple):
-    """The environment that a model was trained in; None where it is not known.
+    """The environment that a model was trained in; None where it is not known."""
 
-    Attributes:
-        control: its control mode.
-        body: its arm, without perturbations.
-        wrappers: class names of the wrappers that change observations or actions.
-        others: and of your own wrappers of observations or actions that keep both spaces.
-    """
-
-    control: Control | None = None
-    body: ArmParameters | None = None
+    control: Control | None = None  #: its control mode
+    body: ArmParameters | None = None  #: its arm, without perturbations
+    #: class names of the wrappers that change observations or actions
     wrappers: tuple[str, ...] = ()
+    #: and of your own wrappers of observations or actions that keep both spaces
     others: tuple[str, ...] = ()
 
 
@@ -209,14 +204,10 @@ class SavedModel:
 
     These may be the statistics of its `VecNormalize`, and what rl_zoo3 writes: a folder with
     args.yml, config.yml and vecnormalize.pkl.
-
-    Attributes:
-        path: of the file.
-        allow_pickle: whether its pickles may be loaded.
     """
 
-    path: Path
-    allow_pickle: bool = False
+    path: Path  #: of the file
+    allow_pickle: bool = False  #: whether its pickles may be loaded
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:

@@ -176,35 +176,27 @@ class Comparison:
     """The result of a comparison.
 
     `print` it for the table; the last line of a notebook's cell shows it as HTML.
-
-    Attributes:
-        env: id of the environment.
-        seed: of the starts, the targets and the resampling.
-        reach: of the arm, segment lengths.
-        focus: the agents in question, which stand first.
-        recorded: the episodes of each agent, of one training after the other, and of `REFERENCE`
-            if there are any; the i-th of each training have the same start and target.
-        training_steps: environment steps spent in training each agent; None if unknown.
-        episodes: one row per agent, training and episode: agent, training_seed, episode, seed,
-            start, target, measures.
-        summary: one row per agent and measure, see `statistics.summarize`; of the episodes that
-            ended at the target, for measures of `successes_only`.
-        env_kwargs: arguments of the environment.
-        controls: the control mode in which each agent acted.
-        has_interface: whether the environment is one of yours with an `InterfacedEnv`.
     """
 
-    env: str
-    seed: int
-    reach: float
-    focus: tuple[str, ...]
+    env: str  #: id of the environment
+    seed: int  #: of the starts, the targets and the resampling
+    reach: float  #: of the arm, segment lengths
+    focus: tuple[str, ...]  #: the agents in question, which stand first
+    #: the episodes of each agent, of one training after the other, and of `REFERENCE` if there are
+    #: any; the i-th of each training have the same start and target
     recorded: Mapping[str, tuple[Episode, ...]]
+    #: environment steps spent in training each agent; None if unknown
     training_steps: Mapping[str, int | None]
+    #: one row per agent, training and episode: agent, training_seed, episode, seed, start, target,
+    #: measures
     episodes: pd.DataFrame
+    #: one row per agent and measure, see `statistics.summarize`; of the episodes that ended at the
+    #: target, for measures of `successes_only`
     summary: pd.DataFrame
-    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)  #: arguments of the environment
+    #: the control mode in which each agent acted
     controls: Mapping[str, str] = field(default_factory=dict)
-    has_interface: bool = False
+    has_interface: bool = False  #: whether the environment is one of yours with an `InterfacedEnv`
 
     @property
     def agents(self) -> list[str]:

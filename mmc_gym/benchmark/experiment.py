@@ -73,47 +73,33 @@ def _explained(cls: Class) -> Class:
 @_explained
 @dataclass(frozen=True, config=_STRICT)
 class Probe:
-    """Single trials among those of a block in which something else happens.
+    """Single trials among those of a block in which something else happens."""
 
-    Attributes:
-        name: such as "catch", for the table of trials.
-        every: one of so many trials, at a drawn place among them, the same for all subjects.
-        perturbations: in place of the block's; none for a catch trial, clamp-0 for an error clamp.
-        targets: directions in place of the block's, which may never be trained.
-        target_jump: of the target in flight, see `CuedTarget.jump`.
-    """
-
-    name: Word
+    name: Word  #: such as "catch", for the table of trials
+    #: one of so many trials, at a drawn place among them, the same for all subjects
     every: Annotated[int, Ge(2)]
+    #: in place of the block's; none for a catch trial, clamp-0 for an error clamp
     perturbations: Perturbations = ()
-    targets: Directions = ()
-    target_jump: float = 0.0
+    targets: Directions = ()  #: directions in place of the block's, which may never be trained
+    target_jump: float = 0.0  #: of the target in flight, see `CuedTarget.jump`
 
 
 @_explained
 @dataclass(frozen=True, config=_STRICT)
 class Block:
-    """Trials under one condition.
+    """Trials under one condition."""
 
-    Attributes:
-        name: of the phase, such as "baseline" or "washout".
-        trials: how many.
-        perturbations: names, such as "rotation-30".
-        targets: directions from the start; each subject meets them in an order of its own, all of
-            them before one comes again.
-        probes: trials among these in which something else happens.
-        gradual: whether the perturbations grow over the block, to their strength in its last trial.
-        rest: before the block, s.
-        go_cue: when the target appears, s after the start of a trial; the hand waits till then.
-    """
-
-    name: Word
-    trials: Annotated[int, Gt(0), Lt(100_000)]
-    perturbations: Perturbations = ()
+    name: Word  #: of the phase, such as "baseline" or "washout"
+    trials: Annotated[int, Gt(0), Lt(100_000)]  #: how many
+    perturbations: Perturbations = ()  #: names, such as "rotation-30"
+    #: directions from the start; each subject meets them in an order of its own, all of them before
+    #: one comes again
     targets: Annotated[Directions, MinLen(1)] = EIGHT
-    probes: tuple[Probe, ...] = ()
+    probes: tuple[Probe, ...] = ()  #: trials among these in which something else happens
+    #: whether the perturbations grow over the block, to their strength in its last trial
     gradual: bool = False
-    rest: Annotated[float, Ge(0)] = 0.0
+    rest: Annotated[float, Ge(0)] = 0.0  #: before the block, s
+    #: when the target appears, s after the start of a trial; the hand waits till then
     go_cue: Seconds = 0.0
 
     def __post_init__(self) -> None:
@@ -164,27 +150,20 @@ class Experiment:
     """An experiment over trials.
 
     `print` it as YAML; `plot` draws its timeline.
-
-    Attributes:
-        name: words with hyphens.
-        blocks: in their order.
-        description: what it asks, in a line.
-        source: the study that it follows.
-        distance: of the targets from the start, as a fraction of the arm's reach.
-        trial_seconds: duration of a trial from the go cue on; all wait for the latest cue.
-        torque_limit: of the servos, mass · length² / s²; None: that of the arm.
-        noise: perturbations of all trials, such as noise of the senses.
-        vigour: of agents that have one (`body_model.agent.Parts`); 0 as people move.
     """
 
-    name: Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9.-]*$")]
-    blocks: Annotated[tuple[Block, ...], MinLen(1)]
-    description: str = ""
-    source: str = ""
+    name: Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9.-]*$")]  #: words with hyphens
+    blocks: Annotated[tuple[Block, ...], MinLen(1)]  #: in their order
+    description: str = ""  #: what it asks, in a line
+    source: str = ""  #: the study that it follows
+    #: of the targets from the start, as a fraction of the arm's reach
     distance: Annotated[float, Gt(0), Lt(0.5)] = 0.2
+    #: duration of a trial from the go cue on; all wait for the latest cue
     trial_seconds: Annotated[float, Gt(0), Lt(1000)] = 1.0
+    #: of the servos, mass · length² / s²; None: that of the arm
     torque_limit: Annotated[float, Gt(0)] | None = None
-    noise: Perturbations = ()
+    noise: Perturbations = ()  #: perturbations of all trials, such as noise of the senses
+    #: of agents that have one (`body_model.agent.Parts`); 0 as people move
     vigour: Annotated[float, Ge(0), Lt(1.01)] = 0.0
 
     @property

@@ -81,23 +81,15 @@ _PACKAGES = ("mmc-gym", "gymnasium", "numpy", "scipy", "pandas", "pyarrow", "pym
 
 @dataclass(frozen=True)
 class BenchmarkCell:
-    """An agent in a scenario.
-
-    Attributes:
-        episodes: how many, where the scenario does not number its trials.
-        seed: that the seeds of the episodes are derived from, the same for all cells.
-        control: the control mode that the user asks for, see `make_player`.
-        keeps_paths: whether the paths of its first episodes are written, too.
-        measures: the user's own, which a worker does not know.
-    """
+    """An agent in a scenario."""
 
     agent: ResolvedAgent
     scenario: Scenario
-    episodes: int
-    seed: int
-    control: str | None = None
-    keeps_paths: bool = True
-    measures: tuple[Measure | SetMeasure, ...] = ()
+    episodes: int  #: how many, where the scenario does not number its trials
+    seed: int  #: that the seeds of the episodes are derived from, the same for all cells
+    control: str | None = None  #: the control mode that the user asks for, see `make_player`
+    keeps_paths: bool = True  #: whether the paths of its first episodes are written, too
+    measures: tuple[Measure | SetMeasure, ...] = ()  #: the user's own, which a worker does not know
 
     @property
     def key(self) -> CellKey:
@@ -125,16 +117,12 @@ class BenchmarkCell:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a cell.
+    """The result of a cell."""
 
-    Attributes:
-        not_played: why it was skipped or failed; None if it was played.
-        files: its files, see `write_cell`; none unless played.
-        warned: texts of each `MismatchWarning`, which a worker's terminal would not show.
-    """
-
-    not_played: NotPlayed | None = None
+    not_played: NotPlayed | None = None  #: why it was skipped or failed; None if it was played
+    #: its files, see `write_cell`; none unless played
     files: Mapping[str, bytes] = field(default_factory=dict)
+    #: texts of each `MismatchWarning`, which a worker's terminal would not show
     warned: tuple[str, ...] = ()
 
 
@@ -215,19 +203,12 @@ def _play_reference(
 
 @dataclass(frozen=True)
 class Progress:
-    """The progress of a benchmark.
+    """The progress of a benchmark."""
 
-    Attributes:
-        done: number of cells that are finished, those of earlier runs included.
-        total: number of cells.
-        key: name of the cell that was finished last; None at the start.
-        failed: why that cell failed; None if it did not.
-    """
-
-    done: int
-    total: int
-    key: CellKey | None = None
-    failed: NotPlayed | None = None
+    done: int  #: number of cells that are finished, those of earlier runs included
+    total: int  #: number of cells
+    key: CellKey | None = None  #: name of the cell that was finished last; None at the start
+    failed: NotPlayed | None = None  #: why that cell failed; None if it did not
 
 
 def benchmark(

@@ -80,16 +80,12 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of agents in E environments; NaN where an episode has none.
+    """Scores of agents in E environments; NaN where an episode has none."""
 
-    Attributes:
-        instances: number of instances in each environment.
-        values: by agent, E arrays (policies, instances), the instances in the order of their names.
-        seeds: by agent, its number of training seeds; 0 for one policy without training.
-    """
-
-    instances: tuple[int, ...]
+    instances: tuple[int, ...]  #: number of instances in each environment
+    #: by agent, E arrays (policies, instances), the instances in the order of their names
     values: Mapping[str, tuple[Floats, ...]]
+    #: by agent, its number of training seeds; 0 for one policy without training
     seeds: Mapping[str, int]
 
 

@@ -368,20 +368,13 @@ class _Frozen(BaseModel):
 
 
 class Policy(_Frozen):
-    """A training of an agent, or the agent if it was not trained.
-
-    Attributes:
-        source: from which it can be made again, or a name that stands for it.
-        name: its key in `AGENTS`, or `REFERENCE`; empty for an agent of the user.
-        knowledge: its kind, what it is given, and what it senses.
-        training_steps: of its training, 0 without one; None if unknown.
-    """
+    """A training of an agent, or the agent if it was not trained."""
 
     training_seed: int | None
-    source: str
-    name: str = ""
-    knowledge: Knowledge = UNKNOWN
-    training_steps: int | None = None
+    source: str  #: from which it can be made again, or a name that stands for it
+    name: str = ""  #: its key in `AGENTS`, or `REFERENCE`; empty for an agent of the user
+    knowledge: Knowledge = UNKNOWN  #: its kind, what it is given, and what it senses
+    training_steps: int | None = None  #: of its training, 0 without one; None if unknown
 
 
 class NotPlayed(_Frozen):
@@ -400,35 +393,24 @@ class NotPlayed(_Frozen):
 
 
 class Manifest(_Frozen):
-    """Everything that a store was made with.
-
-    Attributes:
-        episodes: in each environment whose trials are not numbered.
-        seed: of the starts and targets.
-        measures: facts of the measures of episodes by name, see `Quantity.facts`.
-        set_measures: facts of those of sets of episodes.
-        environments: settings by name, and of the environment as it was played control_step
-            (seconds), segment_lengths (of the arm that agents are given) and tolerance (the
-            distance from the target that counts as success).
-        agents: policies by name.
-        cpu_seconds: processor time of each cell, by the stem of its files.
-        reused: number of cells that the last run did not have to play.
-        versions: of libraries, several of one separated by commas.
-        changed: sources of agents whose cells are of different weights or code.
-    """
+    """Everything that a store was made with."""
 
     schema_version: Literal[3] = SCHEMA_VERSION
-    episodes: int
-    seed: int
+    episodes: int  #: in each environment whose trials are not numbered
+    seed: int  #: of the starts and targets
+    #: facts of the measures of episodes by name, see `Quantity.facts`
     measures: dict[str, dict[str, Any]] = {}
-    set_measures: dict[str, dict[str, Any]] = {}
+    set_measures: dict[str, dict[str, Any]] = {}  #: facts of those of sets of episodes
+    #: settings by name, and of the environment as it was played control_step (seconds),
+    #: segment_lengths (of the arm that agents are given) and tolerance (the distance from the
+    #: target that counts as success)
     environments: dict[str, dict[str, Any]] = {}
-    agents: dict[str, list[Policy]] = {}
+    agents: dict[str, list[Policy]] = {}  #: policies by name
     not_played: list[NotPlayed] = []
-    cpu_seconds: dict[str, float] = {}
-    reused: int = 0
-    versions: dict[str, str] = {}
-    changed: list[str] = []
+    cpu_seconds: dict[str, float] = {}  #: processor time of each cell, by the stem of its files
+    reused: int = 0  #: number of cells that the last run did not have to play
+    versions: dict[str, str] = {}  #: of libraries, several of one separated by commas
+    changed: list[str] = []  #: sources of agents whose cells are of different weights or code
 
 
 def reasons(not_played: Iterable[NotPlayed]) -> list[str]:

@@ -64,28 +64,21 @@ _Cell: TypeAlias = tuple[pa.Table, Kept]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExperimentResult:
-    """The movements of agents in an experiment.
-
-    Attributes:
-        experiment: the experiment.
-        trials: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in
-            the experiment, from 0), block, phase, perturbation (names joined by "+"), strength (of
-            the last perturbation, 0 without), probe (empty for usual trials), target_angle
-            (degrees), start_x, start_y (of the hand), go_step (control step of the go cue).
-        hands: positions in each row's trial, segment lengths, float32, (rows, steps + 1, 2).
-        cursors: likewise, of the cursor; of the hand where no cursor stands for it.
-        targets: likewise, of the target.
-        control_step: s.
-        lengths_in: unit of lengths among the measures, see `learning_table`.
-    """
+    """The movements of agents in an experiment."""
 
     experiment: Experiment
+    #: a row per agent, subject and trial, with columns agent, subject (0, 1, …), trial (in the
+    #: experiment, from 0), block, phase, perturbation (names joined by "+"), strength (of the last
+    #: perturbation, 0 without), probe (empty for usual trials), target_angle (degrees), start_x,
+    #: start_y (of the hand), go_step (control step of the go cue)
     trials: pd.DataFrame
+    #: positions in each row's trial, segment lengths, float32, (rows, steps + 1, 2)
     hands: NDArray[np.float32]
+    #: likewise, of the cursor; of the hand where no cursor stands for it
     cursors: NDArray[np.float32]
-    targets: NDArray[np.float32]
-    control_step: float
-    lengths_in: LengthUnit = "lengths"
+    targets: NDArray[np.float32]  #: likewise, of the target
+    control_step: float  #: s
+    lengths_in: LengthUnit = "lengths"  #: unit of lengths among the measures, see `learning_table`
 
     @cached_property
     def measures(self) -> pd.DataFrame:

@@ -34,30 +34,17 @@ _MEET = 1e-4  # axes meet where they come this near to a point, m
 
 
 class ArmFrames(NamedTuple):
-    """An arm in a posture, seen from its base.
+    """An arm in a posture, seen from its base."""
 
-    Attributes:
-        nodes: (..., N + 1, 3).
-        axes: unit vectors of the hinges, (..., n, 3).
-        points: the points on them that describe the arm, (..., n, 3).
-        hand: pose of the hand, (..., 4, 4).
-    """
-
-    nodes: Floats
-    axes: Floats
-    points: Floats
-    hand: Floats
+    nodes: Floats  #: (..., N + 1, 3)
+    axes: Floats  #: unit vectors of the hinges, (..., n, 3)
+    points: Floats  #: the points on them that describe the arm, (..., n, 3)
+    hand: Floats  #: pose of the hand, (..., 4, 4)
 
 
 @dataclass(frozen=True, eq=False)
 class HingeArm:
     """Description of an arm of n hinges; lengths in metres, angles in radians.
-
-    Attributes:
-        axes: directions of the hinges in the zero posture, (n, 3); they are brought to length 1.
-        points: a point on each axis in the zero posture, (n, 3).
-        home: pose of the hand in the zero posture, (4, 4).
-        limits: least and largest angle of each hinge, (n, 2); infinite where there is none.
 
     Raises:
         UserError: if a shape is another, a value is not finite, `home` is no pose, or a lower limit
@@ -70,10 +57,11 @@ class HingeArm:
     [[0.0, 0.0, 0.33], [0.08, 0.0, 0.65], [0.0, 0.0, 1.03], [0.09, 0.0, 0.93]]
     """
 
+    #: directions of the hinges in the zero posture, (n, 3); they are brought to length 1
     axes: Floats
-    points: Floats
-    home: Floats
-    limits: Floats
+    points: Floats  #: a point on each axis in the zero posture, (n, 3)
+    home: Floats  #: pose of the hand in the zero posture, (4, 4)
+    limits: Floats  #: least and largest angle of each hinge, (n, 2); infinite where there is none
 
     def __post_init__(self) -> None:
         count = np.shape(self.axes)[0] if np.ndim(self.axes) == 2 else 0

@@ -32,35 +32,21 @@ class Arm(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Which parts are held, and for how long to iterate.
+    """Which parts are held, and for how long to iterate."""
 
-    Attributes:
-        is_placed: whether each node is held, (N + 1,).
-        weight: 2 s² where the hand's rotation is held, otherwise 0.
-        share: 1/d.
-        decay: factor on the velocity.
-        times: iterations at most.
-        far: tolerance of held nodes, m; 0 where iterations shall not stop.
-        turn: tolerance of the hand's rotation, radians.
-        alone: iterations in which a block stops only when its first posture has settled.
-        near: where the first posture lacks less than this, m², it has all iterations alone.
-        newton: steps of Newton's method that follow then.
-        is_exact: whether they follow in all blocks.
-        ridge: their least damping, m².
-    """
-
-    is_placed: NDArray[np.bool_]
-    weight: float
-    share: float
-    decay: float
-    times: int
-    far: float = 0.0
-    turn: float = 0.0
-    alone: int = 0
+    is_placed: NDArray[np.bool_]  #: whether each node is held, (N + 1,)
+    weight: float  #: 2 s² where the hand's rotation is held, otherwise 0
+    share: float  #: 1/d
+    decay: float  #: factor on the velocity
+    times: int  #: iterations at most
+    far: float = 0.0  #: tolerance of held nodes, m; 0 where iterations shall not stop
+    turn: float = 0.0  #: tolerance of the hand's rotation, radians
+    alone: int = 0  #: iterations in which a block stops only when its first posture has settled
+    #: where the first posture lacks less than this, m², it has all iterations alone
     near: float = 0.0
-    newton: int = 0
-    is_exact: bool = False
-    ridge: float = 0.0
+    newton: int = 0  #: steps of Newton's method that follow then
+    is_exact: bool = False  #: whether they follow in all blocks
+    ridge: float = 0.0  #: their least damping, m²
 
 
 @lru_cache

@@ -74,29 +74,20 @@ _SETTLED = 1e9  # any posture that has settled comes before all that have not
 
 @dataclass(frozen=True, eq=False)
 class HingeState:
-    """Postures of a batch of arms, and how fast they change.
+    """Postures of a batch of arms, and how fast they change."""
 
-    Attributes:
-        joint_angles: radians, (..., n).
-        joint_velocities: radians per iteration, (..., n).
-    """
-
-    joint_angles: Floats
-    joint_velocities: Floats
+    joint_angles: Floats  #: radians, (..., n)
+    joint_velocities: Floats  #: radians per iteration, (..., n)
 
 
 @dataclass(frozen=True, eq=False)
 class HingeClamps:
-    """Parts of an arm held at given places, made by `HingeNetwork.clamp`.
+    """Parts of an arm held at given places, made by `HingeNetwork.clamp`."""
 
-    Attributes:
-        rotation: of the hand, (..., 3, 3), or None.
-        held: angles of held joints by joint, (...).
-        points: positions of nodes by node, the hand's too, (..., 3).
-    """
-
-    rotation: Floats | None = None
+    rotation: Floats | None = None  #: of the hand, (..., 3, 3), or None
+    #: angles of held joints by joint, (...)
     held: Mapping[int, Floats] = field(default_factory=dict)
+    #: positions of nodes by node, the hand's too, (..., 3)
     points: Mapping[int, Floats] = field(default_factory=dict)
 
     @cached_property
@@ -110,36 +101,20 @@ class HingeClamps:
 
 @dataclass(frozen=True, eq=False)
 class HingeSolution:
-    """Where a network has settled; `...` are the batch axes of the task.
+    """Where a network has settled; `...` are the batch axes of the task."""
 
-    Attributes:
-        joint_angles: (..., n), within the limits.
-        position_error: largest distance of a held node, the hand or a point, from its place, m.
-        rotation_error: angle between the hand's rotation and the wanted one, radians.
-        iterations: iterations until it settled; up to 16 starts iterate together.
-        is_solved: whether both errors are within the tolerance.
-    """
-
-    joint_angles: Floats
+    joint_angles: Floats  #: (..., n), within the limits
+    #: largest distance of a held node, the hand or a point, from its place, m
     position_error: Floats
-    rotation_error: Floats
-    iterations: NDArray[np.int64]
-    is_solved: NDArray[np.bool_]
+    rotation_error: Floats  #: angle between the hand's rotation and the wanted one, radians
+    iterations: NDArray[np.int64]  #: iterations until it settled; up to 16 starts iterate together
+    is_solved: NDArray[np.bool_]  #: whether both errors are within the tolerance
 
 
 @spelt
 @dataclass(frozen=True, eq=False)
 class HingeNetwork:
     """Description of an MMC network for an arm of hinges; it holds no state.
-
-    Attributes:
-        arm: the arm.
-        damping: d, the weight of the present posture in the mean; more than n / (2 (1 + decay)).
-            None is a third of the number of joints that are not held.
-        velocity_decay: factor on the velocity in each iteration, from 0 to below 1.
-        hand_size: s, length of the vectors that stand for the hand's rotation, m.
-        engine: "numpy"; "numba", which compiles the same algorithm in some seconds for each number
-            of joints and nodes; or None, "numba" where it is installed.
 
     Raises:
         UserError: for a value outside its range, or an unknown argument; as `MissingExtraError`,
@@ -154,9 +129,13 @@ class HingeNetwork:
     """
 
     arm: HingeArm
+    #: d, the weight of the present posture in the mean; more than n / (2 (1 + decay)).  None is a
+    #: third of the number of joints that are not held.
     damping: float | None = None
-    velocity_decay: float = 0.97
-    hand_size: float = 0.12
+    velocity_decay: float = 0.97  #: factor on the velocity in each iteration, from 0 to below 1
+    hand_size: float = 0.12  #: s, length of the vectors that stand for the hand's rotation, m
+    #: "numpy"; "numba", which compiles the same algorithm in some seconds for each number of joints
+    #: and nodes; or None, "numba" where it is installed
     engine: str | None = None
 
     def __post_init__(self) -> None:

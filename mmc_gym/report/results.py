@@ -47,19 +47,14 @@ ALL = "all scenarios"
 
 @dataclass(frozen=True)
 class AgentIdentity:
-    """Who an agent is.
+    """Who an agent is."""
 
-    Attributes:
-        name: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package.
-        knowledge: its kind, what it is given, and what it senses.
-        training_steps: of each of its trainings, 0 without one; None where it is unknown.
-        sources: of its trainings.
-    """
-
+    #: its key in `AGENTS`, or `REFERENCE`; empty for an agent that is not of this package
     name: str = ""
-    knowledge: Knowledge = UNKNOWN
+    knowledge: Knowledge = UNKNOWN  #: its kind, what it is given, and what it senses
+    #: of each of its trainings, 0 without one; None where it is unknown
     training_steps: tuple[int | None, ...] = ()
-    sources: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()  #: of its trainings
 
     @property
     def description(self) -> str:
@@ -100,55 +95,34 @@ def identify(policies: Iterable[Policy]) -> AgentIdentity:
 
 @dataclass(frozen=True)
 class Environment:
-    """A scenario of the benchmark, as the manifest describes it.
-
-    Attributes:
-        family: of the perturbation; empty without one.
-        kwargs: arguments that made it.
-        control_step: seconds.
-        segment_lengths: of the arm that agents are given.
-        tolerance: distance from the target that counts as success, segment lengths.
-    """
+    """A scenario of the benchmark, as the manifest describes it."""
 
     description: str = ""
-    family: str = ""
-    kwargs: Mapping[str, Any] = field(default_factory=dict)
-    control_step: float = math.nan
-    segment_lengths: tuple[float, ...] = ()
-    tolerance: float = math.nan
+    family: str = ""  #: of the perturbation; empty without one
+    kwargs: Mapping[str, Any] = field(default_factory=dict)  #: arguments that made it
+    control_step: float = math.nan  #: seconds
+    segment_lengths: tuple[float, ...] = ()  #: of the arm that agents are given
+    tolerance: float = math.nan  #: distance from the target that counts as success, segment lengths
 
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The results of a benchmark.
+    """The results of a benchmark."""
 
-    Attributes:
-        manifest: how they were made, and which cells could not be played.
-        episodes: with the measures that tables show, after `leave_out_failures`.
-        environments: the scenarios by name, in the order of the manifest.
-        identities: who each agent is.
-        focus: the agents that the report is about.
-        measures: those that tables show and that have a value in some episode.
-        set_measures: measures of all episodes of a policy together, by name.
-        sets: values of the `set_measures`, as `read_sets` returns them.
-        ranking: as `rank_agents` returns it; empty if no scenario was attempted by all agents.
-        resamples: number of bootstrap resamples in the tables of single scenarios.
-        ranking_resamples: number of those of the ranking.
-        store: the folder.
-    """
-
-    manifest: Manifest
-    episodes: pd.DataFrame
-    environments: Mapping[str, Environment]
-    identities: Mapping[str, AgentIdentity]
-    focus: tuple[str, ...]
-    measures: tuple[Measure, ...]
+    manifest: Manifest  #: how they were made, and which cells could not be played
+    episodes: pd.DataFrame  #: with the measures that tables show, after `leave_out_failures`
+    environments: Mapping[str, Environment]  #: the scenarios by name, in the order of the manifest
+    identities: Mapping[str, AgentIdentity]  #: who each agent is
+    focus: tuple[str, ...]  #: the agents that the report is about
+    measures: tuple[Measure, ...]  #: those that tables show and that have a value in some episode
+    #: measures of all episodes of a policy together, by name
     set_measures: Mapping[str, SetMeasure]
-    sets: pd.DataFrame
+    sets: pd.DataFrame  #: values of the `set_measures`, as `read_sets` returns them
+    #: as `rank_agents` returns it; empty if no scenario was attempted by all agents
     ranking: pd.DataFrame
-    resamples: int
-    ranking_resamples: int
-    store: Path
+    resamples: int  #: number of bootstrap resamples in the tables of single scenarios
+    ranking_resamples: int  #: number of those of the ranking
+    store: Path  #: the folder
 
     def kind(self, agent: str) -> Kind:
         """Return the kind of an agent."""

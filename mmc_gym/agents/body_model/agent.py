@@ -60,41 +60,31 @@ BETWEEN = -1  # looks of a state between two movements
 class Parts:
     """Which parts an agent has, and how vigorous it is.
 
-    Attributes:
-        filters: whether noise is filtered, and moving targets are predicted.
-        bridges_delay: whether the delay of the senses is estimated and bridged.
-        identifies_body: whether lengths and a turned cursor are identified; else the given ones
-            are used.
-        finds_locks: whether locked joints are found.
-        imagines: whether several models settle; else one, from the present posture.
-        drives: whether the servos are inverted; else their target is the imagined posture.
-        avoids: whether contacts are remembered, and ways round them planned.
-        vigour: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed.
-        rate: share of what a movement shows that is learned, see `body_model.memory`; several
-            numbers for several states, such as a fast one and a slow one.  At 1 all is learned
-            within the movement.
-        retention: share of it that is left for the next movement, of each state.  At 0 nothing is.
-        width: of the directions for which it is learned, about the one where the target is when the
-            movement begins: standard deviation of a Gaussian, degrees.
-        largest_error: angle beyond which an error counts no more, degrees.
-
     Raises:
         UserError: for a number outside 0 to 1, rates of more than 1 together, another number of
             rates than of retentions, or a width or largest error that is not positive.
     """
 
-    filters: bool = True
-    bridges_delay: bool = True
+    filters: bool = True  #: whether noise is filtered, and moving targets are predicted
+    bridges_delay: bool = True  #: whether the delay of the senses is estimated and bridged
+    #: whether lengths and a turned cursor are identified; else the given ones are used
     identifies_body: bool = True
-    finds_locks: bool = True
-    imagines: bool = True
+    finds_locks: bool = True  #: whether locked joints are found
+    imagines: bool = True  #: whether several models settle; else one, from the present posture
+    #: whether the servos are inverted; else their target is the imagined posture
     drives: bool = True
-    avoids: bool = True
+    avoids: bool = True  #: whether contacts are remembered, and ways round them planned
+    #: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed
     vigour: float = 1.0
+    #: share of what a movement shows that is learned, see `body_model.memory`; several numbers for
+    #: several states, such as a fast one and a slow one.  At 1 all is learned within the movement.
     rate: tuple[float, ...] = (1.0,)
+    #: share of it that is left for the next movement, of each state.  At 0 nothing is.
     retention: tuple[float, ...] = (0.0,)
+    #: of the directions for which it is learned, about the one where the target is when the
+    #: movement begins: standard deviation of a Gaussian, degrees
     width: float = math.inf
-    largest_error: float = math.inf
+    largest_error: float = math.inf  #: angle beyond which an error counts no more, degrees
 
     def __post_init__(self) -> None:
         accepted = "a number between 0 and 1"
