@@ -258,9 +258,8 @@ def test_nearly_all_targets_are_reached_by_joint_targets_of_every_kind_and_other
             assert rate >= (0.4 if name == "mmc-classical" else 0.9)
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
+def test_an_environment_that_an_agent_cannot_act_in_is_an_error_of_its_own():
+    for name, options, message in (
         *(
             (name, {"control": "joint_torque"}, r"control must be .* got 'joint_torque'")
             for name in ("mmc", "mmc-body", "ik-dls", "minimum-jerk", "optimal-control", "ppo")
@@ -271,11 +270,9 @@ def test_nearly_all_targets_are_reached_by_joint_targets_of_every_kind_and_other
         ),
         ("ik-closed-form", {"segment_lengths": (1.0,) * 4}, "must be 1, 2 or 3 .* got 4"),
         ("ppo", {"segment_lengths": (1.0,) * 2}, "env must have 3 segments for this policy, got 2"),
-    ],
-)
-def test_an_environment_that_an_agent_cannot_act_in_is_an_error_of_its_own(name, options, message):
-    with pytest.raises(CannotActError, match=message):
-        make_agent(name, gym.make("MMCReach-v0", **options))
+    ):
+        with pytest.raises(CannotActError, match=message):
+            make_agent(name, gym.make("MMCReach-v0", **options))
 
 
 def test_stable_baselines3_evaluates_them():

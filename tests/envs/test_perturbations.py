@@ -299,9 +299,8 @@ class Forgetful(Noise):
         return body if type(self) is Forgetful else None
 
 
-@pytest.mark.parametrize(
-    ("perturbations", "message"),
-    [
+def test_what_cannot_be_or_be_combined_is_refused():
+    for perturbations, message in (
         (Misspelt(), r"Misspelt must have a method change_body\(self, body\), got change_bodies"),
         (type("Lost", (Forgetful,), {})(), "what Lost.change_body returns must be .*, got None"),
         (Forgetful(), "what Forgetful.disturb returns must be a changed Seen, got None"),
@@ -315,11 +314,9 @@ class Forgetful(Noise):
         (SegmentLength(segment=3), "segment must be an index from -3 to 2, got 3"),
         (LockedJoint(7), "joint must be an index"),
         ([LockedJoint(0), LockedJoint(1, time=0.2)], "must lock at one time"),
-    ],
-)
-def test_what_cannot_be_or_be_combined_is_refused(perturbations, message):
-    with pytest.raises(UserError, match=message):
-        MMCReachEnv(perturbations=perturbations).reset()
+    ):
+        with pytest.raises(UserError, match=message):
+            MMCReachEnv(perturbations=perturbations).reset()
 
 
 ENTANGLED: list[dict[str, Any]] = [

@@ -194,9 +194,8 @@ def test_an_evaluation_is_a_summary_of_the_episodes_of_its_seeds():
 VECTOR = gym.make_vec("MMCReach-v0", num_envs=2)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_wrong_arguments_are_refused():
+    for arguments, message in (
         ({"agent": "mmc"}, "agent must be an object with predict, .*, got 'mmc'"),
         ({"agent": says(None)}, r"what predict returns must be a pair \(action, state\), got None"),
         ({"env": "MMCReach-v0"}, "env must be an environment, .*, got 'MMCReach-v0'"),
@@ -211,9 +210,7 @@ VECTOR = gym.make_vec("MMCReach-v0", num_envs=2)
             {"env": gym.make_vec("MMCReach-v0", 1, vectorization_mode="sync")},
             "a native vector environment",
         ),
-    ],
-)
-def test_wrong_arguments_are_refused(arguments, message):
-    given = {"agent": says((np.zeros(3), None)), "env": gym.make("MMCReach-v0"), "seeds": [1]}
-    with pytest.raises(UserError, match=message):
-        run_episodes(**{**given, **arguments})
+    ):
+        given = {"agent": says((np.zeros(3), None)), "env": gym.make("MMCReach-v0"), "seeds": [1]}
+        with pytest.raises(UserError, match=message):
+            run_episodes(**{**given, **arguments})
