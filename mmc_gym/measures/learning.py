@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import leastsq
-from scipy.signal import lfilter
 from scipy.special import expit, logit
 
 from mmc_gym.measures.episode import Floats
@@ -174,6 +173,7 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
     known = adaptation[present]
     if len(known) < 8 or np.abs(known).max() <= 1e-3 * np.abs(seen).max():
         return np.full(4, math.nan)
+    from scipy.signal import lfilter  # takes long to import
 
     def state(retention: float) -> Floats:
         return np.asarray(lfilter([0.0, 1.0], [1.0, -retention], seen)[present])

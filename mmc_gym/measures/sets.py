@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import linregress
 
 from mmc_gym.measures.catalogue import set_measure
 from mmc_gym.measures.episode import Episode, Floats
@@ -42,6 +41,8 @@ def _fit_line(x: Floats, y: Floats, fewest: int) -> Line:
     x, y = x[present], y[present]
     if np.unique(x).size < fewest:
         return NO_LINE
+    from scipy.stats import linregress  # takes long to import
+
     fit = linregress(x, y)
     return Line(float(fit.intercept), float(fit.slope), float(fit.rvalue) ** 2)
 

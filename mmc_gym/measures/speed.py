@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import find_peaks
 
 from mmc_gym.measures.catalogue import measure
 from mmc_gym.measures.episode import MOVING, Episode, Floats
@@ -85,6 +84,8 @@ def count_peaks(speeds: ArrayLike) -> float:
         Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
         8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
     """
+    from scipy.signal import find_peaks  # a second of imports, which tables do without
+
     profile = np.concatenate(([0.0], np.asarray(speeds, dtype=np.float64), [0.0]))
     peaks, _ = find_peaks(profile, prominence=PEAK_PROMINENCE * profile.max())
     return float(len(peaks))
