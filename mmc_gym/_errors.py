@@ -54,11 +54,10 @@ def missing(what: str, package: str, extra: str) -> MissingExtraError:
 def require(fine: bool, name: str, value: object, accepted: str) -> None:
     """Raise a `UserError` that names the argument, what is accepted and the value, unless `fine`.
 
-    Example:
-        >>> require(False, "damping", -1.0, "positive and finite")
-        Traceback (most recent call last):
-        ...
-        mmc_gym._errors.UserError: damping must be positive and finite, got -1.0
+    >>> require(False, "damping", -1.0, "positive and finite")
+    Traceback (most recent call last):
+    ...
+    mmc_gym._errors.UserError: damping must be positive and finite, got -1.0
     """
     if not fine:
         raise UserError(f"{name} must be {accepted}, got {shown(value)}")

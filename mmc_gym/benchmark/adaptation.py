@@ -237,10 +237,7 @@ def learning_table(
     missing and source.  A measure that people have a published figure of in such an experiment has
     a row of the agent "people", too, with a source; see `beside_people`.
 
-    Args:
-        result: the experiment, as agents went through it.
-        resamples: of the subjects.
-        lengths_in: segment lengths, or metres for an arm as long as a person's.
+    With `lengths_in` "m" lengths are metres, for an arm as long as a person's.
     """
     require_choice("lengths_in", lengths_in, get_args(LengthUnit))
     rows = []

@@ -102,17 +102,13 @@ def compare(
         allow_pickle: whether files with pickles may be loaded, such as those of stable-baselines3.
             That runs whatever code they name.
 
-    Raises:
-        UserError: if an argument is outside what it accepts.
-
-    Example:
-        >>> comparison = compare(["random"], episodes=2)
-        >>> comparison
-        <Comparison of random in MMCReach-v0, 2 episodes each>
-        >>> comparison.headline
-        'success at the end: random 0.0 %'
-        >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
-        {'random': 2, 'minimum jerk (ideal)': 2}
+    >>> comparison = compare(["random"], episodes=2)
+    >>> comparison
+    <Comparison of random in MMCReach-v0, 2 episodes each>
+    >>> comparison.headline
+    'success at the end: random 0.0 %'
+    >>> comparison.episodes.groupby("agent", sort=False).size().to_dict()
+    {'random': 2, 'minimum jerk (ideal)': 2}
     """
     given = dict(env_kwargs or {})
     asked = {"control": given.pop("control", None)}
@@ -340,9 +336,6 @@ class Comparison:
         Args:
             value: "estimate", an end of its interval ("low", "high"), or how many episodes have a
                 value ("count") and how many have none ("missing").
-
-        Raises:
-            UserError: for another value.
         """
         require_choice("value", value, ("estimate", "low", "high", "count", "missing"))
         frame = self.summary.pivot(index="agent", columns="measure", values=value)
@@ -351,11 +344,8 @@ class Comparison:
     def plot(self, figure: Figure | None = None) -> Figure:
         """Return a figure: hand paths above, speed profiles below, a column for each agent.
 
-        Paths in space are seen along the z axis.
-
-        Args:
-            figure: to draw on, such as `plt.figure(layout="constrained")`, which `plt.show()` then
-                shows; a new one if None.
+        Paths in space are seen along the z axis.  Draw on `figure`, such as
+        `plt.figure(layout="constrained")`, which `plt.show()` then shows; a new one if None.
         """
         from mmc_gym._plotting import PlottedMovement, paths_and_profiles
 

@@ -278,9 +278,6 @@ EXPERIMENTS: dict[str, dict[str, Any]] = read_yaml(
 def find_experiment(experiment: str | Path | Experiment) -> Experiment:
     """Return the experiment of a name, such as "rotation-45", or of a YAML file.
 
-    Raises:
-        UserError: for an unknown name, or a file that holds no experiment.
-
     >>> find_experiment("rotation-45")
     <Experiment rotation-45: baseline 60, learning 160, washout 80>
     """

@@ -48,12 +48,8 @@ def rank_agents(
 ) -> pd.DataFrame:
     """Rank agents, without the ideal hand, which cannot play all environments.
 
-    Args:
-        episodes: as `read_episodes` returns them.
-        not_played: cells that were attempted but have no episodes.
-        baseline: the agent that all are compared with; if it did not play, improvement is NaN.
-        resamples: number of bootstrap resamples.
-        seed: seed of the bootstrap.
+    The `episodes` are those of `read_episodes`, and `not_played` are cells that were attempted but
+    have none.  If the `baseline`, with which all are compared, did not play, improvement is NaN.
 
     Returns:
         A row for each agent, the best first: rank, agent, success, settled and improvement (each
@@ -101,9 +97,8 @@ def rank_agents(
 def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ()) -> pd.DataFrame:
     """Return the scores of all policies, without the ideal hand.
 
-    Returns:
-        A row for each episode of each policy, played or not: agent, training_seed, environment,
-        instance, success, time_to_target, settled.
+    A row for each episode of each policy, played or not: agent, training_seed, environment,
+    instance, success, time_to_target, settled.
     """
     played = episodes[episodes["agent"] != REFERENCE]
     scores = played[[*_POLICY, "environment", "instance", "success", "time_to_target"]].copy()
@@ -125,11 +120,7 @@ def attempted_scores(episodes: pd.DataFrame, not_played: Iterable[CellKey] = ())
 
 
 def ranked_scores(scores: pd.DataFrame) -> pd.DataFrame:
-    """Return the `attempted_scores` that a ranking uses: where all agents have attempted.
-
-    Raises:
-        UserError: if there is no such environment.
-    """
+    """Return the `attempted_scores` that a ranking uses: where all agents have attempted."""
     policies = len(scores[_POLICY].drop_duplicates())
     attempts = scores[[*_POLICY, "environment"]].drop_duplicates()["environment"].value_counts()
     common = attempts.index[attempts == policies]
@@ -158,9 +149,6 @@ def print_ranking(console: Console, folder: Path) -> pd.DataFrame:
     """Rank the agents of a store, print the table, write it to `RANKING`, and return it.
 
     If the store holds only the ideal hand, print that and return no rows.
-
-    Raises:
-        UserError: if the folder holds no store, or no agent could play.
     """
     manifest = read_manifest(folder)
     if set(manifest.agents) == {REFERENCE}:

@@ -243,7 +243,7 @@ def benchmark(
         on_progress: called at the start, and whenever a cell is finished.
 
     Raises:
-        UserError: if an argument is not accepted, or the store was made with other settings.
+        UserError: also if the store was made with other settings.
     """
     given = dict(env_kwargs or {})
     asked = given.pop("control", None)

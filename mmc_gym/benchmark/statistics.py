@@ -62,9 +62,8 @@ def weighted_iqm(values: Floats, weights: Floats) -> Floats:
     Values at the quartiles count in part.  It is nearly as robust as the median and nearly as
     precise as the mean.  From sorted values (k,) and their weights in R resamples, (R, k): (R,).
 
-    Example:
-        >>> weighted_iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]), np.ones((1, 8)))
-        array([3.5])
+    >>> weighted_iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]), np.ones((1, 8)))
+    array([3.5])
     """
     if values.size == 0:
         return np.full(len(weights), np.nan)
@@ -202,11 +201,10 @@ class Bootstrap:
     ) -> Bootstrap:
         """Resample a column of a tidy frame; arguments and errors are those of `arrange`.
 
-        Example:
-            >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
-            >>> frame = pd.DataFrame({**of, "instance": range(4), "value": [0.0, 1.0, 2.0, 3.0]})
-            >>> Bootstrap.of(frame).estimate("network").estimate
-            1.5
+        >>> of = {"agent": "network", "training_seed": None, "environment": "random"}
+        >>> frame = pd.DataFrame({**of, "instance": range(4), "value": [0.0, 1.0, 2.0, 3.0]})
+        >>> Bootstrap.of(frame).estimate("network").estimate
+        1.5
         """
         return cls(arrange(frame, [value])[value], resamples, seed)
 
@@ -291,10 +289,8 @@ class Bootstrap:
 def _weighted_sums(instances: Floats, policies: Floats, tables: NDArray[Any]) -> Floats:
     """Return Σ_s w_s Σ_i u_i x_si in each resample and environment, (R, environments).
 
-    Args:
-        instances: u, (R, instances).
-        policies: w, (R, policies).
-        tables: x, (environments, policies, instances), or of a single one without the first axis.
+    Weights u are (R, instances) and w (R, policies).  Tables x are (environments, policies,
+    instances), or of a single environment without the first axis.
     """
     columns = tables.reshape(-1, tables.shape[-1]).T.astype(np.float64)
     by_policy = (instances @ columns).reshape(len(instances), -1, policies.shape[1])
@@ -306,10 +302,8 @@ def _median_of_counts(table: Floats, counts: NDArray[np.signedinteger]) -> Float
     """Return the median in each resample, (R,): the mean of two values where these share it.
 
     Where half of the weight is reached is looked for among blocks of sorted values, then in one.
-
-    Args:
-        table: values of one environment, (policies, instances), NaN for none.
-        counts: of `_episode_counts`.
+    The `table` has the values of one environment, (policies, instances), NaN for none; `counts` are
+    those of `_episode_counts`.
     """
     values = table.ravel()
     order = np.argsort(values)[: np.count_nonzero(~np.isnan(values))]  # NaN last
@@ -352,23 +346,16 @@ def bootstrap_interval(
 
     Percentile, not BCa: the jackknife in BCa fails for the median.  It does not cover rare events
     that did not occur: after n successes in n episodes a failure rate of 3/n is still plausible.
+    There is a value per episode, (episodes,), or there are several trainings on the same episodes,
+    (trainings, episodes), and then both are resampled.  NaNs are left out and counted.
 
-    Args:
-        values: one per episode, (episodes,); or several trainings on the same episodes,
-            (trainings, episodes), and then both are resampled.  NaNs are left out and counted.
-        statistic: "mean" or "median".
-        seed: seed of the resampling.
-        resamples: number of resamples.
+    Source: Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 13.
 
-    Source:
-        Efron and Tibshirani (1993), An Introduction to the Bootstrap, chapter 13.
-
-    Example:
-        >>> bootstrap_interval([2.0, 2.0, float("nan")], "mean")
-        Interval(estimate=2.0, low=2.0, high=2.0, count=2, missing=1)
-        >>> found = bootstrap_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
-        >>> found.estimate, found.low, found.high, found.count
-        (0.5, 0.0, 1.0, 6)
+    >>> bootstrap_interval([2.0, 2.0, float("nan")], "mean")
+    Interval(estimate=2.0, low=2.0, high=2.0, count=2, missing=1)
+    >>> found = bootstrap_interval([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]], "mean")
+    >>> found.estimate, found.low, found.high, found.count
+    (0.5, 0.0, 1.0, 6)
     """
     table = np.asarray(values, dtype=np.float64)
     is_sample = table.ndim == 1
@@ -408,16 +395,12 @@ def success_interval(successes: ArrayLike, episodes: int) -> Interval:
     A resample draws training seeds, and for each of them a binomial number of successes in so many
     `episodes`.  Drawing seeds alone would give ten trainings with 499 successes in 500 episodes an
     interval without width.  A single training has none: nothing is known of other trainings.
+    The `successes` are fractions of the episodes of each training, (seeds,); NaNs are left out and
+    counted.
 
-    Args:
-        successes: fraction of the episodes of each training that succeeded, (seeds,); NaNs are
-            left out and counted.
-        episodes: number of episodes of each training.
-
-    Example:
-        >>> found = success_interval([0.998, 0.998, 0.998], episodes=500)
-        >>> found.estimate, found.low < 0.997, found.high
-        (0.998, True, 1.0)
+    >>> found = success_interval([0.998, 0.998, 0.998], episodes=500)
+    >>> found.estimate, found.low < 0.997, found.high
+    (0.998, True, 1.0)
     """
     present, missing = _present(successes)
     if (count := present.size) < 2:
@@ -443,12 +426,9 @@ def _no_interval(present: Floats, missing: int) -> Interval:
 def summarize(episodes: pd.DataFrame, measures: Sequence[Measure], seed: int = 0) -> pd.DataFrame:
     """Return a row per agent and measure: agent, measure, unit, statistic, and an `Interval`.
 
-    Args:
-        episodes: one row per agent and episode, with a column "agent" and one per measure.  Agents
-            with several trainings need a column "training_seed", and the same order of episodes in
-            each training.
-        measures: columns to summarize.
-        seed: seed of the resampling.
+    The `episodes` have one row per agent and episode, with a column "agent" and one per measure.
+    Agents with several trainings need a column "training_seed", and the same order of episodes in
+    each training.
     """
     rows = []
     for agent, group in episodes.groupby("agent", sort=False):

@@ -58,9 +58,8 @@ class CellKey(NamedTuple):
     def stem(self) -> str:
         """Name of its files without suffix: different for different cells, on any file system.
 
-        Example:
-            >>> CellKey("ppo", 3, "random").stem, CellKey("mmc", None, "random").stem
-            ('ppo--3--random', 'mmc--random')
+        >>> CellKey("ppo", 3, "random").stem, CellKey("mmc", None, "random").stem
+        ('ppo--3--random', 'mmc--random')
         """
         seed = () if self.training_seed is None else (str(self.training_seed),)
         return "--".join([_slug(self.agent), *seed, _slug(self.environment)])
@@ -121,9 +120,8 @@ def paths_file(key: CellKey, episodes: Mapping[int, Episode]) -> bytes:
     Columns agent, training_seed, environment, instance, step (0 is the start), joint_angle_1 to
     joint_angle_N (radians, not wrapped; missing for a hand without an arm), hand_x, hand_y,
     target_x, target_y (segment lengths), in space hand_z and target_z; all but the first five
-    float32.  Under a visuomotor
-    rotation also cursor_x, cursor_y: distance and success are the cursor's.  Elsewhere it is the
-    hand itself and not written twice; `read_paths` repeats it.
+    float32.  Under a visuomotor rotation also cursor_x, cursor_y: distance and success are the
+    cursor's.  Elsewhere it is the hand itself and not written twice; `read_paths` repeats it.
     """
     played = list(episodes.values())
     hands = np.concatenate([episode.hands for episode in played])
@@ -279,9 +277,7 @@ def kept_cells(folder: Path) -> dict[str, Kept]:
 def read_episodes(folder: Path | str, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """Return all episodes of the store in a folder; `episodes_file` names the columns.
 
-    Args:
-        folder: of the store.
-        columns: to read besides agent, training_seed, environment and instance; all if None.
+    The `columns` are read besides agent, training_seed, environment and instance; all if None.
 
     Raises:
         UserError: if there are none, or a file is damaged, missing, or of other settings than the
@@ -322,12 +318,7 @@ def _require_file(path: Path) -> None:
 def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd.DataFrame:
     """Return paths of a store, empty if none were kept; `paths_file` names the columns.
 
-    Args:
-        folder: of the store.
-        cells: to read, where paths were kept; all if None.
-
-    Raises:
-        UserError: if a file is damaged.
+    Read those of `cells`, where they were kept; all if None.
     """
     files = _files(Path(folder), PATHS)
     if cells is not None:
@@ -341,11 +332,7 @@ def read_paths(folder: Path | str, cells: Iterable[CellKey] | None = None) -> pd
 
 
 def read_sets(folder: Path | str) -> pd.DataFrame:
-    """Return all set measures of a store, empty if there are none; `sets_file` names the columns.
-
-    Raises:
-        UserError: if a file is damaged.
-    """
+    """Return all set measures of a store, empty without any; `sets_file` names the columns."""
     frame = _joined(_read(file)[0] for file in _files(Path(folder), SETS))
     return frame if len(frame) else pd.DataFrame(columns=SET_COLUMNS)
 
@@ -425,11 +412,7 @@ def reasons(not_played: Iterable[NotPlayed]) -> list[str]:
 
 
 def read_manifest(folder: Path | str) -> Manifest:
-    """Return the manifest of a store.
-
-    Raises:
-        UserError: if there is no manifest, or it is damaged, or of another version.
-    """
+    """Return the manifest of a store; none, and one that is damaged, raise a `UserError`."""
     path = Path(folder) / MANIFEST
     try:
         manifest = Manifest.model_validate_json(content := path.read_bytes())

@@ -70,9 +70,6 @@ def find_scenarios(
             own environments, see `mmc_gym.envs.scenarios.make_environment`.
         env_kwargs: arguments of all of them.
         interface: of your own environments, see `InterfacedEnv`.
-
-    Raises:
-        UserError: for an unknown name, or an environment that cannot be made.
     """
     if isinstance(environments, Mapping):
         found = [own_scenario(env, name, interface) for name, env in environments.items()]
@@ -94,9 +91,6 @@ def played_scenario(env: EnvLike, env_kwargs: Mapping[str, Any], interface: Any 
     """Return the scenario of a name, or that of an environment, with more arguments.
 
     `interface` is that of your own environment, see `InterfacedEnv`.
-
-    Raises:
-        UserError: for an unknown name.
     """
     _forget_vectors()
     found = Scenario(name_of(env), "", env=env)
@@ -112,17 +106,11 @@ def make_player(
     """Make an environment in an agent's control mode, and the agent for it.
 
     Warn, by a `MismatchWarning`, of a model of stable-baselines3 whose control mode is not known:
-    it acts by the environment's default.
-
-    Args:
-        agent: the agent.
-        env: a scenario, or an environment as `make_environment` takes it.
-        env_kwargs: arguments of the environment.  A `control` among them is for agents that act by
-            several control modes, or whose control mode is not known.
+    it acts by the environment's default.  A `control` among `env_kwargs` is for agents that act by
+    several control modes, or whose control mode is not known.
 
     Raises:
-        UserError: if either cannot be made; as `CannotActError`, if the agent cannot act in the
-            environment.
+        CannotActError: if the agent cannot act in the environment.
     """
     given = dict(env_kwargs or {})
     wanted = given.pop("control", None)
@@ -163,18 +151,10 @@ def play_episodes(
     """Let an agent play a scenario: all episodes together, or else one by one.
 
     An `Agent` plays them together, where there is a vector environment: its actions do not depend
-    on its neighbours.  Anything else with `predict` may take no batches.
-
-    Args:
-        agent: the agent.
-        scenario: what it plays.
-        env: the single environment, see `make_player`.
-        player: the agent made for it.
-        seeds: one per episode.
-        options: of the environment's reset, one per episode; none if empty.
-        timed: how many of the first episodes are played one by one, too, to time single actions;
-            the action times of others are NaN if they are played together.
-        on_episode: called with each episode at its end, to show progress.
+    on its neighbours.  Anything else with `predict` may take no batches.  `env` is the single
+    environment and `player` the agent in it, see `make_player`; `options` are those of its reset,
+    one per episode.  The first `timed` episodes are played one by one, too, to time single actions;
+    the action times of others are NaN if they are played together.
     """
     options = options or [{}] * len(seeds)
     chunks = [slice(first, first + TOGETHER) for first in range(0, len(seeds), TOGETHER)]
@@ -244,11 +224,8 @@ def has_reference(env: gym.Env[Any, Any]) -> bool:
 def minimum_jerk_episodes(episodes: Sequence[Episode]) -> tuple[Episode, ...]:
     """Return the ideal movements from the starts to the targets of recorded episodes.
 
-    Args:
-        episodes: of any agent; only the start, the targets and the number of steps matter.
-
-    Returns:
-        As many episodes, of the same lengths: N = 0 joints, rewards and action times NaN.
+    Episodes may be of any agent, and those returned have the same lengths, N = 0 joints, and NaN as
+    rewards and action times.
     """
     if not episodes:
         return ()

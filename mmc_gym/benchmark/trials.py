@@ -140,11 +140,7 @@ class TrialsCell:
         return found
 
     def player(self) -> tuple[Any, Mapping[str, Any]]:
-        """Return the agent, and the arguments of its environments.
-
-        Raises:
-            UserError: if it cannot act in them.
-        """
+        """Return the agent, and the arguments of its environments; refuse one that cannot act."""
         limit = self.experiment.torque_limit
         given = {} if limit is None else {"torque_limit": limit}
         given |= self.env_kwargs
@@ -271,9 +267,6 @@ def run_experiment(
         allow_pickle: as in `compare`.
         on_progress: called with the number of cells that are done, and of all.
 
-    Raises:
-        UserError: if an argument is not accepted, or an agent cannot act.
-
     >>> run_experiment("rotation-30", ["ik-dls"], subjects=1, jobs=1)
     <rotation-30: ik-dls, 1 subjects each>
     """
@@ -349,9 +342,7 @@ def read_experiments(folder: Path | str) -> list[ExperimentResult]:
     """Return the results of all experiments that a store holds, in the order of their names.
 
     Where an agent went through an experiment with fewer subjects first, those with more count.
-
-    Raises:
-        UserError: if a file is damaged, or those of one experiment differ in their settings.
+    A file that is damaged, or of other settings than the others, raises a `UserError`.
     """
     alike: dict[str, dict[Any, _Cell]] = {}
     settings: dict[str, Any] = {}

@@ -60,9 +60,8 @@ def make(name: str, **arguments: Any) -> gym.Env[Any, Any]:
         arguments: those of `gym.make` and of the environment, such as `render_mode`, `control` or
             `segment_lengths`.  `perturbations` may follow a name without any.
 
-    Example:
-        >>> make("pursuit+delay-160", control="joint_velocity").spec.id
-        'MMCReachPursuit-v0'
+    >>> make("pursuit+delay-160", control="joint_velocity").spec.id
+    'MMCReachPursuit-v0'
     """
     return make_environment(name, **arguments)
 
@@ -289,11 +288,10 @@ def scenario(name: str, interface: Any = None) -> Scenario:
     takes it: a registered id, "module:Id", or "module:function"; one that is not of this package
     needs an `interface` (`InterfacedEnv`).
 
-    Example:
-        >>> scenario("longer-35-told").description
-        'last segment 35 % longer, given to agents'
-        >>> scenario("centre-out+locked").name
-        'centre-out+locked-2'
+    >>> scenario("longer-35-told").description
+    'last segment 35 % longer, given to agents'
+    >>> scenario("centre-out+locked").name
+    'centre-out+locked-2'
     """
     if not isinstance(name, str):
         raise _unknown(name)

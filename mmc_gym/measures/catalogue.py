@@ -310,9 +310,7 @@ def leave_out_failures(
 ) -> pd.DataFrame:
     """Set the columns of `successes_only` measures to NaN where success is not 1.
 
-    Args:
-        episodes: a row each, with a column for each measure, "success" among them.
-        measures: the measures of these columns; `MEASURES` by default.
+    The `episodes` have a row each, and a column for each of the measures, by default `MEASURES`.
     """
     known = MEASURES.values() if measures is None else measures
     names = [one.name for one in known if one.successes_only and one.name in episodes]

@@ -85,11 +85,8 @@ class Episode:
 def hand_speed(hands: ArrayLike, control_step: float) -> Floats:
     """Return the speed of the hand in each control step, |p_{k+1} − p_k| / T, (steps,).
 
-    It is that in the middle of the step, in segment lengths/s, up to terms in T².
-
-    Args:
-        hands: positions p, segment lengths, (steps + 1, 2).
-        control_step: T, seconds.
+    It is that in the middle of the step, in segment lengths/s, up to terms in T².  Positions p are
+    (steps + 1, 2), and the `control_step` T is in seconds.
     """
     steps = np.diff(np.asarray(hands, dtype=np.float64), axis=0)
     speeds: Floats = np.linalg.norm(steps, axis=-1) / control_step

@@ -29,13 +29,9 @@ def initial_direction(paths: ArrayLike, targets: ArrayLike) -> Floats:
     """Return the direction of the hand at its peak speed less that of the target, degrees.
 
     Both are seen from the start of the movement; in (−180, 180], NaN for a hand that never moves.
+    Paths of hand or cursor are (..., time, 2), in any unit of length, and targets (..., 2).
 
-    Args:
-        paths: positions of the hand or cursor, (..., time, 2), in any unit of length.
-        targets: positions of the target, (..., 2).
-
-    Source:
-        Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20, 8916–8924.
+    Source: Krakauer, Pine, Ghilardi & Ghez (2000), J. Neurosci. 20, 8916–8924.
     """
     hand, aim = _at_peak_speed(paths, targets)
     return np.degrees(np.arctan2(_cross(aim, hand), (aim * hand).sum(axis=-1)))
@@ -71,8 +67,7 @@ def correction_gain(response: ArrayLike, jump: float) -> Floats:
         response: mean path with the jump less that without, along the full correction, (..., time).
         jump: size of the jump of target or cursor, in the same unit.
 
-    Source:
-        Veyrat-Masson, Brière & Proteau (2010), J. Vision 10(14), 27.
+    Source: Veyrat-Masson, Brière & Proteau (2010), J. Vision 10(14), 27.
     """
     return np.asarray(np.asarray(response)[..., -1] / jump)
 
@@ -92,8 +87,7 @@ def correction_latency(
         jump_time: seconds after the first position.
         control_step: between two positions, seconds.
 
-    Source:
-        Why to extrapolate: Oostwoud Wijdenes, Brenner & Smeets (2014), Behav. Res. Methods 46.
+    Why to extrapolate: Oostwoud Wijdenes, Brenner & Smeets (2014), Behav. Res. Methods 46.
     """
     path = np.asarray(response, dtype=np.float64)
     if np.abs(path).max() < 0.01 * jump:
@@ -110,12 +104,9 @@ def correction_latency(
 def fit_exponential(curves: Floats) -> Floats:
     """Fit y_n = asymptote + (start − asymptote) e^{−rate n} to each curve, n = 0, 1, ….
 
-    Args:
-        curves: y, (..., trials); NaNs are left out.
-
-    Returns:
-        Asymptote and rate, (..., 2).  NaN for fewer than four trials, and if the fit explains less
-        than a fifth of the variance: what has no course has no rate.
+    The curves y are (..., trials), and NaNs in them are left out.  Return asymptote and rate,
+    (..., 2).  NaN for fewer than four trials, and if the fit explains less than a fifth of the
+    variance: what has no course has no rate.
     """
     trials = np.flatnonzero(~np.isnan(curves))
     known = curves[trials]
@@ -166,8 +157,7 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
         `TWO_STATES`, (..., 4).  A process that does not help has B = 0 and A NaN; all are NaN where
         nothing was learned.
 
-    Source:
-        Smith, Ghazizadeh & Shadmehr (2006), PLoS Biol. 4, e179.
+    Source: Smith, Ghazizadeh & Shadmehr (2006), PLoS Biol. 4, e179.
     """
     present, seen = ~np.isnan(adaptation), np.nan_to_num(errors)
     known = adaptation[present]
@@ -205,12 +195,10 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
 def generalization_width(adaptation: Floats, offsets: Floats) -> float:
     """Return σ of y = a exp(−(x − c)²/2σ²) by least squares, degrees; NaN for under four x.
 
-    Args:
-        adaptation: y of probes in other directions, (..., probes).
-        offsets: x, the target's direction less the trained one, degrees, (probes,).
+    y is the `adaptation` of probes in other directions, (..., probes), and x, the `offsets`, the
+    target's direction less the trained one, degrees, (probes,).
 
-    Source:
-        Day, Roemmich, Taylor & Bastian (2016), eNeuro 3(2).
+    Source: Day, Roemmich, Taylor & Bastian (2016), eNeuro 3(2).
     """
     if len(np.unique(offsets)) < 4 or not np.any(adaptation):
         return math.nan

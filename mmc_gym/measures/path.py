@@ -16,13 +16,10 @@ def linearity_index(points: ArrayLike) -> float:
 
     max_k |r_k − (r_k·u) u| / |x_n − x_0|, with r_k = x_k − x_0 and u the unit vector from the first
     to the last point.  0 is straight, ½ a half circle; NaN if the path ends where it began.
+    The points are positions of the hand, or joint angles, (points, dimensions).
 
-    Args:
-        points: positions of the hand, or joint angles, (points, dimensions).
-
-    Source:
-        Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
-        https://doi.org/10.1523/JNEUROSCI.05-09-02318.1985.
+    Source: Atkeson and Hollerbach (1985), J. Neurosci. 5(9), 2318–2330,
+    https://doi.org/10.1523/JNEUROSCI.05-09-02318.1985.
     """
     path = np.asarray(points, dtype=np.float64)
     away = path - path[0]
@@ -72,9 +69,8 @@ def hand_over_joint_straightness(episode: Episode) -> float:
     each space while the hand moves.  0 if both are equally bent; NaN if the hand or the joints
     end where they began, and without joints.
 
-    Source:
-        On planning movements in hand or in joint space: Morasso (1981), Exp. Brain Res. 42,
-        223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
+    On planning movements in hand or in joint space: Morasso (1981), Exp. Brain Res. 42,
+    223–227; Hollerbach and Atkeson (1987), Biol. Cybern. 56, 279–292.
     """
     points = episode.movement_points
     of_hand = linearity_index(episode.hands[points])

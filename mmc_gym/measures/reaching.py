@@ -24,11 +24,8 @@ def stays_within(distances: ArrayLike, tolerance: float, steps: int = 0) -> bool
 
     d_k ≤ ε for k = n − steps … n, where n is the last step.  With one step or more, a hand that
     only passes the target when time is up does not count.
-
-    Args:
-        distances: from hand to target, segment lengths, (steps + 1,).
-        tolerance: ε, segment lengths; a distance of exactly ε is within, as in the environment.
-        steps: number of control steps; a shorter episode counts as a whole.
+    Distances from hand to target are (steps + 1,).  A distance of exactly ε, the tolerance, is
+    within, as in the environment.  A shorter episode counts as a whole.
     """
     return bool((np.asarray(distances)[-steps - 1 :] <= tolerance).all())
 
@@ -40,9 +37,8 @@ def arrival_time(distances: ArrayLike, tolerance: float, control_step: float) ->
     from the start, NaN if the episode ends outside.  The first entry would make a hand the quickest
     that rushes through the target.  For the other arguments see `stays_within`.
 
-    Example:
-        >>> arrival_time([1.0, 0.0, 0.5, 0.04, 0.01], 0.05, 0.02)  # enters, leaves, settles
-        0.06
+    >>> arrival_time([1.0, 0.0, 0.5, 0.04, 0.01], 0.05, 0.02)  # enters, leaves, settles
+    0.06
     """
     outside = np.flatnonzero(~(np.asarray(distances) <= tolerance))  # so is all, if ε is NaN
     first_to_stay = int(outside[-1]) + 1 if outside.size else 0

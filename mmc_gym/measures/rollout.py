@@ -42,9 +42,6 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
 
     A larger number of episodes begins with the same seeds.  (With seed, seed + 1, … as the seeds of
     episodes, neighbouring seeds would share nearly all episodes.)
-
-    Raises:
-        UserError: if `episodes` is not a whole number of at least 1, or `seed` of at least 0.
     """
     require_whole("episodes", episodes, most=MOST_EPISODES)
     require_whole("seed", seed, least=0, most=math.inf)
@@ -99,12 +96,11 @@ def run_episodes(
             options or arms differs from the number of seeds.
         RuntimeError: if an episode does not end.
 
-    Example:
-        >>> from mmc_gym import make_agent
-        >>> env = gym.make_vec("MMCReach-v0", num_envs=2)
-        >>> first, second = run_episodes(make_agent("mmc", env), env, [5, 6])
-        >>> first.seed, second.hands.shape
-        (5, (101, 2))
+    >>> from mmc_gym import make_agent
+    >>> env = gym.make_vec("MMCReach-v0", num_envs=2)
+    >>> first, second = run_episodes(make_agent("mmc", env), env, [5, 6])
+    >>> first.seed, second.hands.shape
+    (5, (101, 2))
     """
     fine = hasattr(agent, "predict") and not isinstance(agent, type)
     require(fine, "agent", agent, "an object with predict, such as make_agent('mmc', env)")
@@ -142,9 +138,7 @@ def run_trial(
     """Let `agent` play one episode with each arm, from a state that it kept.
 
     Arguments are those of `run_episodes`, which checks them; `state` is None at the start of all.
-
-    Returns:
-        The episodes, in the order of the seeds, and the state that `predict` returned last.
+    Return the episodes, in the order of the seeds, and the state that `predict` returned last.
     """
     arm: Any = getattr(env.unwrapped, "arms", None) or getattr(env.unwrapped, "arm", None)
     return _play(agent, env, seeds, options, arm, state)

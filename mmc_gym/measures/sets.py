@@ -54,13 +54,10 @@ def posture_spread(joint_angles: ArrayLike) -> float:
     mean square over the joints of the angular deviation, which equals the standard deviation for
     small spreads and √2 for uniform angles.  0 if the posture depends on the target alone (Donders'
     law), more if it also depends on the way there.
+    The joint angles q, with the hand at that place, are in radians, (movements, N).
 
-    Args:
-        joint_angles: with the hand at that place, radians, (movements, N).
-
-    Source:
-        Angular deviation: Batschelet (1981), Circular Statistics in Biology.  Donders' law for the
-        arm: Soechting, Buneo, Herrmann & Flanders (1995), J. Neurosci. 15, 6271–6280.
+    Angular deviation: Batschelet (1981), Circular Statistics in Biology.  Donders' law for
+    the arm: Soechting, Buneo, Herrmann & Flanders (1995), J. Neurosci. 15, 6271–6280.
     """
     angles = np.asarray(joint_angles, dtype=np.float64)
     if angles.size == 0:
@@ -95,8 +92,7 @@ def fitts_law(amplitudes: ArrayLike, widths: ArrayLike, times: ArrayLike) -> Lin
     Returns:
         a in s, b in s per bit, and R²; NaN for fewer than three different difficulties.
 
-    Source:
-        Fitts (1954), J. Exp. Psychol. 47, 381–391.
+    Source: Fitts (1954), J. Exp. Psychol. 47, 381–391.
     """
     bits = np.log2(2 * np.asarray(amplitudes, dtype=np.float64) / np.asarray(widths))
     return _fit_line(bits, np.asarray(times, dtype=np.float64), fewest=3)
@@ -137,15 +133,10 @@ def speed_curvature_law(hands: ArrayLike, control_step: float) -> Line:
     κ = |x′y″ − y′x″| / v³ by central differences.  Samples count where the hand is faster than 5 %
     of its highest speed and than 0.01, and where κ > 0.1.  A harmonic ellipse has β = 1/3.
 
-    Args:
-        hands: positions, segment lengths, (steps + 1, 2).
-        control_step: T, seconds.
+    Positions are (steps + 1, 2), in segment lengths.  Return log K, −β as the slope, and R²; NaN
+    for fewer than ten samples.
 
-    Returns:
-        log K, −β as the slope, and R²; NaN for fewer than ten samples.
-
-    Source:
-        Lacquaniti, Terzuolo & Viviani (1983), Acta Psychol. 54, 115–130.
+    Source: Lacquaniti, Terzuolo & Viviani (1983), Acta Psychol. 54, 115–130.
     """
     path = np.asarray(hands, dtype=np.float64)
     if len(path) < 3:

@@ -44,8 +44,7 @@ def peak_speed(episode: Episode) -> float:
 def peakedness(speeds: ArrayLike) -> float:
     """Return the highest speed over the mean: 1 if constant, 15/8 for minimum jerk, NaN at rest.
 
-    Source:
-        As a measure of a profile's shape: Nelson (1983), Biol. Cybern. 46, 135–147.
+    As a measure of a profile's shape: Nelson (1983), Biol. Cybern. 46, 135–147.
     """
     highest = highest_speed(speeds)
     return highest / float(np.mean(np.asarray(speeds))) if highest > 0.0 else math.nan
@@ -80,9 +79,8 @@ def count_peaks(speeds: ArrayLike) -> float:
     higher.  The hand rests before and after the profile, so one that is fastest in its first step
     has a peak there.  A single smooth submovement has 1, a hand at rest 0.
 
-    Source:
-        Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
-        8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
+    Velocity peaks as a measure of smoothness: Rohrer et al. (2002), J. Neurosci. 22(18),
+    8297–8304, https://doi.org/10.1523/JNEUROSCI.22-18-08297.2002.
     """
     from scipy.signal import find_peaks  # a second of imports, which tables do without
 
@@ -104,14 +102,11 @@ def correlation_with_minimum_jerk(
 
     The reference are the distances ξ(τ_k) − ξ(τ_{k−1}) that minimum jerk covers in each of n steps
     between two phases.  1 for minimum jerk of any size, at least −1; NaN at constant speed.
+    The `span` is the first and last phase of the reference; `MINIMUM_JERK_SPAN` for a
+    `moving_part`.
 
-    Args:
-        speeds: the profile, (steps,).
-        span: first and last phase of the reference; `MINIMUM_JERK_SPAN` for a `moving_part`.
-
-    Source:
-        Flash and Hogan (1985), J. Neurosci. 5(7), 1688–1703,
-        https://doi.org/10.1523/JNEUROSCI.05-07-01688.1985.
+    Source: Flash and Hogan (1985), J. Neurosci. 5(7), 1688–1703,
+    https://doi.org/10.1523/JNEUROSCI.05-07-01688.1985.
     """
     profile = np.asarray(speeds, dtype=np.float64)
     if profile.size < 3 or np.ptp(profile) == 0.0:
@@ -149,9 +144,8 @@ def sparc(episode: Episode) -> float:
     not.  It hardly distinguishes an exponential decay from a bell; `time_to_peak` and
     `peak_to_mean` do.
 
-    Source:
-        Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), J. NeuroEng. Rehabil. 12,
-        112, https://doi.org/10.1186/s12984-015-0090-9; parameters as published.
+    Source: Balasubramanian, Melendez-Calderon, Roby-Brami & Burdet (2015), J. NeuroEng. Rehabil.
+    12, 112, https://doi.org/10.1186/s12984-015-0090-9; parameters as published.
     """
     profile = episode.movement_speeds
     if highest_speed(profile) == 0.0:
@@ -184,8 +178,7 @@ def joint_work(episode: Episode) -> float:
     Braking counts as much as driving, as in muscles and in motors that recover no energy.  NaN
     where `joint_effort` is.
 
-    Source:
-        Absolute work as the cost of a reach: Alexander (1997), Biol. Cybern. 76, 97–105.
+    Absolute work as the cost of a reach: Alexander (1997), Biol. Cybern. 76, 97–105.
     """
     return _sum(episode.servo_work)
 

@@ -60,8 +60,7 @@ def write_report(
         lengths_in: of measures of experiments, see `learning_table`.
 
     Raises:
-        UserError: if there is no store, it is damaged or has no episodes, an agent in `focus` did
-            not take part, or `out` is a folder.
+        UserError: also if the store is damaged or has no episodes.
     """
     for name, path in (("store", store), ("out", out)):
         require(isinstance(path, str | Path), name, path, "a path")

@@ -132,9 +132,8 @@ def _lengths(
 def _compact(values: ArrayLike, parts: int = _COARSE) -> list[int]:
     """Return values in parts of one, such as thousandths: the first, then the differences.
 
-    Example:
-        >>> _compact([1.0, 1.002, 0.9995])
-        [1000, 2, -2]
+    >>> _compact([1.0, 1.002, 0.9995])
+    [1000, 2, -2]
     """
     whole = np.rint(parts * np.asarray(values, dtype=np.float64)).astype(int)
     compact: list[int] = np.diff(whole, prepend=0).tolist()

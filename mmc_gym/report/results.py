@@ -264,9 +264,8 @@ def _alike(texts: Mapping[str, str]) -> str:
 def count(number_of: int, noun: str) -> str:
     """Return a number and its noun.
 
-    Example:
-        >>> count(1, "seed"), count(1200, "seed")
-        ('1 seed', '1,200 seeds')
+    >>> count(1, "seed"), count(1200, "seed")
+    ('1 seed', '1,200 seeds')
     """
     return f"{number_of:,} {noun}{'' if number_of == 1 else 's'}"
 
@@ -274,9 +273,8 @@ def count(number_of: int, noun: str) -> str:
 def listed(items: Sequence[str]) -> str:
     """Return items with commas, the last with "and".
 
-    Example:
-        >>> listed(["a", "b", "c"])
-        'a, b and c'
+    >>> listed(["a", "b", "c"])
+    'a, b and c'
     """
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
@@ -289,15 +287,7 @@ def _span(counts: pd.Series[int]) -> str:
 def read_results(store: Path, resamples: int = RESAMPLES, focus: Sequence[str] = ()) -> Results:
     """Read the store in a folder, and rank its agents with so many `resamples`.
 
-    Args:
-        store: the folder.
-        resamples: of the ranking; those of single scenarios are at most `SCORE_RESAMPLES`.
-        focus: names of the agents that the report is about; by default the user's own, or else
-            the first that was named.
-
-    Raises:
-        UserError: if there is no store, it is damaged, or it has no episodes; the message then
-            says why its cells were not played.  If no agent in the store has a name in `focus`.
+    Those of single scenarios are at most `SCORE_RESAMPLES`.  For `focus` see `write_report`.
     """
     manifest = read_manifest(store)
     require_all_cells(store, manifest)

@@ -43,13 +43,12 @@ class Arm(SingleArm):
     impulses that its joints remember, so a copy replays all calls since the last reset.  Copying
     fails after 20,000 calls, which is 10,000 steps with a command each.
 
-    Example:
-        >>> arm = Arm(servo="torque")
-        >>> arm.records_effort = True
-        >>> arm.command([6.0, 0.0, -3.0])
-        >>> arm.step()
-        >>> [round(impulse, 9) for impulse in arm.servo_impulses]  # torque · 0.02 s
-        [0.12, 0.0, 0.06]
+    >>> arm = Arm(servo="torque")
+    >>> arm.records_effort = True
+    >>> arm.command([6.0, 0.0, -3.0])
+    >>> arm.step()
+    >>> [round(impulse, 9) for impulse in arm.servo_impulses]  # torque · 0.02 s
+    [0.12, 0.0, 0.06]
     """
 
     _history: deque[tuple[Any, ...]]  # the last reset and the calls since; the oldest drop out
