@@ -125,9 +125,6 @@ class Agent(ABC, Generic[State]):
 
         Returns:
             The action, float32 within −1 and 1, and the state for the next call.
-
-        Raises:
-            UserError: if observation, state and `episode_start` do not fit together.
         """
 
     @property
@@ -140,10 +137,7 @@ class Agent(ABC, Generic[State]):
 
         The next trial begins with a call of `predict` that is handed the state kept, and no
         `episode_start`: such a state says itself that another movement begins, in another posture.
-
-        Args:
-            state: what the last call of `predict` in the trial returned.
-            rest: time until the next trial beyond the usual, s.
+        `state` is what `predict` returned last, `rest` the time beyond the usual till then, s.
         """
         del state, rest
         return None

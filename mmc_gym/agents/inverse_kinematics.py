@@ -74,8 +74,7 @@ class InverseKinematicsAgent(JointTargetAgent[Floats]):
     ) -> None:
         """Make the agent, whose solver is one iteration, such as `damped_least_squares`.
 
-        Raises:
-            CannotActError: under torque control, or if the solver is not for so many segments.
+        It cannot act under torque control, or if the solver is not for so many segments.
         """
         require_whole("iterations_per_step", iterations_per_step)
         super().__init__(interface)
@@ -195,9 +194,6 @@ def closed_form(
     With two equal segments and the target at the base the first joint is free; its angle is then
     arbitrary.  Solutions beyond joint limits do not count, and distances are measured along the way
     that the limits allow.  If all are beyond, the one least beyond is moved to the limits.
-
-    Raises:
-        CannotActError: for another number of segments.
     """
     found = solutions(target, segment_lengths, joint_angles)
     changes = found - joint_angles[..., None, :]

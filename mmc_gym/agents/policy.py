@@ -136,15 +136,7 @@ def _digest(entries: Mapping[str, Any]) -> str:
 
 
 def load_policy(path: str | Path) -> tuple[PolicyNetwork, PolicyCard]:
-    """Read a policy.
-
-    Args:
-        path: of either of its two files.
-
-    Raises:
-        FileNotFoundError: if one of them is missing.
-        UserError: if one is damaged or was changed, or they do not belong together.
-    """
+    """Read a policy from the path of either of its files, which must be as they were written."""
     path = Path(path)
     text = path.with_suffix(".json").read_bytes()
     weights = path.with_suffix(".safetensors").read_bytes()
@@ -182,7 +174,6 @@ class PolicyAgent(Agent[Any]):
         Raises:
             CannotActError: if the arm has another number of joints than the policy's, or the
                 policy's actions have no meaning in the environment.
-            UserError: if network and card do not belong together.
         """
         layout, count = interface.layout, len(interface.segment_lengths)
         if card.segment_count != count:

@@ -101,15 +101,9 @@ class PolicyNetwork:
     def __init__(self, tensors: Tensors, activation: Activation, distribution: Distribution):
         """Make a network of its weights.
 
-        Args:
-            tensors: float32: "hidden.K.weight" (out, in) and "hidden.K.bias" (out,) for each layer
-                K from 0, "mean.weight" and "mean.bias", and either "log_std" (actions,) or
-                "log_std.weight" and "log_std.bias".
-            activation: f.
-            distribution: of the actions.
-
-        Raises:
-            ValueError: if the names or shapes of the tensors are not those of such a network.
+        Tensors are float32: "hidden.K.weight" (out, in) and "hidden.K.bias" (out,) for each layer K
+        from 0, "mean.weight" and "mean.bias", and either "log_std" (actions,) or "log_std.weight"
+        and "log_std.bias".  Other names or shapes raise a ValueError.
         """
         depth = sum(name.startswith("hidden.") for name in tensors) // 2
         hidden = [f"hidden.{index}" for index in range(depth)]

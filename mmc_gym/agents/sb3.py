@@ -74,10 +74,6 @@ class ModelAgent(Agent[Any]):
     """The policy of a model, with the statistics that its observations are normalized by.
 
     If the model is trained further, the agent acts with its present weights and statistics.
-
-    Attributes:
-        label: of the model, for messages.
-        trained_in: the environment that it was trained in.
     """
 
     training_seed = None
@@ -211,12 +207,7 @@ class SavedModel:
 
     @cached_property
     def facts(self) -> Mapping[str, Any]:
-        """All entries of the file; pickled ones are not unpickled.
-
-        Raises:
-            FileNotFoundError: if there is no such file.
-            UserError: if it is no file of stable-baselines3.
-        """
+        """All entries of the file; pickled ones are not unpickled."""
         try:
             with zipfile.ZipFile(self.path) as archive:
                 facts = json.loads(archive.read("data"))
@@ -287,11 +278,7 @@ class SavedModel:
 
     @cached_property
     def statistics(self) -> Path | None:
-        """The file with the statistics of its `VecNormalize`; None if it has none.
-
-        Raises:
-            UserError: if there are several.
-        """
+        """The file with the statistics of its `VecNormalize`; None if it has none."""
         # Set by a training behind VecNormalize, and by every off-policy training.
         if self.facts.get("_last_original_obs") is None:
             return None
@@ -314,13 +301,7 @@ class SavedModel:
         return hashlib.sha256(self.path.read_bytes() + statistics).hexdigest()
 
     def load(self) -> ModelAgent:
-        """Load the model, which runs the code that its pickles name.
-
-        Raises:
-            FileNotFoundError: if there is no such file.
-            UserError: if pickles are not allowed, it cannot be loaded, or the statistics of its
-                `VecNormalize` are missing.
-        """
+        """Load the model, if pickles are allowed: that runs the code that they name."""
         _ = self.facts  # read first: it names a missing or wrong file
         if self.statistics is None and self._was_normalized:
             raise self._without_statistics()

@@ -174,23 +174,18 @@ class Estimate(NamedTuple):
 
 
 class Bootstrap:
-    """Scores of agents and R resamples of them, the same for all estimates.
-
-    Attributes:
-        scores: the scores.
-        policies: by agent, how often each policy is drawn, (R + 1, policies).  Row 0 counts each
-            once, and so gives the data themselves.
-        instances: by environment, how often each instance is drawn, (R + 1, instances).
-            Environments with the same number of instances share their draw, which depends on
-            nothing but the seed and that number.
-    """
+    """Scores of agents and R resamples of them, the same for all estimates."""
 
     def __init__(self, scores: Scores, resamples: int = RESAMPLES, seed: int = 0) -> None:
         self.scores, self._seed = scores, seed
+        #: by agent, how often each policy is drawn, (R + 1, policies).  Row 0 counts each once, and
+        #: so gives the data themselves.
         self.policies = {
             agent: _counts((seed, _POLICIES, number), len(values[0]), resamples)
             for number, (agent, values) in enumerate(scores.values.items())
         }
+        #: by environment, how often each instance is drawn, (R + 1, instances).  Environments with
+        #: the same number of instances share their draw, which only depends on seed and number.
         self.instances = tuple(
             _counts((seed, _INSTANCES, count), count, resamples) for count in scores.instances
         )

@@ -63,9 +63,8 @@ def _cross(one: Floats, other: Floats) -> Floats:
 def correction_gain(response: ArrayLike, jump: float) -> Floats:
     """Return which share of a jump in flight the hand has corrected at the end.
 
-    Args:
-        response: mean path with the jump less that without, along the full correction, (..., time).
-        jump: size of the jump of target or cursor, in the same unit.
+    The response is the mean path with the jump less that without, along the full correction,
+    (..., time), and `jump` the size of the jump of target or cursor, in the same unit.
 
     Source: Veyrat-Masson, Brière & Proteau (2010), J. Vision 10(14), 27.
     """
@@ -81,11 +80,8 @@ def correction_latency(
     is extended to 0, so that a strong response does not count as an early one.  NaN if the response
     never is 1 % of the jump.
 
-    Args:
-        response: as of `correction_gain`, (time,).
-        jump: size of the jump.
-        jump_time: seconds after the first position.
-        control_step: between two positions, seconds.
+    The response, (time,), and the jump are those of `correction_gain`; it jumps at `jump_time`,
+    seconds after the first position.
 
     Why to extrapolate: Oostwoud Wijdenes, Brenner & Smeets (2014), Behav. Res. Methods 46.
     """
@@ -149,13 +145,9 @@ def fit_two_states(adaptation: Floats, errors: Floats) -> Floats:
     with A_f < A_s, all from 0 to 1, and f_0 = s_0 = 0, by least squares.  The states follow from
     the errors that were seen, noise included, so that clamps need no model of their own.
 
-    Args:
-        adaptation: y, (..., trials); NaNs are left out.
-        errors: e, (..., trials); NaN where nothing is seen.
-
-    Returns:
-        `TWO_STATES`, (..., 4).  A process that does not help has B = 0 and A NaN; all are NaN where
-        nothing was learned.
+    The adaptation y and the errors e are (..., trials).  NaNs in y are left out; e is NaN where
+    nothing is seen.  Return `TWO_STATES`, (..., 4).  A process that does not help has B = 0 and A
+    NaN; all are NaN where nothing was learned.
 
     Source: Smith, Ghazizadeh & Shadmehr (2006), PLoS Biol. 4, e179.
     """

@@ -73,10 +73,7 @@ class TorchNetwork(torch.nn.Module):
     they are all zero: an odd normalizer stays odd.  Other parameters become trainable on request,
     as in `network.damping.requires_grad_()`.
 
-    Args:
-        network: the description of the network; by default the paper's, `MMCNetwork()`.
-        device: device of its parameters, torch's default if None.
-        dtype: their type, torch's default if None.
+    By default the network is the paper's, `MMCNetwork()`, and device and dtype are torch's.
 
     >>> network = TorchNetwork(MMCNetwork(damping=4), dtype=torch.float64)
     >>> angles = torch.tensor([0.3, 0.6, 0.6], dtype=torch.float64, requires_grad=True)
@@ -127,10 +124,9 @@ class TorchNetwork(torch.nn.Module):
             self.normalizer = _Euclidean()
 
     def to_numpy(self) -> MMCNetwork:
-        """Return the network in numpy with the present parameters.
+        """Return the network in numpy with the present parameters, if all are in their range.
 
-        Raises:
-            UserError: if a parameter is out of its range, or the normalizer was replaced.
+        Its normalizer must be the one that it was made with.
         """
         if not isinstance(self.normalizer, _Euclidean | _Learned):
             raise UserError(f"normalizer must be the original one, got {self.normalizer}")
@@ -177,10 +173,6 @@ class TorchNetwork(torch.nn.Module):
         Like `MMCNetwork.run`, it bends arms that lie in one line with their targets.  Clamps hold
         vectors, (..., 2), by their pair of nodes.  Batch axes of the state and of clamps are
         broadcast against each other.
-
-        Raises:
-            UserError: if the state comes from another kind of network, a pair is no vector of the
-                chain, or shapes do not fit.
         """
         require_whole("iterations", iterations, least=0)
         accepted = "a TorchState of a network of this kind"

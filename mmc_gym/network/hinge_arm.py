@@ -46,10 +46,6 @@ class ArmFrames(NamedTuple):
 class HingeArm:
     """Description of an arm of n hinges; lengths in metres, angles in radians.
 
-    Raises:
-        UserError: if a shape is another, a value is not finite, `home` is no pose, or a lower limit
-            is not below the upper one.
-
     >>> arm = HingeArm.named("panda")
     >>> arm.forward([0.0] * 7)[:3, 3].round(3).tolist()
     [0.088, 0.0, 0.926]
@@ -101,12 +97,8 @@ class HingeArm:
     def from_urdf(cls, path: Path | str, base: str, tip: str) -> HingeArm:
         """Read the chain from link `base` to link `tip` of a URDF file, by yourdfpy.
 
-        Joints that the file fixes move with what carries them, and "continuous" ones have no limit.
-
-        Raises:
-            FileNotFoundError: if there is no such file.
-            UserError: if a link is missing, or a joint between them is neither revolute, continuous
-                nor fixed; as `MissingExtraError`, where yourdfpy is not installed.
+        Joints are revolute, "continuous" without a limit, or fixed: these move with what carries
+        them.  Others are refused.
         """
         try:
             import yourdfpy

@@ -116,10 +116,6 @@ class HingeSolution:
 class HingeNetwork:
     """Description of an MMC network for an arm of hinges; it holds no state.
 
-    Raises:
-        UserError: for a value outside its range, or an unknown argument; as `MissingExtraError`,
-            for the engine "numba" where it is not installed.
-
     >>> network = HingeNetwork(HingeArm.named("panda"), engine="numpy")
     >>> solution = network.solve(position=[0.4, 0.2, 0.5], held={3: -1.8})
     >>> solution.is_solved.item(), solution.joint_angles[3].item()
@@ -171,9 +167,6 @@ class HingeNetwork:
             held: angles (...) of joints that do not move, by index of the joint; a locked joint, or
                 all of them for the forward task.
             points: positions (..., 3) of nodes by their index, such as the elbow's, see `HingeArm`.
-
-        Raises:
-            UserError: for a joint or node that there is not, or a value of another shape.
         """
         held, points = held or {}, points or {}
         for joint in held:
@@ -241,9 +234,6 @@ class HingeNetwork:
             tolerance: of position, m, and of rotation, radians.
             seed: of the starts.
             iterations: of each start at most.
-
-        Raises:
-            UserError: for a value that `clamp` refuses, or batch axes that do not fit.
         """
         clamps = self.clamp(position, rotation, held, points)
         require_whole("starts", starts)

@@ -37,11 +37,10 @@ class Normalizer(ABC):
 
     @abstractmethod
     def normalize_rows(self, rows: Floats, lengths: Floats) -> None:
-        """Normalize in place.
+        """Normalize vectors in place.
 
-        Args:
-            rows: vectors with the batch last, (n, 2, batch); (n, 3, batch) in space.
-            lengths: the wanted lengths, of the same dtype, (n, 1) or (n, batch).
+        They have the batch last, (n, 2, batch), or (n, 3, batch) in space.  The wanted lengths are
+        of the same dtype, (n, 1) or (n, batch).
         """
 
     def __call__(self, vectors: ArrayLike, lengths: ArrayLike = 1.0) -> Floats:
@@ -156,12 +155,7 @@ class LearnedNormalizer(Normalizer):
 
     @classmethod
     def load(cls, path: Path | str) -> LearnedNormalizer:
-        """Read a file that `save` wrote.
-
-        Raises:
-            FileNotFoundError: if there is none.
-            UserError: if it is damaged or does not hold a normalizer.
-        """
+        """Read a file that `save` wrote."""
         require(not Path(path).is_dir(), "path", str(path), "a file, no folder")
         try:
             with safe_open(path, framework="numpy") as file:

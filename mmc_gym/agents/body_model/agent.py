@@ -58,12 +58,7 @@ BETWEEN = -1  # looks of a state between two movements
 @spelt
 @dataclass(frozen=True)
 class Parts:
-    """Which parts an agent has, and how vigorous it is.
-
-    Raises:
-        UserError: for a number outside 0 to 1, rates of more than 1 together, another number of
-            rates than of retentions, or a width or largest error that is not positive.
-    """
+    """Which parts an agent has, and how vigorous it is."""
 
     filters: bool = True  #: whether noise is filtered, and moving targets are predicted
     bridges_delay: bool = True  #: whether the delay of the senses is estimated and bridged
@@ -77,7 +72,8 @@ class Parts:
     #: 1 as fast as the servos allow, 0 as people move: slower, with a bell-shaped speed
     vigour: float = 1.0
     #: share of what a movement shows that is learned, see `body_model.memory`; several numbers for
-    #: several states, such as a fast one and a slow one.  At 1 all is learned within the movement.
+    #: several states, such as a fast one and a slow one, together at most 1.  At 1 all is learned
+    #: within the movement.
     rate: tuple[float, ...] = (1.0,)
     #: share of it that is left for the next movement, of each state.  At 0 nothing is.
     retention: tuple[float, ...] = (0.0,)
@@ -128,11 +124,7 @@ class BodyAgent(InternalModelAgent[BodyState]):
     """An agent with an internal model of its body."""
 
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts = Parts()) -> None:
-        """Make the agent; `solver` is its internal model.
-
-        Raises:
-            CannotActError: under torque control.
-        """
+        """Make the agent; `solver` is its internal model.  It cannot act under torque control."""
         super().__init__(interface)
         self.parts = parts
         self.imagination = Imagination(interface, solver, parts.imagines)

@@ -71,8 +71,7 @@ class SpatialBodyAgent(InternalModelAgent[SpatialState]):
     def __init__(self, interface: ReachInterface, solver: Solver, parts: Parts) -> None:
         """Make the agent; `parts` switch links, locks and imagination off.
 
-        Raises:
-            CannotActError: for an arm in the plane, or under torque control.
+        It cannot act for an arm in the plane, or under torque control.
         """
         super().__init__(interface)
         self.solver, self.parts, self.arm = solver, parts, interface.arm
